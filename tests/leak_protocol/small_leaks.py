@@ -23,9 +23,9 @@ def small(**changes):
     return LeakProtocol(**{**SMALL, **changes})
 
 
-def ran(protocol=None, detectors=None, alarms=None, **options):
+def ran(protocol=None, detectors=None, **options):
     """Results of a small protocol; by default with one detector, in this process."""
-    chosen = Detectors(detectors or {"D": Spread()}, alarms or {})
+    chosen = Detectors(detectors or {"D": Spread()})
     return run(protocol or small(), chosen, **{"jobs": 1, **options})
 
 
@@ -108,19 +108,10 @@ def made_up_run():
         columns=["detector", "condition", "status", "message"],
     )
     bound = pd.DataFrame({"condition": "plain", "level": [0.3, 0.3, 1.0], "seed": 0.0, "sigma_lpm": [0.01, 0.03, 0.05]})
-    made = {"windows": pd.concat(frames, ignore_index=True), "thresholds": thresholds, "alarms": alarms()}
+    made = {"windows": pd.concat(frames, ignore_index=True), "thresholds": thresholds}
     return Results(
         made_up_protocol(), Detectors({}), {"leak_bound": bound}, status, facts=[("file", "made up")], _made=made
     )
-
-
-def alarms():
-    shared = {"detector": "head", "then": "all", "axes": 40}
-    healthy = {**shared, "leak_lpm": 0.0, "alarms": 2, "hours": 100.0}
-    healthy |= {"per_100_h": 2.0, "per_100_h_low": 0.2, "per_100_h_high": 7.2}
-    missed = {"missed": 0.02, "missed_low": 0.0, "missed_high": 0.1}
-    leaks = [{**shared, **missed, "leak_lpm": level, "median_s": 3.0 / level, "p90_s": 9.0} for level in (0.1, 1.0)]
-    return pd.DataFrame([healthy, *leaks])
 
 
 def made_up_tables():

@@ -7,10 +7,9 @@ import pandas as pd
 import pytest
 from browser import problems_everywhere
 from published import assert_published_page
-from small_leaks import made_up_run, made_up_tables, small
+from small_leaks import made_up_run, made_up_tables
 
 from hydro_agents.detection.detector import VERDICTS
-from hydro_agents.evaluation.runner import Results
 from hydro_agents.report.content import Content
 from hydro_agents.report.leak_findings import findings_of
 from hydro_agents.report.leakage import LEAKAGE, confusion_tables, right_verdicts
@@ -36,12 +35,9 @@ def plain(text):
     return text.replace("\u00a0", " ")
 
 
-def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be_said(content):
-    small, early, sure, confused, silent = ((plain(item.lead), plain(item.text)) for item in findings_of(content))
+def test_the_findings_say_how_small_how_surely_and_when_nothing_can_be_said(content):
+    small, sure, confused, silent = ((plain(item.lead), plain(item.text)) for item in findings_of(content))
     assert small[0] == "A leak of 0.2 l/min is found within 2 s of ordinary motion."
-    assert early[0] == "A new leak of 1 l/min raises the alarm after 3 s."
-    assert "0.1 l/min after 30 s, 2.0 % missed" in early[1]
-    assert "2.0 per 100 h (0.2 to 7.2)" in early[1]
     assert sure[0] == "The head alone raises 18 false alarms per hour: let an alarm sum up its windows."
     assert "head 1.0 % (0.2 to 5.4), which is 18 per hour" in sure[1]
     assert "Under the worst motion or controller: head 4.0 % (1.6 to 9.8), ADRC" in sure[1]
@@ -53,11 +49,10 @@ def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be
 
 def test_without_confusions_and_silence_the_findings_say_so():
     made = made_up_tables()
-    made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"], "alarms": pd.DataFrame()}
+    made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"]}
     leads = [item.lead for item in findings_of(Content(made, others={"base": "plain"}))]
     assert "No other fault looks like a worn seal." in leads
     assert "No detector stays silent." in leads
-    assert not any("alarm after" in lead for lead in leads)
 
 
 def rows_of(table):
@@ -92,9 +87,8 @@ def test_the_page_stands_alone_and_holds_scale_and_conditions(page):
 
 def test_sections_without_figures_are_left_out():
     made = made_up_tables()
-    made = {name: table for name, table in made.items() if name not in ("alarms", "masking", "reliability")}
+    made = {name: table for name, table in made.items() if name not in ("masking", "reliability")}
     page = render_page("Leaks", LEAKAGE, Content(made, others={"base": "plain"})).html
-    assert 'id="alarm_delay"' not in page
     assert 'id="masking"' not in page
 
 
@@ -152,20 +146,6 @@ def test_masking_sets_detection_beside_the_position_error(made):
     )
     assert mine.loc["ADRC", "error_mm"] < mine.loc["PID", "error_mm"]
     assert mine["at_1_percent"].to_dict() == {"PID": 0.7, "ADRC": 0.5}
-
-
-def test_alarms_are_counted_over_axes_and_hours():
-    healthy = pd.DataFrame({"leak_lpm": 0.0, "then": "all", "alarms": [0.0, 3.0], "hours": 10.0})
-    delays = {"delay_s": [2.0, 4.0, 100.0, 1.0], "early": [0.0, 0.0, 0.0, 1.0]}
-    leaking = pd.DataFrame({"leak_lpm": 1.0, "then": "all", **delays})
-    rows = pd.concat([healthy, leaking]).assign(detector="head")
-    table = Results(small(), None, {"alarm": rows}, pd.DataFrame()).table("alarms")
-    first = table.iloc[0]
-    assert (first["alarms"], first["hours"], first["per_100_h"]) == (3, 20.0, 15.0)
-    assert first["per_100_h_low"] < 15.0 < first["per_100_h_high"]
-    one = row(table, leak_lpm=1.0, then="all")
-    assert (one["axes"], one["median_s"]) == (3, 4.0)  # the axis with an alarm before the onset does not count
-    assert one["missed"] == pytest.approx(1 / 3)  # 100 s are longer than a minute
 
 
 def test_every_table_is_written(made, tmp_path):

@@ -10,7 +10,6 @@ from hydro_agents.detection.detector import CAUSE_OF_FAULT, NO_COMMANDS, VERDICT
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.detection.features import LABELS, SIGNALS
-from hydro_agents.detection.following_detector import FollowingDetector
 from hydro_agents.detection.looks import looks_at
 from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
@@ -77,7 +76,6 @@ def test_changes_of_the_task_and_further_unknowns_reach_the_fit():
     assert "spool_position_gain" in detector.names(CONFIG, False)
     assert detector.refuses(TaskConfig(control_period=0.01), 10) == ""
     assert detector.threshold is None
-    assert isinstance(make_detector(choice, following=True), FollowingDetector)
     reading = detector.read(made("none", 0.5), CONFIG)
     np.testing.assert_allclose(reading.flow_lpm, 0.5, atol=0.05)
 
@@ -143,7 +141,9 @@ def test_a_detector_of_ones_own_is_named_by_module_and_attribute():
         make_detector(DetectorChoice(kind="small_leaks:SMALL"))
     with pytest.raises(ConfigurationError, match="has no 'Absent'"):
         make_detector(DetectorChoice(kind="small_leaks:Absent"))
-    with pytest.raises(ConfigurationError, match="kind = 'network': must be head, estimator, or module:attribute"):
+    with pytest.raises(
+        ConfigurationError, match="kind = 'network': must be head, estimator, two_stage, or module:attribute"
+    ):
         validate(DetectorChoice, {"kind": "network"}, "own.yaml")
 
 

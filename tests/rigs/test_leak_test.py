@@ -25,9 +25,9 @@ from hydro_agents.rigs.leak_test import (
     speeds,
     worn_task,
 )
-from hydro_agents.rigs.leak_test_page import EXIT_CODES, commands_csv, header_code, reading_facts
+from hydro_agents.rigs.leak_test_page import commands_csv, header_code, reading_facts
 from hydro_agents.rigs.leak_test_reading import Quantity, edge_flow, read_leak_test
-from hydro_agents.rigs.verdict import Kind
+from hydro_agents.rigs.verdict import EXIT_CODES, Kind
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.randomisation import Distribution

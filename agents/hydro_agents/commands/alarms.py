@@ -20,43 +20,37 @@ def alarms(
     detector: Annotated[
         str,
         typer.Option(
-            metavar="head|estimator|MODULE:ATTRIBUTE",
-            help="Detector: the leakage head, the estimator with the simulator as its model, or your own.",
+            metavar="two_stage|head|estimator|MODULE:ATTRIBUTE",
+            help="Detector: the leakage head in motion and the estimator at rest or in doubt, one of them alone, or "
+            "your own.",
         ),
-    ] = "head",
+    ] = "two_stage",
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     rate: Annotated[float, typer.Option(help="Accepted false alarms per 100 hours.")] = 1.0,
-    hours: Annotated[
-        float | None,
-        typer.Option(
-            help="Hours of healthy axes to simulate, first for the calibration and again for the test. Default: 40 "
-            "(head), 2 (estimator)."
-        ),
-    ] = None,
     axes: Annotated[
-        int | None,
-        typer.Option(help="Axes that begin to leak, per leak size and activity. Default: 128 (head), 16 (estimator)."),
+        int | None, typer.Option(help="Axes for the calibration, and again for the test. Default: 40.")
     ] = None,
-    interval: Annotated[
-        float | None, typer.Option(help="Seconds between readings. Default: 0.5 (head), 2 (estimator).")
+    fault_axes: Annotated[
+        int | None, typer.Option(help="Of them, axes at rest and with other faults. Default: 20.")
     ] = None,
+    interval: Annotated[float | None, typer.Option(help="Seconds between readings. Default: 4.")] = None,
     learning: Annotated[
-        int | None,
-        typer.Option(help="Readings per activity that form an axis's own baseline. Default: 60 (head), 8 (estimator)."),
+        int | None, typer.Option(help="Readings in motion that form an axis's own baseline. Default: 60.")
     ] = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Set an alarm to a rate of false alarms per 100 hours by simulating hours of healthy axes.
+    """Set an alarm to a rate of false alarms per 100 hours from measured readings of simulated axes.
 
-    The alarm sums up the readings of a detector. The axes work continuously: all families of references, at full speed,
-    slowly, and standing, under the PID and the flow-linearising controller. The command compares several ways to sum up
-    evidence on validation seeds, keeps the one that finds leaks soonest, and tests it on test seeds: false alarms,
-    delays, leaks from the start, other faults, growth. It writes `alarm.yaml` (the settings), `alarms.md` and one CSV
-    per table. The head with 40 hours takes some ten minutes, the estimator with 2 hours far longer; the first part
-    shows how long on your machine. Ctrl-C keeps the finished jobs, and `--resume` continues.
+    The alarm sums up the readings of a detector. Each axis works for ten minutes, healthy and with leaks: all
+    families
+    of references, at full speed, slowly, and standing, under the PID and the flow-linearising controller. Hours and
+    shifts are then drawn from these readings, axis by axis. The threshold comes from validation seeds; test seeds give
+    false alarms, leaks missed in a shift and at rest, and the causes that the alarm names for other faults. It writes
+    `alarm.yaml` (the settings), `alarms.md` and one CSV per table. Ctrl-C keeps the finished jobs, and `--resume`
+    continues.
     """
-    from hydro_agents.detection.alarm_job import SIZES, run_job
+    from hydro_agents.detection.alarm_job import AlarmJob, run_job
     from hydro_agents.detection.alarm_simulation import Bench
     from hydro_agents.detection.detectors import DetectorChoice, make_detector
     from hydro_agents.detection.looks import window_of
@@ -71,20 +65,18 @@ def alarms(
     config = task_config(task, rig=rig)
     weights = str(head) if head is not None else None
     choice = validate(DetectorChoice, {"kind": detector, "weights": weights}, "--detector")
-    if detector != "head" and head is not None:
-        raise ConfigurationError(f"--head {head}: only the head has weights; leave out --head or --detector {detector}")
-    given = {"rate": rate, "hours": hours, "axes": axes, "interval": interval, "learning": learning}
+    if head is not None and detector not in ("head", "two_stage"):
+        raise ConfigurationError(f"--head {head}: only a head has weights; leave out --head or --detector {detector}")
+    given = {"rate": rate, "axes": axes, "fault_axes": fault_axes, "interval": interval, "learning": learning}
     chosen = {name: value for name, value in given.items() if value is not None}
-    usual = SIZES["estimator" if detector == "estimator" else "head"]
-    job = validate(type(usual), usual.model_dump() | chosen, "alarms")
-    watching = make_detector(choice, following=True)
+    job = validate(AlarmJob, chosen, "alarms")
+    watching = make_detector(choice)
     window_of(watching, config)  # refuses a task that it cannot read
-    name = f"leakage head {Path(head or HEAD_FILE).name}" if detector == "head" else detector
+    name = detector if detector not in ("head", "two_stage") else f"{detector} {Path(head or HEAD_FILE).name}"
     controllers = {kind: shipped(kind, config) for kind in ("pid", "flow_linearising")}
 
     def work(display: ProgressDisplay) -> Written:
-        together = 16 if detector == "estimator" else 128
-        settings, tables = run_job(Bench(config, controllers, watching, name, output, together, display.update), job)
+        settings, tables = run_job(Bench(config, controllers, watching, name, output, 4, display.update), job)
         settings.save(output / "alarm.yaml")
         files = {f"{title}.csv": table.to_csv(index=False) for title, table in tables.items()}
         shown = [

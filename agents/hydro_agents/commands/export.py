@@ -1,4 +1,4 @@
-"""``hydro export``: the plant, a controller or the leakage head for other tools and machines, or the playground."""
+"""``hydro export``: the plant, a controller, the leak detector or its alarm for other tools, or the playground."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ FMU_FILE = "hydro_axis.fmu"
 SOURCES = ("plant.h", "plant.c")
 JOB = "export"
 LANGUAGES = ("c", "st")
-OWN_PARTS = ("plant", "leakage_head", "playground")
+OWN_PARTS = ("plant", "leakage_head", "alarm", "playground")
 
 
 def export(
     what: Annotated[
         str,
         typer.Argument(
-            help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector. playground: a page to "
-            "try out. Or a controller: results/study/controllers/NAME of a study on your rig; as shipped, for the "
-            "paper's rig: pid, flow_linearising, adrc, lqg, mpc, ppo; a file of gains, weights, or module:attribute.",
+            help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector, or the path of your "
+            "own. alarm: the alarm over time, or the alarm.yaml of hydro alarms. playground: a page to try out. Or a "
+            "controller: results/study/controllers/NAME of a study on your rig; as shipped, for the paper's rig: pid, "
+            "flow_linearising, adrc, lqg, mpc, ppo; a file of gains, weights, or module:attribute.",
             show_default=False,
         ),
     ],
@@ -48,7 +49,7 @@ def export(
     ] = "c",
     overwrite: Overwrite = False,
 ) -> None:
-    """Write the plant, a controller or the leakage head for other tools, or for your own C program.
+    """Write the plant, a controller, the leakage head or its alarm for other tools, or for your own C program.
 
     `hydro export plant` writes `hydro_axis.fmu` (FMI 2.0 co-simulation for Simulink, Amesim, OpenModelica and others,
     with the binary of this platform and its sources; it needs a C compiler) and `plant.c`, `plant.h` (C99, no library
@@ -62,7 +63,9 @@ def export(
     'hydro_env[export]'`. A rig that nobody tuned: `hydro export flow_linearising --rig my.yaml --period 2ms`.
 
     `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to the
-    probability and size of a leak, and its network as ONNX.
+    probability and size of a leak, and its network as ONNX. `hydro export study/leakage_head` does so for your own.
+    `hydro export alarm` writes the shipped alarm as C99: baseline, sum, latch, cause and reset, with test vectors.
+    `hydro export results/alarms/alarm.yaml` does so for your own.
 
     `hydro export playground` writes `playground.html`: one page, without server or network, on which three axes move
     in real time while you turn leak, supply, load and gains. It needs `pip install 'hydro_env[playground]'`.
@@ -71,20 +74,37 @@ def export(
 
     if language not in LANGUAGES:
         raise ConfigurationError(f"--format {language[:40]}: {one_of(language, LANGUAGES)}")
-    if what in OWN_PARTS and language != "c":
+    part = _part(what)
+    if part and language != "c":
         raise ConfigurationError(f"export {what}: has no --format {language}; a controller does")
-    if what in OWN_PARTS and (period is not None or latency is not None):
+    if part and (period is not None or latency is not None):
         raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
-    if what == "plant":
+    if part == "plant":
         _export_plant(task_config(task, rig=rig), output, overwrite)
-    elif what in ("leakage_head", "playground") and (task is not None or rig is not None):
-        raise ConfigurationError(f"export {what}: takes no --task and no --rig; the shipped head has its own")
-    elif what == "leakage_head":
-        _export_head(output, overwrite)
-    elif what == "playground":
+    elif part and (task is not None or rig is not None):
+        owner = "the shipped head" if what == part else part.replace("_", " ")
+        raise ConfigurationError(f"export {what}: takes no --task and no --rig; {owner} has its own")
+    elif part == "leakage_head":
+        _export_head(what, output, overwrite)
+    elif part == "alarm":
+        _export_alarm(what, output, overwrite)
+    elif part == "playground":
         _export_playground(output, overwrite)
     else:
         _export_controller(what, (task, rig, period, latency), language, output, overwrite)
+
+
+def _part(what: str) -> str:
+    """The one of :data:`OWN_PARTS` that a name or a path means; empty: a controller."""
+    from hydro_agents.detection.head import KIND
+    from hydro_agents.running.weights import kind_of_weights
+    from hydro_env.files import read_yaml
+
+    if what in OWN_PARTS:
+        return what
+    if Path(what).suffix == ".yaml" and Path(what).is_file():
+        return "alarm" if "scales" in read_yaml(what) else ""
+    return "leakage_head" if ":" not in what and kind_of_weights(what) == KIND else ""
 
 
 Given = tuple[str | None, Path | None, str | None, str | None]  # task, rig, control period and latency
@@ -110,15 +130,24 @@ def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
     _write(output, overwrite, [FMU_FILE, *SOURCES], make)
 
 
-def _export_head(output: Path, overwrite: bool) -> None:
+def _export_head(what: str, output: Path, overwrite: bool) -> None:
     from hydro_agents.detection.head import LeakageHead
     from hydro_agents.export.leakage_head import FILES, exported_head
     from hydro_agents.export.onnx_writer import onnx_package
     from hydro_agents.running.folders import pretrained_folder
 
     onnx_package()  # report a missing package at the start
-    head = LeakageHead.load(pretrained_folder() / "leakage_head")
+    head = LeakageHead.load(pretrained_folder() / "leakage_head" if what == "leakage_head" else what)
     _write(output, overwrite, FILES, lambda: exported_head(head, command_line()))
+
+
+def _export_alarm(what: str, output: Path, overwrite: bool) -> None:
+    from hydro_agents.detection.alarm import AlarmSettings
+    from hydro_agents.export.alarm import FILES, exported_alarm
+    from hydro_env.folders import config_folder
+
+    settings = AlarmSettings.load(config_folder() / "agents" / "alarm.yaml" if what == "alarm" else what)
+    _write(output, overwrite, FILES, lambda: exported_alarm(settings, command_line()))
 
 
 def _export_playground(output: Path, overwrite: bool) -> None:

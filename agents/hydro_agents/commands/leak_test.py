@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping
 from enum import StrEnum
@@ -118,8 +119,8 @@ def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json
     from hydro_env.files import validate
 
     settings = validate(LeakTestSettings, given, "leak-test")
-    with ProgressDisplay() as display:
-        test = plan(config, settings, None if as_json else display.update)
+    with contextlib.nullcontext() if as_json else ProgressDisplay() as display:
+        test = plan(config, settings, display and display.update)
     lines = plan_to_folder(output, test, overwrite, command_line())
     say(json.dumps(plan_facts(test), indent=1) if as_json else "\n".join(lines))
 
@@ -134,13 +135,14 @@ def _read(
     overwrite: bool,
 ) -> None:
     from hydro_agents.recordings.columns import read_map
-    from hydro_agents.rigs.leak_test_page import EXIT_CODES, reading_facts, reading_to_folder
+    from hydro_agents.rigs.leak_test_page import reading_facts, reading_to_folder
     from hydro_agents.rigs.leak_test_reading import read_leak_test
+    from hydro_agents.rigs.verdict import EXIT_CODES
     from hydro_agents.running.console import ProgressDisplay
 
     mapped = read_map(columns) if columns is not None else None
-    with guesses_shown(), ProgressDisplay() as display:
-        found = read_leak_test(recording, config, mapped, limit, None if as_json else display.update)
+    with guesses_shown(), contextlib.nullcontext() if as_json else ProgressDisplay() as display:
+        found = read_leak_test(recording, config, mapped, limit, display and display.update)
     lines = reading_to_folder(output, found, overwrite, command_line())
     say(json.dumps(reading_facts(found), indent=1) if as_json else "\n".join(lines))
     if EXIT_CODES[found.verdict.kind]:

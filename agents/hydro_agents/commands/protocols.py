@@ -92,7 +92,6 @@ def run_protocol(
     chosen: Any,
     options: Options,
     page: PageOf,
-    notes: Sequence[str] = (),
 ) -> None:
     """Run a protocol of any kind, and write its tables and its page.
 
@@ -102,7 +101,6 @@ def run_protocol(
         chosen: the participants.
         options: how it runs.
         page: its page, and the figures for the terminal.
-        notes: lines to print before the protocol runs.
 
     Raises:
         ConfigurationError: the folder cannot be used, or a participant failed (the results of the others are written
@@ -116,8 +114,6 @@ def run_protocol(
         ProgressDisplay() as display,
     ):
         write_yaml(output / PROTOCOL_FILE, protocol.model_dump(mode="json"))
-        for note in notes:
-            display.say(note)
         facts = {
             "file": str(file),
             "file_sha256": file_sha256(file),
@@ -198,21 +194,13 @@ def evaluate_leak_protocol(file: Path, head: Path | None, options: Options) -> N
         ConfigurationError: the protocol or the weights are wrong, the folder cannot be used, or a detector failed (the
             results of the others are written first).
     """
-    from hydro_agents.detection.alarm import AlarmSettings
     from hydro_agents.detection.detectors import make_detector
     from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.evaluation.leak_protocol import DRAWN, Detectors, LeakProtocol, Watch
+    from hydro_agents.evaluation.leak_protocol import DRAWN, Detectors, LeakProtocol
     from hydro_agents.report.leakage import LEAKAGE, PAGE_FILE, level_text
 
     protocol = options.moved(LeakProtocol.from_yaml(file))
     own = LeakageHead.load(head) if head is not None else None
-    alarms, notes = {}, []
-    for name, settings in protocol.alarms.items() if protocol.alarm_hours > 0.0 else ():
-        if Path(settings).exists():
-            watching = make_detector(protocol.detectors[name], own, following=True)
-            alarms[name] = Watch(watching, AlarmSettings.load(settings))
-        else:
-            notes.append(f"{name}: no alarm: {settings} does not exist; hydro alarms writes it")
     detectors = {name: make_detector(choice, own) for name, choice in protocol.detectors.items()}
 
     def content(results: Results) -> Content:
@@ -230,4 +218,4 @@ def evaluate_leak_protocol(file: Path, head: Path | None, options: Options) -> N
         return Table(title, ("detector", *map(level_text, levels)), rows)
 
     page = PageOf(PAGE_FILE, LEAKAGE, content, shares)
-    run_protocol(protocol, file, Detectors(detectors, alarms), options, page, notes)
+    run_protocol(protocol, file, Detectors(detectors), options, page)

@@ -1,25 +1,26 @@
 """The alarm: it sums up the evidence of a detector over time and reports when an axis leaks.
 
-A look is one reading of the detector, taken at regular times. It adds the log-likelihood ratio of two Gaussian
-hypotheses, the axis as it was and the axis with the leak that the alarm is designed for:
+A look is one reading of the detector, taken at regular times. Its z-score is the distance of its score x from the
+axis's own baseline b in standard deviations σ, z = (x − b) / σ. The look adds the log-likelihood ratio of two Gaussian
+hypotheses, the axis as it was (z = 0) and the axis with the leak that the alarm is designed for (z = d):
 
-    z = δ (x − b − δ/2) / σ²
+    S ← max(0, S + d (z − d/2))
 
-x is the score of the look. b is the axis's own baseline: the median of its first looks, but never above the baselines
-of healthy axes (``highest_baseline``). An axis that leaks from the first look on is therefore compared with healthy
-axes, any other with itself. δ is the rise of the score by the design leak, and σ the spread of the score, both for the
-axis's activity (standing, slow, moving). If a detector gives a larger standard deviation for a look, it replaces σ.
+This sum is a CUSUM (Page, *Continuous inspection schemes*, Biometrika 41, 1954); the alarm rises when it exceeds a
+threshold, and latches. d and σ belong to the axis's activity (standing, slow, moving). If the detector gives a larger
+standard deviation for a look, it replaces σ.
 
-The evidence is summed up in one or more ways side by side, one quick and one patient (Lucas, *Combined
-Shewhart-CUSUM quality control schemes*, J. Quality Technology 14, 1982): ``cusum`` sums S ← max(0, S + z) (Page,
-*Continuous inspection schemes*, Biometrika 41, 1954), ``mean`` forgets exponentially, S ← S + λ (z − S) (Roberts,
-Technometrics 1, 1959). The alarm latches when one of the sums exceeds its threshold.
+The baseline is the mean of the axis's first looks, without outliers, but never above the baselines of healthy axes
+(``highest_baseline``). An axis that leaks from the first look on is therefore compared with healthy axes, any other
+with itself. In an activity without ``learning`` every axis is compared with healthy axes.
+
+The C code of ``hydro export alarm`` is traced from :meth:`LeakAlarm.update`: both give the same numbers.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,35 +32,35 @@ from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 
 Flags = NDArray[np.bool_]
-CAUSE_MEMORY = 20.0  # averaging time in s of the causes that the detector names
+
+OUTLIER = 3.0  # standard deviations; a look farther from the mean of those before it counts as this far
+
+CAUSE_LOOKS = 30.0  # looks that count for the cause: their weights fall exponentially
+LEAST_SHARE = 0.15
+"""Share of them by which a cause is named, if none has a larger share. Detectors name a fault that is not there in
+about one look of a hundred, and miss one that is there far more often."""
+
+NAMED = tuple(cause for cause in Cause if Cause.INTERNAL_LEAK < cause <= Cause.UNKNOWN)
 
 
 class Scale(Group):
     """Scores of healthy axes during one activity, and the rise that the design leak causes; set by calibration."""
 
     highest_baseline: float = Field(ge=-1e9, le=1e9, description="upper limit of every axis's own baseline")
+    learning: int = Field(60, ge=0, le=10_000, description="looks until an axis's own baseline is known; 0: none")
     spread: float = Field(gt=0.0, le=1e9, description="standard deviation of a look about its axis's baseline")
     shift: float = Field(ge=0.0, le=1e9, description="rise of the score by the design leak; 0: no evidence")
-
-
-class Sum(Group):
-    """One way to sum up evidence."""
-
-    method: Literal["mean", "cusum"]
-    memory: float = Field(0.0, ge=0.0, le=1e6, description="s; of a mean; 0: each look alone")
-    threshold: float = Field(1.0, gt=0.0, le=1e9)
 
 
 class AlarmSettings(Group):
     """Settings of an alarm; ``hydro alarms`` computes them."""
 
     detector: str = Field("", description="the detector of the calibration")
-    interval: float = Field(0.5, gt=0.0, le=3600.0, description="s; between looks")
-    learning: int = Field(60, ge=1, le=10_000, description="looks in each activity until an axis's baseline is known")
+    interval: float = Field(4.0, gt=0.0, le=3600.0, description="s; between looks")
     clip: float = Field(5.0, gt=0.0, le=1e6, description="largest contribution of one look: an outlier raises no alarm")
     scales: dict[str, Scale] = Field(description="by activity: standing, slow, moving")
-    sums: tuple[Sum, ...] = Field(min_length=1, max_length=8)
-    false_alarms_per_100_h: float | None = Field(None, ge=0.0, description="rate that set the thresholds")
+    threshold: float = Field(1.0, gt=0.0, le=1e9, description="of the sum")
+    false_alarms_per_100_h: float | None = Field(None, ge=0.0, description="rate that set the threshold")
 
     @classmethod
     def load(cls, path: str | Path) -> AlarmSettings:
@@ -89,20 +90,19 @@ class AlarmSettings(Group):
 class AlarmState(NamedTuple):
     """Memory of N alarms; no call changes its argument."""
 
-    first: Floats  # (N, activities, learning), first scores in each activity, NaN where none is yet
-    seen: NDArray[np.int64]  # (N, activities), how many of them
-    baseline: Floats  # (N, activities), in use now
-    sums: Floats  # (N, sums), S above
+    mean: Floats  # (N, activities), of the first scores in each activity
+    seen: Floats  # (N, activities), how many of them
+    total: Floats  # (N,), S above
     alarm: Flags  # (N,), latched
-    causes: Floats  # (N, causes), share of the last looks that named each
+    causes: Floats  # (N, NAMED), share of the last looks that named each
 
 
 class Alarm(NamedTuple):
     """State of the alarms after a look, each (N,)."""
 
     alarm: Flags  # latched until ``reset``
-    total: Floats  # largest of the sums, each divided by its threshold; the alarm rises above 1
-    cause: NDArray[np.int8]  # :class:`~hydro_agents.detection.detector.Cause` that most of the last looks named
+    total: Floats  # the sum divided by its threshold; the alarm rises above 1
+    cause: NDArray[np.int64]  # the :class:`~hydro_agents.detection.detector.Cause` that the last looks name; else NONE
     learnt: Flags  # whether the axis's own baseline is known for its present activity
 
 
@@ -118,7 +118,7 @@ class LeakAlarm:
         >>> alarm = LeakAlarm(AlarmSettings.load(config_folder() / "agents" / "alarm.yaml"))
         >>> state, moving = alarm.begin(count=2), np.full(2, Activity.MOVING)
         >>> for _ in range(20):  # looks at two axes, of which the second one leaks
-        ...     now, state = alarm.update(Reading.of([-3.0, 8.0]), moving, state)
+        ...     now, state = alarm.update(Reading.of([0.01, 0.1]), moving, state)
         >>> now.alarm
         array([False,  True])
     """
@@ -128,26 +128,23 @@ class LeakAlarm:
         self._highest, self._spread, self._shift = (
             settings.table(field) for field in ("highest_baseline", "spread", "shift")
         )
-        self._threshold = np.array([each.threshold for each in settings.sums])
-        self._cusum = np.array([each.method == "cusum" for each in settings.sums])
-        self._forget = np.array([min(settings.interval / max(each.memory, 1e-9), 1.0) for each in settings.sums])
-        self._forget_cause = min(settings.interval / CAUSE_MEMORY, 1.0)
+        learning = settings.table("learning")
+        self._learning = np.where(learning > 0, learning, np.inf)
 
     def begin(self, count: int) -> AlarmState:
         """The memory of N axes before their first look."""
         return AlarmState(
-            first=np.full((count, len(Activity), self.settings.learning), np.nan),
-            seen=np.zeros((count, len(Activity)), dtype=np.int64),
-            baseline=np.tile(self._highest, (count, 1)),
-            sums=np.zeros((count, len(self.settings.sums))),
+            mean=np.zeros((count, len(Activity))),
+            seen=np.zeros((count, len(Activity))),
+            total=np.zeros(count),
             alarm=np.zeros(count, dtype=np.bool_),
-            causes=np.zeros((count, len(Cause))),
+            causes=np.zeros((count, len(NAMED))),
         )
 
     def update(self, look: Reading, activity: NDArray[np.int8], state: AlarmState) -> tuple[Alarm, AlarmState]:
         """Add one look at each axis.
 
-        A look without a score adds nothing, nor does one that the detector cannot explain (cause ``UNKNOWN``). A named
+        A look without a score adds nothing, nor does one that the detector cannot explain (no answer). A named
         fault does not clear the seal: an axis may have both.
 
         Args:
@@ -155,39 +152,48 @@ class LeakAlarm:
             activity: of each axis, (N,).
             state: memory after the previous look.
         """
-        everyone = np.arange(len(state.alarm))
-        counts = np.isfinite(look.score) & (look.cause != Cause.UNKNOWN)
-        score = np.where(counts, look.score, 0.0)
-        sigma = np.fmax(look.sigma, self._spread[activity])
-        shift = self._shift[activity]
-        ratio = shift * (score - state.baseline[everyone, activity] - 0.5 * shift) / (sigma * sigma)
-        step = np.clip(ratio, -self.settings.clip, self.settings.clip)
-        rise = np.where(self._cusum, step[:, None], self._forget * (step[:, None] - state.sums))
-        sums = state.sums + np.where(counts[:, None], rise, 0.0)
-        sums = np.where(self._cusum, np.maximum(sums, 0.0), sums)
-        total = (sums / self._threshold).max(axis=1)
-        named = (look.cause[:, None] == np.arange(len(Cause))).astype(np.float64)
-        causes = state.causes + self._forget_cause * (named - state.causes)
-        state = self._learn(score, activity, counts, state)
-        alarm = state.alarm | (total > 1.0)
-        state = state._replace(sums=sums, alarm=alarm, causes=causes)
-        learnt = state.seen[everyone, activity] >= self.settings.learning
-        return Alarm(alarm, total, causes.argmax(axis=1).astype(np.int8), learnt), state
+        return self.step(look.score, look.sigma, look.cause, activity, state)
 
-    def _learn(self, score: Floats, activity: NDArray[np.int8], counts: Flags, state: AlarmState) -> AlarmState:
-        """Store the scores of axes that still learn, and compute the baselines that are complete."""
-        axes = np.flatnonzero(counts)
-        axes = axes[state.seen[axes, activity[axes]] < self.settings.learning]
-        if len(axes) == 0:
-            return state
-        kind = activity[axes]
-        first, seen, baseline = state.first.copy(), state.seen.copy(), state.baseline.copy()
-        first[axes, kind, seen[axes, kind]] = score[axes]
-        seen[axes, kind] += 1
-        done = seen[axes, kind] == self.settings.learning
-        known, kind = axes[done], kind[done]
-        baseline[known, kind] = np.minimum(np.median(first[known, kind], axis=1), self._highest[kind])
-        return state._replace(first=first, seen=seen, baseline=baseline)
+    def step(self, score: Any, sigma: Any, cause: Any, activity: Any, state: AlarmState) -> tuple[Alarm, AlarmState]:
+        """The same from the fields of a reading; only with operations that :mod:`hydro_agents.export.tracing` knows."""
+        counts = (np.absolute(score) < np.inf) & (cause < int(Cause.UNKNOWN))
+        here = activity.reshape(-1, 1) == np.arange(len(Activity))
+        score = np.where(counts, score, 0.0)
+        spread = (here * self._spread).sum(axis=1)
+        shift = (here * self._shift).sum(axis=1)
+        highest = (here * self._highest).sum(axis=1)
+        mean = (here * state.mean).sum(axis=1)
+        seen = (here * state.seen).sum(axis=1)
+        learning = np.where(here, self._learning, 0.0).sum(axis=1)
+        learnt = seen >= learning
+        baseline = np.where(learnt, np.minimum(mean, highest), highest)
+        sigma = np.where(sigma > spread, sigma, spread)
+        design = shift / sigma
+        evidence = design * ((score - baseline) / sigma - 0.5 * design)
+        evidence = np.minimum(np.maximum(evidence, -self.settings.clip), self.settings.clip)
+        total = np.where(counts, np.maximum(state.total + evidence, 0.0), state.total)
+        alarm = state.alarm | (total > self.settings.threshold)
+
+        reach = np.where(seen > 0.0, OUTLIER * spread, np.inf)  # the first look is the mean
+        change = np.minimum(np.maximum(score - mean, -reach), reach) / (seen + 1.0)
+        learns = here & (counts & np.logical_not(learnt)).reshape(-1, 1)
+        votes = (cause != int(Cause.UNDETERMINED)).reshape(-1, 1)
+        named = cause.reshape(-1, 1) == np.array(NAMED, dtype=np.int64)
+        causes = np.where(votes, state.causes + (named - state.causes) / CAUSE_LOOKS, state.causes)
+        largest, which = np.full(alarm.shape, LEAST_SHARE), np.zeros(alarm.shape, dtype=np.int64)
+        for column, each in enumerate(NAMED):
+            more = causes[:, column] > largest
+            which = np.where(more, int(each), which)
+            largest = np.where(more, causes[:, column], largest)
+        memory = AlarmState(
+            mean=np.where(learns, state.mean + change.reshape(-1, 1), state.mean),
+            seen=state.seen + learns,
+            total=total,
+            alarm=alarm,
+            causes=causes,
+        )
+        known = (here * memory.seen).sum(axis=1) >= learning
+        return Alarm(alarm, total / self.settings.threshold, which, known), memory
 
     def reset(self, state: AlarmState, axes: Flags, relearn: bool = False) -> AlarmState:
         """Acknowledge the alarms of some axes (N,): their evidence starts at zero again.
@@ -195,7 +201,7 @@ class LeakAlarm:
         ``relearn`` forgets their baselines too, as after a repair.
         """
         fresh = self.begin(len(state.alarm))
-        kept = () if relearn else ("first", "seen", "baseline")
+        kept = () if relearn else ("mean", "seen")
         chosen: dict[str, Any] = {
             name: np.where(axes.reshape(-1, *[1] * (old.ndim - 1)), new, old)
             for name, old, new in zip(state._fields, state, fresh, strict=True)

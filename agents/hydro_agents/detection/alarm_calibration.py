@@ -1,56 +1,45 @@
-"""Computes the settings of an alarm from simulated axes of the validation seeds.
+"""Computes the settings of an alarm from the z-scores of a few thousand windows of simulated axes.
 
-Healthy axes give the baselines and the scatter of the looks about them. Axes with the onset of a leak of known size
-give the rise of the score. Each candidate way to sum up evidence then gets the thresholds for the wanted rate of false
-alarms; the one that finds the leaks soonest is kept.
+Each axis is simulated for some minutes, healthy and with leaks, and its looks are measured. Hours of operation are then
+drawn from them: minute by minute, blocks of looks of the same axis, a quarter of them in motion and the others at rest
+(block bootstrap: Künsch, Annals of Statistics 17, 1989). The alarm learns its baselines in the drawn hours as it does
+on a machine.
 
-Alarms are counted as excursions: the evidence of an axis rises above zero, passes the threshold at its peak, and
-returns. Where alarms can be counted, their rate has the exact Poisson interval (Garwood, *Fiducial limits for the
-Poisson distribution*, Biometrika 28, 1936). Beyond the simulated hours a generalised Pareto distribution is fitted to
-the highest peaks (Pickands, *Statistical inference using extreme order statistics*, Annals of Statistics 3, 1975). Its
-shape is zero or positive: the peaks of a CUSUM have an exponential tail, shape 0, for each axis (Cramér and Lundberg),
-and a mixture of different axes has a heavier one. The interval comes from resampling the axes, because alarms cluster
-on a few of them.
+An alarm is an excursion of the evidence: it rises above zero, passes the threshold at its peak, and returns. A
+generalised Pareto distribution is fitted to the highest peaks (Pickands, *Statistical inference using extreme order
+statistics*, Annals of Statistics 3, 1975); it gives the threshold for a rate of false alarms. Its shape is zero or
+positive: the peaks of a CUSUM have an exponential tail, shape 0, for each axis (Cramér and Lundberg), and a mixture of
+different axes has a heavier one. Intervals come from resampled axes, because alarms cluster on a few of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.stats import chi2
+from scipy.stats import chi2, genpareto, norm
 
-from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm, Scale, Sum
-from hydro_agents.detection.alarm_simulation import OnsetLooks
+from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm, Scale
 from hydro_agents.detection.detector import Floats
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_agents.running.statistics import CONFIDENCE, Interval, share_interval
+from hydro_agents.running.statistics import CONFIDENCE, Interval, mean_interval
 from hydro_env import ConfigurationError
 
-RESAMPLES = 200
-
-BLOCK = 20.0
-"""Length in s of the blocks of looks whose averages give the spread; neighbouring looks have correlated errors."""
-
-HIGHEST_SHARE = 0.95  # share of healthy axes whose baseline is below ``highest_baseline``
-PATIENCE = 60.0  # time in s after which an undetected leak counts as missed
-
-CANDIDATES: tuple[tuple[Sum, ...], ...] = (
-    (Sum(method="mean"),),
-    (Sum(method="mean", memory=10.0),),
-    (Sum(method="cusum"),),
-    (Sum(method="mean", memory=2.0), Sum(method="cusum")),
-    (Sum(method="mean", memory=1.0), Sum(method="mean", memory=5.0), Sum(method="cusum")),
-    (Sum(method="mean"), Sum(method="mean", memory=4.0), Sum(method="mean", memory=16.0)),
-)
+LEAST_AXES = 6  # with two answers, for a scale
+SHIFT_HOURS = 8.0
+IN_MOTION = 0.25  # share of a shift
+BLOCK = 60.0  # s; length of the blocks of looks that are drawn
+COPIES = 25  # of each axis: shifts that are drawn from its looks
+LEAST_WINDOWS = 20  # for a tail
+SPREAD_WINDOWS = 8  # fewest windows of the upper tail that gives the spread
+TAIL_SHARE = 0.05  # highest z-scores to which a tail is fitted
 
 
 def poisson_interval(count: int, exposure: float) -> Interval:
-    """Rate of events per unit of exposure, with its exact interval (Garwood 1936).
+    """Rate of events per unit of exposure, with its exact interval (Garwood, Biometrika 28, 1936).
 
     Raises:
         ConfigurationError: the exposure is not positive, or the count negative.
@@ -75,216 +64,261 @@ def peaks(total: NDArray[Any]) -> list[Floats]:
 
 @dataclass(frozen=True)
 class Tail:
-    """Generalised Pareto tail of the peaks above ``start``."""
+    """Generalised Pareto tail of values above ``start``."""
 
     start: float
-    rate: float  # peaks above the start per hour
+    rate: float  # values above the start per hour
     scale: float
     shape: float  # 0: exponential
 
     def rate_above(self, threshold: float) -> float:
-        """Peaks above a threshold (at least ``start``) per hour."""
-        excess = max(threshold - self.start, 0.0) / self.scale
-        return self.rate * float(
-            np.exp(-excess) if self.shape < 1e-9 else (1.0 + self.shape * excess) ** (-1.0 / self.shape)
-        )
+        """Values above a threshold (at least ``start``) per hour."""
+        return self.rate * float(genpareto.sf(max(threshold - self.start, 0.0), self.shape, scale=self.scale))
 
     def threshold_at(self, rate: float) -> float:
-        """Threshold that peaks exceed ``rate`` times per hour; at least ``start``."""
-        ratio = self.rate / rate
-        if ratio <= 1.0:
-            return self.start
-        gain = np.log(ratio) if self.shape < 1e-9 else (ratio**self.shape - 1.0) / self.shape
-        return self.start + self.scale * float(gain)
+        """Threshold that values exceed ``rate`` times per hour; at least ``start``."""
+        return self.start + float(genpareto.isf(min(rate / self.rate, 1.0), self.shape, scale=self.scale))
 
 
 def fit_tail(values: Floats, hours: float, highest: int = 100) -> Tail:
-    """Tail of the ``highest`` peaks (all, if there are fewer) in ``hours``, by maximum likelihood.
+    """Tail of the ``highest`` values (all, if there are fewer) in ``hours``, by maximum likelihood.
 
     Raises:
-        ConfigurationError: fewer than 10 peaks.
+        ConfigurationError: fewer than 10 values.
     """
     ordered = np.sort(np.asarray(values, dtype=np.float64))[::-1]
     if len(ordered) < 10:
         raise ConfigurationError(
-            f"alarms: {len(ordered)} peaks of evidence are too few for a tail: must be at least 10; simulate more hours"
+            f"alarms: {len(ordered)} peaks of evidence are too few for a tail: must be at least 10; simulate more axes"
         )
     kept = min(highest, len(ordered) - 1)
     start = float(ordered[kept])
     excess = ordered[:kept] - start
-    mean = max(float(excess.mean()), 1e-12)
-
-    def cost(parameters: Floats) -> float:
-        scale, shape = mean * np.exp(parameters[0]), max(parameters[1], 0.0)
-        if shape < 1e-9:
-            return float(np.log(scale) + mean / scale)
-        return float(np.log(scale) + (1.0 + 1.0 / shape) * np.mean(np.log1p(shape * excess / scale)))
-
-    best = minimize(cost, np.array([-0.1, 0.1]), bounds=[(-5.0, 5.0), (0.0, 2.0)], method="L-BFGS-B")
-    return Tail(start, kept / hours, mean * float(np.exp(best.x[0])), float(best.x[1]))
+    shape, _, scale = genpareto.fit(excess, floc=0.0)
+    if shape < 0.0:
+        shape, scale = 0.0, max(float(excess.mean()), 1e-12)
+    return Tail(start, kept / hours, float(scale), float(shape))
 
 
-def rate_with_interval(per_axis: list[Floats], hours: float, threshold: float) -> Interval:
-    """Alarms per 100 h at a threshold, from the tail, with a 95 % interval from resampled axes."""
-    generator = np.random.default_rng(0)
-    rates = []
-    for number in range(RESAMPLES + 1):
-        chosen = np.arange(len(per_axis)) if number == 0 else generator.integers(0, len(per_axis), len(per_axis))
-        tail = fit_tail(np.concatenate([per_axis[axis] for axis in chosen]), hours)
-        rates.append(100.0 * tail.rate_above(threshold))
-    low, high = np.quantile(rates[1:], [0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)])
-    return Interval(rates[0], float(low), float(high))
+class Axes(NamedTuple):
+    """Looks at axes under one condition, of which hours are drawn; the detector answers at rest once in ``ration``."""
 
-
-class Candidate(NamedTuple):
-    """A candidate with its thresholds and its delays on validation axes."""
-
-    settings: AlarmSettings
-    delays: dict[str, tuple[float, float]]  # by onset: median in s, share missed
+    looks: Looks
+    ration: float = 0.0  # s; 0: every look
 
     @property
-    def cost(self) -> float:
-        """Mean over the onsets of log(median delay, at most PATIENCE) + share missed."""
-        logs = [np.log(min(median, PATIENCE)) + missed for median, missed in self.delays.values()]
-        return float(np.mean(logs))
+    def interval(self) -> float:
+        """Time between looks in s."""
+        return float(self.looks.time[1] - self.looks.time[0])
+
+    def places(self, activity: Activity) -> list[NDArray[np.int64]]:
+        """Of each axis the looks in one activity, in order; without those that the ration left out."""
+        chosen = (self.looks.activity == activity) & (np.isfinite(self.looks.score) | (not self.sized(activity)))
+        return [np.flatnonzero(row) for row in chosen]
+
+    def scores(self, activity: Activity) -> Floats:
+        """Scores that count (N, L) in one activity; NaN: others."""
+        counts = (self.looks.activity == activity) & self.looks.answers
+        return np.where(counts, self.looks.score, np.nan)
+
+    def sized(self, activity: Activity) -> bool:
+        """Whether the scores are compared as sizes: a rationed detector would learn for hours at rest."""
+        return activity != Activity.MOVING and self.ration > 0.0
+
+    def residuals(self, activity: Activity) -> Floats:
+        """Scores in one activity (N, L) without the mean of the axis, sizes without the true leak."""
+        scores = self.scores(activity)
+        return scores - (self.looks.true_flow_lpm if self.sized(activity) else _means(scores)[:, None])
+
+    def drawn(self, hours: float, seed: int, copies: int = 1, in_motion: float = IN_MOTION) -> Looks:
+        """Hours of each axis, drawn in blocks from its own looks; looks without an answer stay in them.
+
+        Returns:
+            Looks with rows for all axes, ``copies`` times.
+        """
+        generator, size = np.random.default_rng(seed), max(round(BLOCK / self.interval), 1)
+        count, blocks = copies * len(self.looks.score), max(round(hours * 3600.0 / self.interval / size), 1)
+        moves = generator.random((count, blocks)) < in_motion
+        which = np.zeros((count, blocks, size), dtype=np.int32)
+        empty = np.ones((count, blocks, size), dtype=np.bool_)
+        rationed = max(round(self.ration / self.interval), 1)
+        for activity, every in ((Activity.MOVING, 1), (Activity.STANDING, rationed)):
+            own, ahead = self.places(activity), np.arange(size) // every
+            for row in range(count):
+                places, chosen = own[row % len(own)], moves[row] == (activity == Activity.MOVING)
+                if len(places):
+                    starts = generator.integers(len(places), size=int(chosen.sum()))
+                    which[row, chosen] = places[(starts[:, None] + ahead) % len(places)]
+                    empty[row, chosen] = np.arange(size) % every > 0
+        axes = np.arange(count)[:, None] % len(self.looks.score)
+        taken, lost = which.reshape(count, -1), empty.reshape(count, -1)
+        columns: Any = (values[axes, taken] for values in self.looks[1:])
+        score, sigma, flow, cause, _, truth = columns
+        kinds = np.repeat(np.where(moves, Activity.MOVING, Activity.STANDING), size, axis=1).astype(np.int8)
+        time = np.arange(blocks * size, dtype=np.float64) * self.interval
+        return Looks(time, np.where(lost, np.nan, score), sigma, flow, cause, kinds, truth)
+
+    def among(self, chosen: NDArray[np.int64]) -> Axes:
+        """Some of the axes."""
+        parts: Any = (values[chosen] for values in self.looks[1:])
+        return self._replace(looks=Looks(self.looks.time, *parts))
 
 
-def _scores(looks: Looks, activity: Activity) -> Floats:
-    return np.where(looks.activity == activity, looks.score, np.nan)
+def _means(scores: Floats) -> Floats:
+    """Mean of each axis with at least two looks, (N,); NaN: fewer."""
+    counts = np.isfinite(scores).sum(axis=1)
+    return np.where(counts >= 2, np.nansum(scores, axis=1) / np.maximum(counts, 1), np.nan)
 
 
-def _medians(scores: Floats, least: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """Median of each axis (N,), and whether it has at least ``least`` looks."""
-    enough = np.isfinite(scores).sum(axis=1) >= least
-    medians = np.full(len(scores), np.nan)
-    medians[enough] = np.nanmedian(scores[enough], axis=1)
-    return medians, enough
+def scale_of(healthy: Axes, leaking: Axes, activity: Activity, learning: int, sizes: tuple[float, float]) -> Scale:
+    """The scale of one activity from the same axes healthy and with the leak for which the alarm is designed there.
 
-
-def scale_of(healthy: Looks, design: Sequence[OnsetLooks], activity: Activity, learning: int) -> Scale:
-    """The scale of one activity.
-
-    The spread is the standard deviation of averages over blocks, times the square root of the looks in a block. Looks
-    with correlated errors therefore get less weight.
-
-    Raises:
-        ConfigurationError: too few healthy axes had this activity for long enough.
-    """
-    scores = _scores(healthy, activity)
-    medians, enough = _medians(scores, learning)
-    if enough.sum() < 20:
-        raise ConfigurationError(
-            f"alarms: {enough.sum()} healthy axes were {activity.name.lower()} for {learning} looks: must be at least "
-            "20; simulate more hours"
-        )
-    interval = float(healthy.time[1] - healthy.time[0])
-    size = max(round(BLOCK / interval), 1)
-    residual = scores[enough] - medians[enough, None]
-    blocks = residual[:, : residual.shape[1] // size * size].reshape(len(residual), -1, size)
-    known = np.isfinite(blocks).sum(axis=2)
-    squares = np.nansum(blocks, axis=2) ** 2 / np.maximum(known, 1)
-    spread = float(np.sqrt(squares[known >= 0.5 * size].mean()))
-    rises: list[float] = []
-    for found in design:
-        own, _ = _medians(_scores(found.before, activity), learning // 2)
-        own = np.where(np.isnan(own), np.median(medians[enough]), own)
-        later, seen = _medians(_scores(found.after, activity), size // 4)
-        rises.extend((later - own)[seen])
-    shift = float(np.median(rises)) if rises else 0.0
-    error = 1.25 * float(np.std(rises)) / np.sqrt(len(rises)) if rises else 0.0  # of a median
-    shift = shift if shift > 2.0 * error else 0.0  # otherwise noise
-    return Scale(highest_baseline=float(np.quantile(medians[enough], HIGHEST_SHARE)), spread=spread, shift=shift)
-
-
-def thresholds(settings: AlarmSettings, healthy: Looks, rate: float) -> AlarmSettings:
-    """The settings with thresholds for ``rate`` false alarms per 100 h; each sum gets the same share of them."""
-    single = []
-    for each in settings.sums:
-        alone = settings.model_copy(update={"sums": (each.model_copy(update={"threshold": 1.0}),)})
-        share = rate / 100.0 / len(settings.sums)
-        single.append(max(_threshold(alone, healthy, share), 1e-6))
-    pairs = zip(settings.sums, single, strict=True)
-    sums = tuple(each.model_copy(update={"threshold": threshold}) for each, threshold in pairs)
-    together = settings.model_copy(update={"sums": sums})
-    factor = _threshold(together, healthy, rate / 100.0) if len(sums) > 1 else 1.0
-    final = tuple(each.model_copy(update={"threshold": each.threshold * factor}) for each in sums)
-    return settings.model_copy(update={"sums": final, "false_alarms_per_100_h": rate})
-
-
-def _threshold(settings: AlarmSettings, healthy: Looks, per_hour: float) -> float:
-    alarm, _ = LeakAlarm(settings).follow(healthy)
-    return fit_tail(np.concatenate(peaks(alarm.total)), healthy.hours).threshold_at(per_hour)
-
-
-def delays(alarm: LeakAlarm, found: OnsetLooks) -> tuple[Floats, NDArray[np.bool_]]:
-    """Time in s from the onset to the alarm (infinite: none), and which axes had an alarm before the onset, (N,)."""
-    before, state = alarm.follow(found.before)
-    raised = alarm.follow(found.after, state)[0].alarm
-    delay = found.after.time[raised.argmax(axis=1)] - found.time
-    return np.where(raised.any(axis=1), delay, np.inf), before.alarm[:, -1]
-
-
-def delay_columns(delay: Floats) -> dict[str, Any]:
-    """Columns of a table: axes, and median and 90 % quantile of their delays in s."""
-    median, late = np.quantile(delay, [0.5, 0.9], method="higher") if len(delay) else (np.nan, np.nan)
-    return {"axes": len(delay), "median_s": float(median), "p90_s": float(late)}
-
-
-def missed_share(delay: Floats) -> Interval:
-    """Share of axes whose leak is not found after :data:`PATIENCE`."""
-    return share_interval(int((delay > PATIENCE).sum()), len(delay))
-
-
-def delay_figures(alarm: LeakAlarm, found: OnsetLooks) -> tuple[float, float]:
-    """Median delay in s and share missed, over the axes without an alarm before the onset."""
-    delay, early = delays(alarm, found)
-    kept = delay[~early]
-    if len(kept) == 0:
-        return float("nan"), 1.0
-    return float(np.median(kept)), float(np.mean(kept > PATIENCE))
-
-
-def calibrate(
-    healthy: Looks,
-    design: Sequence[OnsetLooks],
-    onsets: Sequence[OnsetLooks],
-    rate: float,
-    learning: int,
-    detector: str,
-) -> list[Candidate]:
-    """All :data:`CANDIDATES` with their thresholds, the best first.
+    Sizes are compared with the largest leak of a healthy seal; other scores with the axis's own baseline. If too few
+    axes have an answer, the activity gives no evidence (``shift`` 0).
 
     Args:
         healthy: looks at healthy axes.
-        design: onsets of the leak that the alarm is designed for, in each activity.
-        onsets: onsets by which the candidates are compared.
+        leaking: looks at the same axes with the leak.
+        activity: the activity.
+        learning: looks until an axis's own baseline is known.
+        sizes: largest leak of a healthy seal, and the leak for which the alarm is designed, l/min at 100 bar.
+    """
+    means = _means(healthy.scores(activity))
+    known = np.isfinite(means)
+    if known.sum() < LEAST_AXES:
+        return Scale(highest_baseline=0.0, learning=0, spread=1.0, shift=0.0)
+    spread = _spread(healthy.residuals(activity), healthy.looks.sigma)
+    if healthy.sized(activity):
+        return Scale(highest_baseline=sizes[0], learning=0, spread=spread, shift=sizes[1] - sizes[0])
+    rises = _means(leaking.scores(activity)) - means
+    rises = rises[np.isfinite(rises)]
+    shift = float(np.median(rises)) if len(rises) else 0.0
+    error = 1.25 * float(np.std(rises)) / np.sqrt(len(rises)) if len(rises) else 0.0  # of a median
+    return Scale(
+        highest_baseline=float(means[known].max()),
+        learning=learning,
+        spread=spread,
+        shift=shift if shift > 2.0 * error else 0.0,  # otherwise noise
+    )
+
+
+def _spread(residual: Floats, sigma: Floats) -> float:
+    """Smallest standard deviation at which one healthy z-score (N, L) of a hundred is as high as that of a Gaussian.
+
+    It is at least the smallest one that the detector gives. False alarms come from the upper tail, which is heavier
+    than that of a Gaussian with the same variance. Of few windows a larger share stands for the tail.
+    """
+    size, given = residual[np.isfinite(residual)], sigma[np.isfinite(residual)]
+    low = float(np.nanmin(given)) if np.isfinite(given).any() else 1e-9
+    high = max(float(np.abs(size).max()), low)
+    below = 1.0 - min(max(0.01, SPREAD_WINDOWS / len(size)), 0.5)
+    for _ in range(60):
+        middle = float(np.sqrt(low * high))
+        wide = np.quantile(size / np.fmax(given, middle), below) > norm.ppf(below)
+        low, high = (middle, high) if wide else (low, middle)
+    return high
+
+
+def z_table(settings: AlarmSettings, healthy: Axes) -> pd.DataFrame:
+    """By activity: number of windows, scale, tail of the z-scores, and the time over which looks are correlated."""
+    rows = []
+    for activity in Activity:
+        scale = settings.scales[activity.name.lower()]
+        z = healthy.residuals(activity) / np.fmax(healthy.looks.sigma, scale.spread)
+        known = z[np.isfinite(z)]
+        if len(known) < LEAST_WINDOWS:
+            continue
+        highest = max(round(TAIL_SHARE * len(known)), 10)
+        tail = fit_tail(known, 1.0, highest)
+        rows.append(
+            {"activity": activity.name.lower(), "axes": int(np.isfinite(z).any(axis=1).sum()), "windows": len(known)}
+            | scale.model_dump()
+            | {"design_in_sigma": scale.shift / scale.spread, "z_99": float(np.quantile(known, 0.99))}
+            | {"tail_shape": tail.shape, "once_in_10000": tail.threshold_at(1e-4 * len(known))}
+            | {"correlation_s": correlation_time(z, healthy.interval) if activity == Activity.MOVING else np.nan}
+        )
+    return pd.DataFrame(rows)
+
+
+def correlation_time(z: Floats, interval: float) -> float:
+    """Time in s over which looks at an axis are correlated: 0 if each look is independent of those before it.
+
+    Twice the sum of the autocorrelations up to the first that is not above its standard error, times the interval.
+    """
+    total, variance = 0.0, float(np.nanmean(z**2))
+    for lag in range(1, z.shape[1]):
+        product = z[:, :-lag] * z[:, lag:]
+        count = np.isfinite(product).sum()
+        correlation = float(np.nanmean(product)) / variance if count else 0.0
+        if correlation <= 1.0 / np.sqrt(max(count, 1)):
+            break
+        total += correlation
+    return float(2.0 * total * interval)
+
+
+def totals(alarm: LeakAlarm, looks: Looks, state: AlarmState | None = None) -> tuple[NDArray[np.float32], AlarmState]:
+    """The sum over its threshold after each look, (N, L), and the memory at the end."""
+    state = state if state is not None else alarm.begin(len(looks.score))
+    found: NDArray[np.float32] = np.empty(looks.score.shape, dtype=np.float32)
+    for number in range(looks.score.shape[1]):
+        now, state = alarm.update(looks.reading(number), looks.activity[:, number], state)
+        found[:, number] = now.total
+    return found, state
+
+
+def healthy_peaks(settings: AlarmSettings, healthy: Axes) -> tuple[list[Floats], float]:
+    """Peaks of the sum over its threshold for each axis in drawn shifts, the first of which the alarm learns; hours."""
+    alarm, count = LeakAlarm(settings), len(healthy.looks.score)
+    found = peaks(totals(alarm, healthy.drawn(2.0 * SHIFT_HOURS, 0, COPIES))[0])
+    return [np.concatenate(found[axis::count]) for axis in range(count)], 2.0 * SHIFT_HOURS * len(found)
+
+
+def rate_per_100_h(per_axis: list[Floats], hours: float, threshold: float = 1.0) -> Interval:
+    """Peaks above a threshold per 100 h, with a 95 % interval from resampled axes."""
+    own = hours / len(per_axis) / 100.0
+    return mean_interval(np.array([float((axis > threshold).sum()) / own for axis in per_axis]))
+
+
+def threshold_for(per_axis: list[Floats], hours: float, rate: float) -> float:
+    """The lowest threshold with at most ``rate`` peaks per 100 h, at the upper end of their interval over axes."""
+    everything = np.sort(np.concatenate(per_axis))[::-1]
+    highest = everything[: max(round(hours * rate / 100.0), 1) + 1]
+    for value in np.unique(highest):
+        threshold = float(np.nextafter(value, np.inf))
+        if rate_per_100_h(per_axis, hours, threshold).high <= rate:
+            return threshold
+    return float(np.nextafter(everything[0], np.inf))
+
+
+def calibrate(
+    healthy: Axes,
+    designs: dict[Activity, tuple[float, Axes]],
+    rate: float,
+    learning: int,
+    detector: str,
+    healthy_bound: float,
+) -> AlarmSettings:
+    """Settings of an alarm.
+
+    Args:
+        healthy: looks at healthy axes.
+        designs: by activity, the leak that the alarm is designed for, and the same axes with it.
         rate: wanted false alarms per 100 h.
-        learning: looks in each activity until an axis's own baseline is known.
+        learning: looks in motion until an axis's own baseline is known.
         detector: name of the detector.
+        healthy_bound: largest leak of a healthy seal, l/min at 100 bar.
 
     Raises:
-        ConfigurationError: too few looks.
+        ConfigurationError: a score that does not rise with the leak, or no evidence at all.
     """
-    base = AlarmSettings(
-        detector=detector,
-        interval=round(float(healthy.time[1] - healthy.time[0]), 6),
-        learning=learning,
-        scales={each.name.lower(): scale_of(healthy, design, each, learning) for each in Activity},
-        sums=CANDIDATES[0],
-    )
-    if not base.table("shift").any():
+    scales = {}
+    for activity, (size, leaking) in designs.items():
+        scales[activity.name.lower()] = scale_of(healthy, leaking, activity, learning, (healthy_bound, size))
+    interval = round(healthy.interval, 6)
+    settings = AlarmSettings(detector=detector, interval=interval, scales=scales, false_alarms_per_100_h=rate)
+    if not settings.table("shift").any():
         raise ConfigurationError(f"alarms: the score of '{detector}' does not rise with the leak in any activity")
-    tried: list[Candidate] = []
-    refused: ConfigurationError | None = None
-    for sums in CANDIDATES:
-        try:
-            settings = thresholds(base.model_copy(update={"sums": sums}), healthy, rate)
-        except ConfigurationError as error:  # too few peaks for its tail
-            refused = error
-            continue
-        alarm = LeakAlarm(settings)
-        reached = {each.onset.name: delay_figures(alarm, each) for each in onsets}
-        tried.append(Candidate(settings, reached))
-    if not tried and refused is not None:
-        raise refused
-    return sorted(tried, key=lambda each: each.cost)
+    per_axis, hours = healthy_peaks(settings, healthy)
+    if not any(len(axis) for axis in per_axis):
+        raise ConfigurationError(f"alarms: healthy axes show '{detector}' no evidence at all; simulate more axes")
+    return settings.model_copy(update={"threshold": threshold_for(per_axis, hours, rate)})

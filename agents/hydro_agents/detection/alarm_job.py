@@ -1,93 +1,87 @@
-"""The whole job of ``hydro alarms``: simulate, calibrate on validation seeds, test on test seeds, and report.
-
-The trend of a growing leak is that of log10 of its estimated size, averaged over blocks that are long against a window:
-the residuals of a straight line through the blocks are nearly independent. The time to a limit has the interval of
-Fieller (*Some problems in interval estimation*, J. Royal Statistical Society B 16, 1954): all times at which the limit
-lies within the confidence band of the line.
-"""
+"""The whole job of ``hydro alarms``: measure looks, calibrate on validation seeds, test on test seeds, and report."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.stats import t as student
 
-from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
+from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm
 from hydro_agents.detection.alarm_calibration import (
-    Candidate,
+    COPIES,
+    SHIFT_HOURS,
+    Axes,
     calibrate,
-    delay_columns,
-    delays,
-    fit_tail,
-    missed_share,
-    peaks,
-    poisson_interval,
-    rate_with_interval,
+    healthy_peaks,
+    rate_per_100_h,
+    totals,
+    z_table,
 )
 from hydro_agents.detection.alarm_simulation import Bench, Onset, OnsetLooks, Work
+from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause
+from hydro_agents.detection.growth import growth
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_agents.running.seeds import (
-    ALARM_CALIBRATION,
-    ALARM_CALIBRATION_ONSETS,
-    ALARM_GROWTH,
-    ALARM_ONSETS,
-    ALARM_STARTS,
-    ALARMS,
-    SeedRange,
-)
-from hydro_agents.running.statistics import CONFIDENCE, Interval, share_interval
+from hydro_agents.running.seeds import ALARM_CALIBRATION, ALARM_GROWTH, ALARMS, SeedRange
+from hydro_agents.running.statistics import Interval, mean_interval, share_interval
 from hydro_env.files import Group
 
-LEVELS = (0.1, 0.3, 1.0)  # leaks of the onsets, l/min at 100 bar; the alarm is designed for the first
+LEVELS = (0.05, 0.1, 0.3)  # leaks, l/min at 100 bar
+
+DESIGN = {Activity.STANDING: 0.1, Activity.SLOW: 0.1, Activity.MOVING: 0.05}
+"""The leak that the alarm is designed for, in each activity: a look at rest says less."""
+
+AT_REST: dict[str, Onset] = {
+    "0.1 l/min": Onset(0.1, Activity.STANDING),
+    "0.3 l/min": Onset(0.3, Activity.STANDING),
+    "healthy": Onset(then=Activity.STANDING),
+    "null shift −1.5 %": Onset(then=Activity.STANDING, fault=("valve_null_shift", -0.015)),
+    "null shift +1.5 %": Onset(then=Activity.STANDING, fault=("valve_null_shift", 0.015)),
+    "underlap + 0.02": Onset(then=Activity.STANDING, fault=("valve_underlap", 0.02)),
+}
+"""What begins while the axis rests."""
 
 FAULTS = (
     ("valve_null_shift", -0.01),
+    ("valve_null_shift", 0.01),
     ("valve_underlap", 0.025),
     ("valve_flow", -0.3),
-    ("spool_position_offset", -0.005),
+    ("valve_hysteresis", 0.03),
     ("tank_pressure", 5e5),
-    ("external_leak", 1.0),
+    ("external_leak", 0.6),
+    ("external_leak", 2.0),
+    ("spool_position_offset", -0.005),
+    ("pressure_a_offset", 0.02),
+    ("pressure_b_offset", 0.02),
+    ("spool_position_gain", 0.03),
+    ("pressure_a_freeze", 1.0),
+    ("pressure_b_dropout", 0.1),
 )
-"""Other faults whose onset should raise no alarm, and their magnitudes."""
+"""Other faults that begin in motion, and their magnitudes."""
 
-LIMIT_LPM = 1.0  # the size to which growing leaks are extrapolated
+LIMIT_LPM, GROWING = 1.0, 300.0  # the size to which growing leaks are extrapolated; s in which they grow
 
-
-BLOCK, LEAST_BLOCKS = 10.0, 5  # s, length of the blocks of looks for the trend of a growing leak; fewest of them
+REST_MINUTES, PAST, NAMING = 20.0, 30.0, 124.0
+"""Minutes at rest; s of work before such a rest or a fault; s in motion after which the alarm should name the fault."""
 
 
 class AlarmJob(Group):
     """Sizes of the job."""
 
     rate: float = Field(1.0, gt=0.0, le=1e4, description="wanted false alarms per 100 h")
-    hours: float = Field(40.0, gt=0.0, le=1e5, description="of healthy axes, for calibration and test each")
-    shift: float = Field(600.0, ge=10.0, le=3600.0, description="s; work of one axis")
-    past: float = Field(300.0, ge=10.0, le=3600.0, description="s; work before each onset")
-    after: float = Field(62.0, ge=1.0, le=3600.0, description="s; work after each onset; growing leaks: the past again")
-    axes: int = Field(128, ge=2, le=10_000, description="with the onset of a leak, for each size and activity")
-    interval: float = Field(0.5, gt=0.0, le=60.0, description="s; between looks")
-    learning: int = Field(60, ge=1, le=10_000, description="looks in each activity until a baseline is known")
-
-    @property
-    def axes_of_healthy(self) -> int:
-        """Number of healthy axes, each of which works for one shift."""
-        return max(int(np.ceil(self.hours * 3600.0 / self.shift)), 20)
-
-
-SIZES = {
-    "head": AlarmJob(),
-    "estimator": AlarmJob(hours=2.0, shift=120.0, past=60.0, axes=16, interval=2.0, learning=8),
-}
-"""Default sizes by detector: for one look the estimator takes a thousand times as long as the head."""
+    axes: int = Field(40, ge=10, le=10_000, description="whose looks are measured, for calibration and test each")
+    fault_axes: int = Field(20, ge=2, le=10_000, description="of them, at rest and with other faults")
+    seconds: float = Field(600.0, ge=60.0, le=36_000.0, description="work of each healthy axis")
+    leaking: float = Field(240.0, ge=60.0, le=36_000.0, description="s; work of each axis with each leak")
+    interval: float = Field(4.0, gt=0.0, le=60.0, description="s; between looks")
+    learning: int = Field(60, ge=1, le=10_000, description="looks in motion until an axis's own baseline is known")
 
 
 class Result(NamedTuple):
-    """Settings of the best candidate, and the tables of the test by name."""
+    """Settings, and the tables of the test by name."""
 
     settings: AlarmSettings
     tables: dict[str, pd.DataFrame]
@@ -101,185 +95,132 @@ def run_job(bench: Bench, job: AlarmJob) -> Result:
         job: sizes.
 
     Raises:
-        ConfigurationError: too few hours, or a score that does not rise with the leak.
+        ConfigurationError: too few looks, or a score that does not rise with the leak.
         KeyboardInterrupt: Ctrl-C; the finished jobs remain in the folder.
     """
+    ration = float(getattr(bench.detector, "ration", 0.0))
 
-    def healthy(seeds: SeedRange) -> Work:
-        axes = job.axes_of_healthy
-        return Work(seeds.take(axes).start, axes, job.shift, job.interval)
+    def work(seeds: SeedRange, levels: tuple[float, ...]) -> Work:
+        onsets = tuple(Onset(level) for level in levels)
+        return Work(seeds.take(job.axes).start, job.axes, job.seconds, job.interval, after=job.leaking, onsets=onsets)
 
-    def leaking(seeds: SeedRange, onsets: tuple[Onset, ...], after: float) -> Work:
-        return Work(seeds.take(job.axes).start, job.axes, job.past, job.interval, after=after, onsets=onsets)
+    def brief(onsets: tuple[Onset, ...], after: float) -> Work:
+        count = min(job.fault_axes, job.axes)
+        return Work(ALARMS.take(count).start, count, PAST, job.interval, after=after, onsets=onsets)
 
-    leaks = tuple(Onset(level, then) for level in LEVELS for then in reversed(Activity))
-    work = {
-        "validation_healthy": healthy(ALARM_CALIBRATION),
-        "validation_onsets": leaking(ALARM_CALIBRATION_ONSETS, leaks, job.after),
-    }
-    looks = bench.looks(work)
-    found = work["validation_onsets"].found(looks["validation_onsets"])
-    design = [each for each in found if each.onset.leak_lpm == LEVELS[0]]
-    moving = [each for each in found if each.onset.then == Activity.MOVING]
-    quiet = looks["validation_healthy"][0]
-    tried = calibrate(quiet, design, moving, job.rate, job.learning, bench.detector_name)
-    settings = tried[0].settings
+    designs = tuple(sorted(set(DESIGN.values())))
+    validation = bench.looks({"validation": work(ALARM_CALIBRATION, designs)})["validation"]
+    healthy, *leaking = (Axes(looks, ration) for looks in validation)
+    by_size = dict(zip(designs, leaking, strict=True))
+    chosen = {activity: (size, by_size[size]) for activity, size in DESIGN.items()}
+    bound = bench.config.leakage.class_bounds[0]
+    settings = calibrate(healthy, chosen, job.rate, job.learning, bench.detector_name, bound)
 
-    others = tuple(Onset(fault=fault) for fault in FAULTS)
-    starts = {f"{level:g} l/min from the start": level for level in LEVELS}
-    work = {
-        "healthy": healthy(ALARMS),
-        "onsets": leaking(ALARM_ONSETS, (*leaks, *others), job.after),
-        "growth": leaking(ALARM_GROWTH, (Onset(3.0, grows=True),), job.past),
-    }
-    for number, (name, level) in enumerate(starts.items()):
-        first = ALARM_STARTS.take(job.axes, 10_000 * number).start
-        work[name] = Work(first, job.axes, job.past, job.interval, leak_lpm=level)
-    looks = bench.looks(work)
-    after = work["onsets"].found(looks["onsets"])
-    growing = work["growth"].found(looks["growth"])
+    in_motion = tuple(Onset(then=Activity.MOVING, fault=fault) for fault in (None, *FAULTS))
+    growing = Work(
+        ALARM_GROWTH.first, job.fault_axes, PAST, 0.5, after=GROWING, onsets=(Onset(3.0, Activity.MOVING, grows=True),)
+    )
+    found = bench.looks(
+        {
+            "growth": growing,
+            "work": work(ALARMS, LEVELS),
+            "rest": brief(tuple(AT_REST.values()), max(NAMING, 3.0 * ration + job.interval)),
+            "faults": brief(in_motion, NAMING),
+        }
+    )
+    fresh, *leaks = (Axes(looks, ration) for looks in found["work"])
+    few = fresh.among(np.arange(len(found["rest"][0].score)))
+    resting = {name: Axes(looks, ration) for name, looks in zip(AT_REST, found["rest"][1:], strict=True)}
     tables = {
-        "candidates": _candidates(tried),
-        "false_alarms": false_alarms(settings, looks["healthy"][0]),
-        "delays": delay_table(settings, after[: len(leaks)]),
-        "from_the_start": share_table(settings, [(name, looks[name][0]) for name in starts]),
-        "other_faults": fault_table(settings, after[len(leaks) :]),
-        "growth": growth_summary(growth_table(growing[0], LIMIT_LPM, LEVELS[0])),
+        "z_scores": z_table(settings, healthy),
+        "false_alarms": false_alarms(settings, fresh),
+        "shift": shift_table(settings, fresh, dict(zip(LEVELS, leaks, strict=True))),
+        "at_rest": rest_table(settings, few, resting),
+        "causes": cause_table(settings, few, found["faults"][1:]),
+        "growth": growth_summary(growth_table(growing.found(found["growth"])[0], LIMIT_LPM, LEVELS[1])),
     }
     return Result(settings, tables)
 
 
-def _candidates(tried: list[Candidate]) -> pd.DataFrame:
-    rows = []
-    for each in tried:
-        sums = " + ".join(f"{s.method} {s.memory:g} s" if s.memory else s.method for s in each.settings.sums)
-        row: dict[str, object] = {"sums": sums.replace("mean +", "single look +"), "cost": each.cost}
-        for name, (median, missed) in each.delays.items():
-            row |= {f"{name}_median_s": median, f"{name}_missed": missed}
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def false_alarms(settings: AlarmSettings, healthy: Looks) -> pd.DataFrame:
-    """False alarms per 100 h at multiples of the thresholds: counted with a Poisson interval, and from the tail.
-
-    At multiples below 1 alarms are frequent enough to count; the counts check the fitted tail. Alarms cluster: the
-    column ``axes`` gives the number of axes with alarms.
-    """
-    alarm, _ = LeakAlarm(settings).follow(healthy)
-    per_axis = peaks(alarm.total)
-    everything = np.concatenate(per_axis)
-    tail = fit_tail(everything, healthy.hours)
-    rows = []
+def false_alarms(settings: AlarmSettings, healthy: Axes) -> pd.DataFrame:
+    """False alarms per 100 h at multiples of the threshold, counted in drawn hours; the intervals are over axes."""
+    (per_axis, hours), rows = healthy_peaks(settings, healthy), []
     for factor in (0.25, 0.5, 0.75, 1.0, 1.5):
-        count = int((everything > factor).sum())
-        counted = poisson_interval(count, healthy.hours / 100.0)
-        row = {"threshold": factor, "hours": healthy.hours, "alarms": count}
-        row["axes"] = sum(bool((found > factor).any()) for found in per_axis)
-        row |= counted.columns("per_100_h")
-        if factor >= tail.start:
-            by_tail = rate_with_interval(per_axis, healthy.hours, factor)
-            row |= {"by_tail": by_tail.value, "tail_low": by_tail.low, "tail_high": by_tail.high}
-        rows.append(row)
+        row = {"threshold": factor, "axes": len(per_axis), "hours": hours}
+        row["axes_with_alarms"] = sum(bool((found > factor).any()) for found in per_axis)
+        rows.append(row | rate_per_100_h(per_axis, hours, factor).columns("per_100_h"))
     return pd.DataFrame(rows)
 
 
-def delay_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.DataFrame:
-    """Delay from the onset by size and activity: median and 90 % quantile in s, and the share missed after a minute."""
-    alarm, rows = LeakAlarm(settings), []
-    for found in onsets:
-        delay, early = delays(alarm, found)
-        kept = delay[~early]
-        row: dict[str, Any] = {"leak_lpm": found.onset.leak_lpm, "then": found.onset.activity, "axes": len(kept)}
-        row |= {"alarm_before": int(early.sum())} | delay_columns(kept)
-        rows.append(row | missed_share(kept).columns("missed"))
-    return pd.DataFrame(rows)
+def _learnt(settings: AlarmSettings, healthy: Axes) -> AlarmState:
+    """The memory of the alarms after a drawn shift of healthy axes, acknowledged."""
+    alarm = LeakAlarm(settings)
+    state = totals(alarm, healthy.drawn(SHIFT_HOURS, 1, COPIES))[1]
+    return alarm.reset(state, state.alarm)
 
 
-def share_table(settings: AlarmSettings, cases: Sequence[tuple[str, Looks]]) -> pd.DataFrame:
-    """Share of axes with an alarm at the end, and the time in s until half of the axes have one, case by case."""
-    rows = []
-    for name, looks in cases:
-        alarm, _ = LeakAlarm(settings).follow(looks)
-        raised = alarm.alarm
-        half = raised.mean(axis=0) >= 0.5
-        row = {"case": name, "axes": len(raised), "seconds": float(looks.time[-1])}
-        row |= share_interval(int(raised[:, -1].sum()), len(raised)).columns("alarmed")
-        rows.append(row | {"half_after_s": float(looks.time[half.argmax()]) if half.any() else np.inf})
-    return pd.DataFrame(rows)
+def shift_table(settings: AlarmSettings, healthy: Axes, leaks: Mapping[float, Axes]) -> pd.DataFrame:
+    """Share of axes whose leak is missed in a shift of 8 h, and the median time in minutes until the alarm.
 
-
-def fault_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.DataFrame:
-    """Share of axes that raise an alarm after the onset of another fault with a healthy seal; see :func:`delays`."""
-    alarm, rows = LeakAlarm(settings), []
-    for found in onsets:
-        delay, early = delays(alarm, found)
-        hits = np.isfinite(delay[~early])
-        name = " ".join(f"{value}" for value in found.onset.fault or ("none",))
-        row = {"fault": name, "axes": len(hits), "seconds": float(found.after.time[-1] - found.time)}
-        rows.append(row | share_interval(int(hits.sum()), len(hits)).columns("alarmed"))
-    return pd.DataFrame(rows)
-
-
-class Growth(NamedTuple):
-    """Trend of one axis; NaN where there are too few looks, infinity where the limit is never reached."""
-
-    decades_per_hour: Interval
-    hours_to_limit: Interval  # from the last look on; 0: reached already
-
-
-def growth(time: NDArray[Any], flow_lpm: NDArray[Any], limit_lpm: float, least_lpm: float = 0.0) -> Growth:
-    """Growth of the leak of one axis.
-
-    Args:
-        time: (L,), s, of the looks.
-        flow_lpm: (L,), estimated leak, l/min at 100 bar; NaN: no estimate.
-        limit_lpm: the limit, l/min at 100 bar.
-        least_lpm: smallest size that the detector can read; blocks up to the last one below it are left out.
+    The leak begins with the shift, after a healthy one in which the alarm learnt the axis; or it is there when the
+    alarm is switched on.
     """
-    unknown = Interval(np.nan, np.nan, np.nan)
-    flow = np.asarray(flow_lpm, dtype=np.float64)
-    known = np.isfinite(flow) & (flow > 0.0)
-    hours, size = np.asarray(time, dtype=np.float64)[known] / 3600.0, np.log10(flow[known])
-    if not len(hours):
-        return Growth(unknown, unknown)
-    which = np.unique(((hours - hours[0]) * 3600.0 / BLOCK).astype(np.int64), return_inverse=True)[1]
-    counts = np.bincount(which)
-    x, y = np.bincount(which, hours) / counts, np.bincount(which, size) / counts
-    below = np.flatnonzero(y < np.log10(max(least_lpm, 1e-12)))
-    x, y = (values[below[-1] + 1 :] if len(below) else values for values in (x, y))
-    if len(x) < LEAST_BLOCKS:
-        return Growth(unknown, unknown)
-    centre, spread = x.mean(), float(((x - x.mean()) ** 2).sum())
-    slope = float(((x - centre) * y).sum() / spread)
-    level = float(y.mean())
-    freedom = len(x) - 2
-    variance = float(((y - level - slope * (x - centre)) ** 2).sum()) / freedom
-    factor = float(student.ppf(0.5 * (1.0 + CONFIDENCE), freedom))
-    half = factor * np.sqrt(variance / spread)
-    missing = float(np.log10(limit_lpm)) - level
-    end = float(hours[-1] - centre)
-    low, high = _crossing(slope, missing, factor**2 * variance, len(x), spread)
-    expected = missing / slope if slope > 0.0 else (-np.inf if missing <= 0.0 else np.inf)
-    ahead = [max(value - end, 0.0) for value in (expected, low, high)]
-    return Growth(Interval(slope, slope - half, slope + half), Interval(*ahead))
+    rows, learnt = [], _learnt(settings, healthy)
+    for level, axes in leaks.items():
+        for state, begins in ((learnt, "after a healthy shift"), (None, "before the alarm is on")):
+            drawn = axes.drawn(SHIFT_HOURS, 2, COPIES)
+            raised = totals(LeakAlarm(settings), drawn, state)[0] > 1.0
+            late = np.where(raised.any(axis=1), drawn.time[raised.argmax(axis=1)] / 60.0, np.inf)
+            missed = np.isinf(late).reshape(COPIES, -1).mean(axis=0)
+            row: dict[str, Any] = {"leak_lpm": level, "begins": begins, "axes": len(missed)}
+            row |= {"median_minutes": float(np.quantile(late, 0.5, method="higher"))}
+            rows.append(row | _share(missed).named("missed"))
+    return pd.DataFrame(rows)
 
 
-def _crossing(slope: float, missing: float, width: float, count: int, spread: float) -> tuple[float, float]:
-    """Times x after the centre that bound (missing − slope · x)² ≤ width · (1/count + x²/spread)."""
-    a = slope**2 - width / spread
-    b = -2.0 * slope * missing
-    c = missing**2 - width / count
-    inside = b * b - 4.0 * a * c
-    if a > 0.0 and slope > 0.0:  # the trend is significant: two ends
-        root = np.sqrt(max(inside, 0.0))
-        return (-b - root) / (2.0 * a), (-b + root) / (2.0 * a)
-    if a > 0.0:  # it falls significantly
-        return (-np.inf, -np.inf) if missing <= 0.0 else (np.inf, np.inf)
-    if inside < 0.0 or c <= 0.0:  # nothing excluded
-        return -np.inf, np.inf
-    root = np.sqrt(inside)  # a < 0: outside both roots
-    return max((-b - root) / (2.0 * a), (-b + root) / (2.0 * a)), np.inf
+def _share(per_axis: NDArray[Any]) -> Interval:
+    """Mean share over axes; its interval is over axes, and that of a count where all axes agree."""
+    if np.ptp(per_axis) > 0.0:
+        return mean_interval(per_axis)
+    return share_interval(round(len(per_axis) * float(per_axis[0])), len(per_axis))
+
+
+def rest_table(settings: AlarmSettings, healthy: Axes, resting: Mapping[str, Axes]) -> pd.DataFrame:
+    """Share of axes with an alarm after 20 minutes at rest, during which a leak or another fault began."""
+    rows, learnt = [], _learnt(settings, healthy)
+    for name, axes in resting.items():
+        drawn = axes.drawn(REST_MINUTES / 60.0, 3, COPIES, in_motion=0.0)
+        raised = (totals(LeakAlarm(settings), drawn, learnt)[0] > 1.0).any(axis=1)
+        row = {"begins": name, "axes": len(axes.looks.score), "minutes": REST_MINUTES}
+        rows.append(row | _share(raised.reshape(COPIES, -1).mean(axis=0)).columns("alarmed"))
+    return pd.DataFrame(rows)
+
+
+def cause_table(settings: AlarmSettings, healthy: Axes, looks: list[Looks]) -> pd.DataFrame:
+    """For each fault that begins in motion: the cause that the alarm names two minutes later.
+
+    ``leak_alarm`` is the share of axes that raise a leak alarm within a quarter of a shift in motion, drawn from these
+    looks.
+    """
+    rows, alarm, learnt = [], LeakAlarm(settings), _learnt(settings, healthy)
+    part: Any = (values[: len(healthy.looks.score)] for values in learnt)
+    first = AlarmState(*part)
+    for fault, each in zip((None, *FAULTS), looks, strict=True):
+        right = CAUSE_OF_FAULT[fault[0]] if fault is not None else Cause.NONE
+        named = alarm.follow(each, first)[0].cause[:, -1]
+        drawn = Axes(each, healthy.ration).drawn(0.25 * SHIFT_HOURS, 4, COPIES, in_motion=1.0)
+        raised = (totals(alarm, drawn, learnt)[0] > 1.0).any(axis=1)
+        row: dict[str, Any] = {"fault": " ".join(map(str, fault or ("none",))), "cause": right.word, "axes": len(named)}
+        row |= share_interval(int((named == right).sum()), len(named)).columns("named_rightly")
+        row["named_wrongly"] = float(((named != right) & (named != Cause.NONE) & (named != Cause.UNKNOWN)).mean())
+        rows.append(row | {"leak_alarm": float(raised.mean())})
+    table = pd.DataFrame(rows)
+    faulty = table[table["cause"] != Cause.NONE.word]
+    hits, count = round(float((faulty["named_rightly"] * faulty["axes"]).sum())), int(faulty["axes"].sum())
+    total = {"fault": "all faults", "cause": "", "axes": count}
+    total |= share_interval(hits, count).columns("named_rightly")
+    total |= {name: float(faulty[name].mean()) for name in ("named_wrongly", "leak_alarm")}
+    return pd.concat([table, pd.DataFrame([total])], ignore_index=True)
 
 
 def growth_table(found: OnsetLooks, limit_lpm: float, least_lpm: float) -> pd.DataFrame:

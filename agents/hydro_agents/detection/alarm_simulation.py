@@ -27,7 +27,7 @@ from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, Fault
 from hydro_env.task.reference_signals import FAMILIES
 from hydro_env.task.settings import choice
 
-SHARES = {Activity.STANDING: 0.2, Activity.SLOW: 0.2, Activity.MOVING: 0.6}
+SHARES = {Activity.STANDING: 0.55, Activity.SLOW: 0.2, Activity.MOVING: 0.25}
 PACE = {Activity.STANDING: 0.0, Activity.SLOW: 1.0 / 16.0, Activity.MOVING: 1.0}
 STRETCH = (10.0, 60.0)  # duration of a stretch in s, drawn log-uniformly
 FADE = 2.0  # time in s in which the reference passes from one family to the next
@@ -176,7 +176,7 @@ class _Running:
             self.window[:, measured.rows, self.step % length] = seen
             if self.step + 1 >= length and (self.step + 1 - length) % self.every == 0:
                 signals = np.roll(self.window, -(self.step + 1), axis=2)
-                score, *rest = look(self.detector, signals, self.known)
+                score, *rest = look(self.detector, signals, self.known, self.step * self.period)
                 flow = self.env.axes.column("leak_flow").copy()
                 rows.append((self.step * self.period, np.where(self.alive, score, np.nan), *rest, flow))
             started = np.full(len(self.seeds), self.step == 0)

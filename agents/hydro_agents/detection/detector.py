@@ -241,15 +241,23 @@ class Reading(NamedTuple):
         parts: Any = [one + more if isinstance(one, tuple) else np.concatenate([one, more]) for one, more in both]
         return Reading(*parts)
 
+    def part(self, chosen: NDArray[np.int64]) -> Reading:
+        """Some of the windows."""
+        values: Any = [tuple(one[row] for row in chosen) if isinstance(one, tuple) else one[chosen] for one in self]
+        return Reading(*values)
+
+    def replaced(self, chosen: NDArray[np.int64], other: Reading) -> Reading:
+        """This reading with the windows ``chosen`` as another one reads them."""
+        result: list[Any] = []
+        for values, new in zip(self, other, strict=True):
+            whole = np.array(values, dtype=object if isinstance(values, tuple) else None)
+            whole[chosen] = new
+            result.append(tuple(whole.tolist()) if isinstance(values, tuple) else whole)
+        return Reading(*result)
+
     def among(self, chosen: NDArray[np.int64], count: int, why: str) -> Reading:
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""
-        result = Reading.of(np.full(count, np.nan), why=(why,) * count)
-        spread: dict[str, Any] = {}
-        for name, values, empty in zip(self._fields, self, result, strict=True):
-            whole = np.array(empty, dtype=object if isinstance(values, tuple) else None)
-            whole[chosen] = values
-            spread[name] = tuple(whole.tolist()) if isinstance(values, tuple) else whole
-        return Reading(**spread)
+        return Reading.of(np.full(count, np.nan), why=(why,) * count).replaced(chosen, self)
 
 
 class Detector(Protocol):

@@ -1,4 +1,4 @@
-"""The detectors by name: the leakage head, the estimator, or any class of your own."""
+"""The detectors by name: the leakage head, the estimator, both in two stages, or any class of your own."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ from pydantic import Field, field_validator
 from hydro_agents.controllers.registry import imported
 from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.estimator import EstimatorDetector
-from hydro_agents.detection.following_detector import FollowingDetector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
+from hydro_agents.detection.two_stage import TwoStageDetector
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError
 from hydro_env.files import Group
+
+KINDS = ("head", "estimator", "two_stage")
 
 
 class DetectorChoice(Group):
     """A detector, and how many windows it reads in a protocol."""
 
-    kind: str = Field(description="head, estimator, or module:attribute for your own")
-    weights: str | None = Field(None, description="of a head: a path; default: the shipped one")
+    kind: str = Field(description="head, estimator, two_stage, or module:attribute for your own")
+    weights: str | None = Field(None, description="of a head or two_stage: a path; default: the shipped one")
     task: dict[str, Any] = Field(
         default_factory=dict,
         description="of an estimator: changed fields of its task, such as ranges; unknowns and priors follow from it",
@@ -39,18 +41,17 @@ class DetectorChoice(Group):
     @field_validator("kind")
     @classmethod
     def _known(cls, kind: str) -> str:
-        if kind not in ("head", "estimator") and ":" not in kind:
-            raise ValueError("must be head, estimator, or module:attribute")
+        if kind not in KINDS and ":" not in kind:
+            raise ValueError(f"must be {', '.join(KINDS)}, or module:attribute")
         return kind
 
 
-def make_detector(choice: DetectorChoice, head: LeakageHead | None = None, following: bool = False) -> Detector:
+def make_detector(choice: DetectorChoice, head: LeakageHead | None = None) -> Detector:
     """The detector of a choice.
 
     Args:
         choice: kind and settings.
         head: replaces the head of the choice.
-        following: whether it reads successive windows of the same axes; an estimator then follows them.
 
     Raises:
         ConfigurationError: its weights cannot be read, or the object that it names is no detector.
@@ -63,5 +64,8 @@ def make_detector(choice: DetectorChoice, head: LeakageHead | None = None, follo
             raise ConfigurationError(f"'{choice.kind}': is no leak detector, it has no {', '.join(missing)}")
         return own
     if choice.kind == "estimator":
-        return (FollowingDetector if following else EstimatorDetector)(choice.task, choice.unknowns)
-    return HeadDetector(head or LeakageHead.load(choice.weights or pretrained_folder() / HEAD_FILE))
+        return EstimatorDetector(choice.task, choice.unknowns)
+    head = head or LeakageHead.load(choice.weights or pretrained_folder() / HEAD_FILE)
+    if choice.kind == "two_stage":
+        return TwoStageDetector(head, EstimatorDetector(choice.task, choice.unknowns, restarts=0))
+    return HeadDetector(head)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.detector import Detector, Floats, Reading, Windows
+from hydro_agents.detection.detector import Cause, Detector, Floats, Reading, Windows
 from hydro_agents.detection.features import SIGNALS
 from hydro_env import ConfigurationError, TaskConfig
 
@@ -45,6 +45,11 @@ class Looks(NamedTuple):
         """Hours of all axes together."""
         interval = self.time[1] - self.time[0] if len(self.time) > 1 else 0.0
         return float(self.score.size * interval / 3600.0)
+
+    @property
+    def answers(self) -> NDArray[np.bool_]:
+        """Looks with an answer, (N, L)."""
+        return np.asarray(np.isfinite(self.score) & (self.cause < Cause.UNKNOWN))
 
     def reading(self, number: int) -> Reading:
         """Reading of one look, each array (N,)."""
@@ -83,9 +88,14 @@ def activity_of(signals: NDArray[Any], control_period: float) -> NDArray[np.int8
     return np.asarray((speed >= STANDING_BELOW).astype(np.int8) + (speed >= MOVING_FROM), dtype=np.int8)
 
 
-def look(detector: Detector, signals: NDArray[Any], task: TaskConfig) -> tuple[NDArray[Any], ...]:
-    """One look at N axes: score, sigma, flow, cause and activity, each (N,), from windows (N, 5, T) in SI units."""
-    reading = detector.read(Windows.of(signals), task)
+def look(detector: Detector, signals: NDArray[Any], task: TaskConfig, end: float) -> tuple[NDArray[Any], ...]:
+    """One look at N axes: score, sigma, flow, cause and activity, each (N,), from windows (N, 5, T) in SI units.
+
+    ``end`` is the time in s at which the windows end.
+    """
+    ends = np.full(len(signals), end)
+    begins = ends - (signals.shape[2] - 1) * task.control_period
+    reading = detector.read(Windows(np.asarray(signals, dtype=np.float64), begins, ends), task)
     activity = activity_of(signals, task.control_period)
     return reading.score, reading.sigma, reading.flow_lpm, reading.cause.astype(np.int8), activity
 
@@ -113,6 +123,6 @@ def looks_at(signals: NDArray[Any], task: TaskConfig, detector: Detector, interv
     detector = deepcopy(detector)  # it may have a memory
     ends = np.arange(length, signals.shape[2] + 1, max(round(interval / period), 1))
     unknown = np.full(len(signals), np.nan)
-    rows = [(*look(detector, signals[:, :, end - length : end], task), unknown) for end in ends]
+    rows = [(*look(detector, signals[:, :, end - length : end], task, (end - 1) * period), unknown) for end in ends]
     columns: Any = (np.stack(values, axis=1) for values in zip(*rows, strict=True))
     return Looks((ends - 1) * period, *columns)

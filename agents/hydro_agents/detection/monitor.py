@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hydro_agents.controllers.base import Controller, Floats, as_batch, check_layout
 from hydro_agents.detection.detector import Cause, Reading, Windows, logit
 from hydro_agents.detection.features import LABELS
-from hydro_agents.detection.head import HeadState, LeakageEstimate, LeakageHead
+from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, HeadState, LeakageEstimate, LeakageHead
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
 
@@ -43,15 +43,16 @@ class HeadDetector:
         return ""
 
     def read(self, windows: Windows, task: TaskConfig) -> Reading:
-        """Read windows; a window unlike those of the training, or with a stuck sensor, has the cause ``UNKNOWN``."""
+        """Read windows; one unlike the training has the cause ``UNKNOWN``, one with a stuck sensor has no score."""
         del task
         found = self.head.estimate_windows(windows.signals)
         outside = found.outside > 0.0
+        stuck = outside & (found.sensor_fault == BESIDE_STUCK_SENSOR["sensor_fault"])
         excess = self._excess(found)
         named = np.where(excess.max(axis=1) > 0.0, np.array(OTHER_CAUSES)[excess.argmax(axis=1)], Cause.NONE)
         return Reading.of(
-            logit(found.probability),
-            np.where(outside, Cause.UNKNOWN, named),
+            np.where(stuck, np.nan, logit(found.probability)),
+            np.where(stuck, Cause.SENSOR, np.where(outside, Cause.UNKNOWN, named)),
             probability=found.probability,
             flow_lpm=found.flow_lpm,
             low_lpm=found.low_lpm,

@@ -73,7 +73,6 @@ PARTS = {
     "pause": Part("pauses", "transitions:pause"),
     "take_over": Part("take_over", "transitions:take_over"),
     "windows": Part("windows", "leak_protocol:windows", ("leakage",)),
-    "alarm": Part("alarms", "leak_alarm:alarm", ("leakage",)),
     "leak_bound": Part("bound", "leak_bound:leak_bound", ("leakage",)),
     "leak_price": Part("leak_price", "leak_price:price"),
 }

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.detector import Detector, Windows, measured_run
 from hydro_agents.detection.detectors import DetectorChoice
 from hydro_agents.detection.operations import ACTING, MOTIONS
@@ -75,10 +73,6 @@ class LeakProtocol(Protocol[LeakCondition]):
     title: str = "Leak detection"
     levels: tuple[Level, ...] = Field((HEALTHY, 0.3, 1.0), min_length=1)
     detectors: dict[str, DetectorChoice] = Field(min_length=1)
-    alarms: dict[str, str] = Field(
-        default_factory=dict, description="by detector: file of the settings of its alarm (hydro alarms writes it)"
-    )
-    alarm_hours: float = Field(0.0, ge=0.0, le=1e4, description="of healthy axes under each alarm; 0: no alarms")
     bound_conditions: tuple[Name, ...] = Field((), description="for which the Cramér–Rao bound is computed")
     bound_windows: int = Field(24, ge=1, le=10_000, description="of them, per level")
     base: Name = Field("ordinary", description="the condition with all leak sizes, to which the others are compared")
@@ -87,8 +81,7 @@ class LeakProtocol(Protocol[LeakCondition]):
     def _consistent(self) -> LeakProtocol:
         self.check_conditions("base", (self.base,))
         self.check_conditions("bound_conditions", self.bound_conditions)
-        named = {"alarms": tuple(self.alarms)}
-        named |= {f"conditions.{name}: detectors": each.detectors or () for name, each in self.conditions.items()}
+        named = {f"conditions.{name}: detectors": each.detectors or () for name, each in self.conditions.items()}
         for key, detectors in named.items():
             for detector in detectors:
                 if detector not in self.detectors:
@@ -97,15 +90,7 @@ class LeakProtocol(Protocol[LeakCondition]):
 
     def asked(self) -> tuple[str, ...]:
         """The parts that the other keys ask for."""
-        wanted = {"alarm": self.alarm_hours > 0.0 and bool(self.alarms), "leak_bound": bool(self.bound_conditions)}
-        return ("windows", *(name for name, asked in wanted.items() if asked))
-
-    @classmethod
-    def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
-        """Find the settings of the alarms beside the file of the protocol."""
-        del errors
-        if isinstance(values.get("alarms"), dict):
-            values["alarms"] = {name: str(file.parent / str(path)) for name, path in values["alarms"].items()}
+        return ("windows", "leak_bound") if self.bound_conditions else ("windows",)
 
     def changed_task(self, name: str) -> TaskConfig:
         """The task of the runs of a condition.
@@ -172,19 +157,11 @@ READ = ("score", "probability", "flow_lpm", "low_lpm", "high_lpm")
 """Columns of a reading, NaN in a window without an answer; besides, ``otherwise`` is its cause."""
 
 
-class Watch(NamedTuple):
-    """A detector under an alarm."""
-
-    detector: Detector  # reads successive windows of the same axes
-    settings: AlarmSettings
-
-
 @dataclass(frozen=True)
 class Detectors:
-    """The detectors of a protocol by name, and those that also watch under an alarm."""
+    """The detectors of a protocol by name."""
 
     detectors: Mapping[str, Detector]
-    alarms: Mapping[str, Watch] = field(default_factory=dict)
 
 
 def windows(protocol: LeakProtocol, chosen: Detectors) -> Iterator[Cell]:

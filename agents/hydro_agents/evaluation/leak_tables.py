@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.alarm_calibration import delay_columns, missed_share, poisson_interval
 from hydro_agents.detection.detector import VERDICTS, Cause, threshold_at_false_alarm_rate
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
 from hydro_agents.evaluation.runner import Results, table
@@ -33,23 +32,6 @@ def facts(results: Results) -> pd.DataFrame:
     protocol, count = results.protocol, str(len(results.table("windows")))
     own = [("title", protocol.title), ("sha256", protocol.sha256), ("windows", count)]
     return pd.DataFrame([*own, *results.facts], columns=["key", "value"])
-
-
-@table("alarms", KIND)
-def alarms(results: Results) -> pd.DataFrame:
-    """By detector: false alarms per 100 h (leak 0), then delay and misses by size and activity after the onset."""
-    rows = results.part("alarm")
-    found: list[dict[str, object]] = []
-    for (reader, leak, then), axes in rows.groupby(["detector", "leak_lpm", "then"], sort=False) if len(rows) else ():
-        row = {"detector": reader, "leak_lpm": leak, "then": then}
-        if leak == HEALTHY:
-            count, hours = int(axes["alarms"].sum()), float(axes["hours"].sum())
-            rate = poisson_interval(count, hours / 100.0).named("per_100_h")
-            found.append(row | {"alarms": count, "hours": hours} | rate | {"axes": len(axes)})
-            continue
-        delay = axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy()
-        found.append(row | delay_columns(delay) | missed_share(delay).named("missed"))
-    return pd.DataFrame(found)
 
 
 @table("thresholds", KIND)

@@ -20,7 +20,7 @@ MOST_NAMED = 5
 
 def findings_of(content: Content) -> list[Finding]:
     """Findings on size, delay, reliability, confusions and windows without an answer."""
-    return [_small(content), *_early(content), _sure(content), _confused(content), _silent(content)]
+    return [_small(content), _sure(content), _confused(content), _silent(content)]
 
 
 def _levels(content: Content, detector: str, condition: str) -> list[float]:
@@ -58,33 +58,6 @@ def _small(content: Content) -> Finding:
         f"raises a false alarm: {'; '.join(parts)}."
     )
     return Finding(lead, text)
-
-
-def _early(content: Content) -> list[Finding]:
-    table = content.table("alarms")
-    if table.empty:
-        return []
-    items = []
-    for detector, frame in table.groupby("detector", sort=False):
-        rows = frame[(frame["leak_lpm"] > HEALTHY) & (frame["then"] == "all")].to_dict("records")
-        healthy = frame[frame["leak_lpm"] == HEALTHY].to_dict("records")
-        if not rows:
-            continue
-        largest = max(rows, key=lambda row: row["leak_lpm"])
-        parts = [
-            f"{setting(row['leak_lpm'])} l/min after {number(row['median_s'], 0)} s, "
-            f"{number(100.0 * row['missed'], 1)} % missed"
-            for row in sorted(rows, key=lambda row: -row["leak_lpm"])
-        ]
-        said = "".join(
-            f" False alarms: {number(row['per_100_h'], 1)} per 100 h ({number(row['per_100_h_low'], 1)} to "
-            f"{number(row['per_100_h_high'], 1)})."
-            for row in healthy
-        )
-        size, seconds = setting(largest["leak_lpm"]), number(largest["median_s"], 0)
-        lead = f"A new leak of {size} l/min raises the alarm after {seconds} s."
-        items.append(Finding(lead, f"{detector}, median from the onset at work: {'; '.join(parts)}.{said}"))
-    return items
 
 
 def _sure(content: Content) -> Finding:

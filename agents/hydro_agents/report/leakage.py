@@ -32,7 +32,6 @@ LEAKAGE = (
     "leak_introduction",
     "leak_findings",
     "smallest_leak",
-    "alarm_delay",
     "motions",
     "faults",
     "reliability",
@@ -83,18 +82,6 @@ def leak_findings(content: Content) -> list[Block]:
 def smallest_leak(content: Content) -> list[Block]:
     """Shares and sizes over the leak."""
     return [*detection_plot(content), *size_plot(content)]
-
-
-@section("Delay of the alarm", needs=("alarms",))
-def alarm_delay(content: Content) -> list[Block]:
-    """False alarms, delays and misses of the alarm stage."""
-    return [
-        Text(
-            "Axes at work for hours, moving, creeping and standing in turn. The alarm sums up the evidence of many "
-            "windows; other axes were used to set it."
-        ),
-        *alarm_tables(content),
-    ]
 
 
 @section("Other motions and controllers", needs=("detection",))
@@ -254,32 +241,6 @@ def size_tables(content: Content) -> list[Table]:
             "interval contains the true size, %", "answered, %",
         )  # fmt: skip
         tables.append(Table(f"{detector}: size of the leak", header, rows, style="dense"))
-    return tables
-
-
-def alarm_tables(content: Content) -> list[Table]:
-    """False alarms per 100 h, delays and misses of the alarm stage."""
-    table = content.table("alarms")
-    tables = []
-    for detector, frame in table.groupby("detector", sort=False) if not table.empty else ():
-        healthy = frame[frame["leak_lpm"] == HEALTHY].to_dict("records")
-        said = "".join(
-            f": {number(row['per_100_h'], 1)} false alarms per 100 h ({number(row['per_100_h_low'], 1)} to "
-            f"{number(row['per_100_h_high'], 1)}; {row['alarms']:.0f} in {row['hours']:.0f} h)"
-            for row in healthy
-        )
-        rows = [
-            (
-                f"{setting(row['leak_lpm'])} l/min, {row['then'].replace('all', 'all activities')}",
-                number(row["median_s"], 1),
-                number(row["p90_s"], 1),
-                interval_text(interval(row, "missed", 100.0), decimals=1),
-                f"{row['axes']:.0f}",
-            )
-            for row in frame[frame["leak_lpm"] > HEALTHY].to_dict("records")
-        ]
-        header = ("Leak that begins, activity", "median delay, s", "90 % within, s", "missed after a minute, %", "axes")
-        tables.append(Table(f"{detector}{said}", header, rows))
     return tables
 
 

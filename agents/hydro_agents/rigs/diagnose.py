@@ -15,6 +15,7 @@ from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import looks_at, window_of
 from hydro_agents.detection.monitor import HeadDetector
+from hydro_agents.detection.two_stage import TwoStageDetector
 from hydro_agents.detection.volume_balance import VolumeLeak, leak_by_volume
 from hydro_agents.estimation.result import Estimate, join
 from hydro_agents.recordings.columns import BESIDE, ColumnMap
@@ -48,19 +49,19 @@ class Watched(NamedTuple):
             return f"The alarm did not watch: {self.note}."
         rate = f", set for a rate of {self.rate:g} per 100 h in healthy axes," if self.rate is not None else ""
         when = f"rose at {self.at:.1f} s" if self.at is not None else "stayed silent"
-        return f"The alarm on top of the leakage head{rate} {when}."
+        return f"The alarm{rate} {when}."
 
 
-def watch(samples: Sampled, head: Detector, task: TaskConfig, settings: AlarmSettings) -> Watched:
+def watch(samples: Sampled, detector: Detector, task: TaskConfig, settings: AlarmSettings) -> Watched:
     """Run an alarm over a recording, as if the axis had been switched on at its start."""
     rate, count = settings.false_alarms_per_100_h, int(samples.place[-1]) + 1 if len(samples.place) else 0
-    if count < window_of(head, task):
-        return Watched(None, rate, "the recording is shorter than a window of the head")
+    if count < window_of(detector, task):
+        return Watched(None, rate, "the recording is shorter than a window of the detector")
     if count > MOST_GAPS * len(samples.place):
         return Watched(None, rate, "most of the time between the first and the last sample was not recorded")
     signals = np.full((1, len(samples.signals), count), np.nan)
     signals[0, :, samples.place] = samples.signals.T
-    looks = looks_at(signals, task, head, settings.interval)
+    looks = looks_at(signals, task, detector, settings.interval)
     raised = LeakAlarm(settings).follow(looks)[0].alarm[0]
     return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate, "")
 
@@ -141,7 +142,11 @@ def diagnose(
         if not note:
             chosen = np.flatnonzero(windows.commanded)
             reading = second.read(windows.part(chosen), config).among(chosen, len(windows), NO_COMMANDS)
-            watched = watch(checked.samples, second, config, alarm) if alarm is not None else None
+        if alarm is not None and not note:
+            asked: Detector = second
+            if isinstance(head, LeakageHead) and alarm.detector.startswith("two_stage"):
+                asked = TwoStageDetector(head)
+            watched = watch(checked.samples, asked, config, alarm)
     residual = worst_signal(fitted, config) if fitted is not None else ""
     verdict = judge(checked.findings, estimator, reading, limits, window, residual)
     if balance is not None:

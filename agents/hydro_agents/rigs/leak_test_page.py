@@ -26,7 +26,7 @@ from hydro_agents.rigs.common_fit import WELL_FITTED
 from hydro_agents.rigs.diagnosis_page import ADVICE, STYLES, rig_line
 from hydro_agents.rigs.leak_test import FIND, RAMP, Plan, speeds
 from hydro_agents.rigs.leak_test_reading import WINDOW, LeakTest, Quantity
-from hydro_agents.rigs.verdict import Kind, Leak
+from hydro_agents.rigs.verdict import EXIT_CODES, Leak
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, capitalised, number
@@ -42,9 +42,6 @@ READING_FILES = (READING_PAGE, NUMBERS_FILE, FIGURE_FILES)
 
 PLAN_SECTIONS = ("planned", "plan_course", "plan_steps", "plan_forms", "plan_running")
 READING_SECTIONS = ("tested", "test_quantities", "test_course", "recording", "test_judging")
-
-EXIT_CODES = {Kind.HEALTHY: 0, Kind.LEAK: 10, Kind.OTHER: 11, Kind.UNKNOWN: 12}
-"""Of the command, by verdict."""
 
 LIMIT_BEFORE = (
     "The limits hold on the simulated axes. Clear the whole stroke, keep the emergency stop at hand, and run the test "

@@ -91,6 +91,19 @@ def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], 
     return _unpacked(content, weights), settings
 
 
+def kind_of_weights(path: str | Path) -> str:
+    """The kind that the JSON of weights names; empty: there are no weights with this name."""
+    weights, description = weight_files(path)
+    if not (weights.is_file() and description.is_file()):
+        return ""
+    try:
+        stored = json.loads(_content(description))
+    except ValueError:
+        return ""
+    named = stored.get("format", "") if isinstance(stored, dict) else ""
+    return str(named).removeprefix("hydro_env ")
+
+
 def weight_files(path: str | Path) -> tuple[Path, Path]:
     """The file of tensors and the file of settings of a name.
 
