@@ -12,21 +12,11 @@ import pytest
 from hydro_agents.estimation.model import Model
 from hydro_agents.export.c_files import c_compiler, compiled
 from hydro_agents.recordings.simulated import recording_csv
-from hydro_agents.rigs.leak_test import (
-    FORMS,
-    RAMP,
-    Allowed,
-    LeakTestSettings,
-    Step,
-    commands_of,
-    plan,
-    priors_of_test,
-    simulated,
-    speeds,
-    worn_task,
-)
-from hydro_agents.rigs.leak_test_page import commands_csv, header_code, reading_facts
+from hydro_agents.rigs.leak_test import LeakTestSettings, plan, priors_of_test, simulated, speeds, worn_task
+from hydro_agents.rigs.leak_test_page import reading_facts
+from hydro_agents.rigs.leak_test_plan_page import commands_csv, header_code
 from hydro_agents.rigs.leak_test_reading import Quantity, edge_flow, read_leak_test
+from hydro_agents.rigs.leak_test_steps import FORMS, RAMP, Allowed, Step, commands_of
 from hydro_agents.rigs.verdict import EXIT_CODES, Kind
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig

@@ -23,6 +23,7 @@ from hydro_agents.estimation.replay import Commands, replay
 from hydro_agents.estimation.unknowns import Prior, priors_of
 from hydro_agents.rigs.check import resting_place
 from hydro_agents.rigs.fit import unknowns_of
+from hydro_agents.rigs.leak_test_steps import AROUND, FORMS, STOPS, Allowed, Form, Step, commands_of, rounded, steps_of
 from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.tasks import own_reference
 from hydro_env import ConfigurationError, TaskConfig
@@ -50,8 +51,6 @@ MOST_TRAVEL_TIME = 0.7  # largest share of the test that the axis may need to re
 SAFETY = 0.95  # of the limit of speed, which the largest opening reaches
 ATTEMPTS = 5  # to find the largest opening
 UNLIMITED = 100.0, 2e8  # m/s and Pa: limits of a trial whose peaks are still to be measured
-MOVE = 0.5  # s, of each part of a short move
-RAMP = 2.0  # full strokes per second with which the opening changes: a sudden change makes the axis swing
 FIND, MISS = 2.326, 1.645  # quantiles of the normal distribution: 1 % false alarms, and 95 % found
 
 
@@ -68,61 +67,6 @@ class LeakTestSettings(Group):
     start: float | None = Field(None, description="m, where the axis stands at the start; default: where it rests")
     leak: float = Field(0.01, ge=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar, of the simulated axes")
     plants: int = Field(6, ge=2, le=1000, description="of the training seeds")
-
-
-class Allowed(NamedTuple):
-    """What the test may do, SI; the settings with the limits of the task where none is given."""
-
-    duration: float
-    opening: float
-    speed: float
-    pressure: float
-    stop: str
-    low: float  # −inf: no limit
-    high: float
-    start: float
-    leak: float
-    plants: int
-
-
-class Step(NamedTuple):
-    """A constant opening."""
-
-    opening: float  # of full stroke; positive extends the axis
-    seconds: float
-    what: str
-
-
-class Form(NamedTuple):
-    """What a test does at each stop, after the axis has been pressed against it."""
-
-    name: str
-    shares: tuple[float, ...]  # of the largest opening, one after the other; 0: the valve is closed
-    moves: int  # short moves off the stop
-    reach: float = 0.0  # of moves without a stop: share of the way to the nearer limit
-
-
-FORMS = (
-    Form("pressed at one opening", (1.0,), 0),
-    Form("pressed at three openings", (1.0, 0.3, 0.1), 0),
-    Form("pressed at one opening, then the valve closed", (1.0, 0.0), 0),
-    Form("pressed at three openings, then closed", (1.0, 0.3, 0.1, 0.0), 0),
-    Form("pressed at two openings, then closed, and short moves", (1.0, 0.2, 0.0), 2),
-    Form("pressed at three openings, then closed, and short moves", (1.0, 0.3, 0.1, 0.0), 2),
-)
-AROUND = tuple(
-    Form(
-        f"moves at {count} openings over {100 * reach:.0f} % of the way, the valve closed between them",
-        shares,
-        2,
-        reach,
-    )
-    for reach in (0.15, 0.35, 0.7)
-    for count, shares in (("two", (1.0, 0.3)), ("three", (1.0, 0.5, 0.2)))
-)
-"""Forms of a test without a stop: moves to both sides of the start."""
-
-STOPS = {"both": (1.0, -1.0), "extended": (1.0,), "retracted": (-1.0,), "none": ()}
 
 
 class Trial(NamedTuple):
@@ -204,17 +148,6 @@ class Played:
         return np.full((len(observation), 1), opening, dtype=np.float32), state
 
 
-def commands_of(steps: Sequence[Step], period: float) -> Floats:
-    """Openings, one per control period, (T,); each step begins with a ramp from the opening before."""
-    ends = np.round(np.cumsum([step.seconds for step in steps]) / period).astype(int)
-    openings, before, begin = np.zeros(int(ends[-1])), 0.0, 0
-    for step, end in zip(steps, ends.tolist(), strict=True):
-        most = RAMP * period * np.arange(end - begin + 1)
-        course = before + np.clip(step.opening - before, -most, most)
-        openings[begin:end], before, begin = course[:-1], float(course[-1]), end
-    return openings
-
-
 def plan(config: TaskConfig, settings: LeakTestSettings, progress: Progress | None = None) -> Plan:
     """The test with the lowest bound within the limits.
 
@@ -236,7 +169,7 @@ def plan(config: TaskConfig, settings: LeakTestSettings, progress: Progress | No
     trials = []
     for number, form in enumerate(forms):
         report("plan", number + 1, total)
-        steps = _rounded(_steps(form, task, allowed, opening, travel), task.control_period)
+        steps = rounded(steps_of(form, task.plant, allowed, opening, travel), task.control_period)
         windows = simulated(task, steps, allowed)
         position, pressures = _true_course(task, windows)
         lengths = tuple(np.linspace(0.05, 1.0, 20) * (windows.signals.shape[2] - 1) * task.control_period)
@@ -331,7 +264,9 @@ def _largest_opening(forms: Sequence[Form], task: TaskConfig, allowed: Allowed) 
     for _ in range(ATTEMPTS):
         travel = _travel_times(task, allowed, opening)
         # The last form moves fastest: off a stop, the pressures of both chambers drive the axis.
-        position, _ = _true_course(task, simulated(task, _steps(forms[-1], task, allowed, opening, travel), allowed))
+        position, _ = _true_course(
+            task, simulated(task, steps_of(forms[-1], task.plant, allowed, opening, travel), allowed)
+        )
         fastest = float(np.abs(speeds(position, task.control_period)).max())
         if fastest <= allowed.speed:
             return opening, travel
@@ -365,61 +300,6 @@ def _travel_times(task: TaskConfig, allowed: Allowed, opening: float) -> tuple[f
             f"raise --speed or --opening{one}"
         )
     return tuple(times)
-
-
-def _steps(
-    form: Form, task: TaskConfig, allowed: Allowed, opening: float, travel: tuple[float, ...]
-) -> tuple[Step, ...]:
-    """The steps of a form of the test; shares of the opening count from the end of the valve's dead band."""
-    dead = task.plant.valve.overlap
-
-    def opened(share: float) -> float:
-        return dead + share * (opening - dead) if share > 0.0 and opening > dead else share * opening
-
-    signs = STOPS[allowed.stop]
-    if not signs:
-        return _around(form, task, allowed, opened)
-    steps = []
-    moving = 2 * MOVE * form.moves
-    rest = (allowed.duration - sum(travel)) / len(signs) - moving
-    for sign, seconds in zip(signs, travel, strict=True):
-        each = rest / len(form.shares)
-        name = "extended" if sign > 0.0 else "retracted"
-        steps.append(Step(sign * opening, seconds + each, f"press against the {name} stop"))
-        for share in form.shares[1:]:
-            steps.append(Step(sign * opened(share), each, "press less" if share > 0.0 else "valve closed"))
-        for _ in range(form.moves):
-            steps += [
-                Step(-0.5 * sign * opening, MOVE, "move off the stop"),
-                Step(0.5 * sign * opening, MOVE, "and back"),
-            ]
-    return tuple(steps)
-
-
-def _rounded(steps: tuple[Step, ...], period: float) -> tuple[Step, ...]:
-    """The steps with whole control periods, and openings of at most four decimals."""
-    return tuple(
-        Step(round(step.opening, 4) + 0.0, float(f"{max(round(step.seconds / period), 1) * period:.9g}"), step.what)
-        for step in steps
-    )
-
-
-def _around(form: Form, task: TaskConfig, allowed: Allowed, opened: Callable[[float], float]) -> tuple[Step, ...]:
-    """Moves to both sides of the start, each back again; the valve is closed between them."""
-    out, back = speed_limits(task.plant)
-    count, start, half = len(form.shares) * form.moves, allowed.start, 0.5 * task.plant.cylinder.stroke
-    reach = form.reach * min(min(allowed.high, half) - start, start - max(allowed.low, -half))
-    steps = []
-    for number in range(count):
-        opening = opened(form.shares[number // form.moves])
-        sign = 1.0 if number % 2 == 0 else -1.0
-        longest = allowed.duration / (4.0 * count)
-        out_time = min(reach / (opening * out), longest)
-        forth, home = (out_time, out_time * out / back) if sign > 0.0 else (out_time * out / back, out_time)
-        wait = 0.5 * max(allowed.duration / count - forth - home, 0.1)
-        steps += [Step(sign * opening, forth, "move"), Step(0.0, wait, "valve closed")]
-        steps += [Step(-sign * opening, home, "move back"), Step(0.0, wait, "valve closed")]
-    return tuple(steps)
 
 
 def _beyond(task: TaskConfig, allowed: Allowed, steps: tuple[Step, ...], position: Floats) -> int:
