@@ -239,8 +239,18 @@ def quick_fit(
     first = trials[int(np.argmin(costs_of(model, readings, trials)))]
     rough, _ = _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)
     joint = fit_together(model, readings, rough, progress)
+    kept = np.arange(len(windows))
+    for _ in range(FEW):  # without windows that ended in a local minimum, such as that of an axis that sticks and slips
+        still = _without_outliers(joint.misfit)
+        if len(still) == len(kept):
+            break
+        kept = kept[still]
+        model, readings = _replayed(windows.part(kept), config, priors)
+        joint = fit_together(model, readings, joint.scaled[still], progress)
     report("common fit", 1, 1)
-    return Common(model, readings, joint, joint.misfit, None)
+    misfit = np.full(len(windows), np.inf)
+    misfit[kept] = joint.misfit
+    return Common(model, readings, joint, misfit, None)
 
 
 def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], settings: EstimationSettings) -> Estimate:

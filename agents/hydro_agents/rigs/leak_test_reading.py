@@ -38,7 +38,7 @@ Floats = NDArray[np.float64]
 WINDOW = 4.0  # s; the windows share all unknowns but their start
 MOST_WINDOWS = 30  # a longer recording is read from the first change of the command on
 FIRST = 4  # windows that are first fitted alone
-ENOUGH = 0.75  # share of explained windows with which a quick fit is believed
+ENOUGH = 0.6  # share of explained windows with which a quick fit is believed
 BEFORE = 1.0  # s of rest before the first change of the command that are read
 APART = (
     3.0  # ratio of the uncertainties of the leak and of its sum with the flow of the edges, below which they are apart
