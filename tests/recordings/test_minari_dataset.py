@@ -49,8 +49,8 @@ def test_its_task_needs_no_file(dataset):
         (("--minari", "no version"), "must be NAME-v0"),
         (("--minari", "x"), "must be NAME-v0"),
         (("--minari", "a-v0", "--episodes", 0), "--episodes = 0: must be within 1 to"),
-        (("--minari", "a-v0", "--output", "a.csv"), "either --output FILE or --minari NAME"),
-        ((), "either --output FILE or --minari NAME"),
+        (("--minari", "a-v0", "--output", "a.csv"), "needs one of --output FILE, --minari NAME or --benchmark FOLDER"),
+        ((), "needs one of --output FILE, --minari NAME or --benchmark FOLDER"),
     ],
 )
 def test_impossible_options_are_named(options, message, tmp_path, monkeypatch):

@@ -48,7 +48,7 @@ GROUPS = {
         "check-rig": "rig:check_rig",
         "identify": "axis:identify",
         "simulate": "axis:simulate",
-        "record": "axis:record",
+        "record": "datasets:record",
     },
     "Controllers": {
         "study": "study:study",
@@ -60,10 +60,12 @@ GROUPS = {
         "ladder": "study:ladder",
     },
     "The leak": {
-        "diagnose": "axis:diagnose",
+        "diagnose": "watching:diagnose",
+        "trend": "watching:trend",
         "alarms": "alarms:alarms",
         "leak-test": "leak_test:leak_test",
         "leak-bound": "bounds:leak_bound",
+        "score": "datasets:score",
     },
     "The paper, and this machine": {"reproduce": "checkout:reproduce", "benchmark": "checkout:benchmark"},
 }

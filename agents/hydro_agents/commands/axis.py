@@ -1,26 +1,24 @@
-"""``hydro simulate``, ``record``, ``render``, ``identify`` and ``diagnose``: runs, films and recordings of axes."""
+"""``hydro simulate``, ``identify`` and ``render``: runs, films and recordings of axes."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hydro_agents.commands.options import (
     Agents,
-    Columns,
     Faults,
     Output,
     Overwrite,
     OverwriteFile,
     OwnTask,
     PlantSeed,
-    Recording,
     Rig,
     Task,
     check_new_file,
@@ -33,8 +31,6 @@ from hydro_agents.commands.options import (
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-
-    from hydro_env import TaskConfig
 
 
 class InputSignal(StrEnum):
@@ -78,96 +74,6 @@ def simulate(
             output, rig, signal.value, voltage, input_file, duration, sample_time, leakage, position, overwrite
         )
     )
-
-
-def record(
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file to write.")] = None,
-    minari: Annotated[
-        str | None,
-        typer.Option(metavar="NAME-v0", help="Minari data set to write instead of a CSV file, for offline learning."),
-    ] = None,
-    episodes: Annotated[int, typer.Option(help="Number of episodes of the data set.")] = 100,
-    task: OwnTask = None,
-    rig: Rig = None,
-    controller: Annotated[
-        str,
-        typer.Option("--controller", help="A kind (pid, ppo, …), module:attribute, or the path of weights or gains."),
-    ] = "pid",
-    leakage: Annotated[
-        float | None, typer.Option(help="Leak in l/min at 100 bar; default: drawn from the task's ranges.")
-    ] = None,
-    fault: Faults = None,
-    duration: Annotated[
-        float | None, typer.Option(help="Length in s; default: 20, or the task's for a data set.")
-    ] = None,
-    family: Annotated[
-        str | None,
-        typer.Option(
-            help="Kind of reference: step, point_to_point, ramp, sine, multi_sine, start_stop, pause, creep or "
-            "staircase; default: drawn."
-        ),
-    ] = None,
-    seed: PlantSeed = 0,
-    overwrite: OverwriteFile = False,
-) -> None:
-    """Record a simulated axis: time, position, pressures, spool and command as its sensors measure them.
-
-    `hydro diagnose` reads the file. The first line is a comment with this command and the true leak. `--minari` writes
-    a data set of episodes instead, with observations, actions, rewards and the hidden leak.
-
-    With `--rig` alone the axis has the parameters of its file. With `--task`, for `--minari`, and without `--rig`, the
-    task draws the parameters that are not known exactly.
-    """
-    from hydro_agents.learning.opponents import opponent
-    from hydro_agents.recordings.quality import check_driving
-    from hydro_agents.recordings.recording import read_recording
-    from hydro_agents.recordings.sampling import sampled
-    from hydro_agents.recordings.simulated import named_faults, record_axis
-    from hydro_agents.rigs.stable_gain import stable_pid
-    from hydro_env import ConfigurationError
-    from hydro_env.task.configuration import task_config
-    from hydro_env.task.reference_signals import FAMILIES
-
-    if family is not None and family not in FAMILIES:
-        raise ConfigurationError(f"--family '{family}': must be one of {', '.join(FAMILIES)}")
-    if (output is None) == (minari is None):
-        raise ConfigurationError("record: needs either --output FILE or --minari NAME")
-    faults = named_faults(fault or [])
-    if output is None:
-        given = {"leakage_flow_lpm": leakage, "reference": family, "faults": faults or None}
-        length = duration if duration is not None else task_config(task, rig=rig).episode_duration
-        config = task_config(task, rig=rig, episode_duration=length)
-        _record_dataset(str(minari), config, controller, episodes, seed, given)
-        return
-    check_new_file(output, overwrite)
-    config = task_config(exact_task(task, rig), rig=rig, episode_duration=20.0 if duration is None else duration)
-    mover, gains = stable_pid(config) if controller == "pid" else (opponent(controller, config, "--controller"), "")
-    done = record_axis(output, config, mover, seed, leakage, family, faults, command_line())
-    end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
-    drawn = f"; parameters of the plant drawn by --seed {seed}" if config.randomisation else ""
-    leak = f"leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"
-    driving = check_driving(sampled(read_recording(output), config), config)
-    say(*([f"{output}: {gains}"] if gains else []), *(f"{output}: {finding.line()}" for finding in driving))
-    say(f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}")
-
-
-def _record_dataset(
-    name: str, config: TaskConfig, controller: str, episodes: int, seed: int, given: Mapping[str, Any]
-) -> None:
-    from hydro_agents.learning.opponents import opponent
-    from hydro_agents.recordings.simulated import check_dataset, record_dataset
-    from hydro_agents.running.console import ProgressDisplay
-
-    check_dataset(name)
-    mover = opponent(controller, config, "--controller")
-    options = {option: value for option, value in given.items() if value is not None}
-    with ProgressDisplay() as display:
-
-        def progress(finished: int) -> None:
-            display.update("episodes", finished, episodes)
-
-        data = record_dataset(name, config, mover, controller, episodes, seed, options, command_line(), progress)
-    say(f"{name}: {data.episodes} episodes, {data.steps} steps, in {data.folder}")
 
 
 def identify(
@@ -228,44 +134,6 @@ def identify(
     with guesses_shown(), ProgressDisplay() as display:
         found = identify_recordings(recordings, config, known, maps, display.update, hold_back or [])
     say(*identify_to_folder(output, found, overwrite, command_line()))
-
-
-def diagnose(
-    recording: Recording,
-    columns: Columns = None,
-    task: OwnTask = None,
-    rig: Rig = None,
-    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
-    alarm: Annotated[
-        Path | None, typer.Option(help="Settings of an alarm, from `hydro alarms`, that watches the recording.")
-    ] = None,
-    window: Annotated[float, typer.Option(min=0.2, max=60.0, help="Length of one reading in s.")] = 2.0,
-    output: Output = Path("results/diagnose"),
-    overwrite: Overwrite = False,
-) -> None:
-    """Judge a recording: healthy, internal leak (with its size), another fault (which), or undecided (why).
-
-    First it checks the recording: gaps, jitter, units, signs, exchanged chambers, stuck and saturated sensors. Then two
-    detectors read the leak window by window: an estimator with the simulator as model, and the leakage head. Writes a
-    page (`diagnosis.html`), a picture, the leak over time and the findings as CSV; the last line is the verdict.
-    Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
-    """
-    from hydro_agents.detection.alarm import AlarmSettings
-    from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.recordings.columns import read_map
-    from hydro_agents.rigs.diagnose import diagnose as diagnose_recording
-    from hydro_agents.rigs.diagnosis_page import diagnose_to_folder
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import pretrained_folder
-    from hydro_env.task.configuration import task_config
-
-    config = task_config(task, rig=rig)
-    weights = LeakageHead.load(head or pretrained_folder() / "leakage_head")
-    mapped = read_map(columns) if columns is not None else None
-    settings = AlarmSettings.load(alarm) if alarm is not None else None
-    with guesses_shown(), ProgressDisplay() as display:
-        found = diagnose_recording(recording, config, weights, mapped, window, settings, display.update)
-    say(*diagnose_to_folder(output, found, overwrite, command_line()))
 
 
 MOST_PANELS = 6

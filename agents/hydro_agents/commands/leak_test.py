@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hydro_agents.commands.options import Columns, Overwrite, OwnTask, Rig, command_line, guesses_shown, say
+from hydro_agents.commands.watching import Json
 
 if TYPE_CHECKING:
     from hydro_env import TaskConfig
@@ -71,7 +72,7 @@ def leak_test(
         Path | None,
         typer.Option("--output", "-o", help="Folder; default: results/leak_test_plan, or results/leak_test."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON instead of text.")] = False,
+    as_json: Json = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Plan an active test of a minute that shows a leak past the piston; or, with RECORDING, read it.
@@ -115,11 +116,12 @@ def _scaled(value: float | None, factor: float) -> float | None:
 def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json: bool, overwrite: bool) -> None:
     from hydro_agents.rigs.leak_test import LeakTestSettings, plan
     from hydro_agents.rigs.leak_test_plan_page import plan_facts, plan_to_folder
+    from hydro_agents.running.console import ProgressDisplay
     from hydro_env.files import validate
 
     settings = validate(LeakTestSettings, given, "leak-test")
-    with _progress(as_json) as progress:
-        test = plan(config, settings, progress)
+    with nullcontext() if as_json else ProgressDisplay() as display:
+        test = plan(config, settings, display.update if display is not None else None)
     lines = plan_to_folder(output, test, overwrite, command_line())
     say(json.dumps(plan_facts(test), indent=1) if as_json else "\n".join(lines))
 
@@ -137,23 +139,12 @@ def _read(
     from hydro_agents.rigs.leak_test_page import reading_facts, reading_to_folder
     from hydro_agents.rigs.leak_test_reading import read_leak_test
     from hydro_agents.rigs.verdict import EXIT_CODES
+    from hydro_agents.running.console import ProgressDisplay
 
     mapped = read_map(columns) if columns is not None else None
-    with guesses_shown(), _progress(as_json) as progress:
+    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
+        progress = display.update if display is not None else None
         found = read_leak_test(recording, config, mapped, limit, progress)
     lines = reading_to_folder(output, found, overwrite, command_line())
     say(json.dumps(reading_facts(found), indent=1) if as_json else "\n".join(lines))
-    if EXIT_CODES[found.verdict.kind]:
-        raise typer.Exit(EXIT_CODES[found.verdict.kind])
-
-
-@contextlib.contextmanager
-def _progress(as_json: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """What shows the progress; nothing beside JSON."""
-    from hydro_agents.running.console import ProgressDisplay
-
-    if as_json:
-        yield None
-    else:
-        with ProgressDisplay() as display:
-            yield display.update
+    raise typer.Exit(EXIT_CODES[found.verdict.kind])

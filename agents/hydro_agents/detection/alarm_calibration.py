@@ -5,11 +5,13 @@ drawn from them: minute by minute, blocks of looks of the same axis, a quarter o
 (block bootstrap: Künsch, Annals of Statistics 17, 1989). The alarm learns its baselines in the drawn hours as it does
 on a machine.
 
-An alarm is an excursion of the evidence: it rises above zero, passes the threshold at its peak, and returns. A
-generalised Pareto distribution is fitted to the highest peaks (Pickands, *Statistical inference using extreme order
-statistics*, Annals of Statistics 3, 1975); it gives the threshold for a rate of false alarms. Its shape is zero or
-positive: the peaks of a CUSUM have an exponential tail, shape 0, for each axis (Cramér and Lundberg), and a mixture of
-different axes has a heavier one. Intervals come from resampled axes, because alarms cluster on a few of them.
+An alarm is an excursion of the evidence: it rises above zero, passes the threshold at its peak, and returns. The
+threshold is the lowest at which their rate is as wanted, at the upper end of its interval over axes. Intervals come
+from resampled axes, because alarms cluster on a few of them.
+
+One look adds at most the clip of the alarm. What is beyond the looks that were measured therefore counts little; the
+generalised Pareto distribution that is fitted to the highest z-scores (Pickands, *Statistical inference using extreme
+order statistics*, Annals of Statistics 3, 1975) says how heavy their tail is. Its shape is at least 0 (exponential).
 """
 
 from __future__ import annotations
@@ -70,10 +72,6 @@ class Tail:
     rate: float  # values above the start per hour
     scale: float
     shape: float  # 0: exponential
-
-    def rate_above(self, threshold: float) -> float:
-        """Values above a threshold (at least ``start``) per hour."""
-        return self.rate * float(genpareto.sf(max(threshold - self.start, 0.0), self.shape, scale=self.scale))
 
     def threshold_at(self, rate: float) -> float:
         """Threshold that values exceed ``rate`` times per hour; at least ``start``."""

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.estimate import estimate, usable_readings
-from hydro_agents.estimation.first_guess import first_values
 from hydro_agents.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_agents.estimation.result import Estimate
-from hydro_agents.estimation.search import EstimationSettings, search
+from hydro_agents.estimation.search import UNKNOWN_COMMANDS, EstimationSettings, search, timing_priors
 from hydro_agents.estimation.solver import (
     Belief,
     channel_weights,
@@ -29,7 +28,7 @@ from hydro_agents.estimation.solver import (
     prior_belief,
     without,
 )
-from hydro_agents.estimation.unknowns import STARTS, Prior
+from hydro_agents.estimation.unknowns import LATENCY, STARTS, Prior
 from hydro_env import TaskConfig
 
 Array = NDArray[np.float64]
@@ -126,7 +125,7 @@ def fit_together(
         iterations: largest number.
     """
     shared, own = shared_and_own(model)
-    scaled, directions = _descend(model, measured, first, shared, progress, TOLERANCE, SHORT_STEP, iterations)
+    scaled, directions = descend(model, measured, first, shared, progress, TOLERANCE, SHORT_STEP, iterations)
     known = np.isfinite(measured)
     prior = without(prior_belief(model, model.count).precision, shared)
     for _ in range(LINEARISATIONS):
@@ -147,7 +146,7 @@ def shared_and_own(model: Model) -> tuple[Indices, Indices]:
     return np.flatnonzero(~start), np.flatnonzero(start)
 
 
-def _descend(
+def descend(
     model: Model,
     measured: Array,
     first: Array,
@@ -209,45 +208,43 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
             other = _alone(windows.part(again), config, priors, RANDOMLY)
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
             second = _common_fit(windows, config, priors, alone, report)
-            best = max(best, second, key=lambda one: (one.explained, -float(np.median(one.misfit))))
+            best = max(best, second, key=_quality)
+    if 2 * best.explained < len(windows) and config.sensors.enabled:
+        timed = _with_timing(windows, config, best, report)
+        best = max(best, timed, key=_quality)
     report("common fit", 1, 1)
     return best
 
 
-def quick_fit(
-    windows: Windows, chosen: Indices, config: TaskConfig, priors: Mapping[str, Prior], report: Report
-) -> Common:
-    """As :func:`common_fit`, for windows that one start describes: only ``chosen`` ones are first fitted alone.
+def _quality(found: Common) -> tuple[int, float]:
+    return found.explained, -float(np.median(found.misfit))
 
-    It takes a third of the time. The caller tries :func:`common_fit` if windows stay unexplained.
+
+def _with_timing(windows: Windows, config: TaskConfig, found: Common, report: Report) -> Common:
+    """The fit continued with latency of the command and rise time of the transducers as further common unknowns.
+
+    The command may stand a row early or late: the row at which the readings differ least begins.
     """
-    report("windows", 0, len(chosen))
-    alone = _alone(windows.part(chosen), config, priors, ROUGHLY)
-    report("windows", len(chosen), len(chosen))
-    model, readings = _replayed(windows, config, priors)
-    shared, _ = shared_and_own(model)
-    guess = model.scaled(first_values(windows.signals, model.commands.durations, config, priors))
-    trials = []
-    for values in alone.scaled[:, shared]:
-        tried = guess.copy()
-        tried[:, shared] = values
-        trials.append(tried)
+    kept = np.flatnonzero(np.isfinite(found.misfit))
+    more = {name: prior for name, prior in timing_priors(config).items() if name not in found.model.names}
+    if not more:
+        return found
+    model, readings = replayed(windows.part(kept), config, found.model.priors | more)
+    readings[:, :, :UNKNOWN_COMMANDS] = readings[:, :, -UNKNOWN_COMMANDS:] = np.nan  # of commands beyond the windows
+    first = np.concatenate([found.joint.scaled, np.zeros((len(kept), len(more)))], axis=1)
+    trials = [first]
+    if LATENCY in more:
+        for rows in (-1.0, 1.0):
+            moved = first.copy()
+            moved[:, model.names.index(LATENCY)] = rows * config.control_period / more[LATENCY].deviation
+            trials.append(moved)
 
     def progress(done: int, total: int) -> None:
-        report("common fit", done, total)
+        report("timing", done, total)
 
-    first = trials[int(np.argmin(costs_of(model, readings, trials)))]
-    rough, _ = _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)
-    joint = fit_together(model, readings, rough, progress)
-    kept = np.arange(len(windows))
-    for _ in range(FEW):  # without windows that ended in a local minimum, such as that of an axis that sticks and slips
-        still = _without_outliers(joint.misfit)
-        if len(still) == len(kept):
-            break
-        kept = kept[still]
-        model, readings = _replayed(windows.part(kept), config, priors)
-        joint = fit_together(model, readings, joint.scaled[still], progress)
-    report("common fit", 1, 1)
+    rough = [descend(model, readings, trial, shared_and_own(model)[0], progress, ROUGH_TOLERANCE, LONG_STEP)[0]
+             for trial in trials]  # fmt: skip
+    joint = fit_together(model, readings, rough[int(np.argmin(costs_of(model, readings, rough)))], progress)
     misfit = np.full(len(windows), np.inf)
     misfit[kept] = joint.misfit
     return Common(model, readings, joint, misfit, None)
@@ -258,7 +255,7 @@ def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], se
     return estimate(windows.signals, config, list(priors), settings=settings, boundary=windows.boundary)
 
 
-def _replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> tuple[Model, Array]:
+def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> tuple[Model, Array]:
     """The model of some windows, and their readings over their noise."""
     model = Model(config, priors, windows.signals[:, -1], boundary=windows.boundary)
     return model, usable_readings(windows.signals, config, model)
@@ -266,7 +263,7 @@ def _replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior])
 
 def _nearby(windows: Windows, config: TaskConfig, found: Common, first: Array) -> Estimate:
     """Windows that common values do not explain, fitted near these values; ``first``: where they ended, scaled."""
-    joint, (model, measured) = found.joint, _replayed(windows, config, found.model.priors)
+    joint, (model, measured) = found.joint, replayed(windows, config, found.model.priors)
     unknowns = len(model.names)
     mean, precision = np.zeros((len(windows), unknowns)), np.tile(np.eye(unknowns), (len(windows), 1, 1))
     mean[:, joint.shared] = joint.common
@@ -284,18 +281,18 @@ def _common_fit(
     def progress(done: int, total: int) -> None:
         report("common fit", done, total)
 
-    kept = _without_outliers(alone.misfit)
+    kept = without_outliers(alone.misfit)
     for again in (False, True):  # the second time without the outliers of the first
-        model, readings = _replayed(windows.part(kept), config, priors)
+        model, readings = replayed(windows.part(kept), config, priors)
         shared = shared_and_own(model)[0]
         rough = [
-            _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)[0]
+            descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)[0]
             for first in _first_values(model, readings, alone, kept)
         ]
         costs = costs_of(model, readings, rough)
         order = np.argsort(costs)
         joint = fit_together(model, readings, rough[order[0]], progress)
-        still = _without_outliers(joint.misfit)
+        still = without_outliers(joint.misfit)
         if again or len(still) == len(kept):
             break
         kept = kept[still]
@@ -326,7 +323,7 @@ def costs_of(model: Model, readings: Array, trials: list[Array]) -> list[float]:
     ]
 
 
-def _without_outliers(misfit: Array) -> Indices:
+def without_outliers(misfit: Array) -> Indices:
     """Indices of the windows that are explained, or whose misfit is not much larger than that of most others."""
     finite = np.where(np.isfinite(misfit), misfit, 1e9)
     return np.flatnonzero(finite <= max(WELL_FITTED, OUTLIER * float(np.median(finite))))

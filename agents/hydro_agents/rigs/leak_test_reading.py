@@ -20,10 +20,11 @@ from hydro_agents.recordings.findings import Finding, Weight
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import Sampled, bridged, cut
-from hydro_agents.rigs.common_fit import WELL_FITTED, Common, common_fit, quick_fit
+from hydro_agents.rigs.common_fit import WELL_FITTED, Common, common_fit
 from hydro_agents.rigs.fit import COVERAGE
 from hydro_agents.rigs.intervals import spread_of
 from hydro_agents.rigs.leak_test import Progress, priors_of_test, worn_task
+from hydro_agents.rigs.quick_fit import quick_fit
 from hydro_agents.rigs.verdict import Leak, Limits, Verdict, judge
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
