@@ -56,9 +56,7 @@ def quick_fit(
     rough, _ = descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)
     joint = fit_together(model, readings, rough, progress)
     kept = np.arange(len(windows))
-    for _ in range(
-        MOST_ROUNDS
-    ):  # without windows that ended in a local minimum, such as that of an axis that sticks and slips
+    for _ in range(MOST_ROUNDS):  # without windows in a local minimum, as where the axis sticks and slips
         still = without_outliers(joint.misfit)
         if len(still) == len(kept):
             break
