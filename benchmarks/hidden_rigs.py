@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.drawn_rigs import TRIES, drawn_answers
-from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
+from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LATENCY, LEAKAGE, RISE_TIME
 from hydro_agents.recordings.simulated import record_axis
 from hydro_agents.rigs.new_rig import new_rig
 from hydro_agents.rigs.questions import answers_from
@@ -53,6 +53,7 @@ def true_values(config: TaskConfig, seed: int, leak: float | None = None) -> dic
     env.reset(seed=[seed], options=None if leak is None else {"leakage_flow_lpm": np.array([leak])})
     values = dict(zip(PARAMETER_PATHS, to_vector(env.axes.parameters(0)).tolist(), strict=True))
     values |= dict(zip(BIASES, env.axes.column("bias")[0, SENSOR_COLUMNS].tolist(), strict=True))
+    values |= {LATENCY: float(env.axes.column("latency")[0]), RISE_TIME: config.sensors.pressure_rise_time}
     values[LEAKAGE] = float(env.axes.column("leak_flow")[0])
     values[EXTERNAL_LEAKAGE] = flow_from_resistance(values[EXTERNAL_RESISTANCE])
     env.close()

@@ -1,6 +1,6 @@
 """What `hydro identify` and `hydro diagnose` say about public recordings of real machines (docs/real_machines.md).
 
-Run: python benchmarks/real_machines.py FOLDER [--only festo speeds refusals] [--samples 2 4] [--fit 1 2]
+Run: python benchmarks/real_machines.py FOLDER [--only festo speeds friction refusals] [--samples 2 4] [--fit 1 2]
 
 FOLDER holds the folders that the page names; what is absent is left out. The Festo axis is identified from steps of
 some voltages and predicted at the others.
@@ -29,11 +29,13 @@ from hydro_agents.running.console import ProgressDisplay
 from hydro_env import HydroError
 from hydro_env.files import read_yaml, write_yaml
 from hydro_env.folders import config_file
+from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 
 RIG = Path(__file__).parent / "festo_tp511.yaml"
 FESTO = "festo_tp511"  # the folder with the MAT files
+PARTS = ["festo", "speeds", "friction", "refusals"]
 MOVING = 0.3  # of the largest speed
 
 OTHERS = {
@@ -136,15 +138,54 @@ def speeds(folder: Path, samples: list[int]) -> None:
             print(f"| {volts} V | {chamber.lower()} | {ranges[0]} | {ranges[1]} | {missed[0]} | {missed[1]} |")
 
 
-def steady_speeds(samples: Sampled) -> tuple[float, float]:
-    """Speed out and in, m/s, in the middle of the stroke."""
+def steady(samples: Sampled) -> tuple[np.ndarray, np.ndarray]:
+    """The samples out and in, (T,) each, in the middle of the stroke."""
     position, command = samples.signals[0], samples.signals[4]
     inside = np.abs(position) < 0.055
-    out, back = (
-        abs(float(np.polyfit(samples.time[chosen], position[chosen], 1)[0]))
-        for chosen in (inside & (command > 0.0), inside & (command < 0.0))
-    )
+    return inside & (command > 0.0), inside & (command < 0.0)
+
+
+def steady_speeds(samples: Sampled) -> tuple[float, float]:
+    """Speed out and in, m/s, in the middle of the stroke."""
+    out, back = (abs(float(np.polyfit(samples.time[k], samples.signals[0, k], 1)[0])) for k in steady(samples))
     return out, back
+
+
+def friction(folder: Path, samples: list[int]) -> None:
+    """Print the force of the pressures at constant speed, and how well some laws of friction describe it.
+
+    The pressures of the chambers come from different runs: each is the mean over the runs with its transducer.
+    """
+    config = task_config(None, rig=RIG)
+    areas = plant_coefficients(config.plant)
+    rows = []
+    print("\n| step | speed, mm/s | pressure a, bar | pressure b, bar | force, N |")
+    print("|---|---:|---:|---:|---:|")
+    for volts in range(1, 6):
+        found = []  # of each chamber: (runs, directions, 2), pressure and speed
+        for channel, chamber in enumerate("AB", 1):
+            paths = [folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat" for sample in samples]
+            runs = [sampled(read_recording(path, festo_map(chamber.lower())), config, None) for path in paths]
+            pressures = [[np.nanmedian(run.signals[channel, chosen]) for chosen in steady(run)] for run in runs]
+            found.append(np.stack([pressures, [steady_speeds(run) for run in runs]], axis=2))
+        for direction, sign, word in ((0, 1.0, "out"), (1, -1.0, "in")):
+            mean = np.mean(np.array(found)[:, :, direction], axis=1)  # (chambers, 2)
+            pressures, speed = mean[:, 0], sign * mean[:, 1].mean()
+            rows.append((sign, speed, *pressures, pressures[0] * areas.area_a - pressures[1] * areas.area_b))
+            bar = 1e-5 * pressures
+            print(f"| {volts} V {word} | {1e3 * speed:.1f} | {bar[0]:.2f} | {bar[1]:.2f} | {rows[-1][-1]:.1f} |")
+    sign, speed, pressure_a, pressure_b, force = np.array(rows).T
+    laws = {"Coulomb and viscous": [sign, speed]}
+    laws["and direction"] = [*laws["Coulomb and viscous"], np.ones_like(sign)]
+    laws["and Stribeck, 50 mm/s"] = [*laws["and direction"], sign * np.exp(-((speed / 0.05) ** 2))]
+    laws["pressures instead of Stribeck"] = [*laws["and direction"], sign * (pressure_a + pressure_b) * 1e-5]
+    print("\n| law of friction | last coefficient | its standard deviation | unexplained, N |\n|---|---:|---:|---:|")
+    for name, columns in laws.items():
+        matrix = np.column_stack(columns)
+        values = np.linalg.lstsq(matrix, force, rcond=None)[0]
+        variance = float(np.sum((force - matrix @ values) ** 2)) / (len(force) - len(columns))
+        deviation = np.sqrt(variance * np.linalg.inv(matrix.T @ matrix)[-1, -1])
+        print(f"| {name} | {values[-1]:.2f} | {deviation:.2f} | {np.sqrt(variance):.1f} |")
 
 
 def moving_errors(part: HeldBack, channel: int) -> tuple[float, float]:
@@ -181,9 +222,7 @@ def main() -> None:
     """Print the tables of the recordings that the folder holds."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument(
-        "--only", nargs="+", choices=["festo", "speeds", "refusals"], default=["festo", "speeds", "refusals"]
-    )
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--fit", type=int, nargs="+", default=[1, 2], help="voltages of the steps that are fitted")
     parser.add_argument("--samples", type=int, nargs="+", default=[2, 4])
     arguments = parser.parse_args()
@@ -191,6 +230,8 @@ def main() -> None:
         refusals(arguments.folder)
     if "speeds" in arguments.only and (arguments.folder / FESTO).is_dir():
         speeds(arguments.folder / FESTO, arguments.samples)
+    if "friction" in arguments.only and (arguments.folder / FESTO).is_dir():
+        friction(arguments.folder / FESTO, arguments.samples)
     if "festo" in arguments.only and (arguments.folder / FESTO).is_dir():
         with tempfile.TemporaryDirectory() as folder:
             source = RIG

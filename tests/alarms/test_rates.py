@@ -1,4 +1,4 @@
-"""Tails, false-alarm rates, drawn hours, Poisson intervals, and growth: known answers."""
+"""Tails, false-alarm rates, drawn hours and Poisson intervals: known answers."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,6 @@ from hydro_agents.detection.alarm_calibration import (
     threshold_for,
 )
 from hydro_agents.detection.detector import Cause
-from hydro_agents.detection.growth import growth
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_env import ConfigurationError
 
@@ -159,48 +158,3 @@ def test_looks_that_stray_together_have_a_correlation_time():
         slow[:, number] = 0.8 * slow[:, number - 1] + white[:, number]
     assert correlation_time(white, 4.0) < 1.0
     assert correlation_time(slow, 4.0) == pytest.approx(2.0 * 4.0 * 0.8 / 0.2, rel=0.2)  # of a first-order process
-
-
-def test_growth_knows_its_slope_and_the_time_to_a_limit():
-    generator, time = np.random.default_rng(7), np.arange(0.0, 1800.0, 0.5)
-    slope, limit = 0.8, 1.0  # decades per hour, l/min
-    truth = np.log10(0.1) + slope * time / 3600.0
-    left = (np.log10(limit) - truth[-1]) / slope
-    holds, slopes = [], []
-    for _ in range(100):
-        block_noise = np.repeat(generator.normal(0.0, 0.1, len(time) // 4), 4)
-        found = growth(time, 10.0 ** (truth + block_noise), limit)
-        holds.append(found.hours_to_limit.low <= left <= found.hours_to_limit.high)
-        slopes.append(found.decades_per_hour.low <= slope <= found.decades_per_hour.high)
-    assert 0.87 <= np.mean(holds) <= 1.0
-    assert 0.87 <= np.mean(slopes) <= 1.0
-
-
-def test_no_growth_reaches_no_limit():
-    time = np.arange(0.0, 600.0, 0.5)
-    noise = np.random.default_rng(8).normal(0.0, 0.05, len(time))
-    found = growth(time, 0.1 * 10.0**noise, 1.0)
-    assert found.decades_per_hour.low < 0.0 < found.decades_per_hour.high
-    assert found.hours_to_limit.high == np.inf
-    falling = growth(time, 0.1 * 10.0 ** (noise - time / 600.0), 1.0)
-    assert falling.hours_to_limit.low == np.inf
-    above = growth(time, 5.0 * 10.0 ** (noise + time / 600.0), 1.0)
-    assert (above.hours_to_limit.low, above.hours_to_limit.high) == (0.0, 0.0)
-
-
-def test_growth_leaves_out_what_the_detector_cannot_read():
-    time = np.arange(0.0, 300.0, 0.5)
-    truth = -2.0 + time / 100.0  # one decade in 100 s
-    seen = 10.0 ** (np.maximum(truth, -1.2) + 0.02 * np.random.default_rng(9).normal(size=len(time)))
-    whole, readable = growth(time, seen, 100.0), growth(time, seen, 100.0, least_lpm=0.1)
-    assert not whole.decades_per_hour.low <= 36.0 <= whole.decades_per_hour.high
-    assert readable.decades_per_hour.value == pytest.approx(36.0, rel=0.02)
-
-
-def test_growth_of_too_few_looks_is_unknown():
-    for time, flow in (
-        (np.zeros(0), np.zeros(0)),
-        (np.arange(40.0), np.ones(40)),
-        (np.arange(200.0), np.full(200, np.nan)),
-    ):
-        assert np.isnan(growth(time, flow, 1.0).decades_per_hour.value)

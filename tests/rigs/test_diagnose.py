@@ -1,5 +1,7 @@
 """From a recorded file to verdict, page, picture and tables."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,14 +13,17 @@ from recorded import CONFIG, recorded_file
 
 from hydro_agents.detection.estimator import AT_REST
 from hydro_agents.detection.operations import MOTIONS
+from hydro_agents.rigs.verdict import EXIT_CODES, Kind
 
 FILES = {".hydro.json", "diagnosis.html", "diagnosis.png", "findings.csv", "leak.csv", "figures"}
 
 
 def verdict_on(folder, file, *options):
     answer = hydro("diagnose", file, "--output", folder / "out", "--overwrite", *options)
-    assert answer.returncode == 0, answer.stderr
-    return own_lines(answer.stdout)[-1]
+    line = own_lines(answer.stdout)[-1]
+    kind = next(kind for kind in Kind if line.startswith(kind.value))
+    assert answer.returncode == EXIT_CODES[kind], answer.stderr
+    return line
 
 
 def test_record_and_diagnose_from_the_command_line(tmp_path, browser):
@@ -76,6 +81,16 @@ def test_a_late_command_is_read_and_the_page_says_how_the_task_would_agree(tmp_p
     page = (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
     assert "noise found" in page
     assert f"command_latency: {mended['command_latency']}" in page
+
+
+def test_another_program_reads_verdict_and_exit_code(tmp_path):
+    recorded_file(tmp_path / "a.csv", leakage=0.5, duration=2.0)
+    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out", "--json")
+    found = json.loads(answer.stdout)
+    assert answer.returncode == found["exit_code"] == 10
+    assert found["verdict"] == "internal leak"
+    assert found["leak"]["low"] < 0.5 < found["leak"]["high"]
+    assert found["windows"] == 1
 
 
 def test_an_axis_at_rest_with_worn_edges_must_be_moved(tmp_path):

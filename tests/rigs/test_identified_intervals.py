@@ -12,7 +12,7 @@ from hydro_agents.estimation.unknowns import Prior
 from hydro_agents.recordings.recording import read_recording
 from hydro_agents.rigs.common_fit import Joint
 from hydro_agents.rigs.fit import fit_windows
-from hydro_agents.rigs.found_rig import found_values, narrowed, shown
+from hydro_agents.rigs.found_rig import found_timing, found_values, narrowed, shown
 from hydro_agents.rigs.intervals import (
     _rises,
     beside_the_edge,
@@ -156,6 +156,21 @@ def test_intervals_end_at_physical_bounds():
     assert within_bounds(plant, "load.mass", 50.0) == 50.0
     assert truncated_end(0.5, 0.3, 0.7) == 0.7
     assert 0.0 < truncated_end(-0.2, -0.4, 0.0) < 0.2  # a size below zero leaves a small one possible
+
+
+def test_a_rise_time_that_the_task_does_not_say_is_found(tmp_path):
+    """With transducers of 4 ms in the task instead of 1.5 ms the model explains no window; then it finds their time."""
+    ranges = {"load.mass": {"factor": [0.8, 1.2]}}
+    config = task_config(None, randomisation=ranges, episode_duration=4.0)
+    recorded_file(tmp_path / "a.csv", {"randomisation": ranges}, 0.3, family="multi_sine", duration=4.0)
+    signals = read_recording(tmp_path / "a.csv").signals
+    wrong = task_config(config, sensors={"pressure_rise_time": 4e-3})
+    fit = fit_windows(Windows.of(signals[:, :800].reshape(5, 4, 200).transpose(1, 0, 2)), wrong, wrong.randomisation)
+    assert fit.explained.all()
+    timing = found_timing(fit)
+    assert timing["pressure_rise_time"] == pytest.approx(config.sensors.pressure_rise_time, rel=0.1)
+    assert timing["command_latency"] == pytest.approx(config.command_latency, abs=1e-4)
+    assert fit.low[0] <= 0.3 <= fit.high[0]
 
 
 def test_a_slew_limit_above_the_spools_speed_is_bounded_from_below(tmp_path):

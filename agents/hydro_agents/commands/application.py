@@ -60,7 +60,8 @@ GROUPS = {
         "ladder": "study:ladder",
     },
     "The leak": {
-        "diagnose": "axis:diagnose",
+        "diagnose": "watching:diagnose",
+        "trend": "watching:trend",
         "alarms": "alarms:alarms",
         "test-move": "bounds:design_test_move",
         "leak-bound": "bounds:leak_bound",

@@ -137,7 +137,7 @@ def run_job(bench: Bench, job: AlarmJob) -> Result:
         "shift": shift_table(settings, fresh, dict(zip(LEVELS, leaks, strict=True))),
         "at_rest": rest_table(settings, few, resting),
         "causes": cause_table(settings, few, found["faults"][1:]),
-        "growth": growth_summary(growth_table(growing.found(found["growth"])[0], LIMIT_LPM, LEVELS[1])),
+        "growth": growth_summary(growth_table(growing.found(found["growth"])[0], LIMIT_LPM)),
     }
     return Result(settings, tables)
 
@@ -231,20 +231,17 @@ def cause_table(settings: AlarmSettings, healthy: Axes, looks: list[Looks]) -> p
     return pd.concat([table, pd.DataFrame([total])], ignore_index=True)
 
 
-def growth_table(found: OnsetLooks, limit_lpm: float, least_lpm: float) -> pd.DataFrame:
-    """Predictions for growing leaks at half of a limit: does the interval contain the true time to the limit?
+def growth_table(found: OnsetLooks, limit_lpm: float) -> pd.DataFrame:
+    """Predictions for growing leaks at half of a limit: does the 90 % interval contain the true time to the limit?
 
     Args:
         found: looks at axes whose leaks grow beyond the limit.
         limit_lpm: the limit, l/min at 100 bar.
-        least_lpm: smallest size that the detector can read.
     """
-    rows = []
+    rows, hours = [], found.after.time / 3600.0
     for truth, flow in zip(found.after.true_flow_lpm, found.after.flow_lpm, strict=True):
         half, full = (int(np.argmax(truth >= share * limit_lpm)) for share in (0.5, 1.0))
-        trend = growth(found.after.time[: half + 1], flow[: half + 1], limit_lpm, least_lpm)
-        left = float(found.after.time[full] - found.after.time[half]) / 3600.0
-        expected = trend.hours_to_limit
+        expected, left = growth(hours[: half + 1], flow[: half + 1], limit_lpm).ahead, float(hours[full] - hours[half])
         row = {"hours_left": left, **expected.columns("expected_hours")}
         rows.append(row | {"holds": float(expected.low <= left <= expected.high)})
     return pd.DataFrame(rows)

@@ -1,9 +1,12 @@
 """The trend of a growing leak, and the time until its size reaches a limit.
 
-The trend is that of log10 of the estimated size, averaged over blocks that are long against a window: the residuals of
-a straight line through the blocks are nearly independent. The time to a limit has the interval of Fieller (*Some
-problems in interval estimation*, J. Royal Statistical Society B 16, 1954): all times at which the limit lies within the
-confidence band of the line.
+The model: log10 of the size is level, then from a knee on rises in a straight line. The errors of the readings have two
+parts, one that is independent from reading to reading, and one that lasts (an exponential correlation): readings in one
+manner of operation err alike. Knee, share and length of the lasting part are averaged over, each weighted by how well
+it explains the readings (Bayes, with flat priors of level and slope); level, slope and size of the errors have closed
+forms (Student's t). A straight line with independent errors, without this average, gives intervals that are too narrow.
+A reading far from the line through its neighbours is left out. An error that all readings share, as of a thermometer,
+moves the level, and widens what is said about it.
 """
 
 from __future__ import annotations
@@ -11,70 +14,184 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import t as student
 
-from hydro_agents.running.statistics import CONFIDENCE, Interval
+from hydro_agents.running.statistics import Interval
 
-BLOCK, LEAST_BLOCKS = 10.0, 5  # s, length of the blocks of looks for the trend of a growing leak; fewest of them
+INSIDE = 0.9  # probability of the intervals
+EARLIEST = 0.01  # probability that the limit is reached before "not before"
+FEWEST = 5  # readings, for a trend
+MOST = 150  # readings; more are averaged
+LASTING = (0.3, 0.6, 0.9)  # shares of the lasting errors in the variance, beside none
+LENGTHS = (0.03, 0.1, 0.3)  # of the lasting errors, as a share of the time between the first and the last reading
+KNEES = 10  # places of the knee, beside the first reading
+STRAIGHT = 0.5  # probability beforehand of no knee, and of no lasting errors
+AFTER_KNEE = 3  # fewest readings after the knee
+KNOWN_FREEDOM = 4.0  # degrees of freedom that standard deviations of the readings are worth
+FARTHEST = 100.0  # time to the limit that counts as never, as a multiple of the time of the readings
+NEIGHBOURS, FAR, MOST_USUAL = 4, 4.0, 0.7
+"""Readings on either side with which one is compared; largest distance in standard deviations; least share inside."""
+NEGLIGIBLE = 1e-4  # weight relative to the largest one
+LEAST_ERROR = 0.01  # decades, standard deviation that no reading beats
+
+Floats = NDArray[np.float64]
 
 
 class Growth(NamedTuple):
-    """Trend of one axis; NaN where there are too few looks, infinity where the limit is never reached."""
+    """Trend of one axis in the caller's unit of time; NaN where there are too few readings."""
 
-    decades_per_hour: Interval
-    hours_to_limit: Interval  # from the last look on; 0: reached already
+    rate: Interval  # decades per unit of time
+    ahead: Interval  # from the last time to the limit; 0: reached already, infinity: never
+    not_before: float  # the same, which the limit is reached before with a probability of EARLIEST
+    grows: float  # probability that it grows
+    level: Interval  # size at the last time
+
+    @classmethod
+    def unknown(cls) -> Growth:
+        """No trend."""
+        nothing = Interval(np.nan, np.nan, np.nan)
+        return cls(nothing, nothing, np.nan, np.nan, nothing)
 
 
-def growth(time: NDArray[Any], flow_lpm: NDArray[Any], limit_lpm: float, least_lpm: float = 0.0) -> Growth:
+class _Part(NamedTuple):
+    """Trend for one knee and one kind of errors: a Student distribution of level and slope."""
+
+    mean: Floats  # (2,), log10 of the size now, and slope
+    spread: Floats  # (2, 2)
+    weight: float  # logarithm
+
+
+def growth(
+    time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike | None = None, common: float = 0.0
+) -> Growth:
     """Growth of the leak of one axis.
 
     Args:
-        time: (L,), s, of the looks.
-        flow_lpm: (L,), estimated leak, l/min at 100 bar; NaN: no estimate.
-        limit_lpm: the limit, l/min at 100 bar.
-        least_lpm: smallest size that the detector can read; blocks up to the last one below it are left out.
+        time: (L,), rising, of the readings; the last one is "now", whether it has a size or not.
+        size: (L,), the leak; NaN: no reading.
+        limit: of the size, in its unit.
+        deviation: (L,), standard deviation of the size; ``None``: alike in all readings, as a share of the size.
+        common: standard deviation of an error that all readings share, decades.
     """
-    unknown = Interval(np.nan, np.nan, np.nan)
-    flow = np.asarray(flow_lpm, dtype=np.float64)
-    known = np.isfinite(flow) & (flow > 0.0)
-    hours, size = np.asarray(time, dtype=np.float64)[known] / 3600.0, np.log10(flow[known])
-    if not len(hours):
-        return Growth(unknown, unknown)
-    which = np.unique(((hours - hours[0]) * 3600.0 / BLOCK).astype(np.int64), return_inverse=True)[1]
-    counts = np.bincount(which)
-    x, y = np.bincount(which, hours) / counts, np.bincount(which, size) / counts
-    below = np.flatnonzero(y < np.log10(max(least_lpm, 1e-12)))
-    x, y = (values[below[-1] + 1 :] if len(below) else values for values in (x, y))
-    if len(x) < LEAST_BLOCKS:
-        return Growth(unknown, unknown)
-    centre, spread = x.mean(), float(((x - x.mean()) ** 2).sum())
-    slope = float(((x - centre) * y).sum() / spread)
-    level = float(y.mean())
-    freedom = len(x) - 2
-    variance = float(((y - level - slope * (x - centre)) ** 2).sum()) / freedom
-    factor = float(student.ppf(0.5 * (1.0 + CONFIDENCE), freedom))
-    half = factor * np.sqrt(variance / spread)
-    missing = float(np.log10(limit_lpm)) - level
-    end = float(hours[-1] - centre)
-    low, high = _crossing(slope, missing, factor**2 * variance, len(x), spread)
-    expected = missing / slope if slope > 0.0 else (-np.inf if missing <= 0.0 else np.inf)
-    ahead = [max(value - end, 0.0) for value in (expected, low, high)]
-    return Growth(Interval(slope, slope - half, slope + half), Interval(*ahead))
+    when, what = (np.asarray(values, dtype=np.float64) for values in (time, size))
+    known = np.isfinite(what) & np.isfinite(when)
+    if deviation is None:
+        known &= what > 0.0
+        y, error = np.log10(np.where(known, what, 1.0)), np.full(len(what), np.nan)
+    else:
+        sigma = np.asarray(deviation, dtype=np.float64)
+        known &= np.isfinite(sigma)
+        least = 0.01 * limit
+        y = np.log10(0.5 * (what + np.hypot(what, 2.0 * least)))  # of sizes about zero, too
+        error = np.hypot(sigma / np.hypot(what, 2.0 * least) / np.log(10.0), LEAST_ERROR)
+    known[known] = _usual(when[known], y[known], error[known])
+    if known.sum() < FEWEST or np.ptp(when[known]) <= 0.0:
+        return Growth.unknown()
+    x, y, error = _averaged(when[known], y[known], error[known])
+    now, span = float(np.nanmax(when)), float(x[-1] - x[0])
+    parts = _parts((x - now) / span, y, error)
+    freedom = len(x) - 2 + (KNOWN_FREEDOM if deviation is not None else 0.0)
+    weight = np.exp(np.array([part.weight for part in parts]) - max(part.weight for part in parts))
+    likely = np.flatnonzero(weight > NEGLIGIBLE)
+    weight = weight[likely] / weight[likely].sum()
+    mean, spread = (np.array([parts[k][field] for k in likely]) for field in (0, 1))
+    spread[:, 0, 0] += common**2
+
+    def beyond(ahead: ArrayLike, logarithm: float) -> Floats:
+        """Probability that the trend is above a size at times from now on, in spans."""
+        row = np.atleast_1d(np.asarray(ahead, dtype=np.float64))[:, None]
+        middle = mean[:, 0] + row * mean[:, 1]
+        variance = spread[:, 0, 0] + 2.0 * row * spread[:, 0, 1] + row**2 * spread[:, 1, 1]
+        return np.asarray(student.cdf((middle - logarithm) / np.sqrt(variance), freedom) @ weight)
+
+    def mixed(column: int) -> Interval:
+        """Quantiles of level or slope."""
+        half = np.sqrt(spread[:, column, column])
+        ends = mean[:, column] + np.outer([-12.0, 12.0], half)
+        grid = np.linspace(ends.min(), ends.max(), 1001)
+        below = student.cdf((grid[:, None] - mean[:, column]) / half, freedom) @ weight
+        low, value, high = np.interp([0.5 - 0.5 * INSIDE, 0.5, 0.5 + 0.5 * INSIDE], below, grid)
+        return Interval(float(value), float(low), float(high))
+
+    ahead = np.concatenate([[0.0], np.geomspace(1e-4, FARTHEST, 700)])
+    reached = np.maximum.accumulate(beyond(ahead, float(np.log10(limit))))
+
+    def when_reached(probability: float) -> float:
+        place = int(np.searchsorted(reached, probability))
+        if place == 0 or place == len(ahead):
+            return 0.0 if place == 0 else np.inf
+        return span * float(np.interp(probability, reached[place - 1 : place + 1], ahead[place - 1 : place + 1]))
+
+    rate, level = mixed(1), mixed(0)
+    slopes = student.cdf(mean[:, 1] / np.sqrt(spread[:, 1, 1]), freedom)
+    low, value, high = (when_reached(share) for share in (0.5 - 0.5 * INSIDE, 0.5, 0.5 + 0.5 * INSIDE))
+    return Growth(
+        Interval(*(part / span for part in rate)),
+        Interval(value, low, high),
+        when_reached(EARLIEST),
+        float(slopes @ weight),
+        Interval(*(float(10.0**part) for part in level)),
+    )
 
 
-def _crossing(slope: float, missing: float, width: float, count: int, spread: float) -> tuple[float, float]:
-    """Times x after the centre that bound (missing − slope · x)² ≤ width · (1/count + x²/spread)."""
-    a = slope**2 - width / spread
-    b = -2.0 * slope * missing
-    c = missing**2 - width / count
-    inside = b * b - 4.0 * a * c
-    if a > 0.0 and slope > 0.0:  # the trend is significant: two ends
-        root = np.sqrt(max(inside, 0.0))
-        return (-b - root) / (2.0 * a), (-b + root) / (2.0 * a)
-    if a > 0.0:  # it falls significantly
-        return (-np.inf, -np.inf) if missing <= 0.0 else (np.inf, np.inf)
-    if inside < 0.0 or c <= 0.0:  # nothing excluded
-        return -np.inf, np.inf
-    root = np.sqrt(inside)  # a < 0: outside both roots
-    return max((-b - root) / (2.0 * a), (-b + root) / (2.0 * a)), np.inf
+def _usual(x: Floats, y: Floats, error: Floats) -> NDArray[np.bool_]:
+    """Readings that are not far from the line through their neighbours (Theil and Sen: medians of slope and level)."""
+    count, reach = len(x), 2 * NEIGHBOURS
+    if count <= reach:
+        return np.ones(count, dtype=np.bool_)
+    rest = np.empty(count)
+    for k in range(count):
+        first = min(max(k - NEIGHBOURS, 0), count - 1 - reach)
+        near = np.delete(np.arange(first, first + reach + 1), k - first)
+        one, two = np.triu_indices(reach, 1)
+        step = x[near][two] - x[near][one]
+        slopes = (y[near][two] - y[near][one])[step > 0.0] / step[step > 0.0]
+        slope = float(np.median(slopes)) if len(slopes) else 0.0
+        rest[k] = y[k] - np.median(y[near] - slope * (x[near] - x[k]))
+    usual = 1.483 * float(np.median(np.abs(rest)))
+    inside = np.abs(rest) <= FAR * np.fmax(usual, np.nan_to_num(error))
+    return inside if inside.mean() >= MOST_USUAL else np.ones(count, dtype=np.bool_)
+
+
+def _averaged(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats, Floats]:
+    """At most MOST readings, each the mean of neighbours."""
+    if len(x) <= MOST:
+        return x, y, error
+    groups = np.array_split(np.arange(len(x)), MOST)
+    means = [np.array([values[group].mean() for group in groups]) for values in (x, y, error)]
+    return means[0], means[1], means[2]
+
+
+def _parts(x: Floats, y: Floats, error: Floats) -> list[_Part]:
+    """The trend for each knee and each kind of errors; ``x`` is in spans of the readings, 0 now."""
+    given = bool(np.isfinite(error).all())
+    usual = error if given else np.ones(len(x))
+    scale = float(np.sqrt(np.mean(usual**2)))
+    own = np.diag((usual / scale) ** 2)
+    known = KNOWN_FREEDOM * scale**2 if given else 0.0
+    later = np.flatnonzero(np.arange(len(x)) <= len(x) - AFTER_KNEE - 1)[1:]
+    knees = x[np.unique(later[np.linspace(0, len(later) - 1, min(KNEES, len(later))).astype(np.int64)])]
+    kinds = [(0.0, 1.0, STRAIGHT)]
+    kinds += [(share, length, (1.0 - STRAIGHT) / 9.0) for share in LASTING for length in LENGTHS]
+    distance, found = np.abs(x[:, None] - x), []
+    for share, length, kind in kinds:
+        factor = cho_factor((1.0 - share) * own + share * np.exp(-distance / length), lower=True)
+        for knee, first in ((x[0], STRAIGHT), *((place, (1.0 - STRAIGHT) / len(knees)) for place in knees)):
+            found.append(_part(x, y, factor, knee, known, np.log(kind * first), given))
+    return found
+
+
+def _part(x: Floats, y: Floats, factor: Any, knee: float, known: float, before: float, given: bool) -> _Part:
+    bent = np.maximum(x, knee)  # level before the knee; 0 now
+    design = np.column_stack([np.ones(len(x)), bent])
+    weighted = cho_solve(factor, design)
+    information = design.T @ weighted
+    mean = np.linalg.solve(information, weighted.T @ y)
+    rest = y - design @ mean
+    squares = float(rest @ cho_solve(factor, rest)) + known + 1e-12
+    freedom = len(x) - 2 + (KNOWN_FREEDOM if given else 0.0)
+    weight = before - np.log(np.diag(factor[0])).sum() - 0.5 * np.linalg.slogdet(information)[1]
+    weight -= 0.5 * freedom * np.log(squares)
+    return _Part(mean, squares / freedom * np.linalg.inv(information), float(weight))

@@ -6,12 +6,10 @@ Channels of MDF4 and TDMS have their own time stamps, which are kept. If the sta
 
 from __future__ import annotations
 
-import csv
 import importlib
 import io
-import re
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,24 +17,30 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.recordings.columns import UNITS, split_heading
 from hydro_agents.recordings.findings import Finding, Weight
 from hydro_agents.recordings.mat_files import Channel, read_mat
+from hydro_agents.recordings.mdf_files import mdf_pieces, read_mdf
+from hydro_agents.recordings.text_tables import (
+    OTHER_ENCODING,
+    csv_errors,
+    csv_options,
+    decimal_of,
+    decoded,
+    found_table,
+)
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 
 LARGEST_RECORDING = 200_000_000  # largest size in bytes; about three hours at 200 rows per second as CSV
-OTHER_ENCODING = "cp1252"  # of texts that are not UTF-8: that of Western Windows programs
+ANY_LENGTH = "hydro trend reads CSV, Parquet and MDF4 files of any length"
 
 LONGEST_STEP = 2.0
 """Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
 
+PIECE = 200_000  # rows that are in memory at once
+BEGINNING = 200_000  # bytes of a text file, in which its headings stand
+
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
-MOST_LINES = 200  # in which the headings must stand
-
-SPACES = r"\s+"  # any number of spaces between two columns
-
-_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 
 Floats = NDArray[np.float64]
 
@@ -57,15 +61,88 @@ def read_columns(path: Path) -> Columns:
         ConfigurationError: the file is unreadable, too large or not a table, or its library is not installed.
     """
     kind = path.suffix.lower()
-    if kind not in _READERS:
-        return _read_csv(path)
     try:
         size = path.stat().st_size
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError:  # an impossible name: the reader says so
+        size = 0
     if size > LARGEST_RECORDING:
-        raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB")
+        raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; {ANY_LENGTH}")
+    if kind not in _READERS:
+        return _read_csv(path)
     library, read = _READERS[kind]
+    with library_errors(path, library) as module:
+        columns = read(path, module)
+    if not columns.cells or not max(map(len, columns.cells)):
+        raise ConfigurationError(f"{path}: holds no numbers")
+    return columns
+
+
+def pieces(path: Path, rows: int = PIECE) -> Iterator[Columns]:
+    """The rows of a file of any length, ``rows`` at a time; TDMS and MAT files are read as a whole.
+
+    Raises:
+        ConfigurationError: as :func:`read_columns`, but not for the size of CSV, Parquet and MDF4 files.
+    """
+    kind = path.suffix.lower()
+    if not path.is_file():
+        read_text(path)  # says why
+    if kind == ".parquet":
+        with library_errors(path, "pyarrow.parquet") as parquet, parquet.ParquetFile(path) as file:
+            for batch in file.iter_batches(batch_size=rows):
+                yield of_table(batch.to_pandas())
+    elif kind in (".mf4", ".mdf"):
+        with library_errors(path, "asammdf") as asammdf, asammdf.MDF(path) as file:
+            for channels in mdf_pieces(file):
+                yield of_channels(channels)
+    elif kind in _READERS:
+        yield read_columns(path)
+    else:
+        yield from _csv_pieces(path, rows)
+
+
+def _mdf_stamps(file: Any, number: int, rows: int) -> Floats:
+    """The stamps of a group; read in pieces, because the library reads all channels of its records with them."""
+    count = int(file.groups[number].channel_group.cycles_nr)
+    parts = [file.get_master(number, record_offset=k, record_count=min(rows, count - k)) for k in range(0, count, rows)]
+    return np.concatenate([np.zeros(0), *(np.asarray(part, dtype=np.float64) for part in parts)])
+
+
+def started(path: Path) -> float | None:
+    """Start of a measurement that the header of an MDF4 file gives, s since 1970; ``None`` for other files."""
+    if path.suffix.lower() not in (".mf4", ".mdf"):
+        return None
+    with library_errors(path, "asammdf") as asammdf, asammdf.MDF(path) as file:
+        return float(file.header.start_time.timestamp())
+
+
+def _csv_pieces(path: Path, rows: int) -> Iterator[Columns]:
+    try:
+        with open(path, "rb") as file:
+            content = file.read(BEGINNING)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    content = content[: content.rfind(b"\n") + 1] if len(content) == BEGINNING else content
+    encoding, text = decoded(content)
+    found = found_table(text, path)
+    options = csv_options(found, decimal_of(found, text))
+    first_line = found.first_line
+    with csv_errors(path):
+        skipped = {"skiprows": first_line - 1, "encoding": encoding, "encoding_errors": "replace", "chunksize": rows}
+        with pd.read_csv(path, **options, **skipped) as reader:
+            for table in reader:
+                yield of_table(table.set_axis(found.headings, axis=1), first_line)
+                first_line += len(table)
+
+
+@contextmanager
+def library_errors(path: Path, library: str) -> Iterator[Any]:
+    """The library that reads a file, and its errors in one line each.
+
+    Raises:
+        ConfigurationError: it is not installed, or any of its errors.
+    """
     try:
         module = importlib.import_module(library)
     except ImportError:
@@ -73,15 +150,12 @@ def read_columns(path: Path) -> Columns:
             f"{path}: files of this kind need the library {library}: pip install 'hydro_env[recordings]'"
         ) from None
     try:
-        columns = read(path, module)
+        yield module
     except ConfigurationError:
         raise
     except Exception as error:  # a damaged file makes these libraries raise errors of any kind
         reason = " ".join(str(error).split())[:150] or type(error).__name__
-        raise ConfigurationError(f"{path}: is not a readable {kind} file: {reason}") from None
-    if not columns.cells or not max(map(len, columns.cells)):
-        raise ConfigurationError(f"{path}: holds no numbers")
-    return columns
+        raise ConfigurationError(f"{path}: is not a readable {path.suffix.lower()} file: {reason}") from None
 
 
 def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], list[Finding]]:
@@ -130,57 +204,28 @@ def _interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
 def _read_csv(path: Path) -> Columns:
     """The table of a text file: its headings stand in the line above the first line of numbers (:func:`find_table`)."""
     text = read_text(path, LARGEST_RECORDING, OTHER_ENCODING)
-    try:
-        found = find_table(text)
-    except csv.Error as error:
-        raise ConfigurationError(f"{path}: is not a table: {error}") from None
-    if found is None:
-        raise ConfigurationError(f"{path}: holds no table")
-    decimal = "," if found.separator != "," and "," in text[found.start : found.start + 100_000] else "."
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            table = pd.read_csv(
-                io.StringIO(text[found.start :]),
-                sep=found.separator,
-                decimal=decimal,
-                header=None,
-                names=range(len(found.headings)),
-                index_col=False,
-                skipinitialspace=True,
-                low_memory=False,
-            )
-    except pd.errors.ParserWarning:
-        raise ConfigurationError(f"{path}: rows have more columns than the line of headings") from None
-    except (ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
-        raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None
+    found = found_table(text, path)
+    with csv_errors(path):
+        table = pd.read_csv(io.StringIO(text[found.start :]), **csv_options(found, decimal_of(found, text)))
     if not len(table):
         raise ConfigurationError(f"{path}: holds headings but no rows")
-    return _of_table(table.set_axis(found.headings, axis=1), found.first_line)
+    return of_table(table.set_axis(found.headings, axis=1), found.first_line)
 
 
-def _of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
+def of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
+    """The columns of a table; an index with a name is one of them."""
+    table = table.reset_index() if table.index.name is not None else table
     headings = [str(name) for name in table.columns]
     return Columns(headings, [table.iloc[:, k] for k in range(len(headings))], [None] * len(headings), first_line)
 
 
 def _read_parquet(path: Path, _: Any) -> Columns:
-    table = pd.read_parquet(path, engine="pyarrow")
-    return _of_table(table.reset_index() if table.index.name is not None else table)
+    return of_table(pd.read_parquet(path, engine="pyarrow"))
 
 
 def _read_mdf(path: Path, asammdf: Any) -> Columns:
-    channels = []
     with asammdf.MDF(path) as file:
-        for number, group in enumerate(file.groups):
-            for place in range(len(group.channels)):
-                if place == file.masters_db.get(number):
-                    continue
-                signal = file.get(group=number, index=place)
-                if np.ndim(signal.samples) == 1 and np.issubdtype(signal.samples.dtype, np.number):
-                    stamps = np.asarray(signal.timestamps, dtype=np.float64)
-                    channels.append(Channel(f"group {number}", signal.name, signal.unit or "", signal.samples, stamps))
-    return _of_channels(channels)
+        return of_channels(read_mdf(file))
 
 
 def _read_tdms(path: Path, nptdms: Any) -> Columns:
@@ -194,15 +239,15 @@ def _read_tdms(path: Path, nptdms: Any) -> Columns:
             # Only a waveform has stamps; otherwise a column of the file is the time.
             stamps = channel.time_track() if "wf_increment" in channel.properties else None
             channels.append(Channel(group.name, channel.name, unit, values, stamps))
-    return _of_channels(channels)
+    return of_channels(channels)
 
 
 def _read_mat(path: Path, scipy_io: Any) -> Columns:
-    return _of_channels(read_mat(path, scipy_io))
+    return of_channels(read_mat(path, scipy_io))
 
 
-def _of_channels(channels: Sequence[Channel]) -> Columns:
-    """Headings ``name [unit]``, with the group before names that occur twice; the common time comes first."""
+def of_channels(channels: Sequence[Channel]) -> Columns:
+    """Channels as columns: headings ``name [unit]``, with the group before names that occur twice; time comes first."""
     names = [channel.name for channel in channels]
     headings = [
         (f"{c.group}/{c.name}" if names.count(c.name) > 1 else c.name) + (f" [{c.unit}]" if c.unit else "")
@@ -223,92 +268,3 @@ _READERS: dict[str, tuple[str, Callable[[Path, Any], Columns]]] = {
     ".tdms": ("nptdms", _read_tdms),
     ".mat": ("scipy.io", _read_mat),
 }
-
-
-class Found(NamedTuple):
-    """Where the table stands."""
-
-    headings: list[str]
-    separator: str
-    start: int  # characters before the first row
-    first_line: int  # line of the first row, from 1
-
-
-def find_table(text: str) -> Found | None:
-    """Headings and first row of a table; ``None``: the text holds no line.
-
-    The headings are the first line that has as many cells as most lines, more than half of them filled and none a
-    number; without such a line, the first one. If the line below holds units, each heading gets its own: ``P_A [bar]``.
-    What stands before the headings, empty lines and lines that begin with ``#`` are skipped; without headings, the
-    last comment above the numbers counts if it has as many cells. Spaces separate columns where nothing else does.
-
-    Raises:
-        csv.Error: a line is too long for a table.
-    """
-    lines = _lines(text)
-    if not lines:
-        return None
-    separator = next((mark for mark in ";\t," if 2 * sum(mark in line.text for line in lines) > len(lines)), SPACES)
-    if separator == SPACES and not all(_NUMBER.fullmatch(cell) for cell in lines[-1].text.split()):
-        separator = ","
-    rows = [_cells(line.text, separator) for line in lines]
-    widths = [len(row) for row in rows]
-    usual = max(set(widths), key=widths.count)
-    place = next((k for k, row in enumerate(rows) if len(row) == usual and _are_headings(row)), None)
-    if place is None:
-        above = _cells(lines[0].comment, "," if separator == SPACES and "," in lines[0].comment else separator)
-        if len(above) == usual and _are_headings(above):
-            return Found(above, separator, lines[0].begin, lines[0].number)
-        place = 0
-    headings = rows[place]
-    if place + 1 < len(rows) and len(rows[place + 1]) == len(headings) and _are_units(rows[place + 1]):
-        place += 1
-        headings = [_with_unit(name, unit) for name, unit in zip(headings, rows[place], strict=True)]
-    return Found(headings, separator, lines[place].end, lines[place].number + 1)
-
-
-class _Line(NamedTuple):
-    begin: int  # characters before it
-    end: int  # characters up to the next line
-    number: int  # from 1
-    text: str
-    comment: str  # the last one above, without its mark
-
-
-def _lines(text: str) -> list[_Line]:
-    """The first lines that are neither empty nor comments."""
-    lines: list[_Line] = []
-    start, number, comment = 0, 0, ""
-    while start < len(text) and len(lines) < MOST_LINES:
-        end = text.find("\n", start)
-        end = end if end >= 0 else len(text)
-        line, number = text[start:end].strip("\r"), number + 1
-        if line.lstrip().startswith("#"):
-            comment = line.strip().lstrip("# ")
-        elif line.strip():
-            lines.append(_Line(start, end + 1, number, line, comment))
-        start = end + 1
-    return lines
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    if separator == SPACES:
-        return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
-
-
-def _are_headings(cells: list[str]) -> bool:
-    """More than half of the cells are filled, and none is a number."""
-    return 2 * sum(map(bool, cells)) > len(cells) and not any(map(_NUMBER.fullmatch, cells))
-
-
-def _are_units(cells: list[str]) -> bool:
-    """Whether cells are units, in brackets or not: most of those that are not empty are known ones."""
-    known = {unit for units in UNITS.values() for unit in units}
-    units = [cell.strip("[]()").replace("μ", "u").replace("µ", "u") for cell in cells if cell]
-    return 2 * sum(unit in known - {"1", "-"} for unit in units) > len(units)
-
-
-def _with_unit(name: str, unit: str) -> str:
-    unit = unit.strip("[]()")
-    return f"{name} [{unit}]" if unit and split_heading(name)[1] is None else name

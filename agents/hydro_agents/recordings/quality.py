@@ -10,6 +10,7 @@ Two balances, valid for every rig of this kind, reveal a wrong sign, exchanged c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -56,19 +57,14 @@ On the three shipped rigs it is 0 to 0.6, and 0.6 to 1.0 with exchanged chambers
 SLOPES = (0.15, 6.0)
 """Valid range of the slopes of the flow balance and of spool against command, including wear and noise."""
 
-LEAST_RESPONSE = 0.2
-"""Smallest share of a new command that the spool follows by the next sample, to identify the row of the command."""
-
-
+LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
 AXIS = "axis"  # what findings about the manner of operation are about
 STRETCH = 1.0  # s, in which an oscillation is looked for
 LEAST_FREQUENCY = 0.15  # of a limit cycle, as a share of the natural frequency of the axis on its oil
 LEAST_CYCLES = 3  # in a stretch
 LEAST_SWING = 0.05  # of the command of an oscillation, as a fraction of full command
 LEAST_POWER = 0.6  # share of the oscillation's frequency in the power of command and position
-MANY_STRETCHES = (
-    0.25  # share of the stretches with an oscillation, and of samples at full command, that is worth a word
-)
+MANY_STRETCHES = 0.25  # share of stretches that oscillate, and of samples at full command, that is worth a word
 FULL_COMMAND = 0.99  # of the largest command
 
 
@@ -96,8 +92,12 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool | N
     :func:`~hydro_agents.recordings.sampling.sampled`.
     """
     samples = sampled(recording, config, own_grid)
-    config = on_grid(config, samples.period)
-    findings = [*recording.findings, *samples.findings]
+    return check_samples(samples, recording.findings, on_grid(config, samples.period))
+
+
+def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig) -> Checked:
+    """Check samples at the control period of a task; ``known`` are earlier findings."""
+    findings = [*known, *samples.findings]
     checked = Checked(samples, findings)
     if not len(samples.time):
         return checked

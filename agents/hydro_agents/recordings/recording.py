@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.recordings.columns import BESIDE, COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
-from hydro_agents.recordings.files import read_columns, together
+from hydro_agents.recordings.files import Columns, read_columns, together
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, severe_if
 from hydro_agents.recordings.guessed_map import UnknownHeadingsError, guessed_map
 from hydro_env import ConfigurationError
@@ -30,6 +30,15 @@ class Recording(NamedTuple):
     units: dict[str, str]  # by signal, from the file or the map
     findings: list[Finding]
     beside: Floats | None = None  # (4, n), SI, in the order of BESIDE; NaN: not recorded; None: none of them
+    begin: float = 0.0  # s, stamp of the first row in the file; of dates and times since 1970
+
+    def part(self, first: int, end: int) -> Recording:
+        """A copy of the rows from ``first`` to before ``end``."""
+        shift = float(self.time[first]) if first < end else 0.0
+        signals, beside = (None if v is None else v[:, first:end].copy() for v in (self.signals, self.beside))
+        assert signals is not None
+        time, begin = self.time[first:end] - shift, self.begin + shift
+        return self._replace(time=time, signals=signals, beside=beside, begin=begin)
 
 
 def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
@@ -58,15 +67,13 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
         >>> read_recording(Path("axis.csv")).signals.shape  # position, pressures, spool position, command
         (5, 100)
     """
-    file = read_columns(path)
-    headings, source = file.headings, str(path)
-    if columns is None:
-        try:
-            columns = own_map(headings, source)
-        except ConfigurationError as error:
-            guess = guessed_map(headings, file.cells, source)
-            what = f"{error}; a map guessed from the headings stands above: save it as FILE, check it, add --map FILE"
-            raise UnknownHeadingsError(what, guess) from None
+    return recording_of(read_columns(path), str(path), columns)
+
+
+def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -> Recording:
+    """The recording in the columns of a file; errors as :func:`read_recording`."""
+    headings = file.headings
+    columns = columns or map_for(file, source)
     places = {signal: place_of(column, signal, headings, source) for signal, column in columns.columns().items()}
     cells, findings = together(file, places)
     rows = len(cells["command"])
@@ -77,16 +84,16 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
                 f"the command has {rows}, and one of them has no time of its own"
             )
     units: dict[str, str] = {}
-    time, signals = np.zeros(0), np.full((len(MEASURED) + len(BESIDE), rows), np.nan)
+    time, begin, signals = np.zeros(0), 0.0, np.full((len(MEASURED) + len(BESIDE), rows), np.nan)
     for signal, column in columns.columns().items():
-        values = _time_stamps(cells[signal]) if signal == "time" else None
+        values, origin = _time_stamps(cells[signal]) if signal == "time" else (None, 0.0)
         if values is None:
             values = _numbers(cells[signal], signal, file.first_line, findings)
             units[signal], size = unit_of(column, signal, headings[places[signal]], source)
             values = size * (column.gain * values + column.offset)
         values[~np.isfinite(values)] = np.nan
         if signal == "time":
-            time = values
+            time, begin = values, origin
         else:
             signals[(*MEASURED, *BESIDE).index(signal)] = values
     if columns.command.rows_early:
@@ -108,7 +115,22 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
         )
     time = time[known]
     beside = signals[len(MEASURED) :, known] if any(getattr(columns, name) for name in BESIDE) else None
-    return Recording(source, time - time[0], signals[: len(MEASURED), known], units, findings, beside)
+    measured = signals[: len(MEASURED), known]
+    return Recording(source, time - time[0], measured, units, findings, beside, begin + float(time[0]))
+
+
+def map_for(file: Columns, source: str) -> ColumnMap:
+    """The map of a file with the headings of this project.
+
+    Raises:
+        UnknownHeadingsError: the headings are others; it holds a guess.
+    """
+    try:
+        return own_map(file.headings, source)
+    except ConfigurationError as error:
+        guess = guessed_map(file.headings, file.cells, source)
+        what = f"{error}; a map guessed from the headings stands above: save it as FILE, check it, add --map FILE"
+        raise UnknownHeadingsError(what, guess) from None
 
 
 def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:
@@ -124,22 +146,23 @@ def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Find
     return values
 
 
-def _time_stamps(cells: pd.Series) -> Floats | None:
-    """Seconds since the first date and time; ``None`` if the cells are numbers or other text.
+def _time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
+    """Seconds since the first date and time, and its own since 1970; ``None`` if the cells are numbers or other text.
 
     ``2026-03-01T08:00:00.005`` (ISO 8601) and ``01.03.2026 08:00:00,005`` (day, month, year) are understood.
     """
     if pd.api.types.is_numeric_dtype(cells):
-        return None
+        return None, 0.0
     stamps = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
     if stamps.isna().mean() > 0.5:
         texts = cells.astype(str).str.strip().str.replace(",", ".")
         texts = texts.where(texts.str.count(r"\.") == 3, texts + ".0")  # two in the date, one before parts of a second
         stamps = pd.to_datetime(texts, errors="coerce", utc=True, format="%d.%m.%Y %H:%M:%S.%f")
     if stamps.isna().mean() > 0.5:
-        return None
-    seconds: Floats = (stamps - stamps.dropna().iloc[0]).dt.total_seconds().to_numpy(dtype=np.float64).copy()
-    return seconds
+        return None, 0.0
+    first = stamps.dropna().iloc[0]
+    seconds: Floats = (stamps - first).dt.total_seconds().to_numpy(dtype=np.float64).copy()
+    return seconds, float(first.timestamp())
 
 
 def _shifted(values: Floats, rows: int) -> Floats:

@@ -17,7 +17,7 @@ from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.estimate import estimate, usable_readings
 from hydro_agents.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_agents.estimation.result import Estimate
-from hydro_agents.estimation.search import EstimationSettings, search
+from hydro_agents.estimation.search import UNKNOWN_COMMANDS, EstimationSettings, search, timing_priors
 from hydro_agents.estimation.solver import (
     Belief,
     channel_weights,
@@ -28,7 +28,7 @@ from hydro_agents.estimation.solver import (
     prior_belief,
     without,
 )
-from hydro_agents.estimation.unknowns import STARTS, Prior
+from hydro_agents.estimation.unknowns import LATENCY, STARTS, Prior
 from hydro_env import TaskConfig
 
 Array = NDArray[np.float64]
@@ -208,9 +208,46 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
             other = _alone(windows.part(again), config, priors, RANDOMLY)
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
             second = _common_fit(windows, config, priors, alone, report)
-            best = max(best, second, key=lambda one: (one.explained, -float(np.median(one.misfit))))
+            best = max(best, second, key=_quality)
+    if 2 * best.explained < len(windows) and config.sensors.enabled:
+        timed = _with_timing(windows, config, best, report)
+        best = max(best, timed, key=_quality)
     report("common fit", 1, 1)
     return best
+
+
+def _quality(found: Common) -> tuple[int, float]:
+    return found.explained, -float(np.median(found.misfit))
+
+
+def _with_timing(windows: Windows, config: TaskConfig, found: Common, report: Report) -> Common:
+    """The fit continued with latency of the command and rise time of the transducers as further common unknowns.
+
+    The command may stand a row early or late: the row at which the readings differ least begins.
+    """
+    kept = np.flatnonzero(np.isfinite(found.misfit))
+    more = {name: prior for name, prior in timing_priors(config).items() if name not in found.model.names}
+    if not more:
+        return found
+    model, readings = _replayed(windows.part(kept), config, found.model.priors | more)
+    readings[:, :, :UNKNOWN_COMMANDS] = readings[:, :, -UNKNOWN_COMMANDS:] = np.nan  # of commands beyond the windows
+    first = np.concatenate([found.joint.scaled, np.zeros((len(kept), len(more)))], axis=1)
+    trials = [first]
+    if LATENCY in more:
+        for rows in (-1.0, 1.0):
+            moved = first.copy()
+            moved[:, model.names.index(LATENCY)] = rows * config.control_period / more[LATENCY].deviation
+            trials.append(moved)
+
+    def progress(done: int, total: int) -> None:
+        report("timing", done, total)
+
+    rough = [_descend(model, readings, trial, shared_and_own(model)[0], progress, ROUGH_TOLERANCE, LONG_STEP)[0]
+             for trial in trials]  # fmt: skip
+    joint = fit_together(model, readings, rough[int(np.argmin(costs_of(model, readings, rough)))], progress)
+    misfit = np.full(len(windows), np.inf)
+    misfit[kept] = joint.misfit
+    return Common(model, readings, joint, misfit, None)
 
 
 def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], settings: EstimationSettings) -> Estimate:

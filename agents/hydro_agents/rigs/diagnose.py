@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -25,7 +25,7 @@ from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import Sampled, bridged, cut
 from hydro_agents.rigs.data_sheet import contradictions, worst_signal
 from hydro_agents.rigs.parts import lively
-from hydro_agents.rigs.verdict import UNREAD, Limits, Verdict, by_volume, judge
+from hydro_agents.rigs.verdict import EXIT_CODES, UNREAD, Limits, Verdict, by_volume, judge
 from hydro_env import TaskConfig
 
 Progress = Callable[[str, int, int], None]
@@ -136,7 +136,7 @@ def diagnose(
                 progress("estimator", finished, fits)
 
         done(0)
-        estimator, fitted = _read(windows, config, done)
+        estimator, fitted = read_windows(windows, config, done)
         if fitted is not None:
             checked = Checked(whole, [*checked.findings, *contradictions(fitted, config)])
         if not note:
@@ -154,14 +154,19 @@ def diagnose(
     return Diagnosis(recording, config, checked, windows, estimator, reading, limits, verdict, watched, note, fitted)
 
 
-def _read(windows: Windows, config: TaskConfig, progress: Callable[[int], None]) -> tuple[Reading, Estimate | None]:
-    """Read all windows with the estimator; if the model explains none of the liveliest, the others are not tried."""
-    detector, count = EstimatorDetector(threads=None), len(windows)
+def read_windows(
+    windows: Windows, config: TaskConfig, progress: Callable[[int], None] | None = None, threads: int | None = None
+) -> tuple[Reading, Estimate | None]:
+    """Read all windows with the estimator; if the model explains none of the liveliest, the others are not tried.
+
+    ``threads`` is that of :class:`~hydro_agents.detection.estimator.EstimatorDetector`.
+    """
+    detector, count = EstimatorDetector(threads=threads), len(windows)
     commanded = np.flatnonzero(windows.commanded)
     first = commanded[lively(windows.part(commanded), FIRST_WINDOWS)]
     if not len(first):
         return detector.read_and_fit(windows, config)
-    hasty = EstimatorDetector(threads=None, restarts=1)
+    hasty = EstimatorDetector(threads=threads, restarts=1)
     reading, fitted = hasty.read_and_fit(windows.part(first), config, progress)
     others = np.setdiff1d(np.arange(count), first)
     if not len(others):
@@ -169,7 +174,8 @@ def _read(windows: Windows, config: TaskConfig, progress: Callable[[int], None])
     if fitted is None or not fitted.holds.any():
         unread = Reading.of(np.full(len(others), np.nan), Cause.UNKNOWN, why=(UNREAD,) * len(others))
         return reading.followed_by(unread).among(np.concatenate([first, others]), count, ""), fitted
-    rest, more = detector.read_and_fit(windows.part(others), config, lambda done: progress(2 * len(first) + done))
+    later = None if progress is None else lambda done: progress(2 * len(first) + done)
+    rest, more = detector.read_and_fit(windows.part(others), config, later)
     whole = reading.followed_by(rest).among(np.concatenate([first, others]), count, "")
     return whole, fitted if more is None else join([fitted, more])
 
@@ -222,6 +228,22 @@ def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:
                 f"{name}_remark": reading.why,
             }
     return pd.DataFrame(columns)
+
+
+def in_json(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Verdict and findings for another program; leaks in l/min at 100 bar, ``None``: unknown."""
+    verdict = diagnosis.verdict
+    leak = None if verdict.leak is None else verdict.leak._asdict()
+    return {
+        "recording": diagnosis.recording.source,
+        "verdict": verdict.kind.value,
+        "exit_code": EXIT_CODES[verdict.kind],
+        "reason": verdict.why,
+        "leak": leak,
+        "detector": verdict.detector,
+        "windows": len(diagnosis.windows),
+        "findings": [finding.line() for finding in diagnosis.checked.findings],
+    }
 
 
 def findings_table(findings: list[Finding]) -> str:

@@ -9,7 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, PATHS
+from hydro_agents.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    LATENCY,
+    LEAKAGE,
+    PATHS,
+    RISE_TIME,
+)
 from hydro_agents.rigs.fit import Fit
 from hydro_agents.rigs.intervals import within_bounds
 from hydro_agents.running.text import decimals_for, number
@@ -25,6 +33,9 @@ READ_IN = {"Pa": "bar", "m³/s": "l/min", "m": "mm", "m³": "cm³", "rad/s": "Hz
 
 SHARES = ("overlap", "underlap", "null_shift", "air_fraction")
 """Fields without a unit that data sheets give in per cent."""
+
+TIMING = {LATENCY: "latency of the command", RISE_TIME: "rise time of the pressure transducers"}
+"""Unknowns of the recording, and not of the rig, by name."""
 
 _BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
 
@@ -67,6 +78,12 @@ def found_biases(fit: Fit) -> list[float]:
     """Bias of each channel, SI; 0 where it was not fitted."""
     own = fit.own()
     return [own.get(name, 0.0) for name in BIASES]
+
+
+def found_timing(fit: Fit) -> dict[str, float]:
+    """Latency of the command and rise time of the transducers, s, where the task's did not hold."""
+    own = fit.own()
+    return {name: own[name] for name in TIMING if name in own}
 
 
 def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
@@ -265,6 +282,8 @@ def shown(name: str, plant: PlantParameters) -> Shown:
         return Shown("leak past the piston", 1.0, "l/min at 100 bar")
     if name == EXTERNAL_LEAKAGE:
         return Shown("leak past the rod seal", 1.0, "l/min at 100 bar")
+    if name in TIMING:
+        return Shown(TIMING[name], 1e3, "ms")
     if name in BIASES:
         channel = name.removesuffix("_bias")
         factor, unit = _BIAS_UNITS.get(channel, (1e-5, "bar"))

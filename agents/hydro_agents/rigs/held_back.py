@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.model import Model, noise_of
-from hydro_agents.estimation.unknowns import priors_of, starts_of
+from hydro_agents.estimation.unknowns import Prior, priors_of, starts_of
 from hydro_agents.recordings.columns import COMMAND
 from hydro_agents.rigs.parts import POSITION, Stretch
 from hydro_agents.running.text import number
@@ -25,6 +26,7 @@ START_FROM = 0.2  # s; the initial state comes from this first part; afterwards 
 LEAST_MOTION = 20.0
 """Smallest standard deviation of a channel, as a multiple of its noise, for a meaningful share of variance."""
 
+CERTAIN = 1e-7  # s, standard deviation of a timing that the fit has found
 SPEED_OVER = 0.05  # s, over which a speed is a difference of positions
 MOVING = 0.3  # of the largest speed: above, the axis moves, and its simulated speed is compared with the measured one
 PRESSURES = tuple(SENSORS.index(name) for name in ("pressure_a", "pressure_b"))
@@ -80,7 +82,13 @@ def _root_mean_square(errors: Floats) -> Floats:
     return root
 
 
-def simulate_held_back(part: Stretch, config: TaskConfig, plant: PlantParameters, biases: Sequence[float]) -> HeldBack:
+def simulate_held_back(
+    part: Stretch,
+    config: TaskConfig,
+    plant: PlantParameters,
+    biases: Sequence[float],
+    timing: Mapping[str, float] = MappingProxyType({}),
+) -> HeldBack:
     """Simulate a plant on a held-back part; only the initial state comes from its readings, in the first 0.2 s.
 
     It begins where the position is known, which may end at the end of its sensor's range.
@@ -90,6 +98,7 @@ def simulate_held_back(part: Stretch, config: TaskConfig, plant: PlantParameters
         config: the task.
         plant: the identified plant.
         biases: of each channel, SI.
+        timing: found latency and rise time by name, s, where those of the task do not hold.
     """
     period, count = config.control_period, max(round(START_FROM / config.control_period), 10)
     first = _first_known(part.signals[POSITION], count)
@@ -98,11 +107,11 @@ def simulate_held_back(part: Stretch, config: TaskConfig, plant: PlantParameters
     measured = signals[: len(SENSORS)]
     unbiased = np.concatenate([measured - bias, signals[None, COMMAND]])
     physical = to_vector(plant)[None]
-    names = starts_of(config)
+    names, fixed = (*starts_of(config), *timing), {name: Prior(value, CERTAIN) for name, value in timing.items()}
     edge = None if part.boundary is None else part.boundary[None, :, first:]
     early = None if edge is None else edge[:, :, : count + 1]
-    found = estimate(unbiased[None, :, : count + 1], config, names, physical=physical, boundary=early)
-    model = Model(config, priors_of(config, names), signals[None, COMMAND], physical=physical, boundary=edge)
+    found = estimate(unbiased[None, :, : count + 1], config, names, priors=fixed, physical=physical, boundary=early)
+    model = Model(config, priors_of(config, names, fixed), signals[None, COMMAND], physical=physical, boundary=edge)
     read, _ = model.readings(found.scaled, np.zeros(1, np.int64))
     simulated = read[0] * model.noise[:, None] + bias
     time = period * np.arange(signals.shape[1], dtype=np.float64)

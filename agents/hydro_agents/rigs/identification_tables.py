@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
-from hydro_agents.rigs.found_rig import hull, path_of, share_in_words, shown
+from hydro_agents.rigs.found_rig import TIMING, hull, path_of, share_in_words, shown
 from hydro_agents.rigs.held_back import PRESSURES, HeldBack, share_of_all
 from hydro_agents.rigs.identify import Identification
 from hydro_agents.rigs.parts import POSITION
@@ -34,8 +34,8 @@ def unknowns_table(found: Identification) -> Table:
 
 
 def range_before(found: Identification, name: str) -> tuple[float, float] | None:
-    """Range of an unknown before the recording, in its unit; ``None`` for leaks, whose resistance has the range."""
-    if name in (LEAKAGE, EXTERNAL_LEAKAGE):
+    """Range of an unknown before the recording, in its unit; ``None``: it has none of its own (leaks, timing)."""
+    if name in (LEAKAGE, EXTERNAL_LEAKAGE, *TIMING):
         return None
     if name in BIASES:
         bias = getattr(found.config.sensors, name.removesuffix("_bias")).bias

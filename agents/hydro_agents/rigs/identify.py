@@ -10,15 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hydro_agents.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE
+from hydro_agents.estimation.unknowns import EXTERNAL_LEAKAGE, LATENCY, LEAKAGE, RISE_TIME
 from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.findings import Finding
 from hydro_agents.recordings.quality import AXIS, Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import on_grid
 from hydro_agents.rigs.advice import Advice, advise
+from hydro_agents.rigs.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
 from hydro_agents.rigs.fit import Combination, Fit, Progress, combinations, fit_windows
-from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant, share_in_words, shown
+from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant, found_timing, share_in_words, shown
 from hydro_agents.rigs.held_back import HeldBack, errors_in_words, share_of_all, simulate_held_back
 from hydro_agents.rigs.parts import POSITION, Parts, parts_of
 from hydro_agents.rigs.repeatability import Repeat, repeats_of, share_inside
@@ -101,6 +102,17 @@ class Identification(NamedTuple):
                 "The rig file gives no ranges: only the leak and the sensors' offsets were fitted. Write a range for "
                 "each unknown value in its group randomisation."
             )
+        usual = {
+            LATENCY: (self.config.command_latency, LATENCY_CHANGE * self.config.control_period, LATENCY),
+            RISE_TIME: (self.config.sensors.pressure_rise_time, RISE_TIME_CHANGE, f"sensors.{RISE_TIME}"),
+        }
+        for name, value in found_timing(self.fit).items():
+            assumed, least, field = usual[name]
+            if abs(value - assumed) > least:
+                notes.append(
+                    f"The {shown(name, self.config.plant).words} is {1e3 * value:.2g} ms in the recording, and not "
+                    f"{1e3 * assumed:.2g} ms ({field} of the task): used."
+                )
         if left_out:
             notes.append(
                 f"Left out, because the model fits them far worse than the others: {left_out} of {count} windows."
@@ -118,7 +130,7 @@ class Identification(NamedTuple):
             notes.append(f"Other values explain the recording as well: {', '.join(others)}. A richer motion decides.")
         if self.beyond:
             notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
-        if shown(RATED_FLOW, self.config.plant).words in self.beyond:
+        if self.beyond == [shown(RATED_FLOW, self.config.plant).words]:
             notes.append(
                 "Only the rated flow over the root of the rated pressure drop acts: a wrong drop in the file gives "
                 "another flow, and no other value changes. Check both against the valve's data sheet."
@@ -217,7 +229,8 @@ def identify(
         raise ConfigurationError(
             f"{sources[0]}: the model does not describe this axis: the fit ends at an impossible rig ({error})"
         ) from None
-    held_back = [simulate_held_back(part, config, plant, found_biases(fit)) for part in parts.held_back]
+    biases, timing = found_biases(fit), found_timing(fit)
+    held_back = [simulate_held_back(part, config, plant, biases, timing) for part in parts.held_back]
     advice, repeats = advise(fit, config, plant), repeats_of(fit, parts.recording)
     found = combinations(fit)
     return Identification(recordings, checked, rig, config, parts, fit, plant, held_back, found, advice, repeats)

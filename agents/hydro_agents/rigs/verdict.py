@@ -38,6 +38,10 @@ class Kind(StrEnum):
     UNKNOWN = Cause.UNKNOWN.word
 
 
+EXIT_CODES = {Kind.HEALTHY: 0, Kind.LEAK: 10, Kind.OTHER: 11, Kind.UNKNOWN: 12}
+"""Of ``hydro diagnose`` and ``hydro trend``; 2 is that of bad input."""
+
+
 class Leak(NamedTuple):
     """A leak in l/min at 100 bar with its 90 % interval."""
 

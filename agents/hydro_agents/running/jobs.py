@@ -161,7 +161,7 @@ def run_jobs(
     report()
     waiting = [key for key in listed if key not in results]
     random.Random(0).shuffle(waiting)
-    with closing(_answers({key: listed[key] for key in waiting}, jobs)) as answers:
+    with closing(answers_of({key: listed[key] for key in waiting}, jobs)) as answers:
         for key, result in answers:
             results[key] = result
             job = listed[key]
@@ -237,8 +237,8 @@ def _in_worker(key: str, job: Job) -> tuple[str, JobResult]:
     return _named(key, job)
 
 
-def _answers(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[str, JobResult], None, None]:
-    """Results of jobs in the order of completion, each with its key."""
+def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[str, JobResult], None, None]:
+    """Results of jobs in the order of completion, each with its key; those of closed ones are lost."""
     if not waiting:
         return
     first, *others = waiting.items()

@@ -68,12 +68,14 @@ LEARNING_CURVE = SeedRange(1_600_000, 10_000, "the errors of policies while they
 CONTROLLER_VECTORS = SeedRange(1_700_000, 10_000, "the test vectors of exported controllers")
 HEAD_VECTORS = SeedRange(1_710_000, 10_000, "the test vectors of an exported leakage head")
 STANDSTILLS = SeedRange(1_720_000, 10_000, "the limit cycles of tuned gains")
+TREND_CALIBRATION = SeedRange(1_730_000, 10_000, "the trend of axes over weeks")
 LEAK_THRESHOLDS = SeedRange(1_800_000, 100_000, "the thresholds of the leakage protocol")
 TRIAL_RUN = SeedRange(1_999_998, 2, "the trial run before a study")
 
 # Test -----------------------------------------------------------------------------------------------------------------
 EVALUATION = SeedRange(2_000_000, 120_000, "controllers, best found, leak bound and estimator on the same plants")
-DIAGNOSIS = SeedRange(2_120_000, 20_000, "diagnosed recordings")
+DIAGNOSIS = SeedRange(2_120_000, 10_000, "diagnosed recordings")
+TRENDS = SeedRange(2_130_000, 10_000, "axes over weeks")
 UNTUNED_RIGS = SeedRange(2_140_000, 50_000, "drawn rigs that nobody tuned, and their plants")
 HIDDEN_RIGS = SeedRange(2_190_000, 10_000, "hidden rigs that are identified")
 ROBUSTNESS = SeedRange(2_200_000, 120_000, "the robustness protocol")

@@ -1,0 +1,190 @@
+"""What `hydro trend` says over 60 days of simulated axes: the date of a limit, and healthy axes that raise anything.
+
+Run: python benchmarks/trend.py results/trend_benchmark [--axes 20] [--days 60] [--windows 1] [--validation]
+
+Each axis has a plant of its own, whose leak at 40 °C grows by a decade in 40 days, or is healthy. On each day 30 s are
+recorded in another motion and with other noise, at an oil temperature of 25 to 60 °C that the leak follows; 5 % of the
+rows are lost. The seal is repaired on two days that are marked. Recording, choice of windows, checks, estimator, oil
+and verdict are those of the command; the thermometer errs by 1 K, the oil's viscosity at 100 °C by 3 %, and the file
+is not written. Finished axes stay in the folder; after an interruption the same command goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.detector import measured_run
+from hydro_agents.learning.opponents import shipped
+from hydro_agents.recordings.columns import BESIDE
+from hydro_agents.recordings.liveliest import Liveliest
+from hydro_agents.recordings.recording import Recording
+from hydro_agents.rigs.oil import GRADES, Oil
+from hydro_agents.rigs.trend import Settings, row_of
+from hydro_agents.rigs.trend_summary import DAY, trends_of
+from hydro_agents.rigs.trend_table import SIZES, stamp
+from hydro_agents.rigs.verdict import Kind
+from hydro_agents.running.cases import Cases
+from hydro_agents.running.jobs import Job, fingerprint, run_jobs
+from hydro_agents.running.seeds import TREND_CALIBRATION, TRENDS
+from hydro_agents.running.statistics import share_interval
+from hydro_env import TaskConfig
+
+LENGTH, LOST = 30.0, 0.05  # s of a day that are recorded; share of lost rows
+FAMILIES = ("point_to_point", "multi_sine", "staircase", "ramp", "start_stop", "sine", "step")
+SHIFT = 30.0  # s, by which the recording of one week begins later than that of the week before
+WEEKS = 9
+GROWTH = 1.0 / 40.0  # decades a day
+LIMIT = 0.3  # l/min at 100 bar and 40 °C
+WARM = (25.0, 60.0)  # °C
+SEEN = 100  # seeds before these were seen when the rules of states and dates were made
+SLOWEST = 3  # readings of an axis before its state counts
+START = 1.79e9  # s since 1970
+
+
+class Axis(NamedTuple):
+    """What an axis does."""
+
+    leak: np.ndarray  # (days,), l/min at 100 bar and 40 °C
+    warm: np.ndarray  # (days,), °C
+    repairs: tuple[int, int]  # days
+
+
+def axis_of(seed: int, days: int, grows: bool) -> Axis:
+    """Leak, oil temperature and repairs of an axis."""
+    random = np.random.default_rng([seed, 60])
+    first = int(random.integers(4, 9))
+    repairs = first, int(random.integers(days - 9, days - 4))
+    leak = np.full(days, 10.0 ** random.uniform(-2.0, np.log10(0.025)))
+    if grows:
+        begins = (0, *repairs)
+        fresh = 10.0 ** random.uniform(np.log10(0.03), np.log10(0.05), 3)  # after the first repair the limit is reached
+        for day in range(days):
+            since = max(begin for begin in begins if begin <= day)
+            leak[day] = fresh[begins.index(since)] * 10.0 ** (GROWTH * (day - since))
+    slow = np.cumsum(random.normal(0.0, 4.0, days))
+    warm = WARM[0] + (WARM[1] - WARM[0]) * (0.5 + 0.5 * np.sin(random.uniform(0, 6.3) + slow / 12.0))
+    return Axis(leak, warm, repairs)
+
+
+def readings(controller: Controller, seed: int, days: int, grows: bool, windows: int) -> dict[str, Any]:
+    """The rows of an axis, one per day."""
+    axis, random = axis_of(seed, days, grows), np.random.default_rng([seed, 61])
+    oil, true_oil = Oil.of("46"), Oil(46.0, GRADES[46] * (1.0 + 0.03 * random.standard_normal()))
+    task = TaskConfig(episode_duration=LENGTH + SHIFT * (WEEKS - 1))
+    leak = axis.leak / true_oil.factor(axis.warm)
+    names = np.array([FAMILIES[day % len(FAMILIES)] for day in range(days)])
+    signals, _ = measured_run(task, controller, Cases(np.full(days, seed), leak, names))
+    known, off = TaskConfig(), random.normal(0.0, 1.0)
+    how = Settings(oil, (20.0, 60.0), windows=windows)
+    rows = []
+    for day in range(days):
+        first = round(SHIFT * (day // len(FAMILIES) % WEEKS) / task.control_period)
+        part = signals[day, :, first : first + round(LENGTH / task.control_period)]
+        kept = np.flatnonzero(random.random(part.shape[1]) >= LOST)
+        beside = np.full((len(BESIDE), len(kept)), np.nan)
+        beside[BESIDE.index("oil_temperature")] = axis.warm[day] + off + random.normal(0.0, 0.3, len(kept))
+        time = (kept - kept[0]) * task.control_period
+        live = Liveliest(how.window, known)
+        live.add(Recording("day", time, part[:, kept], {}, [], beside, START + DAY * day))
+        rows.append(row_of(f"{seed}", live, known, how))
+    return {
+        "verdict": np.array([row.verdict.value for row in rows]),
+        "reason": np.array([row.reason for row in rows]),
+        "leaks": np.array([[*row.leak, row.moving, row.temperature, *row.at_40] for row in rows]),
+    }
+
+
+def table_of(seed: int, found: dict[str, Any], repairs: tuple[int, int]) -> pd.DataFrame:
+    """The table that `hydro trend` would have written."""
+    table = pd.DataFrame(found["leaks"], columns=list(SIZES))
+    days = range(len(table))
+    marks = ["x" if day in repairs else "" for day in days]
+    times = [stamp(START + DAY * day) for day in days]
+    return table.assign(
+        time=times, until=times, axis=f"{seed}", verdict=found["verdict"], reason=found["reason"], repaired=marks
+    )
+
+
+def judge(seed: int, found: dict[str, Any], axis: Axis, grows: bool) -> dict[str, Any]:
+    """What the trend said day by day: share of dates that hold, false dates and alarms."""
+    table, days = table_of(seed, found, axis.repairs), len(axis.leak)
+    holds, early, raised, at_half = [], [], 0, np.nan
+    since = axis.repairs[0]
+    crossing = since + np.log10(LIMIT / axis.leak[since]) / GROWTH if grows else np.inf
+    for day in range(SLOWEST - 1, days):
+        trend = trends_of(table.iloc[: day + 1], {f"{seed}": LIMIT}, {}, Oil.of("46"))[0]
+        if not grows:
+            raised += trend.state in (Kind.LEAK, Kind.OTHER) or trend.dated or trend.growth.ahead.value == 0.0
+        elif since <= day < min(crossing, axis.repairs[1]) and axis.leak[day] >= 0.5 * LIMIT:
+            left, ahead = crossing - day, trend.growth.ahead
+            holds.append(trend.dated and ahead.low <= left <= ahead.high)
+            early.append(trend.growth.not_before <= left)
+            at_half = float(holds[-1]) if len(holds) == 1 else at_half
+    error = np.log10(np.clip(found["leaks"][:, 5], 1e-4, None) / axis.leak)
+    inside = (found["leaks"][:, 6] <= axis.leak) & (axis.leak <= found["leaks"][:, 7])
+    return {
+        "seed": seed,
+        "grows": grows,
+        "holds": float(np.mean(holds)) if holds else np.nan,
+        "days": len(holds),
+        "held": int(np.sum(holds)),
+        "at_half": at_half,
+        "not_before": float(np.mean(early)) if early else np.nan,
+        "raised": raised,
+        "read": float(np.isfinite(found["leaks"][:, 5]).mean()),
+        "inside": float(inside[np.isfinite(found["leaks"][:, 5])].mean()),
+        "scatter": float(np.nanstd(error)),
+    }
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--axes", type=int, default=20, help="that grow, and as many healthy ones")
+    parser.add_argument("--days", type=int, default=60)
+    parser.add_argument("--windows", type=int, default=1, help="of a day")
+    parser.add_argument("--jobs", type=int, default=None)
+    parser.add_argument("--validation", action="store_true", help="validation seeds instead of test seeds")
+    given = parser.parse_args()
+    controller = shipped("pid", TaskConfig())
+    digest = fingerprint(controller)
+    seeds = TREND_CALIBRATION if given.validation else TRENDS
+    cases = [
+        (seed, grows) for grows, skip in ((True, SEEN), (False, 1000 + SEEN)) for seed in seeds.take(given.axes, skip)
+    ]
+    jobs = {
+        f"{seed}": Job(readings, controller, (seed, given.days, grows, given.windows), digest) for seed, grows in cases
+    }
+
+    def progress(_: str, done: int, total: int) -> None:
+        print(f"{done} of {total} axes", file=sys.stderr, flush=True)
+
+    results, _ = run_jobs(jobs, given.folder, given.jobs, progress)
+    rows = [
+        judge(seed, dict(results[f"{seed}"].metrics), axis_of(seed, given.days, grows), grows) for seed, grows in cases
+    ]
+    table = pd.DataFrame(rows)
+    table.to_csv(given.folder / "axes.csv", index=False)
+    growing, healthy = table[table["grows"]], table[~table["grows"]]
+    held, days = int(growing["held"].sum()), int(growing["days"].sum())
+    half = share_interval(int(growing["at_half"].sum()), int(growing["at_half"].notna().sum()))
+    print("| figure | value |\n|---|---|")
+    print(f"| days from half the limit on, date inside its 90 % interval | {held} of {days} ({held / days:.0%}) |")
+    print(f"| axes, at half the limit | {half.value:.0%} ({half.low:.0%} to {half.high:.0%}, 95 %) |")
+    print(f'| days on which "not before" holds | {growing["not_before"].mean():.1%} |')
+    print(f"| healthy axes that raise anything | {int((healthy['raised'] > 0).sum())} of {len(healthy)} |")
+    print(f"| readings with a size | {table['read'].mean():.1%} |")
+    print(f"| their 90 % intervals that hold, day by day | {table['inside'].mean():.0%} |")
+    print(f"| scatter of the sizes of growing axes, decades | {growing['scatter'].mean():.3f} |")
+
+
+if __name__ == "__main__":
+    main()
