@@ -144,6 +144,10 @@ def test_a_cause_needs_a_share_of_the_last_looks():
     quiet = np.full((2, 90), -1.0)
     result, _ = watch.follow(looks(quiet, cause=np.stack([rare, often])))
     assert result.cause[:, -1].tolist() == [Cause.NONE, Cause.EXTERNAL_LEAK]
+    few = np.full(90, Cause.UNDETERMINED)
+    few[[20, 40]] = Cause.RETURN_LINE
+    seldom, _ = watch.follow(looks(np.full(90, np.nan), cause=few[None]))
+    assert seldom.cause[0, [30, 89]].tolist() == [Cause.NONE, Cause.RETURN_LINE], "one look is none, two are one"
     silent = np.full((2, 90), np.nan)
     unread, _ = watch.follow(looks(silent, cause=np.full((2, 90), Cause.UNDETERMINED)))
     assert (unread.cause == Cause.NONE).all(), "a look that nobody read names nothing"

@@ -148,6 +148,9 @@ def test_in_doubt_the_estimator_has_the_last_word_for_a_minute():
     second = detector.read(windows_at(6.0, 0.1), CONFIG)
     assert (second.score[0], second.cause[0]) == (0.01, Cause.SENSOR), "the head's size, the estimator's cause"
     assert detector.read(windows_at(2.0, 0.1, 3), CONFIG).cause.tolist() == [Cause.SENSOR] * 3
+    clears = two_stages(head, Says(3.0, Cause.NONE, 0.02, 0.01))
+    read = [clears.read(windows_at(end, 0.1), CONFIG).cause[0] for end in (2.0, 6.0)]
+    assert read == [Cause.NONE, Cause.RETURN_LINE], "it answers for its own window only"
     unsure = two_stages(head, Says(np.nan, Cause.UNKNOWN, np.nan))
     assert unsure.read(windows_at(2.0, 0.1), CONFIG).cause.tolist() == [Cause.RETURN_LINE] * 2
     stuck = two_stages(Says(np.nan, Cause.SENSOR, 0.5), Says(np.nan, Cause.UNKNOWN, np.nan))

@@ -269,38 +269,3 @@ def test_leak_bound_writes_every_number_and_a_table(tmp_path):
 def test_leak_bound_refuses_in_one_line(tmp_path, options, parts):
     assert_one_clear_line(hydro("leak-bound", *options, "--output", tmp_path / "out"), *parts)
     assert not (tmp_path / "out").exists()
-
-
-def test_test_move_writes_the_move_and_reads_the_leak(tmp_path):
-    out = tmp_path / "out"
-    options = ("--duration", 0.5, "--travel", 5, "--leak", 1, "--plants", 3, "--evaluations", 1)
-    answer = done("test-move", *options, "--output", out)
-    move = pd.read_csv(out / "move.csv")
-    assert list(move.columns) == ["time_s", "reference_m"]
-    assert move["time_s"].iloc[-1] == pytest.approx(0.5)
-    assert np.ptp(move["reference_m"]) <= 5e-3 + 1e-6
-    trial = pd.read_csv(out / "trial.csv")
-    assert set(trial["motion"]) == {"ordinary motion", "slow motion", "at rest", "test move"}
-    assert set(trial["leakage_flow_lpm"]) == {0.0, 1.0}
-    read = trial[(trial["motion"] == "test move") & trial["holds"]]
-    assert len(read) >= 4
-    error = (read["estimate_lpm"] - read["leakage_flow_lpm"]).abs()
-    assert (error < 5.0 * read["sigma_lpm"]).all()
-    assert "| test move | 1 |" in answer.stdout
-    assert (out / "test_move.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize(
-    ("options", "parts"),
-    [
-        (("--travel", 900), ("--travel 900 mm", "at most")),
-        (("--travel", -3), ("travel",)),
-        (("--speed", 5000), ("--speed 5000 mm/s",)),
-        (("--duration", 0), ("duration",)),
-        (("--leak", "nan"), ("leak",)),
-        (("--duration", 0.3, "--travel", 40, "--evaluations", 1), ("--duration 0.3 s", "no move")),
-    ],
-)
-def test_test_move_refuses_in_one_line(tmp_path, options, parts):
-    assert_one_clear_line(hydro("test-move", *options, "--output", tmp_path / "out"), *parts)
-    assert not (tmp_path / "out").exists()

@@ -127,7 +127,7 @@ def test_bad_input_leaves_nothing_behind(tmp_path):
 def test_an_alarm_follows_the_recording(tmp_path):
     scale = {"highest_baseline": -3.0, "spread": 1.0, "shift": 2.0}
     settings = {"interval": 0.5, "scales": dict.fromkeys(("standing", "slow", "moving"), scale)}
-    settings |= {"threshold": 2.0, "false_alarms_per_100_h": 1.0}
+    settings |= {"threshold": 1.5, "false_alarms_per_100_h": 1.0}
     (tmp_path / "alarm.yaml").write_text(yaml.safe_dump(settings))
     for leakage, words in ((0.01, "stayed silent"), (3.0, "rose at 2.0 s")):
         recorded_file(tmp_path / "a.csv", leakage=leakage, duration=3.0)

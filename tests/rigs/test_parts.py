@@ -284,7 +284,7 @@ def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(mo
     monkeypatch.setattr(common_fit, "usable_readings", lambda signals, config, model: signals)
     monkeypatch.setattr(common_fit, "shared_and_own", lambda model: (np.zeros(1, np.int64), np.empty(0, np.int64)))
     monkeypatch.setattr(common_fit, "_first_values", lambda *_: [None])
-    monkeypatch.setattr(common_fit, "_descend", lambda *_, **__: (None, None))
+    monkeypatch.setattr(common_fit, "descend", lambda *_, **__: (None, None))
     monkeypatch.setattr(common_fit, "costs_of", lambda *_: [0.0])
     monkeypatch.setattr(common_fit, "fit_together", fitted)
     alone = SimpleNamespace(misfit=np.ones(4))

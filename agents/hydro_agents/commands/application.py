@@ -63,7 +63,7 @@ GROUPS = {
         "diagnose": "watching:diagnose",
         "trend": "watching:trend",
         "alarms": "alarms:alarms",
-        "test-move": "bounds:design_test_move",
+        "leak-test": "leak_test:leak_test",
         "leak-bound": "bounds:leak_bound",
         "score": "datasets:score",
     },

@@ -1,4 +1,4 @@
-"""``hydro bound``, ``leak-bound`` and ``test-move``: what any method could reach, and a move that comes near it."""
+"""``hydro bound`` and ``leak-bound``: what any method could reach."""
 
 from __future__ import annotations
 
@@ -160,74 +160,6 @@ def leak_bound(
 
     files = ["leak_bound.csv", "leak_bound.md", "leak_bound.png", f"{JOBS_FOLDER}/*.npz"]
     write_results(output, "leak-bound", files, work, resume, overwrite)
-
-
-def design_test_move(
-    output: Output = Path("results/test_move"),
-    task: Task = None,
-    rig: Rig = None,
-    travel: Annotated[
-        float | None,
-        typer.Option(help="Distance in mm between the outermost positions; default: the largest step of the task."),
-    ] = None,
-    speed: Annotated[
-        float | None, typer.Option(help="Largest speed in mm/s; default: that of the task's references.")
-    ] = None,
-    duration: Annotated[float, typer.Option(help="Length in s.")] = 2.0,
-    leak: Annotated[float, typer.Option(help="Leak in l/min at 100 bar for which the move is designed.")] = 0.3,
-    controller: MovingController = "pid",
-    plants: Annotated[int, typer.Option(min=3, max=10_000, help="Simulated axes that try the move.")] = 16,
-    evaluations: Annotated[
-        int | None, typer.Option(min=1, help="Number of moves that the search tries; default: 240.")
-    ] = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Design a short move that makes a leak most visible, and estimate the leak from it on simulated axes.
-
-    The move has up to four strokes with holds between them, within your limits of travel and speed; it ends where it
-    began. The search lowers the Cramér–Rao bound of the leak (`hydro leak-bound`) on training plants. Then test plants
-    make the move, with and without the leak, and the leak is estimated from their signals. The table also shows the
-    estimates from ordinary motion, slow motion and rest. It takes some minutes; its first parts show how many on
-    your machine. `move.csv` holds the reference for your own axis.
-    """
-    from hydro_agents.estimation.move_design import MoveSettings, design, limits_of, moved
-    from hydro_agents.evaluation.leak_bound import trial
-    from hydro_agents.learning.opponents import opponent
-    from hydro_agents.report.bounds import gain, move_picture, move_table, trial_markdown
-    from hydro_agents.running.seeds import EVALUATION
-    from hydro_env.files import validate
-    from hydro_env.task.configuration import task_config
-
-    given = {
-        "travel": None if travel is None else 1e-3 * travel,
-        "speed": None if speed is None else 1e-3 * speed,
-        "duration": duration,
-        "leak": leak,
-        "evaluations": evaluations,
-    }
-    settings = validate(MoveSettings, {name: value for name, value in given.items() if value is not None}, "test-move")
-    config = task_config(task, rig=rig)
-    limits_of(config, settings)
-    moving = opponent(controller, config, f"--controller {controller}")
-
-    def work(display: ProgressDisplay) -> Written:
-        best = design(config, moving, settings, display.update)
-        reference = best.move.reference(config.control_period)
-        lines = [f"{config.control_period * k:.6g},{x:.6f}" for k, x in enumerate(reference)]
-        leaks = (0.0, leak) if leak > 0.0 else (0.0,)
-        table = trial(config, moving, best.move, leaks, plants, display.update)
-        text = f"{move_table(best.move)}\n\n{gain(best)}\n\n{trial_markdown(table)}"
-        windows = moved(config, moving, best.move, EVALUATION.take(plants), plants, leaks[-1])
-        return text, {
-            "move.csv": "\n".join(["time_s,reference_m", *lines]) + "\n",
-            "trial.csv": table.to_csv(index=False, float_format="%.6g"),
-            "test_move.md": _page(text),
-            "test_move.png": move_picture(best.move, windows, table, config.control_period),
-        }
-
-    write_results(
-        output, "test-move", ["move.csv", "trial.csv", "test_move.md", "test_move.png"], work, overwrite=overwrite
-    )
 
 
 def _page(text: str) -> str:

@@ -40,7 +40,10 @@ LEAST_SHARE = 0.15
 """Share of them by which a cause is named, if none has a larger share. Detectors name a fault that is not there in
 about one look of a hundred, and miss one that is there far more often."""
 
-NAMED = tuple(cause for cause in Cause if Cause.INTERNAL_LEAK < cause <= Cause.UNKNOWN)
+LEAST_WEIGHT = 0.25  # of the last looks, at which a share counts: of few looks, two must agree
+
+VOTED = tuple(cause for cause in Cause if cause != Cause.UNDETERMINED)
+NAMED = tuple(cause for cause in VOTED if cause > Cause.INTERNAL_LEAK)
 
 
 class Scale(Group):
@@ -57,7 +60,7 @@ class AlarmSettings(Group):
 
     detector: str = Field("", description="the detector of the calibration")
     interval: float = Field(4.0, gt=0.0, le=3600.0, description="s; between looks")
-    clip: float = Field(5.0, gt=0.0, le=1e6, description="largest contribution of one look: an outlier raises no alarm")
+    clip: float = Field(2.0, gt=0.0, le=1e6, description="largest contribution of one look: an outlier raises no alarm")
     scales: dict[str, Scale] = Field(description="by activity: standing, slow, moving")
     threshold: float = Field(1.0, gt=0.0, le=1e9, description="of the sum")
     false_alarms_per_100_h: float | None = Field(None, ge=0.0, description="rate that set the threshold")
@@ -94,7 +97,7 @@ class AlarmState(NamedTuple):
     seen: Floats  # (N, activities), how many of them
     total: Floats  # (N,), S above
     alarm: Flags  # (N,), latched
-    causes: Floats  # (N, NAMED), share of the last looks that named each
+    causes: Floats  # (N, VOTED), weight of the last looks that named each
 
 
 class Alarm(NamedTuple):
@@ -138,7 +141,7 @@ class LeakAlarm:
             seen=np.zeros((count, len(Activity))),
             total=np.zeros(count),
             alarm=np.zeros(count, dtype=np.bool_),
-            causes=np.zeros((count, len(NAMED))),
+            causes=np.zeros((count, len(VOTED))),
         )
 
     def update(self, look: Reading, activity: NDArray[np.int8], state: AlarmState) -> tuple[Alarm, AlarmState]:
@@ -178,13 +181,14 @@ class LeakAlarm:
         change = np.minimum(np.maximum(score - mean, -reach), reach) / (seen + 1.0)
         learns = here & (counts & np.logical_not(learnt)).reshape(-1, 1)
         votes = (cause != int(Cause.UNDETERMINED)).reshape(-1, 1)
-        named = cause.reshape(-1, 1) == np.array(NAMED, dtype=np.int64)
+        named = cause.reshape(-1, 1) == np.array(VOTED, dtype=np.int64)
         causes = np.where(votes, state.causes + (named - state.causes) / CAUSE_LOOKS, state.causes)
         largest, which = np.full(alarm.shape, LEAST_SHARE), np.zeros(alarm.shape, dtype=np.int64)
-        for column, each in enumerate(NAMED):
-            more = causes[:, column] > largest
+        share = causes / np.maximum(causes.sum(axis=1), LEAST_WEIGHT).reshape(-1, 1)
+        for each in NAMED:
+            more = share[:, VOTED.index(each)] > largest
             which = np.where(more, int(each), which)
-            largest = np.where(more, causes[:, column], largest)
+            largest = np.where(more, share[:, VOTED.index(each)], largest)
         memory = AlarmState(
             mean=np.where(learns, state.mean + change.reshape(-1, 1), state.mean),
             seen=state.seen + learns,

@@ -6,8 +6,9 @@ drawn from them: minute by minute, blocks of looks of the same axis, a quarter o
 on a machine.
 
 An alarm is an excursion of the evidence: it rises above zero, passes the threshold at its peak, and returns. The
-threshold is the lowest at which their rate is as wanted, at the upper end of its interval over axes. Intervals come
-from resampled axes, because alarms cluster on a few of them.
+threshold is the lowest at which their rate is a tenth of the wanted one, at the upper end of its interval over axes:
+drawn hours do not show that the errors of a long stay at one place are correlated. Intervals come from resampled axes,
+because alarms cluster on a few of them.
 
 One look adds at most the clip of the alarm. What is beyond the looks that were measured therefore counts little; the
 generalised Pareto distribution that is fitted to the highest z-scores (Pickands, *Statistical inference using extreme
@@ -33,6 +34,7 @@ from hydro_env import ConfigurationError
 LEAST_AXES = 6  # with two answers, for a scale
 SHIFT_HOURS = 8.0
 IN_MOTION = 0.25  # share of a shift
+SAFETY = 10.0  # wanted rate over that of the drawn hours
 BLOCK = 60.0  # s; length of the blocks of looks that are drawn
 COPIES = 25  # of each axis: shifts that are drawn from its looks
 LEAST_WINDOWS = 20  # for a tail
@@ -319,4 +321,4 @@ def calibrate(
     per_axis, hours = healthy_peaks(settings, healthy)
     if not any(len(axis) for axis in per_axis):
         raise ConfigurationError(f"alarms: healthy axes show '{detector}' no evidence at all; simulate more axes")
-    return settings.model_copy(update={"threshold": threshold_for(per_axis, hours, rate)})
+    return settings.model_copy(update={"threshold": threshold_for(per_axis, hours, rate / SAFETY)})

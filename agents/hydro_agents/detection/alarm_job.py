@@ -206,17 +206,18 @@ def rest_table(settings: AlarmSettings, healthy: Axes, resting: Mapping[str, Axe
 def cause_table(settings: AlarmSettings, healthy: Axes, looks: list[Looks]) -> pd.DataFrame:
     """For each fault that begins in motion: the cause that the alarm names two minutes later.
 
-    ``leak_alarm`` is the share of axes that raise a leak alarm within a quarter of a shift in motion, drawn from these
-    looks.
+    Axes count that moved in most of their looks; the slowest references creep. ``leak_alarm`` is the share of them that
+    raise a leak alarm within a quarter of a shift in motion, drawn from these looks.
     """
     rows, alarm, learnt = [], LeakAlarm(settings), _learnt(settings, healthy)
     part: Any = (values[: len(healthy.looks.score)] for values in learnt)
     first = AlarmState(*part)
     for fault, each in zip((None, *FAULTS), looks, strict=True):
         right = CAUSE_OF_FAULT[fault[0]] if fault is not None else Cause.NONE
-        named = alarm.follow(each, first)[0].cause[:, -1]
+        moved = (each.activity == Activity.MOVING).mean(axis=1) >= 0.5
+        named = alarm.follow(each, first)[0].cause[moved, -1]
         drawn = Axes(each, healthy.ration).drawn(0.25 * SHIFT_HOURS, 4, COPIES, in_motion=1.0)
-        raised = (totals(alarm, drawn, learnt)[0] > 1.0).any(axis=1)
+        raised = (totals(alarm, drawn, learnt)[0] > 1.0).any(axis=1).reshape(COPIES, -1)[:, moved]
         row: dict[str, Any] = {"fault": " ".join(map(str, fault or ("none",))), "cause": right.word, "axes": len(named)}
         row |= share_interval(int((named == right).sum()), len(named)).columns("named_rightly")
         row["named_wrongly"] = float(((named != right) & (named != Cause.NONE) & (named != Cause.UNKNOWN)).mean())

@@ -26,8 +26,8 @@ class TwoStageDetector:
     """Its score is the size of the leak, l/min at 100 bar.
 
     The head answers while the axis moves. The estimator is asked if the axis creeps or stands, and if the head gives no
-    answer, names a cause, or sees a leak. A cause that it names, or clears, is that of the axis until it may be
-    asked again.
+    answer, names a cause, or sees a leak. A cause that it names is that of the axis until it may be asked again; where
+    it names none, the head's counts: some faults only the head knows.
 
     The rows of successive windows are the same axes; windows without times are all read. The detector remembers when
     each axis was asked: use a ``deepcopy`` for another run.
@@ -40,7 +40,7 @@ class TwoStageDetector:
         self.head, self.estimator = HeadDetector(head), estimator or EstimatorDetector()
         self.window = self.head.window
         self._asked: Floats = np.empty(0)  # s, end of the last window of each axis that the estimator read
-        self._named: NDArray[np.int8] = np.empty(0, dtype=np.int8)  # what it then named; UNKNOWN: no answer
+        self._named: NDArray[np.int8] = np.empty(0, dtype=np.int8)  # the cause that it then named
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """The reason if the head cannot read such windows."""
@@ -50,10 +50,10 @@ class TwoStageDetector:
         """Read windows; one that only the estimator could answer has no answer while it may not be asked."""
         count = len(windows)
         if len(self._asked) != count or (windows.end < self._asked).any():  # other axes
-            self._asked, self._named = np.full(count, -np.inf), np.full(count, Cause.UNKNOWN, dtype=np.int8)
+            self._asked, self._named = np.full(count, -np.inf), np.zeros(count, dtype=np.int8)
         since = windows.end - self._asked
         free = ~(since < RATION)  # NaN: unknown times
-        self._named[free] = Cause.UNKNOWN
+        self._named[free] = Cause.NONE
         first = self.head.read(windows, task)
         moving = activity_of(windows.signals, task.control_period) == Activity.MOVING
         seen = first.probability >= self.head.head.settings.threshold
@@ -64,7 +64,7 @@ class TwoStageDetector:
         result = first.replaced(still, unread)
         if len(rows):
             second = self.estimator.read(windows.part(rows), task)
-            named = np.where(second.answers, second.cause, Cause.UNKNOWN)
+            named = np.where(second.answers, second.cause, Cause.NONE)
             # A wide answer says little, but says it: its standard deviation weighs it.
             cause = np.where(second.cause == Cause.UNDETERMINED, Cause.NONE, second.cause).astype(np.int8)
             deviation = 0.5 * (second.high_lpm - second.low_lpm) / HALF_WIDTH
@@ -73,5 +73,5 @@ class TwoStageDetector:
             result = result.replaced(rows[better], second.part(better))
             self._asked[rows] = windows.end[rows]
             self._named[rows] = named
-        known = (self._named != Cause.UNKNOWN) & result.answers
+        known = (self._named != Cause.NONE) & result.answers
         return result._replace(cause=np.where(known, self._named, result.cause).astype(np.int8))

@@ -1,4 +1,4 @@
-"""The Cramér–Rao bound of the leak: of the windows of a protocol, of many motions and sensors, and of a test move."""
+"""The Cramér–Rao bound of the leak: of the windows of a protocol, and of many motions and sensors."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.operations import ACTING
-from hydro_agents.estimation.estimate import estimate
-from hydro_agents.estimation.information import TASK, WORN_VALVE, UnknownSets, information, sigma, unknown_sets
+from hydro_agents.estimation.information import TASK, UnknownSets, information, sigma, unknown_sets
 from hydro_agents.estimation.known_windows import MOTIONS, known_windows, leak_cases
-from hydro_agents.estimation.move_design import Move, moved
-from hydro_agents.estimation.unknowns import LEAKAGE, priors_of
+from hydro_agents.estimation.unknowns import priors_of
 from hydro_agents.evaluation.conditions import Cell, columns_of
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.running.cases import Cases
@@ -28,12 +26,9 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT
 from hydro_env.task.sensors import SENSORS
 
 ALL_SENSORS = "all sensors"
-TEST_MOVE = "test move"
 
 COLUMNS = ("motion", "leakage_flow_lpm", "seed", "window_s", "unknowns", "sensors", "sigma_lpm")
 """Columns of :func:`survey`."""
-
-BEGIN = 1.0  # s; windows of other motions than the test move begin this long after the start of their episode
 
 
 def leak_bound(protocol: LeakProtocol, chosen: object) -> Iterator[Cell]:
@@ -166,63 +161,6 @@ def surveyed(controller: Controller, config: TaskConfig, settings: SurveySetting
             for place, length in enumerate(known.lengths)
         ]
     return columns_of(pd.concat(frames, ignore_index=True)[list(COLUMNS)])
-
-
-def trial(
-    config: TaskConfig,
-    controller: Controller,
-    move: Move,
-    leaks: tuple[float, ...],
-    plants: int,
-    progress: Report | None = None,
-) -> pd.DataFrame:
-    """Estimate leaks from a test move and from other motions of the same duration, on plants of the test seeds.
-
-    The unknowns are plant, start, biases and wear of the valve. Columns: ``motion``, ``leakage_flow_lpm``, ``seed``,
-    ``sigma_lpm`` (bound), ``estimate_lpm``, ``deviation_lpm`` (the estimate's own), ``holds`` (whether the model
-    explains the readings).
-
-    Args:
-        config: the task.
-        controller: moves the axes.
-        move: the test move.
-        leaks: l/min at 100 bar.
-        plants: number of plants.
-        progress: called when a job finishes.
-
-    Raises:
-        ConfigurationError: no axis can make the move.
-    """
-    return _rows(tried, controller, (config, move, plants), (*MOTIONS, TEST_MOVE), leaks, None, progress)
-
-
-def tried(controller: Controller, config: TaskConfig, move: Move, plants: int, motion: str, leak: float) -> Columns:
-    """The rows of one motion and leak.
-
-    Raises:
-        ConfigurationError: no axis can make the move.
-    """
-    unknowns, seeds = unknown_sets(config), EVALUATION.take(plants)
-    worn = unknowns.sets[WORN_VALVE]
-    priors = {name: unknowns.priors[name] for name in worn.unknowns}
-    if motion == TEST_MOVE:
-        windows = moved(config, controller, move, seeds, plants, leak)
-    else:
-        cases = leak_cases(seeds, plants, leak)
-        windows = known_windows(MOTIONS[motion](config), controller, cases, BEGIN, move.duration)
-    found = estimate(windows.signals, config, worn.unknowns, priors=priors, threads=1)
-    table = pd.DataFrame(
-        {
-            "motion": motion,
-            "leakage_flow_lpm": leak,
-            "seed": windows.case + seeds.start,
-            "sigma_lpm": sigma(information(config, windows, priors, threads=1))[:, -1],
-            "estimate_lpm": found.value(LEAKAGE),
-            "deviation_lpm": found.deviation(LEAKAGE),
-            "holds": found.holds,
-        }
-    )
-    return columns_of(table)
 
 
 def _rows(

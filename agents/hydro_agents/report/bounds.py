@@ -1,4 +1,4 @@
-"""Tables and figures of the bounds: the best found, the bound of a leak, and the test move."""
+"""Tables and figures of the bounds: the best found, and the bound of a leak."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 
-from hydro_agents.estimation.information import TASK, ratios_to_bound
-from hydro_agents.estimation.known_windows import MOTIONS, KnownWindows
-from hydro_agents.estimation.move_design import Design, Move
+from hydro_agents.estimation.information import TASK
+from hydro_agents.estimation.known_windows import MOTIONS
 from hydro_agents.evaluation.leak_bound import ALL_SENSORS
-from hydro_agents.report.canvas import GREY, WIDE, render, row_axis, ticks
+from hydro_agents.report.canvas import WIDE, render, row_axis, ticks
 from hydro_agents.report.palette import COLOURS, looks_of
 from hydro_agents.running.text import frame_markdown, number, setting
 from hydro_env.task.reference_signals import MOVING_FAMILIES
@@ -72,55 +71,6 @@ def _spread(values: pd.Series[float]) -> str:
 def bound_markdown(table: pd.DataFrame) -> str:
     """All tables of :func:`tables` as Markdown."""
     return "\n\n".join(f"{title}:\n\n{frame_markdown(part)}" for title, part in tables(table).items())
-
-
-def trial_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Bound and errors of the estimate by motion and leak; cells are text, l/min at 100 bar."""
-    rows = []
-    for (motion, leak), part in table.groupby(["motion", "leakage_flow_lpm"], sort=False):
-        kept = part[part["holds"]]
-        within = (kept["estimate_lpm"] - leak).abs() <= 1.645 * kept["deviation_lpm"]
-        median = float((kept["estimate_lpm"] - leak).abs().median()) if len(kept) else np.nan
-        ratio = ratios_to_bound(*(kept[name].to_numpy() for name in ("leakage_flow_lpm", "estimate_lpm", "sigma_lpm")))
-        rows.append(
-            {
-                "motion": motion,
-                "leak, l/min": setting(float(leak)),
-                "bound, median": number(float(part["sigma_lpm"].median()), digits=2),
-                "largest": number(float(part["sigma_lpm"].max()), digits=2),
-                "error, median": number(median, digits=2),
-                "error over bound": number(ratio[0].ratio if ratio else np.nan, digits=2),
-                "within 90 %": f"{within.sum()} of {len(kept)}",
-                "model holds": f"{len(kept)} of {len(part)}",
-            }
-        )
-    return pd.DataFrame(rows).set_index("motion")
-
-
-def move_table(move: Move) -> str:
-    """The move as Markdown, one row per stroke."""
-    rows = [
-        (f"{1e3 * one.start:.1f}", f"{one.hold:.2f}", f"{1e3 * one.end:.1f}", f"{one.duration:.2f}")
-        for one in move.strokes
-    ]
-    last = (f"{1e3 * move.strokes[-1].end:.1f}", f"{move.last_hold:.2f}", "–", "–")
-    frame = pd.DataFrame([*rows, last], columns=["hold at, mm", "for, s", "then move to, mm", "in, s"])
-    frame.index = pd.Index(range(1, len(frame) + 1), name="")
-    return frame_markdown(frame)
-
-
-def gain(best: Design) -> str:
-    """Gain of the search on the plants of the design, as a sentence."""
-    first = f"{number(best.first_bound, digits=2)} l/min" if np.isfinite(best.first_bound) else "not possible"
-    return (
-        f"Bound on the plants of the design: {number(best.bound, digits=2)} l/min; of one stroke there and back at "
-        f"mid-range: {first}."
-    )
-
-
-def trial_markdown(table: pd.DataFrame) -> str:
-    """The table of :func:`trial_table` as Markdown."""
-    return frame_markdown(trial_table(table))
 
 
 # Figures ------------------------------------------------------------------------------------------------------------
@@ -195,29 +145,3 @@ def decades(axis: Axis, low: float, high: float) -> None:
     steps = (1.0, 2.0, 5.0) if high < 100.0 * low else (1.0,)
     values = np.outer(10.0**exponents, steps).ravel()
     ticks(axis, [float(value) for value in values if 0.8 * low <= value <= 1.25 * high])
-
-
-def move_picture(move: Move, windows: KnownWindows, table: pd.DataFrame, period: float) -> bytes:
-    """A PNG: the move and the measured positions of all test axes, and the bound by motion on each of them."""
-    leak = table["leakage_flow_lpm"].max()
-
-    def paint(figure: Figure) -> None:
-        left, right = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
-        time = period * np.arange(windows.signals.shape[2])
-        left.plot(time, 1e3 * windows.signals[:, 0].T, color=GREY, linewidth=0.6, alpha=0.6)
-        left.plot(time, 1e3 * move.reference(period), color=COLOURS[1], label="reference")
-        left.plot([], [], color=GREY, linewidth=0.6, label=f"{windows.count} axes, measured")
-        left.set(xlabel="time, s", ylabel="position, mm", title="The test move")
-        left.legend()
-        rows = table[table["leakage_flow_lpm"] == leak]
-        names = list(rows["motion"].unique())
-        for place, (name, look) in enumerate(looks_of(names).items()):
-            values = rows.loc[rows["motion"] == name, "sigma_lpm"]
-            right.plot(values, np.full(len(values), place), look.marker, color=look.colour, alpha=0.5)
-            right.plot([values.median()] * 2, [place - 0.3, place + 0.3], color=look.colour, linewidth=2.5)
-        row_axis(right, names)
-        right.set(xscale="log", xlabel="smallest standard deviation, l/min; bar: median")
-        decades(right.xaxis, rows["sigma_lpm"].min(), rows["sigma_lpm"].max())
-        right.set_title(f"Bound of a leak of {leak:g} l/min")
-
-    return render(paint, (1.2 * WIDE, 3.4), "png")[0]

@@ -125,7 +125,7 @@ def fit_together(
         iterations: largest number.
     """
     shared, own = shared_and_own(model)
-    scaled, directions = _descend(model, measured, first, shared, progress, TOLERANCE, SHORT_STEP, iterations)
+    scaled, directions = descend(model, measured, first, shared, progress, TOLERANCE, SHORT_STEP, iterations)
     known = np.isfinite(measured)
     prior = without(prior_belief(model, model.count).precision, shared)
     for _ in range(LINEARISATIONS):
@@ -146,7 +146,7 @@ def shared_and_own(model: Model) -> tuple[Indices, Indices]:
     return np.flatnonzero(~start), np.flatnonzero(start)
 
 
-def _descend(
+def descend(
     model: Model,
     measured: Array,
     first: Array,
@@ -229,7 +229,7 @@ def _with_timing(windows: Windows, config: TaskConfig, found: Common, report: Re
     more = {name: prior for name, prior in timing_priors(config).items() if name not in found.model.names}
     if not more:
         return found
-    model, readings = _replayed(windows.part(kept), config, found.model.priors | more)
+    model, readings = replayed(windows.part(kept), config, found.model.priors | more)
     readings[:, :, :UNKNOWN_COMMANDS] = readings[:, :, -UNKNOWN_COMMANDS:] = np.nan  # of commands beyond the windows
     first = np.concatenate([found.joint.scaled, np.zeros((len(kept), len(more)))], axis=1)
     trials = [first]
@@ -242,7 +242,7 @@ def _with_timing(windows: Windows, config: TaskConfig, found: Common, report: Re
     def progress(done: int, total: int) -> None:
         report("timing", done, total)
 
-    rough = [_descend(model, readings, trial, shared_and_own(model)[0], progress, ROUGH_TOLERANCE, LONG_STEP)[0]
+    rough = [descend(model, readings, trial, shared_and_own(model)[0], progress, ROUGH_TOLERANCE, LONG_STEP)[0]
              for trial in trials]  # fmt: skip
     joint = fit_together(model, readings, rough[int(np.argmin(costs_of(model, readings, rough)))], progress)
     misfit = np.full(len(windows), np.inf)
@@ -255,7 +255,7 @@ def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], se
     return estimate(windows.signals, config, list(priors), settings=settings, boundary=windows.boundary)
 
 
-def _replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> tuple[Model, Array]:
+def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> tuple[Model, Array]:
     """The model of some windows, and their readings over their noise."""
     model = Model(config, priors, windows.signals[:, -1], boundary=windows.boundary)
     return model, usable_readings(windows.signals, config, model)
@@ -263,7 +263,7 @@ def _replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior])
 
 def _nearby(windows: Windows, config: TaskConfig, found: Common, first: Array) -> Estimate:
     """Windows that common values do not explain, fitted near these values; ``first``: where they ended, scaled."""
-    joint, (model, measured) = found.joint, _replayed(windows, config, found.model.priors)
+    joint, (model, measured) = found.joint, replayed(windows, config, found.model.priors)
     unknowns = len(model.names)
     mean, precision = np.zeros((len(windows), unknowns)), np.tile(np.eye(unknowns), (len(windows), 1, 1))
     mean[:, joint.shared] = joint.common
@@ -281,18 +281,18 @@ def _common_fit(
     def progress(done: int, total: int) -> None:
         report("common fit", done, total)
 
-    kept = _without_outliers(alone.misfit)
+    kept = without_outliers(alone.misfit)
     for again in (False, True):  # the second time without the outliers of the first
-        model, readings = _replayed(windows.part(kept), config, priors)
+        model, readings = replayed(windows.part(kept), config, priors)
         shared = shared_and_own(model)[0]
         rough = [
-            _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)[0]
+            descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)[0]
             for first in _first_values(model, readings, alone, kept)
         ]
         costs = costs_of(model, readings, rough)
         order = np.argsort(costs)
         joint = fit_together(model, readings, rough[order[0]], progress)
-        still = _without_outliers(joint.misfit)
+        still = without_outliers(joint.misfit)
         if again or len(still) == len(kept):
             break
         kept = kept[still]
@@ -323,7 +323,7 @@ def costs_of(model: Model, readings: Array, trials: list[Array]) -> list[float]:
     ]
 
 
-def _without_outliers(misfit: Array) -> Indices:
+def without_outliers(misfit: Array) -> Indices:
     """Indices of the windows that are explained, or whose misfit is not much larger than that of most others."""
     finite = np.where(np.isfinite(misfit), misfit, 1e9)
     return np.flatnonzero(finite <= max(WELL_FITTED, OUTLIER * float(np.median(finite))))

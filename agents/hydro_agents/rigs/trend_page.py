@@ -50,8 +50,8 @@ JUDGED = (
         "Without a recorded oil temperature the interval covers the range that was assumed."
     ),
     "The state of an axis is the verdict on which three of its last five readings agree.",
-    "A date is told if the axis leaks and the leak grows with a probability of 99.9 %. It supposes that the growth goes "
-    "on as before, as a straight line on this scale. “Not before”: with 99 % the limit is not reached earlier.",
+    "A date is told if the axis leaks and the leak grows with a probability of 99.9 %. It supposes that the growth "
+    "goes on as before, as a straight line on this scale. “Not before”: with 99 % the limit is not reached earlier.",
     "Only readings since the last repair count for the trend.",
 )
 

@@ -39,7 +39,7 @@ class Kind(StrEnum):
 
 
 EXIT_CODES = {Kind.HEALTHY: 0, Kind.LEAK: 10, Kind.OTHER: 11, Kind.UNKNOWN: 12}
-"""Of ``hydro diagnose`` and ``hydro trend``; 2 is that of bad input."""
+"""Of commands that give a verdict; 2 is that of bad input."""
 
 
 class Leak(NamedTuple):

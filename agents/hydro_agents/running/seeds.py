@@ -52,7 +52,7 @@ class SeedRange:
 
 
 # Training -------------------------------------------------------------------------------------------------------------
-LEARNING = SeedRange(0, 500_000, "policies, gains and test moves")
+LEARNING = SeedRange(0, 500_000, "policies, gains and plans of leak tests")
 HEAD_TRAINING = SeedRange(500_000, 490_000, "windows of the leakage head")
 ACCURACY = SeedRange(990_001, 9_000, "the errors of the integrator")
 RIGS = SeedRange(999_100, 600, "drawn rigs, for the gains of any rig")
@@ -77,7 +77,8 @@ EVALUATION = SeedRange(2_000_000, 120_000, "controllers, best found, leak bound 
 DIAGNOSIS = SeedRange(2_120_000, 10_000, "diagnosed recordings")
 TRENDS = SeedRange(2_130_000, 10_000, "axes over weeks")
 UNTUNED_RIGS = SeedRange(2_140_000, 50_000, "drawn rigs that nobody tuned, and their plants")
-HIDDEN_RIGS = SeedRange(2_190_000, 10_000, "hidden rigs that are identified")
+HIDDEN_RIGS = SeedRange(2_190_000, 6_000, "hidden rigs that are identified")
+LEAK_TESTS = SeedRange(2_196_000, 4_000, "axes with worn valves under a leak test")
 ROBUSTNESS = SeedRange(2_200_000, 120_000, "the robustness protocol")
 BENCHMARK_TEST = SeedRange(2_320_000, 80_000, "test recordings of that benchmark, where it has no key")
 LEAKAGE = SeedRange(2_400_000, 50_000, "the windows of the leakage protocol")
