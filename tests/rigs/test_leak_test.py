@@ -91,6 +91,7 @@ def test_the_flow_through_the_edges_is_that_of_two_equal_edges_in_series():
     model = Model(task, priors, np.zeros((1, 2)))
     values = np.array([prior.mean for prior in priors.values()])
     valve = {"valve.underlap": 0.02, "valve.rated_flow": 1.5e-4, "valve.edge_ratio": 1.0, "valve.null_shift": 0.01}
+    values[model.names.index("load.spring_stiffness")] = -200.0  # the fit of an axis without a spring may end there
     for name, value in valve.items():
         values[model.names.index(name)] = value
     shared = np.flatnonzero([not name.startswith("start.") for name in model.names])

@@ -187,9 +187,9 @@ def edge_flow(common: Common, task: TaskConfig) -> tuple[float, Floats]:
     def flow(scaled: Floats) -> float:
         row = to_vector(task.plant)
         for name, value in zip(model.names, model.values(scaled), strict=True):
-            if name in PARAMETER_PATHS:
+            if name.startswith("valve."):
                 row[PARAMETER_PATHS.index(name)] = value
-        c = plant_coefficients(from_vector(np.maximum(row, 0.0) * (row > 0.0) + np.minimum(row, 0.0) * (row < 0.0)))
+        c = plant_coefficients(from_vector(row))
         opened, _ = edge_openings(c.null_shift, c)
         drop = 0.5 * (task.plant.supply.pressure - task.plant.supply.tank_pressure)  # two equal edges in series
         total = c.edge_gain * (1.0 + c.edge_ratio) * opened * smooth_root(drop, c.transition_squared)
