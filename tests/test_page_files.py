@@ -33,6 +33,7 @@ def test_every_block_has_a_test():
     tested = {("circuit.md", "yaml")} | {  # tests/test_circuit_page.py
         ("own_rig.md", "yaml"),
         ("diagnose.md", "yaml"),
+        ("trend.md", "yaml"),
         ("robustness.md", "yaml"),
         ("results.md", "yaml"),
         ("export.md", "c"),
@@ -51,6 +52,14 @@ def test_the_file_of_a_rig_makes_an_environment(text, tmp_path):
         assert env.config.sensors.pressure_a.high == 250e5
         assert not any("spool" in name for name in env.observation_names)
     assert set(given.get("randomisation", {})) <= set(env.config.randomisation)
+
+
+def test_the_map_of_a_historian_reads_a_file(tmp_path):
+    file = tmp_path / "map.yaml"
+    (text,) = blocks("trend.md", "yaml")
+    file.write_text(text, encoding="utf-8")
+    names = read_map(file).columns()
+    assert (names["time"].unit, names["oil_temperature"].column) == ("ns", "oil")
 
 
 def test_the_map_of_columns_reads_a_file(tmp_path):

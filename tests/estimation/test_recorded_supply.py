@@ -42,7 +42,7 @@ def swinging(leak, axes=2, size=0.05):
     course = np.zeros((axes, 4, CONFIG.steps))
     course[:, SUPPLY] = size * np.sin(np.pi * CONFIG.control_period * np.arange(CONFIG.steps))
     gauge, measured = Gauge(shipped("pid", CONFIG), Disturbances(course, np.zeros(axes, np.bool_))), MeasuredColumns
-    seeds = np.array(DIAGNOSIS.take(axes, 19_000))
+    seeds = np.array(DIAGNOSIS.take(axes, 9_000))
     columns = measured.of(CONFIG)
     cases = Cases(seeds, np.full(axes, leak), np.full(axes, "multi_sine"))
     run = run_cases(CONFIG, gauge, cases, columns.columns, states=False)

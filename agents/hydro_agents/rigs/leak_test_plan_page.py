@@ -31,7 +31,7 @@ from hydro_env.units import FULL_VOLTAGE
 JOB = "leak-test"
 PLAN_PAGE, COMMANDS_FILE, HEADER_FILE, TRIAL_FILE = "plan.html", "commands.csv", "leak_test.h", "simulated.csv"
 PLAN_FILES = (PLAN_PAGE, COMMANDS_FILE, HEADER_FILE, TRIAL_FILE, FIGURE_FILES)
-PLAN_SECTIONS = ("planned", "plan_course", "plan_steps", "plan_forms", "plan_running")
+PLAN_SECTIONS = ("planned_test", "plan_course", "plan_steps", "plan_forms", "plan_running")
 
 LIMIT_BEFORE = (
     "The limits hold on the simulated axes. Clear the whole stroke, keep the emergency stop at hand, and run the test "
@@ -125,7 +125,7 @@ def render_plan(plan: Plan, origin: Origin) -> Page:
 
 
 @section("", needs=("plan",))
-def planned(content: Content) -> list[Block]:
+def planned_test(content: Content) -> list[Block]:
     """The test in one sentence, the rig and its limits."""
     plan = content.part("plan", Plan)
     return [

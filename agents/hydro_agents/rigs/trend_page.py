@@ -23,7 +23,7 @@ from hydro_agents.rigs.verdict import Kind
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Cell, Table, number
 
-TREND = ("planned", "sizes_over_time", "axes_in_numbers", "all_readings", "how_trends_are_read")
+TREND = ("axes_and_dates", "sizes_over_time", "axes_in_numbers", "all_readings", "how_trends_are_read")
 SOURCES = Markup("Numbers: <code>{}</code> beside this page.")
 
 COLOURS = {
@@ -95,7 +95,7 @@ def lines_of(trends: Sequence[AxisTrend]) -> list[str]:
 
 
 @section("", needs=("trends",))
-def planned(content: Content) -> list[Block]:
+def axes_and_dates(content: Content) -> list[Block]:
     """The sentences, the urgent ones in front."""
     ordered = by_urgency(content.part("trends", list))
     urgent = [one for one in ordered if one.dated or one.growth.ahead.value == 0.0 or one.state is Kind.LEAK]
