@@ -83,7 +83,8 @@ class FunctionBlock:
             if entry.init.value is not None:
                 numbers = [float(one) for one in NUMBER.findall(str(entry.init.value))]
                 value = [real(one) for one in numbers] if kind == "REAL" else numbers
-                assert len(value) == size, name
+                assert len(value) == max(size, 1), name
+                value = value if size else int(value[0])  # the place of a signal
             self.memory[name] = value
 
     def __call__(self, signals: Any, start: bool) -> float:

@@ -112,7 +112,8 @@ def test_the_model_has_plain_operators_fixed_shapes_and_names(kind, folders):
         assert all(dimension.dim_value > 0 for dimension in value.type.tensor_type.shape.dim)
     names = [node.name for node in model.graph.node]
     assert len(set(names)) == len(names)
-    assert "observation" in names
+    assert "previous_voltage_sample" in names
+    assert "position_scaled" in names
     assert [value.name for value in model.graph.input] == ["signals", "state", "start"]
 
 

@@ -1,6 +1,7 @@
 """A controller as Structured Text: a parser of the language reads it, and its arithmetic is that of the C code."""
 
 import copy
+import re
 
 import numpy as np
 import pytest
@@ -60,3 +61,20 @@ def test_c_has_the_same_gains_in_one_structure(exported):
         assert f"controller_gains.{gain.name}" in code.source
         assert f"    double {gain.name};" in code.header
         assert block.gains[gain.name] == gain.value
+
+
+def test_the_code_has_the_names_of_signals_and_of_the_equations(exported):
+    """A control engineer finds each signal by name, and each statement below its line of Python."""
+    _, graph, block = exported
+    code, text = controller_code(graph).source, structured_text(graph)
+    for written in (code, text):
+        assert not re.search(r"\b(held|present|last|last_before)\[\d+\] :?=|\b(signals|last)\[\d", written)
+        statements = re.sub(r"/\*.*?\*/|\(\*.*?\*\)", "", written, flags=re.DOTALL)
+        assert not re.search(r"\b(observation|value|values|dictcomp|listcomp)(_\d+)?\b *(\[|:?=)", statements)
+    assert "position_sample = present[CONTROLLER_POSITION] ? signals[CONTROLLER_POSITION]" in code
+    assert "position_sample := SEL(present[AT_POSITION], last_before[AT_POSITION], Signals[AT_POSITION]);" in text
+    assert "const double position = (double)position_scaled * 0.1;" in code
+    for place, signal in enumerate(graph.signals.signals):
+        assert block.memory[f"at_{signal.name}"] == place
+    body = code.split("double voltage;")[1]
+    assert body.count("/* ") > 0.4 * len(re.findall(r"^ +(?:const )?(?:double|int|float) \w+ = ", body, re.MULTILINE))

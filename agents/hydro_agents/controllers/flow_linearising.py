@@ -210,15 +210,15 @@ class FlowLinearising:
             now = now._replace(speed=self._model.speed(spool, flow), leak=flow.leak)
 
         estimate = now.estimate
-        scale = np.maximum(1.0 + estimate[:, FLOW_GAIN], _LEAST_GAIN)
-        other = estimate[:, LEAK] * flow.leak + estimate[:, OFFSET]
-        soon = scale * self._model.speed(0.5 * (spool + command_before), flow) + other
-        place = estimate[:, POSITION] + self._ahead * soon
-        wanted, error = self._wanted(now, place, flow)
+        flow_gain = np.maximum(1.0 + estimate[:, FLOW_GAIN], _LEAST_GAIN)
+        other_speed = estimate[:, LEAK] * flow.leak + estimate[:, OFFSET]
+        speed_ahead = flow_gain * self._model.speed(0.5 * (spool + command_before), flow) + other_speed
+        position_ahead = estimate[:, POSITION] + self._ahead * speed_ahead
+        wanted_speed, error = self._wanted(now, position_ahead, flow)
         g = self.gains  # read at each call: the exported code lets them change while the machine runs
-        wanted += g.position_gain / self.pace * braked(error, g.braking * self._full_speed * self.pace)
-        wanted -= g.damping * self._oscillation / flow.stiffness * (flow.force - now.slow_force)
-        command = np.clip(self._model.opening((wanted - other) / scale, flow), -1.0, 1.0)
+        wanted_speed += g.position_gain / self.pace * braked(error, g.braking * self._full_speed * self.pace)
+        wanted_speed -= g.damping * self._oscillation / flow.stiffness * (flow.force - now.slow_force)
+        command = np.clip(self._model.opening((wanted_speed - other_speed) / flow_gain, flow), -1.0, 1.0)
         action = command.astype(np.float32)[:, None]
         return (action[0] if single else action), now
 
@@ -256,8 +256,10 @@ class FlowLinearising:
         half = 0.5 * self.layout.control_period
         speed = self._model.speed(spool, flow)
         squeezed = (old.force - flow.force) / flow.stiffness
+        travel = half * (old.speed + speed)
+        leak_travel = half * (old.leak + flow.leak)
         estimate, covariance = self._filter.advanced(
-            old.estimate, old.covariance, half * (old.speed + speed), half * (old.leak + flow.leak), squeezed, position
+            old.estimate, old.covariance, travel, leak_travel, squeezed, position
         )
         period = self.config.control_period
         blend = period / (period + self.gains.damping_filter * self.pace)
@@ -267,17 +269,18 @@ class FlowLinearising:
             reference, old.supply, flow.force, slow_force, speed, flow.leak, estimate, covariance
         )
 
-    def _wanted(self, now: FlowLinearisingState, place: Array, flow: Flow) -> tuple[Array, Array]:
+    def _wanted(self, now: FlowLinearisingState, position_ahead: Array, flow: Flow) -> tuple[Array, Array]:
         """Reference speed with friction feed-forward (m/s), and error at the predicted position (m), each (N,)."""
         steps, jumps = self._jumps.split(now.reference)
         travel, speed, before, after = (steps @ self._weights).T
         g, period = self.gains, self.config.control_period
-        rate = g.friction * self.config.plant.friction.largest_force / period
-        rate = rate * (np.tanh(speed / self._turned) - np.tanh(before / self._turned))
-        rate += g.force_rate * self._mass / period**2 * (after - 2.0 * speed + before)
-        wanted = speed + rate / flow.stiffness
+        force_rate = g.friction * self.config.plant.friction.largest_force / period
+        force_rate = force_rate * (np.tanh(speed / self._turned) - np.tanh(before / self._turned))
+        force_rate += g.force_rate * self._mass / period**2 * (after - 2.0 * speed + before)
+        wanted_speed = speed + force_rate / flow.stiffness
         target = now.reference[:, 1] + travel + self._jumps.begun(jumps, flow.force, now.supply)
-        return wanted, target - place
+        error = target - position_ahead
+        return wanted_speed, error
 
 
 def pace(config: TaskConfig) -> float:

@@ -78,11 +78,11 @@ class FlowModel:
         emptying = shares * np.sqrt(np.maximum(pressures - c.tank_pressure, self._lowest))
         forces = self._areas * pressures
         return Flow(
-            c.edge_gain * (filling[0] + c.edge_ratio * emptying[1]),
-            c.edge_gain * (emptying[0] + c.edge_ratio * filling[1]),
-            (shares[0] + shares[1]) * (pressures[1] - pressures[0]),
-            forces[0] - forces[1],
-            stiffness,
+            extending=c.edge_gain * (filling[0] + c.edge_ratio * emptying[1]),
+            retracting=c.edge_gain * (emptying[0] + c.edge_ratio * filling[1]),
+            leak=(shares[0] + shares[1]) * (pressures[1] - pressures[0]),
+            force=forces[0] - forces[1],
+            stiffness=stiffness,
         )
 
     def speed(self, spool: Array, flow: Flow) -> Array:

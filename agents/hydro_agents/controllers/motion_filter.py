@@ -76,7 +76,8 @@ class MotionFilter:
         """
         slope = np.empty_like(estimate)
         slope[:, POSITION], slope[:, FLOW_GAIN] = 1.0, travel
-        slope[:, LEAK], slope[:, OFFSET] = leak_travel, self._period
+        slope[:, LEAK] = leak_travel
+        slope[:, OFFSET] = self._period
         predicted = estimate.copy()
         predicted[:, POSITION] = np.einsum("ni,ni->n", estimate, slope) + travel + other
         # F P Fᵀ + Q: only the row and the column of the position change.

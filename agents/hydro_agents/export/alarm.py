@@ -63,6 +63,7 @@ def alarm_code(settings: AlarmSettings) -> CCode:
     memory = alarm.begin(1)
     writer = CWriter({name: name for name in INPUTS} | {name: f"memory->{name}" for name in memory._fields}, "alarm_")
     writer.reserve("memory", "now", *INPUTS, *OUTPUTS)
+    writer.plan(graph)
     lines = writer.statements(graph.nodes())
     kept = []
     for name in memory._fields:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.export.graph import Node
+from hydro_agents.export.graph import Graph, Node, regular, runs_of_places, source_of
+from hydro_agents.export.origin import SCALED
 
 C_TYPES = {np.dtype(np.float64): "double", np.dtype(np.float32): "float", np.dtype(np.bool_): "int"}
 C_TYPES[np.dtype(np.int64)] = "long"
@@ -46,8 +47,9 @@ _HELPERS = {
 }
 _RESERVED = {"short", "long", "signed", "unsigned", "register", "auto", "static", "const", "union", "double", "float"}
 _INDICES = ("i", "j", "k")
-PLAINER = {"values": "in_si", "dictcomp": "ahead", "entries": "entry", "result": "interpolated", "way": "chosen"}
-"""Names of variables in Python that say little outside of it, and better ones."""
+_EXACT = {"where", "cast", "maximum", "minimum", "absolute", "sign", "copysign", "negative"}
+LONGEST = 120
+"""Characters of the longest number that is written into the statement of another one."""
 
 
 @dataclass
@@ -57,18 +59,49 @@ class CWriter:
     Args:
         inputs: C text of each input of the graph, by name; for an array without index.
         prefix: of the names of helper functions, for a file that contains others.
+        places: names of the elements of arrays, by the name of the array.
     """
 
     inputs: Mapping[str, str]
     prefix: str = ""
+    places: Mapping[str, Sequence[str]] = field(default_factory=dict)
     tables: list[str] = field(default_factory=list)
     helpers: list[str] = field(default_factory=list)
     _names: dict[int, str] = field(default_factory=dict)
     _used: set[str] = field(default_factory=set)
+    _single: set[int] = field(default_factory=set)
+    _inside: set[int] = field(default_factory=set)
+    repeats: ClassVar[frozenset[str]] = frozenset()  # operations whose text holds an operand more than once
 
     def reserve(self, *names: str) -> None:
         """Reserve names that no variable may have."""
         self._used.update(names)
+
+    def plan(self, graph: Graph) -> None:
+        """Let a statement be a whole line of Python: it takes up the numbers that only this line needs.
+
+        Arithmetic in single precision stays in statements of its own, because a processor may compute an expression
+        more exactly. The results are the same, bit by bit.
+        """
+        outputs = {id(source_of(node)) for node in graph.outputs.values()}
+        readers: dict[int, list[Node]] = {}
+        for node in graph.nodes():
+            if node.operation != "collect" or regular(node) is None:
+                for one in node.operands:
+                    readers.setdefault(id(source_of(one)), []).append(node)
+        for node in graph.nodes():
+            mine = readers.get(id(node), [])
+            if len(mine) == 1 and id(node) not in outputs and self._may_be_inside(node, mine[0]):
+                self._single.add(id(node))
+
+    def _may_be_inside(self, node: Node, reader: Node) -> bool:
+        exact = node.kind != np.float32 or node.operation in _EXACT
+        same_size = node.size == reader.size or reader.operation in ("collect", "sum")
+        own_line = node.origin == reader.origin or (node.operation == "cast" and not node.name.endswith(SCALED))
+        return (
+            exact and same_size and own_line and node.operation not in ("matmul", "sum", "collect")
+            and reader.operation != "matmul" and reader.operation not in self.repeats
+        )  # fmt: skip
 
     def statements(self, nodes: Sequence[Node], indent: str = "    ") -> list[str]:
         """C statements that compute nodes, operands first; each result gets a variable."""
@@ -116,25 +149,44 @@ class CWriter:
         """Text of one element; ``index`` is a number, or the text of an index in a loop."""
         if node.operation == "input":
             text = self.inputs[node.name]
-            return text if node.size == 1 else f"{text}[{index}]"
+            return text if node.size == 1 else f"{text}[{self._place(node.name, index)}]"
         if node.operation == "constant":
             assert node.table is not None
             if node.size == 1 or isinstance(index, int):
                 return self.number(node.table[index if isinstance(index, int) else 0])
             return f"{self._table(node)}[{index}]"
         if node.operation == "collect":
-            taken = _regular(node)
+            taken = regular(node)
             if taken is not None:
                 source, start, step = taken
                 return self.element(source, loop_place(start, step, index))
             if isinstance(index, int):
                 return self.element(*node.piece(index))
-        return self._names[id(node)] if node.size == 1 else f"{self._names[id(node)]}[{index}]"
+        if id(node) in self._inside:
+            text = self._elementwise(node, index)
+            return text if self._is_closed(node) else f"({text})"
+        if node.size == 1:
+            return self._names[id(node)]
+        return f"{self._names[id(node)]}[{self._place(node.name, index)}]"
+
+    def _place(self, name: str, index: int | str) -> int | str:
+        """An index, by its name where it has one."""
+        return self.places[name][index] if isinstance(index, int) and name in self.places else index
+
+    def _elementwise(self, node: Node, index: int | str) -> str:
+        return self._expression(node, [self.element(one, 0 if one.size == 1 else index) for one in node.operands])
+
+    def _is_closed(self, node: Node) -> bool:
+        """Whether the text of an operation needs no brackets inside another one."""
+        return node.operation in (*_FUNCTIONS, *_HELPERS) or (node.operation == "cast" and node.kind != np.bool_)
 
     # Statements of one node ---------------------------------------------------------------------------------------
 
     def _statement(self, node: Node) -> list[str]:
-        if node.operation == "collect" and _regular(node) is not None:
+        if node.operation == "collect" and regular(node) is not None:
+            return []
+        if id(node) in self._single and len(self._elementwise(node, "i")) <= LONGEST:
+            self._inside.add(id(node))
             return []
         kind, name = C_TYPES[node.kind], self._new_name(node.name or node.operation)
         self._names[id(node)] = name
@@ -144,9 +196,7 @@ class CWriter:
             return self._multiplied(node, kind, name)
         if node.operation == "sum":
             return self._summed(node, kind, name)
-        index: int | str = 0 if node.size == 1 else "i"
-        operands = [self.element(one, 0 if one.size == 1 else index) for one in node.operands]
-        return self._assigned(kind, name, node.size, self._expression(node, operands))
+        return self._assigned(kind, name, node.size, self._elementwise(node, 0 if node.size == 1 else "i"))
 
     def _assigned(self, kind: str, name: str, size: int, text: str) -> list[str]:
         if size == 1:
@@ -161,13 +211,13 @@ class CWriter:
         if operation in _PREFIX:
             return f"{_PREFIX[operation]}{operands[0]}"
         if operation in _FUNCTIONS:
-            return f"{_FUNCTIONS[operation]}{suffix}({', '.join(operands)})"
+            return f"{_FUNCTIONS[operation]}{suffix}({', '.join(map(bare, operands))})"
         if operation in _HELPERS:
             name = f"{self.prefix}{operation}{suffix}"
             text = _HELPERS[operation].format(type=C_TYPES[kind], name=name)
             if text not in self.helpers:
                 self.helpers.append(text)
-            return f"{name}({', '.join(operands)})"
+            return f"{name}({', '.join(map(bare, operands))})"
         if operation == "where":
             return f"{operands[0]} ? {operands[1]} : {operands[2]}"
         if operation == "cast":
@@ -182,7 +232,7 @@ class CWriter:
             return [*lines, f"{_loop('i', node.size)} {name}[i] = {self.element(node.operands[0], f'{places}[i]')};"]
         for first, length, source, start, step in runs:
             if length == 1:
-                lines.append(f"{name}[{first}] = {self.element(source, start)};")
+                lines.append(f"{name}[{self._place(node.name, first)}] = {self.element(source, start)};")
             else:
                 text = self.element(source, loop_place(start, step, "i") if source.size > 1 else 0)
                 lines.append(f"{_loop('i', length)} {name}[{loop_place(first, 1, 'i')}] = {text};")
@@ -226,7 +276,6 @@ class CWriter:
     # Names and tables ---------------------------------------------------------------------------------------------
 
     def _new_name(self, name: str) -> str:
-        name = PLAINER.get(name, name)
         plain = name if name not in (*_RESERVED, *_INDICES, "factor") else f"{name}_value"
         unique = next(one for one in (plain, *(f"{plain}_{n}" for n in range(2, 10_000))) if one not in self._used)
         self._used.add(unique)
@@ -243,12 +292,21 @@ class CWriter:
         return self._new_table(f"places_of_{node.name}", "int", node.table)
 
     def _new_table(self, name: str, kind: str, values: NDArray[Any]) -> str:
-        unique = self._new_name(f"{name}_table")
+        unique = self._new_name(self.prefix + (f"{name}_table" if name == "constant" else name))
         texts = [self.number(value) for value in values]
         rows = [", ".join(texts[first : first + 8]) for first in range(0, len(texts), 8)]
         body = ",\n    ".join(rows)
         self.tables.append(f"static const {kind} {unique}[{len(texts)}] = {{\n    {body}\n}};")
         return unique
+
+
+def bare(text: str) -> str:
+    """A text without brackets around all of it."""
+    depth, ends = 0, []
+    for place, letter in enumerate(text):
+        depth += (letter == "(") - (letter == ")")
+        ends += [place] * (depth == 0)
+    return text[1:-1] if text.startswith("(") and ends == [len(text) - 1] else text
 
 
 def number(value: Any) -> str:
@@ -275,24 +333,3 @@ def loop_place(start: int, step: int, index: int | str) -> int | str:
     plain = index.isidentifier() or index.endswith("]")
     scaled = index if step == 1 else f"{step} * {index if plain else f'({index})'}"
     return scaled if start == 0 else f"{start} + {scaled}"
-
-
-def runs_of_places(node: Node) -> list[tuple[int, int, Node, int, int]]:
-    """A ``collect`` as stretches with equal steps: first element, length, operand, first index in it, step."""
-    runs: list[tuple[int, int, Node, int, int]] = []
-    for element in range(node.size):
-        source, place = node.piece(element)
-        if runs:
-            first, length, before, start, step = runs[-1]
-            wanted = place - start if length == 1 else step
-            if before is source and place == start + length * wanted:
-                runs[-1] = (first, length + 1, before, start, wanted)
-                continue
-        runs.append((element, 1, source, place, 0))
-    return runs
-
-
-def _regular(node: Node) -> tuple[Node, int, int] | None:
-    """Operand, start and step of a ``collect`` that is a single stretch, which needs no separate array."""
-    runs = runs_of_places(node) if node.size < 4096 else []
-    return (runs[0][2], runs[0][3], runs[0][4]) if len(runs) == 1 else None

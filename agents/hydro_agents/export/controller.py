@@ -218,7 +218,8 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
     fields = field_names(controller)
     inputs = {"signals": "signals", "start": "start"} | {part: f"memory->{text}" for part, text in fields.items()}
     inputs |= {GAINS + gain.name: f"{name}_gains.{gain.name}" for gain in controller.gains}
-    writer = CWriter(inputs)
+    writer = CWriter(inputs, places=element_names(controller, f"{name.upper()}_"))
+    writer.plan(controller.graph)
     writer.reserve("voltage", "memory", "signals", "start", f"{name}_step", f"{name}_gains")
     step = written_step(controller, writer, {part: f"memory->{text}" for part, text in fields.items()})
     step["kept"] += f"\n    memory->lost_signals = (int){writer.element(controller.graph.outputs['lost'], 0)};"
@@ -239,6 +240,12 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
         "tables": writer.tables,
     }
     return c_code(name, values, "controller")
+
+
+def element_names(controller: ControllerGraph, prefix: str) -> dict[str, list[str]]:
+    """Names of the elements of the arrays that hold one number per signal, by the name of the array."""
+    names = [prefix + signal.name.upper() for signal in controller.signals.signals]
+    return dict.fromkeys(("signals", "last", "present", "held"), names)
 
 
 def field_names(controller: ControllerGraph) -> dict[str, str]:

@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.export.origin import inherited
+
 ELEMENTWISE = {
     np.add: "add",
     np.subtract: "subtract",
@@ -54,7 +56,7 @@ ELEMENTWISE = {
 KINDS = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.int64, np.bool_))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Node:
     """One operation and its result, a flat array."""
 
@@ -114,6 +116,33 @@ class Graph:
         return {name: wanted.get(id(node), np.zeros(node.size, dtype=np.bool_)) for name, node in self.inputs.items()}
 
 
+def runs_of_places(node: Node) -> list[tuple[int, int, Node, int, int]]:
+    """A ``collect`` as stretches with equal steps: first element, length, operand, first index in it, step."""
+    runs: list[tuple[int, int, Node, int, int]] = []
+    for element in range(node.size):
+        source, place = node.piece(element)
+        if runs:
+            first, length, before, start, step = runs[-1]
+            wanted = place - start if length == 1 else step
+            if before is source and place == start + length * wanted:
+                runs[-1] = (first, length + 1, before, start, wanted)
+                continue
+        runs.append((element, 1, source, place, 0))
+    return runs
+
+
+def source_of(node: Node) -> Node:
+    """The node of which a node is a regular part, or itself."""
+    found = regular(node) if node.operation == "collect" else None
+    return node if found is None else source_of(found[0])
+
+
+def regular(node: Node) -> tuple[Node, int, int] | None:
+    """Operand, start and step of a ``collect`` that is a single stretch, which needs no separate array."""
+    runs = runs_of_places(node) if node.size < 4096 else []
+    return (runs[0][2], runs[0][3], runs[0][4]) if len(runs) == 1 else None
+
+
 def in_order(outputs: Sequence[Node]) -> list[Node]:
     """The operations that some nodes need, operands first; no inputs, no constants."""
     found: dict[int, Node] = {}
@@ -149,7 +178,8 @@ class Builder:
     def node(self, operation: str, operands: Sequence[Node], value: NDArray[Any], **details: Any) -> Node:
         """An operation; ``value`` is its result for the values of the trace."""
         if all(one.operation == "constant" for one in operands):
-            return self.constant(value, details.get("name", "constant"))
+            return self.constant(value, details.get("name") or "constant")
+        details["name"] = details.get("name") or inherited(operands, details.get("origin", ""))
         return self._once(Node(operation, tuple(operands), value.size, value.dtype, **details))
 
     def collect(self, operands: Sequence[Node], places: NDArray[np.int64], **details: Any) -> Node:
@@ -172,7 +202,8 @@ class Builder:
             return joined[0]
         if all(one.operation == "constant" for one in joined):
             values = np.concatenate([one.table for one in joined if one.table is not None])
-            return self.constant(values[table], details.get("name", "constant"))
+            return self.constant(values[table], details.get("name") or "constant")
+        details["name"] = details.get("name") or inherited(joined, details.get("origin", ""))
         return self._once(Node("collect", joined, table.size, joined[0].kind, table, **details))
 
     def _once(self, node: Node) -> Node:

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.export.origin import SCALED
+from hydro_agents.export.tracing import named
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.task.sensors import CHANNEL_UNITS, CHANNELS
@@ -174,9 +176,12 @@ class MeasuredController:
         present = np.less(np.absolute(signals), np.inf)
         lost = np.where(present, 0.0, 1.0).sum(axis=0)
         begins = np.logical_or(start, memory.waiting)
-        held = np.where(present, signals, memory.last)
+        value: dict[str, Any] = {}
+        for name, place in s.places.items():
+            sample = np.where(present[place], signals[place], memory.last[place])
+            value[name] = named(f"{name}_sample", sample)
+        held = np.stack(list(value.values()))
 
-        value = {name: held[place] for name, place in s.places.items()}
         computed: dict[str, Any] = {}
         if memory.computed:
             goes_on = np.logical_or(np.logical_not(begins), np.logical_and(start, memory.computed["standby"]))
@@ -184,20 +189,28 @@ class MeasuredController:
         if "velocity_estimate" in s.used:
             rate = (value["position"] - memory.last[s.places["position"]]) / self._period
             speed = memory.computed["velocity_estimate"]
-            computed["velocity_estimate"] = np.where(goes_on, speed + self._blend * (rate - speed), 0.0)
+            smoothed = np.where(goes_on, speed + self._blend * (rate - speed), 0.0)
+            computed["velocity_estimate"] = named("velocity_estimate_sample", smoothed)
         if "tracking_error" in s.used or "error_integral" in s.used:
-            value["tracking_error"] = error = value["reference"] - value["position"]
+            error = value["reference"] - value["position"]
+            value["tracking_error"] = named("tracking_error_sample", error)
         if "error_integral" in s.used:
             integral = memory.computed["error_integral"]
             integral = integral + self._period * (error - integral / self._integral_time)
             integral = np.clip(integral, -self._integral_limit, self._integral_limit)
-            computed["error_integral"] = np.where(goes_on, integral, 0.0)
-        value["previous_command"] = value["previous_voltage"] / FULL_VOLTAGE
-        value |= {name: value[ahead_name(name)] - value["reference"] for name in s.previews} | computed
+            computed["error_integral"] = named("error_integral_sample", np.where(goes_on, integral, 0.0))
+        value["previous_command"] = named("previous_command_sample", value["previous_voltage"] / FULL_VOLTAGE)
+        for name in s.previews:
+            preview = value[ahead_name(name)] - value["reference"]
+            value[name] = named(f"{name}_sample", preview)
+        value |= computed
 
-        entries = [value[name] if name in s.used else 0.0 * lost for name in s.layout.names]
-        observation = np.stack(entries) / s.scale
-        observation = np.clip(observation, -s.limits, s.limits).astype(np.float32)[None]
+        entries = [np.float32(0.0)] * len(s.layout.names)
+        for place, name in enumerate(s.layout.names):
+            if name in s.used:
+                scaled = np.clip(value[name] / s.scale[place], -s.limits[place], s.limits[place]).astype(np.float32)
+                entries[place] = named(name + SCALED, scaled)
+        observation = np.stack(entries)[None]
         kept = np.clip(value["previous_voltage"], -FULL_VOLTAGE, FULL_VOLTAGE)
 
         def way(memory: Any, incomplete: Any) -> dict[str, Any]:
@@ -205,10 +218,12 @@ class MeasuredController:
             voltage = FULL_VOLTAGE * np.clip(command.astype(np.float64), -1.0, 1.0)[0, 0]
             # The valve keeps its voltage before the first complete sample, and if the command is not a number.
             waiting = np.logical_or(incomplete, np.logical_not(np.absolute(voltage) < np.inf))
-            return {"voltage": np.where(waiting, kept, voltage), "waiting": waiting, "controller": new}
+            voltage = np.where(waiting, kept, voltage)
+            return {"voltage": voltage, "waiting": waiting, "controller": new}
 
         common = {"last": held, "computed": computed}
-        return Step(begins, lost, common, way(None, lost > 0.5), way(memory.controller, np.array(False)))
+        incomplete = lost > 0.5
+        return Step(begins, lost, common, way(None, incomplete), way(memory.controller, np.array(False)))
 
     def empty(self) -> MeasuredMemory:
         """Memory before the first call: the right shapes, no content."""

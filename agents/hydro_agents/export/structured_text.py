@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.export.c_files import render
-from hydro_agents.export.c_writer import PLAINER, CWriter, loop_place, runs_of_places
-from hydro_agents.export.controller import GAINS, ControllerGraph, field_names, written_step
-from hydro_agents.export.graph import Node
+from hydro_agents.export.c_writer import CWriter, loop_place
+from hydro_agents.export.controller import GAINS, ControllerGraph, element_names, field_names, written_step
+from hydro_agents.export.graph import Node, runs_of_places
 from hydro_env import __version__
 
 TYPES = {np.dtype(np.float64): "LREAL", np.dtype(np.float32): "REAL", np.dtype(np.bool_): "BOOL"}
@@ -39,6 +39,8 @@ _RESERVED = (
     " lreal lword max min mod mul mux n ne not of on or program r read real repeat resource retain return "
     " rol ror s sel shl shr sin sint sqrt step string sub t tan task then time to transition true type "
     " udint uint until usint value var while with word write xor "
+    "abstract extends final implements interface internal method persistent pointer private property protected "
+    "public reference super this union "
 )
 """Words of the language, and the indices of loops, with a space on each side."""
 
@@ -51,6 +53,7 @@ class StructuredTextWriter(CWriter):
     """
 
     declared: list[str] = field(default_factory=list)
+    repeats: ClassVar[frozenset[str]] = frozenset({"arcsinh", "sign", "copysign"})
 
     def comment(self, text: str) -> str:
         """A comment."""
@@ -83,6 +86,11 @@ class StructuredTextWriter(CWriter):
         if size == 1:
             return [self.assign(name, text)]
         return [f"{self._for('i', size)} {self.assign(f'{name}[i]', text)} END_FOR"]
+
+    def _is_closed(self, node: Node) -> bool:
+        text = _FUNCTIONS.get(node.operation, "")
+        call = node.operation in ("where", "cast") and node.kind != np.bool_
+        return call or bool(re.fullmatch(r"[A-Z]+\([^()]*\)", text))
 
     def _variable(self, node: Node, name: str) -> None:
         self.declared.append(f"{name} : {declared_type(node.size, node.kind)};")
@@ -118,7 +126,7 @@ class StructuredTextWriter(CWriter):
         lines = []
         for first, length, source, start, step in runs_of_places(node):
             if length == 1:
-                lines.append(self.assign(f"{name}[{first}]", self.element(source, start)))
+                lines.append(self.assign(f"{name}[{self._place(node.name, first)}]", self.element(source, start)))
             else:
                 text = self.element(source, loop_place(start, step, "i") if source.size > 1 else 0)
                 at = loop_place(first, 1, "i")
@@ -153,7 +161,6 @@ class StructuredTextWriter(CWriter):
         ]
 
     def _new_name(self, name: str) -> str:
-        name = PLAINER.get(name, name)
         plain = f"{name}_value" if f" {name.lower()} " in _RESERVED else name
         names = (plain, *(f"{plain}_{n}" for n in range(2, 10_000)))
         unique = next(one for one in names if one.lower() not in self._used)
@@ -161,7 +168,7 @@ class StructuredTextWriter(CWriter):
         return unique
 
     def _new_table(self, name: str, kind: str, values: NDArray[Any]) -> str:
-        unique = self._new_name(f"{name}_table")
+        unique = self._new_name(self.prefix + (f"{name}_table" if name == "constant" else name))
         texts = [literal(value) for value in values]
         rows = [", ".join(texts[first : first + 8]) for first in range(0, len(texts), 8)]
         body = ",\n        ".join(rows)
@@ -196,7 +203,8 @@ def structured_text(controller: ControllerGraph, name: str = "Controller") -> st
     fields = {part: f"{text}_before" for part, text in field_names(controller).items()}
     inputs = {"signals": "Signals", "start": "Start"} | dict(fields)
     inputs |= {GAINS + gain.name: f"Gains.{gain.name}" for gain in controller.gains}
-    writer = StructuredTextWriter(inputs)
+    writer = StructuredTextWriter(inputs, places=element_names(controller, "AT_"))
+    writer.plan(controller.graph)
     writer.reserve("voltage", "signals", "start", "gains", "lost_signals", *(text.lower() for text in fields.values()))
     step = written_step(controller, writer, fields)
     lost = writer.element(controller.graph.outputs["lost"], 0)

@@ -6,13 +6,10 @@
 
 from __future__ import annotations
 
-import inspect
 import linecache
-import re
 import weakref
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -20,10 +17,9 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
 from hydro_agents.export.graph import ELEMENTWISE, KINDS, Builder, Graph, Node
+from hydro_agents.export.origin import caller, constant_name, where
 from hydro_env import HydroError
 
-_ASSIGNED = re.compile(r"\s*(?:self\.)?([A-Za-z_]\w*)(?:\[[^\]=]*\])?(?:: [^=]+)? [-+*/@]?= ")
-_OWN = (__file__, str(Path(np.__file__).parent))
 _MOVES = (np.reshape, np.transpose, np.tile, np.repeat, np.roll, np.broadcast_to, np.expand_dims, np.squeeze, np.ravel)
 _JOINS = (np.concatenate, np.stack, np.column_stack, np.hstack, np.vstack)
 
@@ -54,6 +50,13 @@ def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, NDArr
         for name, result in results.items()
     }
     return builder.graph(outputs)
+
+
+def named(name: str, value: Any) -> Any:
+    """The value; in the written code it has this name."""
+    if isinstance(value, Traced) and value._node.operation not in ("input", "constant"):
+        value._node.name = name
+    return value
 
 
 class Traced(NDArrayOperatorsMixin):
@@ -106,7 +109,7 @@ class Traced(NDArrayOperatorsMixin):
         written = self._value.copy()
         written[key] = new._value
         places[key] = self.size + np.arange(new.size).reshape(new.shape)
-        node = self._builder.collect([self._node, new._node], places.reshape(-1), **_where())
+        node = self._builder.collect([self._node, new._node], places.reshape(-1), **where())
         self._replace(node, written, writer)
 
     def reshape(self, *shape: Any) -> Traced:
@@ -123,7 +126,7 @@ class Traced(NDArrayOperatorsMixin):
         value = self._value.astype(kind)
         if value.dtype == self.dtype:
             return self.copy()
-        return Traced(self._builder, self._builder.node("cast", [self._node], value, **_where()), value)
+        return Traced(self._builder, self._builder.node("cast", [self._node], value, **where()), value)
 
     def sum(self, axis: int | None = None) -> Traced:
         """Sum of all elements or along an axis."""
@@ -135,7 +138,7 @@ class Traced(NDArrayOperatorsMixin):
         sizes = (outer, self.shape[axis], inner)
         if sizes[1] == 1:
             return Traced(self._builder, self._node, value)
-        return Traced(self._builder, self._builder.node("sum", [self._node], value, sizes=sizes, **_where()), value)
+        return Traced(self._builder, self._builder.node("sum", [self._node], value, sizes=sizes, **where()), value)
 
     def clip(self, low: Any, high: Any) -> Any:
         """The values clipped to low and high."""
@@ -173,7 +176,7 @@ class Traced(NDArrayOperatorsMixin):
         arrays = [self._of(one, np.bool_ if logical else kind) for one, kind in zip(operands, wanted, strict=False)]
         value = ufunc(*(one._value for one in arrays))
         nodes = [one._spread(value.shape)._node for one in arrays]
-        return Traced(self._builder, self._builder.node(ELEMENTWISE[ufunc], nodes, value, **_where()), value)
+        return Traced(self._builder, self._builder.node(ELEMENTWISE[ufunc], nodes, value, **where()), value)
 
     def _product(self, left: Any, right: Any) -> Traced:
         kind = np.result_type(*(one.dtype for one in (left, right)))
@@ -184,7 +187,7 @@ class Traced(NDArrayOperatorsMixin):
         value = a._value @ b._value
         sizes = (rows, a.shape[-1], columns)
         return Traced(
-            self._builder, self._builder.node("matmul", [a._node, b._node], np.asarray(value), sizes=sizes, **_where()),
+            self._builder, self._builder.node("matmul", [a._node, b._node], np.asarray(value), sizes=sizes, **where()),
             value,
         )  # fmt: skip
 
@@ -207,7 +210,7 @@ class Traced(NDArrayOperatorsMixin):
         numbered = [start + np.arange(one.size).reshape(one.shape) for start, one in zip(starts, parts, strict=False)]
         places = function(numbered, **options)
         value = function([one._value for one in parts], **options)
-        node = self._builder.collect([one._node for one in parts], places.reshape(-1), **_where())
+        node = self._builder.collect([one._node for one in parts], places.reshape(-1), **where())
         return Traced(self._builder, node, value)
 
     # Inside -------------------------------------------------------------------------------------------------------
@@ -217,12 +220,12 @@ class Traced(NDArrayOperatorsMixin):
         if isinstance(value, Traced):
             return value if kind is None or value.dtype == kind else value.astype(kind)
         array = np.asarray(value, dtype=kind)
-        return Traced(self._builder, self._builder.constant(array), array)
+        return Traced(self._builder, self._builder.constant(array, constant_name(value) or "constant"), array)
 
     def _moved(self, move: Callable[[NDArray[Any]], NDArray[Any]], view: bool = False, key: Any = None) -> Traced:
         """The elements that a function selects or rearranges."""
         places = np.asarray(move(np.arange(self.size).reshape(self.shape)))
-        node = self._builder.collect([self._node], places.reshape(-1), **_where())
+        node = self._builder.collect([self._node], places.reshape(-1), **where())
         value = self._value.reshape(-1)[places.reshape(-1)].reshape(places.shape)
         return Traced(self._builder, node, value, self if view else None, key)
 
@@ -258,7 +261,7 @@ def _where_function(self: Traced, condition: Any, yes: Any, no: Any) -> Traced:
         chosen = values[0] if known.all() else values[1]
         return chosen._moved(lambda places: np.broadcast_to(places, value.shape))
     nodes = [one._spread(value.shape)._node for one in (test, *values)]
-    return Traced(self._builder, self._builder.node("where", nodes, value, **_where()), value)
+    return Traced(self._builder, self._builder.node("where", nodes, value, **where()), value)
 
 
 def _einsum(self: Traced, subscripts: str, *operands: Any) -> Traced:
@@ -321,27 +324,8 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 }
 
 
-def _caller() -> FrameType | None:
-    frame = inspect.currentframe()
-    while frame is not None and frame.f_code.co_filename.startswith(_OWN):
-        frame = frame.f_back
-    return frame
-
-
-def _where() -> dict[str, str]:
-    """Name and origin of a node: the variable to which the traced line assigns, or the function; and the line."""
-    frame = _caller()
-    if frame is None:
-        return {}
-    line = linecache.getline(frame.f_code.co_filename, frame.f_lineno).strip()
-    assigned = _ASSIGNED.match(line)
-    name = assigned.group(1) if assigned else frame.f_code.co_name
-    name = re.sub(r"\W", "", name).strip("_") or "value"
-    return {"name": name, "origin": f"{Path(frame.f_code.co_filename).name}, {frame.f_code.co_name}: {line}"}
-
-
 def _refusal(what: str) -> TraceError:
-    frame = _caller()
+    frame = caller()
     place = ""
     if frame is not None:
         file, line = frame.f_code.co_filename, frame.f_lineno
