@@ -1,9 +1,14 @@
 """Other people's libraries themselves, where they are installed; docs/clients.md lists what was tried by hand."""
 
+import re
+from pathlib import Path
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
+from hydro_agents.export.c_files import c_compiler, compiled
+from hydro_agents.export.plant import plant_code
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, linearise
 
 ID = "ServoHydraulic-v0"
@@ -31,6 +36,9 @@ def test_torchrl():
     assert "leakage_flow_lpm" in env.rollout(5)["next"].keys()  # noqa: SIM118, not a mapping
     many = envs.GymWrapper(ServoHydraulicVectorEnv(2, info="flat", autoreset_mode="SameStep", episode_duration=0.1))
     assert tuple(many.rollout(50, break_when_any_done=False).shape) == (2, 50)
+    processes = envs.GymEnv(f"hydro_env:{ID}", num_envs=2, info="flat", episode_duration=0.1)
+    assert tuple(processes.rollout(50, break_when_any_done=False).shape) == (2, 50)
+    processes.close()
 
 
 def test_tau_ctrl():
@@ -45,3 +53,20 @@ def test_tau_ctrl():
         observation, _, terminated, truncated, _ = env.step(planner.predict(observation)[0])
         over = terminated or truncated
     assert truncated
+
+
+def test_the_plant_drives_a_joint_of_mujoco(tmp_path, monkeypatch):
+    """The code of docs/export.md; without the seal's friction it is another axis."""
+    pytest.importorskip("mujoco")
+    if c_compiler() is None:
+        pytest.skip("this machine has no C compiler")
+    page = (Path(__file__).parents[1] / "docs" / "export.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n(import ctypes\n.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    (tmp_path / "plant.so").write_bytes(compiled(plant_code().files, ["-shared", "-fPIC"]))
+    monkeypatch.chdir(tmp_path)
+    space = {"__name__": "__main__"}
+    exec(code, space)
+    assert space["difference"] < 1e-3
+    with pytest.raises(AssertionError):
+        exec(code.replace(" - forces.friction_force", ""), space)
+    assert space["difference"] > 1e-2

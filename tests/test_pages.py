@@ -62,6 +62,9 @@ def test_python_runs(page, number, given, capsys):
         compile(FENCE.findall(TEXTS[page])[number][1], page, "exec")
         pytest.skip(f"{ELSEWHERE[page]} is no dependency: tests/robustness/test_backends.py runs this code")
     block = FENCE.findall(TEXTS[page])[number][1]
+    if "import mujoco" in block:
+        compile(block, page, "exec")
+        pytest.skip("tests/test_libraries.py runs this code, which needs MuJoCo and a compiled plant")
     for package in NO_DEPENDENCIES:
         if re.search(rf"^(import|from) {package}\b", block, re.MULTILINE) and not importlib.util.find_spec(package):
             pytest.skip(f"{package} is not installed: tests/test_libraries.py uses it where it is")
