@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ Tensors = Mapping[str, NDArray[Any]]
 FORMAT_VERSION = 1  # of checkpoints, and of weights without a digest, which older versions wrote
 DIGEST_VERSION = 2  # of weights whose JSON holds a digest of tensors and settings
 LARGEST_FILE = 2**31  # largest size of a file of weights or a checkpoint in bytes; a larger one must be a mistake
+CARD = "README.md"  # of a folder of a model hub; its head names the library
 _DESCRIPTION, _DIGEST = "description", "digest"
 _OPTIMISER = "optimiser."
 
@@ -76,12 +78,12 @@ def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mappin
 
 
 def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read weights and settings.
+    """Read weights and settings; ``path`` is their name, or a folder that :func:`weights_in` understands.
 
     Raises:
         ConfigurationError: a file is missing, unreadable, damaged, changed since it was written, or of another kind.
     """
-    weights, description = weight_files(path)
+    weights, description = weight_files(weights_in(path) or path)
     settings = _described(_content(description), kind, description, (FORMAT_VERSION, DIGEST_VERSION))
     content = _content(weights)
     if settings["format_version"] == DIGEST_VERSION:
@@ -92,8 +94,8 @@ def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], 
 
 
 def kind_of_weights(path: str | Path) -> str:
-    """The kind that the JSON of weights names; empty: there are no weights with this name."""
-    weights, description = weight_files(path)
+    """The kind that the JSON of weights names; empty: there are no weights with this name, or in this folder."""
+    weights, description = weight_files(weights_in(path) or path)
     if not (weights.is_file() and description.is_file()):
         return ""
     try:
@@ -102,6 +104,28 @@ def kind_of_weights(path: str | Path) -> str:
         return ""
     named = stored.get("format", "") if isinstance(stored, dict) else ""
     return str(named).removeprefix("hydro_env ")
+
+
+def weights_in(path: str | Path) -> Path | None:
+    """The weights in a folder as model hubs hand them out: one ``NAME.safetensors`` beside its JSON, and a card.
+
+    ``None``: the path is no folder, or one without any file of tensors.
+
+    Raises:
+        ConfigurationError: the folder holds several weights, or only those of another library, which the card names.
+    """
+    folder = Path(path)
+    found = sorted(folder.glob("*.safetensors")) if folder.is_dir() else []
+    own = [one.with_suffix("") for one in found if one.with_suffix(".json").is_file()]
+    if found and not own:
+        head = card.read_text(encoding="utf-8", errors="replace")[:10_000] if (card := folder / CARD).is_file() else ""
+        library = re.search(r"^library_name: *(\S+)", head, flags=re.MULTILINE)
+        made_by = f"; {CARD} names the library {library.group(1)[:60]!r}" if library else ""
+        raise ConfigurationError(f"{folder}: {found[0].name} has no JSON file of hydro_env beside it{made_by}")
+    if len(own) > 1:
+        names = ", ".join(one.name for one in own)
+        raise ConfigurationError(f"{folder}: holds several weights: {names}; name one of them")
+    return own[0] if own else None
 
 
 def weight_files(path: str | Path) -> tuple[Path, Path]:

@@ -57,7 +57,6 @@ def controller_card(
     return _card(
         title=f"{shipped if weights is None else name}: {called}, for a hydraulic servo axis",
         tags=["reinforcement-learning", "deep-reinforcement-learning", "hydraulics", ENVIRONMENT],
-        library="stable-baselines3" if "stable-baselines3" in algorithm else "hydro_env",
         task={"type": "reinforcement-learning", "name": "positioning of a hydraulic servo axis"},
         metrics=list(_tracking(evaluation, name, against, corrects)),
         training=training,
@@ -85,7 +84,6 @@ def head_card(head: LeakageHead, evaluation: Evaluation, command: str, weights: 
     return _card(
         title="Leakage head of a hydraulic servo axis",
         tags=["tabular-classification", "fault-diagnosis", "hydraulics", ENVIRONMENT],
-        library="hydro_env",
         task={"type": "tabular-classification", "name": "leak past the piston, from 2 s of measured signals"},
         metrics=metrics,
         training=head.settings.training,
@@ -150,7 +148,6 @@ def _card(
     *,
     title: str,
     tags: list[str],
-    library: str,
     task: dict[str, str],
     metrics: list[Metric],
     training: Mapping[str, Any],
@@ -163,7 +160,7 @@ def _card(
         if one["main"]
     ]
     front = {
-        "library_name": library,
+        "library_name": "hydro_env",  # it loads the weights, whichever library trained them
         "pipeline_tag": task["type"],
         "license": "mit",
         "tags": tags,
