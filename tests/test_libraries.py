@@ -1,17 +1,23 @@
 """Other people's libraries themselves, where they are installed; docs/clients.md lists what was tried by hand."""
 
+import inspect
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
+import yaml
 
 from hydro_agents.export.c_files import c_compiler, compiled
 from hydro_agents.export.plant import plant_code
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, linearise
 
 ID = "ServoHydraulic-v0"
+ROOT = Path(__file__).parents[1]
+ZOO = ROOT / "configs" / "agents" / "rl_zoo3_ppo.yaml"
 
 
 def test_control_libraries_take_the_linearised_axis():
@@ -60,7 +66,7 @@ def test_the_plant_drives_a_joint_of_mujoco(tmp_path, monkeypatch):
     pytest.importorskip("mujoco")
     if c_compiler() is None:
         pytest.skip("this machine has no C compiler")
-    page = (Path(__file__).parents[1] / "docs" / "export.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"^```python\n(import ctypes\n.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
     (tmp_path / "plant.so").write_bytes(compiled(plant_code().files, ["-shared", "-fPIC"]))
     monkeypatch.chdir(tmp_path)
@@ -70,3 +76,25 @@ def test_the_plant_drives_a_joint_of_mujoco(tmp_path, monkeypatch):
     with pytest.raises(AssertionError):
         exec(code.replace(" - forces.friction_force", ""), space)
     assert space["difference"] > 1e-2
+
+
+def test_the_settings_for_rl_zoo3_are_those_of_ppo():
+    ppo = pytest.importorskip("stable_baselines3").PPO
+    ((name, settings),) = yaml.safe_load(ZOO.read_text(encoding="utf-8")).items()
+    assert name == ID
+    own = {"n_envs", "n_timesteps", "normalize"}  # of rl-zoo3
+    assert set(settings) - own <= set(inspect.signature(ppo.__init__).parameters)
+    assert settings["n_envs"] * settings["n_steps"] % settings["batch_size"] == 0
+
+
+def test_rl_zoo3_trains_with_them(tmp_path):
+    pytest.importorskip("rl_zoo3")
+    words = f"--algo ppo --env {ID} --gym-packages hydro_env -conf {ZOO} -n 512 --eval-freq -1 --seed 1"
+    small = ["-params", "n_envs:2", "n_steps:128", "batch_size:128", "-f", str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-m", "rl_zoo3.train", *words.split(), *small], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    folder = tmp_path / "ppo" / f"{ID}_1"
+    assert (folder / f"{ID}.zip").is_file()
+    assert re.search(r"gamma\n +- 0\.975\n", (folder / ID / "config.yml").read_text(encoding="utf-8"))
