@@ -3,6 +3,8 @@
 import importlib.util
 import re
 import shlex
+import sys
+import tomllib
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -141,3 +143,20 @@ def test_the_citation_names_this_version():
     assert entry["version"] == hydro_env.__version__
     assert {"cff-version", "message", "title", "authors"} <= set(entry)
     assert entry["authors"] == [{"name": "hydro_env contributors"}]
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "notebooks").glob("*.md")), ids=lambda page: page.stem)
+def test_a_notebook_says_how_it_runs_in_colab(page):
+    """Its line names its own file, and the extra that brings what its cells import."""
+    text = page.read_text(encoding="utf-8")
+    line = (
+        f"In Colab: `jupytext --from md:myst --to ipynb {page.name}`, upload the result, first cell `%pip install -q "
+    )
+    (extra,) = re.findall(re.escape(line) + r'"hydro_env\[(\w+)\]"`\.$', text, flags=re.MULTILINE)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"][extra]]
+    brought = {re.split(r"[\[<>=]", one)[0].replace("-", "_") for one in wanted} | {"hydro_env", "hydro_agents"}
+    cells = "\n".join(re.findall(r"^```\{code-cell\} ipython3\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL))
+    needed = set(re.findall(r"^(?:import|from) (\w+)", cells, flags=re.MULTILINE)) - sys.stdlib_module_names
+    assert len(needed) > 1
+    assert needed <= brought

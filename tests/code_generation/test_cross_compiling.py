@@ -59,6 +59,7 @@ def test_arm_gives_the_voltages_of_the_vectors_bit_for_bit(target, machine, sour
     _, folder = sources
     zig(folder, "-target", target, "-static", "-O2", "-o", machine, "test_controller.c", "controller.c", "-lm")
     done = subprocess.run([emulator, f"./{machine}"], cwd=folder, capture_output=True, text=True, check=False)
+    print(f"{machine}: {done.stdout}")
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.match(r"\d{3} samples, 0 with another voltage, largest difference 0 V", done.stdout), done.stdout
 
