@@ -47,13 +47,17 @@ def export(
             "--format", metavar="c|st", help="st: a controller also as Structured Text (IEC 61131-3) for a PLC."
         ),
     ] = "c",
+    all_systems: Annotated[
+        bool, typer.Option("--all-systems", help="plant: the FMU with binaries for Linux, Windows and macOS.")
+    ] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the plant, a controller, the leakage head or its alarm for other tools, or for your own C program.
 
     `hydro export plant` writes `hydro_axis.fmu` (FMI 2.0 co-simulation for Simulink, Amesim, OpenModelica and others,
     with the binary of this platform and its sources; it needs a C compiler) and `plant.c`, `plant.h` (C99, no library
-    but the mathematical one). Its inputs are the voltage of the valve, an external force, the leak and the faults. With
+    but the mathematical one). `--all-systems` adds the binaries of Linux, Windows and macOS; it needs `pip install
+    'hydro_env[playground]'`. Its inputs are the voltage of the valve, an external force, the leak and the faults. With
     `--rig` the parameters are those of your rig.
 
     `hydro export CONTROLLER` writes a folder that needs nothing of this project to run: the controller from measured
@@ -79,8 +83,10 @@ def export(
         raise ConfigurationError(f"export {what}: has no --format {language}; a controller does")
     if part and (period is not None or latency is not None):
         raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
+    if all_systems and part != "plant":
+        raise ConfigurationError(f"export {what}: takes no --all-systems; the plant does")
     if part == "plant":
-        _export_plant(task_config(task, rig=rig), output, overwrite)
+        _export_plant(task_config(task, rig=rig), output, overwrite, all_systems)
     elif part and (task is not None or rig is not None):
         owner = "the shipped head" if what == part else part.replace("_", " ")
         raise ConfigurationError(f"export {what}: takes no --task and no --rig; {owner} has its own")
@@ -121,11 +127,11 @@ def _write(output: Path, overwrite: bool, names: Sequence[str], make: Callable[[
     say(*report, *(f"written: {output / name}" for name in names))
 
 
-def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
+def _export_plant(config: TaskConfig, output: Path, overwrite: bool, all_systems: bool) -> None:
     from hydro_agents.export.plant import make_fmu, plant_code
 
     def make() -> Exported:
-        return {**plant_code(config.plant).files, FMU_FILE: make_fmu(config)}, ()
+        return {**plant_code(config.plant).files, FMU_FILE: make_fmu(config, all_systems)}, ()
 
     _write(output, overwrite, [FMU_FILE, *SOURCES], make)
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import io
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +17,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
-from hydro_env import HydroError
+from hydro_env import ConfigurationError, HydroError
 
 TEMPLATES = Path(__file__).parent / "templates"
 WARNINGS = ("-Wall", "-Wextra", "-Werror")
@@ -63,6 +65,17 @@ def write_files(texts: Mapping[str, str], folder: Path) -> None:
 def c_compiler() -> str | None:
     """The command of this machine's C compiler, or ``None`` without one."""
     return next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
+
+
+def cross_compiler(target: str, what: str) -> list[str]:
+    """Command of the compiler for another system, such as ``x86_64-windows-gnu``; ``what`` begins the message.
+
+    Raises:
+        ConfigurationError: the package ziglang is not installed.
+    """
+    if importlib.util.find_spec("ziglang") is None:
+        raise ConfigurationError(f"{what} compiled by the package ziglang: pip install 'hydro_env[playground]'")
+    return [sys.executable, "-m", "ziglang", "cc", "-target", target]
 
 
 def compiled(

@@ -16,7 +16,7 @@ import zipfile
 from dataclasses import dataclass
 from typing import Annotated, get_args, get_type_hints
 
-from hydro_agents.export.c_files import CCode, c_code, compiled, render
+from hydro_agents.export.c_files import CCode, c_code, compiled, cross_compiler, render
 from hydro_agents.export.expressions import DOUBLE
 from hydro_agents.export.translator import Translator
 from hydro_env import HydroError, TaskConfig, __version__, equilibrium
@@ -42,6 +42,10 @@ from hydro_env.units import LITRE_PER_MINUTE
 MODEL = "hydro_axis"
 SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
 SUFFIXES = {"linux": ".so", "win32": ".dll", "darwin": ".dylib"}
+TARGETS = {"linux": "x86_64-linux-gnu.2.28", "win32": "x86_64-windows-gnu", "darwin": "x86_64-macos"}
+"""Of the compiler for other systems; the second version of FMI knows 64-bit x86 alone."""
+ALL_SYSTEMS = "the binaries of all systems are"
+SHARED = ("-shared", "-fvisibility=hidden")
 _ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
 
 
@@ -179,12 +183,19 @@ def _unit(unit: str) -> str:
     return "" if unit == "1" else unit.translate(_ASCII)
 
 
-def make_fmu(config: TaskConfig) -> bytes:
+def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
     """The FMU as the bytes of a zip file; the same task gives the same sources.
 
+    Args:
+        config: the task, with its rig.
+        all_systems: binaries for Linux, Windows and macOS instead of this system's alone.
+
     Raises:
+        ConfigurationError: ``all_systems`` without the package ziglang.
         HydroError: this machine has no C compiler, or the compiler failed.
     """
+    if all_systems:
+        cross_compiler(TARGETS["linux"], ALL_SYSTEMS)  # report a missing package at the start
     variables = fmu_variables(config)
     code = plant_code(config.plant)
     values = {
@@ -204,14 +215,23 @@ def make_fmu(config: TaskConfig) -> bytes:
     sources = {"plant.h": code.header, "plant.c": code.source, "fmu.c": render("fmu.c.j2", values)}
     files = {"modelDescription.xml": render("modelDescription.xml.j2", values).encode()}
     files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
-    system = SYSTEMS.get(sys.platform)
-    if system is None or platform.machine().lower() not in ("x86_64", "amd64"):
-        raise HydroError(f"FMI 2.0 has no binary for {sys.platform} on {platform.machine()}; it needs 64-bit x86")
-    files[f"binaries/{system}/{MODEL}{SUFFIXES[sys.platform]}"] = compiled(
-        sources, ["-shared", "-fPIC", "-fvisibility=hidden"]
-    )
+    for system in SYSTEMS if all_systems else (sys.platform,):
+        files[_place_of_binary(system)] = _binary(sources, system, all_systems)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
             archive.writestr(zipfile.ZipInfo(name, (2020, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
     return packed.getvalue()
+
+
+def _place_of_binary(system: str) -> str:
+    return f"binaries/{SYSTEMS.get(system, system)}/{MODEL}{SUFFIXES.get(system, '')}"
+
+
+def _binary(sources: dict[str, str], system: str, cross: bool) -> bytes:
+    if cross:
+        options = [*SHARED, *([] if system == "win32" else ["-fPIC"]), "-s"]
+        return compiled(sources, options, cross_compiler(TARGETS[system], ALL_SYSTEMS))
+    if system not in SYSTEMS or platform.machine().lower() not in ("x86_64", "amd64"):
+        raise HydroError(f"FMI 2.0 has no binary for {system} on {platform.machine()}; it needs 64-bit x86")
+    return compiled(sources, [*SHARED, "-fPIC"])

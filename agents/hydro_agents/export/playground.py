@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import base64
 import gzip
-import importlib.util
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +29,7 @@ from hydro_agents.export.translator import Translator
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.report.palette import LEAK_LOOKS, css_rules
 from hydro_agents.running.folders import pretrained_folder
-from hydro_env import ConfigurationError, TaskConfig, __version__
+from hydro_env import TaskConfig, __version__
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
@@ -305,7 +303,4 @@ def web_compiler() -> list[str]:
     Raises:
         ConfigurationError: the compiler is not installed.
     """
-    if importlib.util.find_spec("ziglang") is None:
-        text = "the playground is compiled by the package ziglang: pip install 'hydro_env[playground]'"
-        raise ConfigurationError(text)
-    return [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]
+    return [*cross_compiler("wasm32-wasi", "the playground is"), "-mexec-model=reactor"]
