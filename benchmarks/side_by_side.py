@@ -22,6 +22,15 @@ from pathlib import Path
 import pandas as pd
 
 COMMAND = (sys.executable, "-m", "hydro_agents.commands.application")
+SHORT = """
+title: "A short study: a training of PPO and an evaluation, without a leakage head"
+controllers:
+  PID: {kind: pid}
+  Flow linearisation: {kind: flow_linearising}
+  PPO on flow linearisation: {kind: ppo, settings: {total_steps: 60000}, corrects: Flow linearisation}
+leakage_head: null
+evaluation: {plants: 3, leak_levels: [0.01, 4.0], families: [step], bound_plants: 1}
+"""
 TABLE = "tables/over_seeds.csv"
 COMPARED = ("seed */controllers/*/policy.safetensors", "seed */leakage_head.safetensors", "seed */tables/*.csv")
 
@@ -73,7 +82,7 @@ def differences(one: Path, other: Path) -> list[str]:
 def main() -> None:
     """Measure, and print one line for each run."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--config", default="quick")
+    parser.add_argument("--config", help="a study; default: a short one")
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument(
@@ -81,11 +90,14 @@ def main() -> None:
     )
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
+        short = Path(folder) / "short.yaml"
+        short.write_text(SHORT, encoding="utf-8")
+        config = given.config or str(short)
         alone, beside = Path(folder) / "alone", Path(folder) / "beside"
         print(f"load before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores", flush=True)
-        wall, work = study(given.config, given.seeds, 1, alone)
+        wall, work = study(config, given.seeds, 1, alone)
         print(f"one after another: {wall:.0f} s, processor {work:.0f} s", flush=True)
-        wall_beside, work_beside = study(given.config, given.seeds, given.jobs, beside, given.kill)
+        wall_beside, work_beside = study(config, given.seeds, given.jobs, beside, given.kill)
         print(f"--jobs {given.jobs}: {wall_beside:.0f} s, processor {work_beside:.0f} s", flush=True)
         print(f"ratio of the times {wall_beside / wall:.2f}, of the processor times {work_beside / work:.2f}")
         print(f"weights and tables: {', '.join(differences(alone, beside)) or 'equal, bit for bit'}")
