@@ -183,10 +183,11 @@ def _in_unit_of(given: Any, schema: dict[str, Any]) -> tuple[dict[str, Any], str
     from hydro_env.units import UNITS, split_quantity
 
     bounds = [key for key in ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum") if key in schema]
-    units = UNITS.get(str(schema.get("unit")), {})
+    written, own = split_quantity(given) if isinstance(given, str) else (given, "")
+    anywhere = next((known for known in UNITS.values() if own in known), {})  # a sensor's field has the signal's unit
+    units = UNITS.get(str(schema.get("unit")), anywhere)
     if not bounds or not units or isinstance(given, bool):
         return schema, "", ""
-    written, own = split_quantity(given) if isinstance(given, str) else (given, "")
     if not isinstance(written, int | float) or abs(written) > 1e300 or (isinstance(given, str) and own not in units):
         return schema, "", ""
     low = max(schema.get("minimum", -math.inf), schema.get("exclusiveMinimum", -math.inf))

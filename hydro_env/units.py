@@ -69,6 +69,12 @@ def split_quantity(text: str) -> tuple[float | None, str]:
     return (float(found[1]), found[2].strip()) if found is not None else (None, "")
 
 
+def written(value: float, unit: str) -> str:
+    """A value with its usual unit, such as ``160 bar`` for 1.6e7 in Pa."""
+    usual, factor = next(iter(UNITS.get(unit, {unit: 1.0}).items()))
+    return f"{value / factor:.6g} {usual}"
+
+
 def in_si(value: Any, unit: str) -> Any:
     """A quantity written with its unit, such as ``63 mm``, as a number in SI; anything else unchanged.
 

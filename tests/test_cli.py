@@ -118,7 +118,7 @@ def test_the_legends_of_the_picture_lie_over_no_line():
         ("cylinder: {bore_diametre: 0.04}", ["did you mean bore_diameter?"]),
         ("cylinder: {bore_diameter: 40}", ["cylinder.bore_diameter = 40", "within 0.005 to 1", "unit: m"]),
         ("load: {mass: -60}", ["load.mass = -60", "unit: kg"]),
-        ("cylinder: {rod_diameter: 0.05}", ["rod_diameter = 0.05 m does not fit", "bore_diameter = 0.04 m"]),
+        ("cylinder: {rod_diameter: 0.05}", ["rod_diameter = 50 mm does not fit", "bore_diameter = 40 mm"]),
         ("supply: {pressure: 70}", ["supply.pressure = 70", "unit: Pa"]),
         ("fluid: {bulk_modulus: .nan}", ["fluid.bulk_modulus = nan"]),
         ("- 1\n- 2", ["must be a mapping of settings, not a list"]),

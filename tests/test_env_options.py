@@ -137,7 +137,7 @@ WRONG = {
     "parameter NaN": ({"parameters": {"load": {"mass": NAN}}}, "parameters.load.mass = nan: must be a number"),
     "parameter text": ({"parameters": {"load": {"mass": "big"}}}, "parameters.load.mass = 'big': must be a number"),
     "parameter infinite": ({"parameters": {"load": {"mass": np.inf}}}, r"load\.mass = inf: .*unit: kg"),
-    "geometry": ({"parameters": {"cylinder": {"rod_diameter": 0.045}}}, "rod_diameter = 0.045 m does not fit"),
+    "geometry": ({"parameters": {"cylinder": {"rod_diameter": 0.045}}}, "rod_diameter = 45 mm does not fit"),
     "choice": (
         {"parameters": {"supply": {"model": "hand pump"}}},
         "supply.model = 'hand pump': must be one of constant",
@@ -145,7 +145,7 @@ WRONG = {
     "choice by number": ({"parameters": {"supply": {"model": 7}}}, "supply.model = 7: must be one of constant"),
     "precharge above what may be drawn": (
         {"parameters": {"supply": {"precharge_pressure": 65e5}}},
-        r"precharge_pressure = 6.5e\+06 Pa must be below pressure = 6e\+06 Pa",
+        r"precharge_pressure = 65 bar must be below pressure = 60 bar",
     ),
     "breakaway below what may be drawn": (
         {"parameters": {"friction": {"breakaway_force": 200.0}}},

@@ -12,7 +12,7 @@ from hydro_env.files import Group
 from hydro_env.mistakes import did_you_mean
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PARAMETER_UNITS, PlantParameters
 from hydro_env.plant.parts.leakage import LEAK_LAWS
-from hydro_env.units import Number, in_si
+from hydro_env.units import Number, in_si, written
 
 LEAKAGE_OF_THE_TASK = tuple(f"leakage.{law.parameter}" for law in LEAK_LAWS.values())
 """Parameters that the group ``leakage`` of the task draws."""
@@ -83,7 +83,10 @@ def _in_si(ranges: Any) -> Any:
         if isinstance(given, Mapping) and path in PARAMETER_UNITS and given.get("times") is None:
             units = dict.fromkeys(("uniform", "log_uniform", "otherwise"), PARAMETER_UNITS[path])
             try:
-                result[path] = {name: in_si(value, units.get(name, "1")) for name, value in given.items()}
+                result[path] = {
+                    name: in_si(value, units.get(name, "1")) if name in Distribution.model_fields else value
+                    for name, value in given.items()
+                }
             except ValueError as error:
                 raise ValueError(f"{path}: {error}") from None
     return result
@@ -180,12 +183,14 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
         if distribution.otherwise is not None:
             values.append(distribution.otherwise)
         group, field = path.split(".")
+        unit = PARAMETER_UNITS[path]
         for bound in type(getattr(plant, group)).model_fields[field].metadata:
             low, above, high = (getattr(bound, name, None) for name in ("ge", "gt", "le"))
             for value in values:
-                if (low is not None and value < low) or (above is not None and value <= above):
-                    raise ValueError(
-                        f"randomisation: {path} = {value:g} is below its limit {above if low is None else low:g}"
-                    )
+                limit = next((one for one in (low, above) if one is not None and value < one), None)
+                if limit is not None or value == above:
+                    least = written(value if limit is None else limit, unit)
+                    raise ValueError(f"randomisation: {path} = {written(value, unit)} is below its limit {least}")
                 if high is not None and value > high:
-                    raise ValueError(f"randomisation: {path} = {value:g} is above its limit {high:g}")
+                    most = written(high, unit)
+                    raise ValueError(f"randomisation: {path} = {written(value, unit)} is above its limit {most}")

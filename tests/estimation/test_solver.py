@@ -120,3 +120,13 @@ def test_eliminating_the_starts_leaves_the_information_of_the_whole_problem():
     first = [0, 3, 1, 4, 2]  # places of the first window's unknowns in the dense problem
     of_window = np.linalg.inv(reduced.precision[0])
     np.testing.assert_allclose(of_window, covariance[np.ix_(first, first)], rtol=1e-9)
+
+
+def test_a_direction_that_the_readings_seem_to_fix_beyond_rounding_keeps_a_step():
+    model, _, guess = problem(np.array([0.3]), range(1_300_130, 1_300_131))
+    precision = np.diag(np.full(guess.shape[1], 1e24))[None]
+    steps = np.linalg.norm(model.directions(precision, 1.0), axis=1)
+    np.testing.assert_allclose(steps, 1e-6)
+    jacobian = model.linearise(guess, directions=model.directions(precision, 1.0), central=True).jacobian
+    exact = model.linearise(guess, central=True).jacobian
+    np.testing.assert_allclose(jacobian, exact, atol=0.05 * np.abs(exact).max())

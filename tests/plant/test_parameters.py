@@ -112,13 +112,13 @@ WRONG = {
     "group is a number": ("load: 60", "load = 60: .*"),
     "rod does not fit": (
         "cylinder: {rod_diameter: 0.05}",
-        "rod_diameter = 0.05 m does not fit: .* bore_diameter = 0.04 m",
+        "rod_diameter = 50 mm does not fit: .* bore_diameter = 40 mm",
     ),
     "tank above supply": (
         "supply: {tank_pressure: 80e5}",
-        "pressure = 7e[+]06 Pa must be above tank_pressure = 8e[+]06 Pa",
+        "pressure = 70 bar must be above tank_pressure = 80 bar",
     ),
-    "precharge": ("supply: {precharge_pressure: 75e5}", "precharge_pressure = 7.5e[+]06 Pa must be below pressure"),
+    "precharge": ("supply: {precharge_pressure: 75e5}", "precharge_pressure = 75 bar must be below pressure"),
     "breakaway": (
         "friction: {breakaway_force: 100}",
         "breakaway_force = 100 N must not be below coulomb_force = 120 N",

@@ -190,7 +190,7 @@ WRONG = {
     "a comma": ({"mass": "1,5 t"}, "--mass '1,5 t': must be a number with its unit"),
     "negative": ({"stroke": "-1 m"}, "--stroke '-1 m': must not be negative"),
     "zero": ({"step_time": "0 ms"}, "--step-time '0 ms': must be above 0"),
-    "a rod too thick": ({"rod": "70 mm"}, "cylinder: rod_diameter = 0.07 m does not fit"),
+    "a rod too thick": ({"rod": "70 mm"}, "cylinder: rod_diameter = 70 mm does not fit"),
     "too strong a force": ({"external_force": "90 kN"}, "load.external_force = 90000 N"),
     "no pump": ({"accumulator": "4 l"}, "--accumulator: needs --pump-flow"),
     "half a line": ({"line_length": "2 m"}, "--line-length and --line-diameter: give both, or none"),

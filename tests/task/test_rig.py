@@ -246,7 +246,7 @@ RIG_FILES = {
     "a wrong range": ("randomisation: {load.mass: {factor: [2, 1]}}", "randomisation.load.mass: bounds = [2, 1]"),
     "beyond a limit": (
         "randomisation: {load.mass: {uniform: [0, 1]}}",
-        "randomisation: load.mass = 0 is below its limit",
+        "randomisation: load.mass = 0 kg is below its limit",
     ),
     "cannot work": ("load: {external_force: 1e6}", "load.external_force = 1e+06 N: "),
 }

@@ -147,7 +147,7 @@ WRONG = {
     ),
     "unknown deep key": ({"plant": {"load": {"weight": 1}}}, "plant.load.weight = 1: unknown key; known here: mass"),
     "plant value": ({"plant": {"supply": {"pressure": 70}}}, "plant.supply.pressure = 70: .*unit: Pa"),
-    "plant geometry": ({"plant": {"cylinder": {"rod_diameter": 0.04}}}, "rod_diameter = 0.04 m does not fit"),
+    "plant geometry": ({"plant": {"cylinder": {"rod_diameter": 0.04}}}, "rod_diameter = 40 mm does not fit"),
     "group is a number": ({"leakage": 3}, "leakage = 3: "),
     "no such parameter": (
         {"randomisation": {"load.weight": {"uniform": [1, 2]}}},
@@ -174,11 +174,23 @@ WRONG = {
     "log of zero": ({"randomisation": {"load.mass": {"log_uniform": [0, 50]}}}, "log_uniform needs positive bounds"),
     "below the limit": (
         {"randomisation": {"load.mass": {"uniform": [0, 50]}}},
-        "load.mass = 0 is below its limit 0.01",
+        "load.mass = 0 kg is below its limit 0.01 kg",
+    ),
+    "a limit in the usual unit": (
+        {"randomisation": {"supply.pressure": {"uniform": ["50 bar", "2000 bar"]}}},
+        "supply.pressure = 2000 bar is above its limit 1000 bar",
+    ),
+    "a sensor beyond any range": (
+        {"sensors": {"pressure_a": {"high": "40000 bar"}}},
+        "sensors.pressure_a.high = '40000 bar': must be a number within -10000 to 10000 bar; 40000 psi meant[?]",
+    ),
+    "a range without its form": (
+        {"randomisation": {"supply.pressure": {"low": "50 bar"}}},
+        "randomisation.supply.pressure.low = '50 bar': unknown key; known here: uniform",
     ),
     "above the limit": (
         {"randomisation": {"load.mass": {"uniform": [1, 1e9]}}},
-        "load.mass = 1e[+]09 is above its limit 1e[+]06",
+        "load.mass = 1e[+]09 kg is above its limit 1e[+]06 kg",
     ),
     "times nothing": (
         {"randomisation": {"load.mass": {"uniform": [1, 2], "times": "load.weight"}}},
@@ -196,7 +208,7 @@ WRONG = {
     "initial range NaN": ({"initial_position_range": [NAN, 1.0]}, "must be a number, not NaN"),
     "precharge may exceed supply": (
         {"plant": {"supply": {"precharge_pressure": 65e5}}},
-        r"randomisation: .*precharge_pressure = 6.5e\+06 Pa must be below pressure = 6e\+06 Pa",
+        r"randomisation: .*precharge_pressure = 65 bar must be below pressure = 60 bar",
     ),
     "breakaway may fall below Coulomb": (
         {"randomisation": {"friction.coulomb_force": {"uniform": [100, 300]}}},

@@ -285,5 +285,5 @@ class Model:
         """
         own = precision[:, self.simulated[:, None], self.simulated]
         values, vectors = np.linalg.eigh(own)
-        steps: Array = vectors * (length / np.sqrt(np.maximum(values, 1e-12)))[:, None]
+        steps: Array = vectors * (length / np.sqrt(np.clip(values, 1e-12, 1e12)))[:, None]  # beyond: rounding alone
         return steps

@@ -211,7 +211,8 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
             best = max(best, second, key=_quality)
     if 2 * best.explained < len(windows) and config.sensors.enabled:
         timed = _with_timing(windows, config, best, report)
-        best = max(best, timed, key=_quality)
+        if timed.explained > best.explained:  # otherwise it would only take up another error of the model
+            best = timed
     report("common fit", 1, 1)
     return best
 

@@ -35,7 +35,9 @@ class Plausible(NamedTuple):
 
 PLAUSIBLE = (
     Plausible("valve.rated_flow", "a full speed of", lambda p: max(speed_limits(p)), 5e-3, 10.0, "m/s", "l/min"),
-    Plausible("supply.pressure", "a supply of", lambda p: p.supply.pressure / BAR, 5.0, 700.0, "bar", "bar"),
+    Plausible(
+        "supply.pressure", "a supply of", lambda p: p.supply.pressure / BAR, 15.0, 700.0, "bar", "psi, bar or MPa"
+    ),
     Plausible(
         "valve.natural_frequency",
         "a valve of",

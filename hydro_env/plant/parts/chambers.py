@@ -11,7 +11,7 @@ from hydro_env.compiling import inline
 from hydro_env.files import Group
 from hydro_env.plant.kinks import FAR
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE, VAPOUR_PRESSURE
-from hydro_env.units import Number, quantity
+from hydro_env.units import Number, quantity, written
 
 
 class Cylinder(Group):
@@ -34,8 +34,8 @@ class Cylinder(Group):
         for name in ("rod_diameter", "rod_diameter_a"):
             if getattr(self, name) >= self.bore_diameter:
                 raise ValueError(
-                    f"{name} = {getattr(self, name):g} m does not fit: it must be smaller than "
-                    f"bore_diameter = {self.bore_diameter:g} m"
+                    f"{name} = {written(getattr(self, name), 'm')} does not fit: it must be smaller than "
+                    f"bore_diameter = {written(self.bore_diameter, 'm')}"
                 )
         return self
 

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from hydro_env.compiling import inline
 from hydro_env.files import Group
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
-from hydro_env.units import Number, quantity
+from hydro_env.units import Number, quantity, written
 
 
 class SupplyModel(StrEnum):
@@ -40,16 +40,17 @@ class Supply(Group):
     @model_validator(mode="after")
     def _supply_above_tank(self) -> Supply:
         if self.pressure <= self.tank_pressure:
-            raise ValueError(f"pressure = {self.pressure:g} Pa must be above tank_pressure = {self.tank_pressure:g} Pa")
+            tank = written(self.tank_pressure, "Pa")
+            raise ValueError(f"pressure = {written(self.pressure, 'Pa')} must be above tank_pressure = {tank}")
         if self.model != SupplyModel.CONSTANT and self.relief_slope == 0.0 and self.pump_flow > 0.0:
             raise ValueError(
-                f"relief_slope = 0 with pump_flow = {self.pump_flow:g} m³/s: nothing limits the pressure; without a "
-                f"relief valve pump_flow must be 0 (the pump does not run) or model constant"
+                f"relief_slope = 0 with pump_flow = {written(self.pump_flow, 'm³/s')}: nothing limits the pressure; "
+                f"without a relief valve pump_flow must be 0 (the pump does not run) or model constant"
             )
         if self.model == SupplyModel.ACCUMULATOR and self.precharge_pressure >= self.pressure:
             raise ValueError(
-                f"precharge_pressure = {self.precharge_pressure:g} Pa must be below pressure = "
-                f"{self.pressure:g} Pa, else the accumulator stays empty"
+                f"precharge_pressure = {written(self.precharge_pressure, 'Pa')} must be below pressure = "
+                f"{written(self.pressure, 'Pa')}, else the accumulator stays empty"
             )
         return self
 
