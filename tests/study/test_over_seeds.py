@@ -1,6 +1,7 @@
 """A study over training seeds: its table and curves against known values, and what a second run does again."""
 
 import json
+from contextlib import nullcontext
 
 import numpy as np
 import pandas as pd
@@ -112,11 +113,18 @@ def test_a_second_run_keeps_finished_studies_of_the_same_settings(runs, tmp_path
     assert runs == [("seed 1", 1, True, False)]
 
 
-def test_side_by_side_the_table_is_the_same(runs, tmp_path):
+def in_threads(monkeypatch):
+    """Two jobs side by side as threads of this process; they share one standard output, so that it stays."""
+    monkeypatch.setattr(over_seeds, "redirect_stdout", nullcontext)
+    monkeypatch.setattr(over_seeds, "redirect_stderr", nullcontext)
+    return parallel_config("threading", n_jobs=2)
+
+
+def test_side_by_side_the_table_is_the_same(runs, tmp_path, monkeypatch):
     alone, beside = tmp_path / "alone", tmp_path / "beside"
     over_seeds.run_over_seeds(STUDY, alone, range(3))
     del runs[:]
-    with parallel_config("threading", n_jobs=2):
+    with in_threads(monkeypatch):
         file = over_seeds.run_over_seeds(STUDY, beside, range(3))
         assert sorted(runs) == [(f"seed {seed}", seed, True, False) for seed in range(3)]
         assert file.read_bytes() == (alone / over_seeds.TABLE).read_bytes()
@@ -127,7 +135,7 @@ def test_side_by_side_the_table_is_the_same(runs, tmp_path):
 def test_side_by_side_nothing_is_replaced_and_a_missing_disk_is_told(tmp_path, monkeypatch):
     (tmp_path / "seed 1").mkdir()
     (tmp_path / "seed 1" / "study.yaml").write_text("mine")
-    with parallel_config("threading", n_jobs=2):
+    with in_threads(monkeypatch):
         with pytest.raises(ConfigurationError, match=r"seed 1.study\.yaml: was not written by hydro"):
             over_seeds.run_over_seeds(STUDY, tmp_path, range(2))
         monkeypatch.setattr(over_seeds, "run_study", lambda *_: None)

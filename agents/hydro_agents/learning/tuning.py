@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.learning.trials import JUDGED, REST, Score, Trial, TuningCases, over_tasks, scores
+from hydro_agents.learning.trials import JUDGED, REST, Score, Trial, TuningCases, over_tasks, scored
 from hydro_agents.running.jobs import Columns, Job, run_jobs
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_text, validate, write_text
@@ -172,24 +172,35 @@ def _costed(
     for result in results.values():
         if result.error:
             raise ConfigurationError(result.error)
-    parts = [results[key].metrics for key in jobs]
-    return [Score(float(mean), float(equal)) for part in parts for mean, equal in zip(*part.values(), strict=True)]
+    # Sums come after all parts are joined: their last bit depends on the number of candidates.
+    costs = {name: np.concatenate([results[key].metrics[name] for key in jobs]) for name in results["0"].metrics}
+    pairs = [_cases(task, cases, seed + number) for number, task in enumerate(tasks)]
+    return over_tasks(
+        [scored([costs[f"{number}"], costs[f"{number} rest"]], pair) for number, pair in enumerate(pairs)]
+    )
+
+
+def _cases(task: TaskConfig, count: int, seed: int) -> tuple[TuningCases, TuningCases]:
+    return TuningCases.of(task, count, seed), TuningCases.resting(seed)
 
 
 def cost_candidates(
     _: None, kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
 ) -> Columns:
-    """``mean`` and ``equal`` of :class:`Score` for some candidates of a kind; one that is ``None`` is refused."""
-    costed = []
+    """Costs of some candidates of a kind, (candidates, cases): ``0`` and ``0 rest`` of the first task, ``1``, …
+
+    A candidate that is ``None`` is refused.
+    """
+    costs: Columns = {}
     for number, task in enumerate(tasks):
         rest = task_config(task, episode_duration=REST)
-        pair = (
-            Trial(task, TuningCases.of(task, cases, seed + number), len(gains)),
-            Trial(rest, TuningCases.resting(seed + number), len(gains), JUDGED),
-        )
-        with closing(pair[0]), closing(pair[1]):
-            costed.append(scores(pair, [_controller(CONTROLLERS[kind][0], one, task) for one in gains]))
-    return {name: np.array([getattr(score, name) for score in over_tasks(costed)]) for name in ("mean", "equal")}
+        moving, resting = _cases(task, cases, seed + number)
+        controllers = [_controller(CONTROLLERS[kind][0], one, task) for one in gains]
+        with closing(Trial(task, moving, len(gains))) as trial:
+            costs[f"{number}"] = trial.costs(controllers)
+        with closing(Trial(rest, resting, len(gains), JUDGED)) as trial:
+            costs[f"{number} rest"] = trial.costs(controllers)
+    return costs
 
 
 def _gains(group: type[Group], values: Mapping[str, Any]) -> Group | None:
