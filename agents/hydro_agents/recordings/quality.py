@@ -46,6 +46,7 @@ used."""
 FEWEST_SAMPLES = 100
 
 LEAST_TRAVEL = 20.0  # smallest useful travel, in standard deviations of the position's noise
+STEADY = 0.05  # scatter of the flow over its mean, below which the axis moves at one speed
 LEAST_SHARE = 0.05  # smallest travel, as a share of the travel from the valve's flow
 
 FITS, FAILS = 0.6, 0.75
@@ -247,6 +248,8 @@ def balance(signals: Floats, config: TaskConfig) -> Balance:
     needed = c.area_a * speed + stored
     covariance = np.cov(needed, flow)
     travel = float(np.ptp(np.quantile(position, [0.01, 0.99])))
+    if flow.std() < STEADY * abs(float(flow.mean())):  # at one speed only the means say something
+        return Balance(0.0, float(needed.mean() / flow.mean()), travel, abs(float(flow.sum())) * time / c.area_a)
     expected = float(np.ptp(np.cumsum(flow - flow.mean()))) * time / c.area_a
     return Balance(force_rest, float(covariance[0, 1] / max(covariance[1, 1], 1e-300)), travel, expected)
 
