@@ -33,8 +33,6 @@ AS_WIDE_AS_THE_SOURCE = ("diff", "text", "{eval-rst}")
 SLOW = ("docs/bound.md", "docs/leak_bound.md")
 NO_DEPENDENCIES = ("control", "torchrl")
 """Packages that some blocks of a page import, and that are no dependencies."""
-ELSEWHERE = {"docs/ray.md": "ray", "docs/dask.md": "dask"}
-"""Pages whose code needs a package that is no dependency; tests/robustness/test_backends.py runs it where it is."""
 
 
 @pytest.fixture
@@ -61,9 +59,6 @@ def given(tmp_path, monkeypatch):
     ("page", "number"), [pytest.param(*block, marks=pytest.mark.slow if block[0] in SLOW else ()) for block in PYTHON]
 )
 def test_python_runs(page, number, given, capsys):
-    if page in ELSEWHERE:
-        compile(FENCE.findall(TEXTS[page])[number][1], page, "exec")
-        pytest.skip(f"{ELSEWHERE[page]} is no dependency: tests/robustness/test_backends.py runs this code")
     block = FENCE.findall(TEXTS[page])[number][1]
     for package in NO_DEPENDENCIES:
         if re.search(rf"^(import|from) {package}\b", block, re.MULTILINE) and not importlib.util.find_spec(package):
