@@ -29,6 +29,7 @@ extensions = [
     "mathml",
     "page_parts",
     "repository_links",
+    "search_from_disk",
 ]
 root_doc = "docs/index"
 include_patterns = ["docs/**.md", "agents/hydro_agents/pretrained/*.md", "CONTRIBUTING.md", "CHANGELOG.md"]

@@ -36,7 +36,7 @@ def start_browser():
 
 
 @contextmanager
-def open_page(browser, path, width=1000, height=900, scheme="light", **options):
+def open_page(browser, path, width=1000, height=900, scheme="light", query="", **options):
     """A page from disk, without network. Its list ``problems`` collects what the console and failed requests say."""
     context = browser.new_context(
         viewport={"width": width, "height": height}, color_scheme=scheme, offline=True, **options
@@ -50,7 +50,7 @@ def open_page(browser, path, width=1000, height=900, scheme="light", **options):
         "console",
         lambda message: page.problems.append(message.text) if message.type in ("error", "warning") else None,
     )
-    page.goto(path.resolve().as_uri())
+    page.goto(path.resolve().as_uri() + (f"?{query}" if query else ""))
     yield page
     context.close()
 

@@ -8,6 +8,8 @@ from browser import start_browser
 
 # Threads of torch wait actively for each other: two are many times slower than one where other processes hold a core.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Without --jobs a command takes one core: tests run one per core already, and what they replace holds in this process.
+os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")
 
 
 def pytest_configure():

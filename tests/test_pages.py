@@ -29,11 +29,12 @@ PYTHON = [
     for number, (kind, _) in enumerate(FENCE.findall(text))
     if kind == "python"
 ]
+MOST_COLUMNS = 88
+AS_WIDE_AS_THE_SOURCE = ("diff", "text", "{eval-rst}")
+"""Kinds of blocks that quote: lines of the sources, which have up to 120 columns, what a command prints, signatures."""
 SLOW = ("docs/bound.md", "docs/leak_bound.md")
 NO_DEPENDENCIES = ("control", "torchrl")
 """Packages that some blocks of a page import, and that are no dependencies."""
-ELSEWHERE = {"docs/ray.md": "ray", "docs/dask.md": "dask"}
-"""Pages whose code needs a package that is no dependency; tests/robustness/test_backends.py runs it where it is."""
 
 
 @pytest.fixture
@@ -60,9 +61,6 @@ def given(tmp_path, monkeypatch):
     ("page", "number"), [pytest.param(*block, marks=pytest.mark.slow if block[0] in SLOW else ()) for block in PYTHON]
 )
 def test_python_runs(page, number, given, capsys):
-    if page in ELSEWHERE:
-        compile(FENCE.findall(TEXTS[page])[number][1], page, "exec")
-        pytest.skip(f"{ELSEWHERE[page]} is no dependency: tests/robustness/test_backends.py runs this code")
     block = FENCE.findall(TEXTS[page])[number][1]
     if "import mujoco" in block:
         compile(block, page, "exec")
@@ -73,6 +71,13 @@ def test_python_runs(page, number, given, capsys):
     space = {**given, "__name__": "__main__"}
     exec(compile(block, f"{page}, block {number}", "exec"), space)
     assert page != "README.md" or capsys.readouterr().out.strip()
+
+
+@pytest.mark.parametrize("page", [name for name in TEXTS if name != "CHANGELOG.md"])
+def test_a_line_of_code_fits_a_screen(page):
+    blocks = [body for kind, body in FENCE.findall(TEXTS[page]) if kind not in AS_WIDE_AS_THE_SOURCE]
+    wide = [line for line in "".join(blocks).splitlines() if len(line) > MOST_COLUMNS]
+    assert not wide, f"{page}: more than {MOST_COLUMNS} characters"
 
 
 def test_the_readme_shows_a_loop_and_targets_that_exist():
@@ -136,6 +141,14 @@ def test_every_command_and_every_room_is_listed():
         assert f"`hydro {command}" in TEXTS["docs/commands.md"], command
     for room in sorted((ROOT / "agents" / "hydro_agents").glob("*/__init__.py")):
         assert f"(../agents/hydro_agents/{room.parent.name})" in TEXTS["docs/architecture.md"], room.parent.name
+
+
+def test_the_tests_for_a_first_patch_exist_and_cover_every_room():
+    table = TEXTS["CONTRIBUTING.md"].partition("### Tests for a first patch")[2].partition("## Releases")[0]
+    for path in re.findall(r"`(tests/[\w./]+)`", table):
+        assert (ROOT / path).exists(), path
+    for room in sorted((ROOT / "agents" / "hydro_agents").glob("*/__init__.py")):
+        assert f"| `{room.parent.name}` |" in table, room.parent.name
 
 
 def test_the_citation_names_this_version():

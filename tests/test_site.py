@@ -119,6 +119,21 @@ def test_the_front_page_holds_the_playground(site, browser):
         assert page.problems == []
 
 
+@pytest.mark.slow
+def test_the_search_shows_excerpts_from_disk(site, browser):
+    with open_page(browser, site / "search.html", query="q=viscosity") as page:
+        page.locator("#search-results p.context").first.wait_for()
+        assert all("viscosity" in text.lower() for text in page.locator("#search-results p.context").all_inner_texts())
+        assert page.problems == []
+
+
+def test_texts_for_the_search_keep_sections_and_nothing_else(monkeypatch):
+    search = script(DOCS / "_extensions" / "search_from_disk.py", monkeypatch)
+    page = """<nav>menu</nav><article role="main" id="x"><section id="a"><h1>Leaks<a class="headerlink" href="#a">#</a>
+        </h1><p>1 &lt; <b>2</b></p><script>var leak;</script></section></article><footer>end</footer>"""
+    assert search.text_of(page) == '<section id="a"> Leaks 1 &lt; 2 </section>'
+
+
 def test_the_playground_and_the_page_about_it_are_two_pages():
     generated = {page.stem for page in DOCS.glob("*.html")}
     assert "playground" in generated

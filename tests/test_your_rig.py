@@ -16,7 +16,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "your_rig.md").read_text(encoding="utf-8")
 STEPS = {
     shlex.split(command)[1]: (shlex.split(command)[1:], printed.splitlines())
-    for command, printed in re.findall(r"^```\n\$ ([^\n]+)\n(.*?)```$", PAGE, flags=re.M | re.S)
+    for command, printed in re.findall(r"^```\n\$ ([^\n]+)\n(.*?)```$", PAGE.replace("\\\n", ""), flags=re.M | re.S)
 }
 """Arguments and printed lines of each command of the page, by name."""
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+from joblib import parallel_config
 
 from hydro_agents.commands.study import Objective, train
 from hydro_agents.controllers import PID, PIDGains
@@ -45,6 +46,15 @@ def test_the_search_improves_and_repeats():
     equal, mean = (tune("pid", SHORT, objective, evaluations=90, **OPTIONS).score for objective in ("equal", "mean"))
     assert mean.mean < equal.mean
     assert mean.equal > equal.equal
+
+
+def test_side_by_side_the_search_takes_the_same_way(tmp_path):
+    alone, beside = tmp_path / "alone.csv", tmp_path / "beside.csv"
+    tune("pid", SHORT, evaluations=12, log=alone, **OPTIONS)
+    for number in (2, 4):
+        with parallel_config("threading", n_jobs=number):
+            tune("pid", SHORT, evaluations=12, log=beside, **OPTIONS)
+        assert beside.read_bytes() == alone.read_bytes()
 
 
 def test_of_several_tasks_the_geometric_mean_counts():

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from recorded import CONFIG, changed, healthy
 
+from hydro_agents.recordings.driving import check_driving
 from hydro_agents.recordings.findings import Weight
-from hydro_agents.recordings.quality import check_driving, check_recording
+from hydro_agents.recordings.quality import _flow_into_a, balance, check_recording
 from hydro_agents.recordings.recording import Recording
 from hydro_agents.recordings.sampling import bridged, cut, on_grid, sampled
+from hydro_env.plant.arrays import plant_coefficients
 
 BAR = 1e5
 NOTE, FAULT, SEVERE = Weight
@@ -246,3 +248,14 @@ def test_stamps_too_close_for_any_rig_are_a_finding(recording):
             samples = sampled(changed(recording, time=factor * recording.time), CONFIG, own_grid)
             assert not len(samples.time)
             assert [finding.weight for finding in samples.findings] == [SEVERE]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_motion_at_one_speed_is_judged_by_its_mean(sign):
+    """The little that a steady flow changes says nothing: here it runs against the changes of the speed."""
+    signals = np.tile(np.array([[0.0], [40.0 * BAR], [60.0 * BAR], [0.2], [2.0]]), 1000)
+    time, c = CONFIG.control_period * np.arange(1000), plant_coefficients(CONFIG.plant)
+    signals[3] -= 1e-3 * np.cos(3.0 * time)
+    speed = _flow_into_a(signals, CONFIG, c).mean() / c.area_a
+    signals[0] = sign * (speed * (time - 1.0) + 2e-3 * np.sin(3.0 * time))
+    assert balance(signals, CONFIG).slope == pytest.approx(sign, rel=0.05)

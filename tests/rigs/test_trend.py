@@ -103,15 +103,15 @@ def test_hours_and_axes_of_one_file_have_rows_of_their_own(tmp_path, monkeypatch
 def test_nothing_is_appended_twice_and_a_file_that_grew_is_read_again(tmp_path, monkeypatch):
     monkeypatch.setattr(trend_job, "read_rows", made_up)
     folder, table = recordings(tmp_path / "data"), tmp_path / "out" / "trend.csv"
-    first = watch([folder], Watch(table, jobs=1))
+    first = watch([folder], Watch(table))
     assert (first.read, first.known, len(first.left_out)) == (20, 0, 0)
     text = table.read_text()
-    again = watch([folder], Watch(table, jobs=1))
+    again = watch([folder], Watch(table))
     assert (again.read, again.known) == (0, 20)
     assert table.read_text() == text
     recordings(folder, days=11)
     (folder / "one" / "03.csv").write_text("numbers and more")
-    third = watch([folder], Watch(table, jobs=1))
+    third = watch([folder], Watch(table))
     assert (third.read, third.known) == (3, 19)
     rows = read_table(table)
     assert len(rows) == 22
@@ -122,11 +122,11 @@ def test_nothing_is_appended_twice_and_a_file_that_grew_is_read_again(tmp_path, 
 def test_one_broken_file_of_fifty_gives_49_rows_and_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(trend_job, "read_rows", made_up)
     folder = recordings(tmp_path / "data", 25, broken=[("two", 7)])
-    done = watch([folder], Watch(tmp_path / "trend.csv", jobs=1))
+    done = watch([folder], Watch(tmp_path / "trend.csv"))
     assert len(read_table(tmp_path / "trend.csv")) == 49
     assert done.left_out == [f"{folder}/two/07.csv: holds no table"]
     (folder / "two" / "07.csv").write_text("numbers")
-    assert watch([folder], Watch(tmp_path / "trend.csv", jobs=1)).read == 1
+    assert watch([folder], Watch(tmp_path / "trend.csv")).read == 1
 
 
 def test_an_interruption_loses_no_finished_file(tmp_path, monkeypatch):
@@ -141,10 +141,10 @@ def test_an_interruption_loses_no_finished_file(tmp_path, monkeypatch):
     monkeypatch.setattr(trend_job, "read_rows", interrupted)
     folder = recordings(tmp_path / "data")
     with pytest.raises(KeyboardInterrupt):
-        watch([folder], Watch(tmp_path / "trend.csv", jobs=1))
+        watch([folder], Watch(tmp_path / "trend.csv"))
     kept = len(read_table(tmp_path / "trend.csv"))
     assert kept >= 1
-    assert watch([folder], Watch(tmp_path / "trend.csv", jobs=1)).read == 20 - kept
+    assert watch([folder], Watch(tmp_path / "trend.csv")).read == 20 - kept
 
 
 def test_marks_and_columns_of_the_user_stay(tmp_path):
@@ -278,7 +278,7 @@ def test_a_clock_that_jumped_back_between_files_is_told(tmp_path, monkeypatch):
         return {**rows, "until": rows["time"] + late}
 
     monkeypatch.setattr(trend_job, "read_rows", long_days)
-    done = watch([recordings(tmp_path / "data", axes=("one",))], Watch(tmp_path / "trend.csv", jobs=1))
+    done = watch([recordings(tmp_path / "data", axes=("one",))], Watch(tmp_path / "trend.csv"))
     assert [line.split(" begins")[0] for line in done.notes] == ["one: one/04.csv"]
     assert "a clock ran back" in done.notes[0]
 

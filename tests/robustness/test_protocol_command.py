@@ -115,7 +115,6 @@ def test_tables_page_and_the_shares_found_on_the_console(place):
         (("--protocol", "own.yaml", "--agent", "PID@noon=pid"), ("PID@noon", "NAME@CONDITION")),
         (("--protocol", "own.yaml", "--agent", "mine=nowhere:Agent"), ("mine", "nowhere")),
         (("--resume",), ("--resume: needs --protocol",)),
-        (("--jobs", "2"), ("--jobs: needs --protocol",)),
         (("--protocol", "own.yaml", "--jobs", "0"), ("--jobs", "equal to 1")),
         (("--protocol", "leaks.yaml", "--agent", "x=pid"), ("--agent: a protocol takes it from its file",)),
         (("--protocol", "leaks.yaml", "--plants", "5"), ("--plants: a protocol takes it from its file",)),

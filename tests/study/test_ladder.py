@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from joblib import parallel_config
 
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.trainers import TRAINERS
@@ -79,7 +80,8 @@ def test_side_by_side_and_resumed_the_table_is_the_same(done, tmp_path):
     folder, _ = done
     run_ladder(ladder(), tmp_path, rungs=["told"], seeds=1)
     trained = (tmp_path / "rungs" / "told" / "seed 0" / "policy.safetensors").stat().st_mtime_ns
-    run_ladder(ladder(), tmp_path, jobs=2, resume=True)
+    with parallel_config(n_jobs=2):
+        run_ladder(ladder(), tmp_path, resume=True)
     assert (tmp_path / "rungs" / "told" / "seed 0" / "policy.safetensors").stat().st_mtime_ns == trained
     pd.testing.assert_frame_equal(without_times(folder), without_times(tmp_path), check_exact=True)
 

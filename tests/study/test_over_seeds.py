@@ -1,16 +1,19 @@
 """A study over training seeds: its table and curves against known values, and what a second run does again."""
 
 import json
+from contextlib import nullcontext
 
 import numpy as np
 import pandas as pd
 import pytest
 from command_line import assert_one_clear_line, hydro
+from joblib import parallel_config
 
 from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.statistics import seeds_interval
 from hydro_agents.study import over_seeds
 from hydro_agents.study.settings import StudySettings
+from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
 
 HEAD = {"episodes": 100, "validation_episodes": 100, "epochs": 1, "width": 4, "batch": 64}
@@ -108,6 +111,36 @@ def test_a_second_run_keeps_finished_studies_of_the_same_settings(runs, tmp_path
     with pytest.raises(FileExistsError):  # this stand-in cannot go on
         over_seeds.run_over_seeds(STUDY, tmp_path, range(2), resume=True)
     assert runs == [("seed 1", 1, True, False)]
+
+
+def in_threads(monkeypatch):
+    """Two jobs side by side as threads of this process; they share one standard output, so that it stays."""
+    monkeypatch.setattr(over_seeds, "redirect_stdout", nullcontext)
+    monkeypatch.setattr(over_seeds, "redirect_stderr", nullcontext)
+    return parallel_config("threading", n_jobs=2)
+
+
+def test_side_by_side_the_table_is_the_same(runs, tmp_path, monkeypatch):
+    alone, beside = tmp_path / "alone", tmp_path / "beside"
+    over_seeds.run_over_seeds(STUDY, alone, range(3))
+    del runs[:]
+    with in_threads(monkeypatch):
+        file = over_seeds.run_over_seeds(STUDY, beside, range(3))
+        assert sorted(runs) == [(f"seed {seed}", seed, True, False) for seed in range(3)]
+        assert file.read_bytes() == (alone / over_seeds.TABLE).read_bytes()
+        over_seeds.run_over_seeds(STUDY, beside, range(3), resume=True)
+    assert len(runs) == 3
+
+
+def test_side_by_side_nothing_is_replaced_and_a_missing_disk_is_told(tmp_path, monkeypatch):
+    (tmp_path / "seed 1").mkdir()
+    (tmp_path / "seed 1" / "study.yaml").write_text("mine")
+    with in_threads(monkeypatch):
+        with pytest.raises(ConfigurationError, match=r"seed 1.study\.yaml: was not written by hydro"):
+            over_seeds.run_over_seeds(STUDY, tmp_path, range(2))
+        monkeypatch.setattr(over_seeds, "run_study", lambda *_: None)
+        with pytest.raises(ConfigurationError, match="seed 0: the worker wrote elsewhere; all need a common disk"):
+            over_seeds.run_over_seeds(STUDY, tmp_path / "new", range(2))
 
 
 def test_two_seeds_have_no_interval():

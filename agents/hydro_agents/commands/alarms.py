@@ -7,12 +7,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, Task, Written, command_line, write_results
+from hydro_agents.commands.options import (
+    Output,
+    Overwrite,
+    Resume,
+    Rig,
+    Task,
+    Written,
+    command_line,
+    side_by_side,
+    write_results,
+)
 
 if TYPE_CHECKING:
     from hydro_agents.running.console import ProgressDisplay
 
 
+@side_by_side
 def alarms(
     output: Output = Path("results/alarms"),
     task: Task = None,
@@ -42,8 +53,7 @@ def alarms(
 ) -> None:
     """Set an alarm to a rate of false alarms per 100 hours from measured readings of simulated axes.
 
-    The alarm sums up the readings of a detector. Each axis works for ten minutes, healthy and with leaks: all
-    families
+    The alarm sums up the readings of a detector. Each axis works for ten minutes, healthy and with leaks: all families
     of references, at full speed, slowly, and standing, under the PID and the flow-linearising controller. Hours and
     shifts are then drawn from these readings, axis by axis. The threshold comes from validation seeds; test seeds give
     false alarms, leaks missed in a shift and at rest, and the causes that the alarm names for other faults. It writes

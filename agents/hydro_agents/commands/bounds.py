@@ -17,6 +17,7 @@ from hydro_agents.commands.options import (
     Written,
     command_line,
     named_agents,
+    side_by_side,
     write_results,
 )
 
@@ -104,6 +105,7 @@ MovingController = Annotated[
 ]
 
 
+@side_by_side
 def leak_bound(
     output: Output = Path("results/leak_bound"),
     task: Task = None,

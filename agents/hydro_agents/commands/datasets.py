@@ -19,14 +19,14 @@ from hydro_agents.commands.options import (
     exact_task,
     say,
     show,
+    side_by_side,
 )
 
 if TYPE_CHECKING:
     from hydro_env import TaskConfig
 
-Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Processes side by side; default: one per core.")]
 
-
+@side_by_side
 def record(
     output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file to write.")] = None,
     minari: Annotated[
@@ -45,7 +45,6 @@ def record(
         Path | None,
         typer.Option(metavar="FILE", help="A text known to nobody else, from which its test recordings follow."),
     ] = None,
-    jobs: Jobs = None,
     episodes: Annotated[int, typer.Option(help="Number of episodes of the data set.")] = 100,
     task: OwnTask = None,
     rig: Rig = None,
@@ -81,7 +80,7 @@ def record(
     task draws the parameters that are not known exactly.
     """
     from hydro_agents.learning.opponents import opponent
-    from hydro_agents.recordings.quality import check_driving
+    from hydro_agents.recordings.driving import check_driving
     from hydro_agents.recordings.recording import read_recording
     from hydro_agents.recordings.sampling import sampled
     from hydro_agents.recordings.simulated import named_faults, record_axis
@@ -95,7 +94,7 @@ def record(
     if (output is None) == (minari is None and benchmark is None):
         raise ConfigurationError("record: needs one of --output FILE, --minari NAME or --benchmark FOLDER")
     if benchmark is not None:
-        _record_benchmark(benchmark, task_config(task, rig=rig), recordings, key, minari, jobs)
+        _record_benchmark(benchmark, task_config(task, rig=rig), recordings, key, minari)
         return
     faults = named_faults(fault or [])
     if output is None:
@@ -135,9 +134,7 @@ def _record_dataset(
     say(f"{name}: {data.episodes} episodes, {data.steps} steps, in {data.folder}")
 
 
-def _record_benchmark(
-    folder: Path, config: TaskConfig, recordings: int, key: Path | None, minari: str | None, jobs: int | None
-) -> None:
+def _record_benchmark(folder: Path, config: TaskConfig, recordings: int, key: Path | None, minari: str | None) -> None:
     from hydro_agents.recordings.benchmark import HIDDEN, write_benchmark, write_minari
     from hydro_agents.recordings.benchmark_axes import Benchmark
     from hydro_agents.running.console import ProgressDisplay
@@ -145,7 +142,7 @@ def _record_benchmark(
 
     secret = read_text(key).strip() if key is not None else ""
     with ProgressDisplay() as display:
-        made = write_benchmark(folder, config, Benchmark(recordings, secret), jobs, display.update)
+        made = write_benchmark(folder, config, Benchmark(recordings, secret), None, display.update)
         sets = write_minari(folder, minari, display.update) if minari is not None else []
     hours = ", ".join(f"{name} {count} ({made['hours'][name]:.3g} h)" for name, count in made["recordings"].items())
     say(f"{folder}: {hours}; README.md describes them; do not publish {folder / HIDDEN}")

@@ -17,6 +17,7 @@ from hydro_agents.commands.options import (
     Task,
     command_line,
     named_agents,
+    side_by_side,
     tell_rigs,
 )
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from hydro_env import TaskConfig
 
 
+@side_by_side
 def evaluate(
     output: Annotated[
         Path | None,
@@ -46,9 +48,6 @@ def evaluate(
             "--protocol",
             help="Run a protocol instead: robustness, pauses, quick, leakage, leakage_quick, or a YAML file.",
         ),
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, max=1024, help="Jobs side by side; default: one per core.")
     ] = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
@@ -81,7 +80,7 @@ def evaluate(
         from hydro_env.folders import config_file
 
         file = config_file("protocols", protocol)
-        options = Options(task, rig, output, jobs, resume, overwrite, command_line())
+        options = Options(task, rig, output, resume, overwrite, command_line())
         about_leaks = read_yaml(file).get("kind") == "leakage"
         # Controllers of a leakage protocol stand in its file; a robustness protocol has no detector.
         foreign = {"--agent": agent, "--config": config} if about_leaks else {"--head": head}
@@ -93,8 +92,8 @@ def evaluate(
         else:
             evaluate_protocol(file, named_agents(agent), config, options)
         return
-    if resume or jobs is not None:
-        raise ConfigurationError(f"{'--resume' if resume else '--jobs'}: needs --protocol")
+    if resume:
+        raise ConfigurationError("--resume: needs --protocol")
     if no_detection and head is not None:
         raise ConfigurationError("--no-detection: leaves the leakage head out; give it without --head")
     from hydro_agents.evaluation.evaluate import ProtocolSettings

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import inspect
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -41,6 +43,20 @@ Agents = Annotated[
         help="A controller: module:attribute (an object with predict, or a function or class that makes one from the "
         "task), the path of weights, or a folder of `hydro export`. If NAME is a controller of the study, it is "
         "replaced. Repeat the option for several.",
+    ),
+]
+
+Jobs = Annotated[
+    int | None, typer.Option("--jobs", "-j", min=1, max=1024, help="Jobs side by side; default: one per core.")
+]
+Backend = Annotated[
+    str,
+    typer.Option(metavar="loky|dask|ray", help="Where the jobs run: processes of this machine (loky), Dask or Ray."),
+]
+Address = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST:PORT", help="A running cluster for --backend, such as scheduler:8786 or ray://head:10001."
     ),
 ]
 
@@ -89,6 +105,29 @@ Config = Annotated[
     Path | None,
     typer.Option("--config", "-c", metavar="NAME|FILE", help="A study: a name in `configs/studies` or a YAML file."),
 ]
+
+
+def side_by_side(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options ``--jobs``, ``--backend`` and ``--address``; its jobs run there."""
+    options = {"jobs": (Jobs, None), "backend": (Backend, "loky"), "address": (Address, None)}
+
+    @functools.wraps(command)
+    def run(
+        *arguments: Any, jobs: int | None = None, backend: str = "loky", address: str | None = None, **given: Any
+    ) -> None:
+        from hydro_agents.running.workers import workers
+
+        with workers(jobs, backend, address):
+            command(*arguments, **given)
+
+    signature = inspect.signature(command, eval_str=True)
+    added = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=option)
+        for name, (option, default) in options.items()
+    ]
+    run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *added])  # type: ignore[attr-defined]
+    run.__annotations__ = command.__annotations__ | {name: option for name, (option, _) in options.items()}
+    return run
 
 
 def exact_task(task: str | None, rig: Path | None) -> str | None:

@@ -25,7 +25,7 @@ from hydro_agents.report.sections import render_page, sections_named
 from hydro_agents.report.traces import with_traces
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
-from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
+from hydro_agents.running.jobs import JOBS_FOLDER
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.text import Table, number
@@ -44,7 +44,6 @@ class Options(NamedTuple):
     task: str | None  # name or file
     rig: Path | None
     output: Path | None  # default: results/<name of the protocol>
-    jobs: int | None  # side by side; default: one per core
     resume: bool  # use the finished jobs in the folder
     overwrite: bool  # replace the results in the folder
     command: str  # the command line
@@ -122,8 +121,7 @@ def run_protocol(
             "machine": machine_description(),
             **package_versions(),
         }
-        jobs = options.jobs or default_jobs()
-        results = run(protocol, chosen, output, jobs, display.update, list(facts.items()))
+        results = run(protocol, chosen, output, None, display.update, list(facts.items()))
         results.write(output / "tables")
         display.update("page", 0, 1)
         sections = protocol.sections or page.sections

@@ -22,6 +22,7 @@ from hydro_agents.commands.options import (
     command_line,
     named_agents,
     say,
+    side_by_side,
     tell_rigs,
 )
 from hydro_env import ConfigurationError
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from hydro_agents.study.settings import StudySettings
 
 
+@side_by_side
 def study(
     output: Annotated[
         Path | None,
@@ -73,6 +75,7 @@ def study(
     say(f"written: {run_over_seeds(settings, folder, range(first, first + seeds), resume, overwrite, command_line())}")
 
 
+@side_by_side
 def ladder(
     config: Annotated[
         Path | None,
@@ -81,7 +84,6 @@ def ladder(
         ),
     ] = None,
     output: Output = Path("results/ladder"),
-    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=1024, help="Trainings that run side by side.")] = 1,
     rung: Annotated[
         list[str] | None, typer.Option("--rung", help="Train this rung alone; repeat the option for several.")
     ] = None,
@@ -101,7 +103,7 @@ def ladder(
     from hydro_env.folders import config_file
 
     settings = LadderSettings.from_yaml(config_file("ladders", config or "default"))
-    file = run_ladder(settings, output, jobs, rung, seeds, test, resume, overwrite)
+    file = run_ladder(settings, output, rung, seeds, test, resume, overwrite)
     say(file.read_text(encoding="utf-8"), f"written: {file}")
 
 
@@ -112,6 +114,7 @@ class Objective(StrEnum):
     EQUAL = "equal"
 
 
+@side_by_side
 def train(
     what: Annotated[
         str,

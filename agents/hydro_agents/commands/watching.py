@@ -20,6 +20,7 @@ from hydro_agents.commands.options import (
     command_line,
     guesses_shown,
     say,
+    side_by_side,
 )
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")]
@@ -77,6 +78,7 @@ def diagnose(
     raise typer.Exit(EXIT_CODES[found.verdict.kind])
 
 
+@side_by_side
 def trend(
     recordings: Annotated[
         list[Path],
@@ -113,7 +115,6 @@ def trend(
     axis_column: Annotated[
         str, typer.Option(metavar="HEADING", help="Column that names the axis, in files of several axes.")
     ] = "",
-    jobs: Annotated[int | None, typer.Option(min=1, help="Files side by side; default: one per core.")] = None,
     as_json: Json = False,
 ) -> None:
     """Watch axes over weeks: one row per recording, the growth of the leak, and the date of a limit.
@@ -127,9 +128,7 @@ def trend(
     from hydro_agents.rigs.trend_job import Watch, watch
     from hydro_agents.running.console import ProgressDisplay
 
-    given = Watch(
-        append, columns or [], task, rig or [], oil, temperature, limit, repaired or [], hourly, axis_column, jobs
-    )
+    given = Watch(append, columns or [], task, rig or [], oil, temperature, limit, repaired or [], hourly, axis_column)
     with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
         found = watch(recordings, given, command_line(), display.update if display is not None else None)
     for line in found.left_out:

@@ -219,7 +219,7 @@ class Bench:
                 part = replace(work, first_seed=work.first_seed + first, axes=min(size, work.axes - first))
                 keys[name].append(f"{name}|{number}")
                 jobs[keys[name][-1]] = Job(simulated, participant, (self.config, part), digest)
-        results = run_jobs(jobs, self.folder, -1, self.progress)[0]  # one job per core
+        results = run_jobs(jobs, self.folder, None, self.progress)[0]
         found = {}
         for name, work in listed.items():
             parts: list[list[Looks]] = []

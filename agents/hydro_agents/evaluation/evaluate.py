@@ -166,7 +166,7 @@ def evaluate(
     protocol = StudyProtocol(task=config, conditions={"task": PairedCondition()}, **settings.model_dump())
     report = None if progress is None else lambda _, done, total: progress("evaluation", done, total)
     chosen = replace(participants(controllers, protocol), head=head)
-    results = run(protocol, chosen, jobs=1, progress=report)
+    results = run(protocol, chosen, progress=report)
     errors: dict[str, str] = {}
     for row in results.status[results.status["status"] == FAILED].to_dict("records"):
         errors.setdefault(str(row["controller"]), f"{row['controller']}: {row['message']}")

@@ -141,7 +141,7 @@ def run(
         protocol: conditions and parts.
         chosen: the participants.
         folder: for the results of the jobs, one file each; ``None`` keeps none.
-        jobs: number of jobs side by side; default: one per core, or that of the active ``parallel_config``.
+        jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
         progress: called with the name of the phase, the number of finished jobs, and their total.
         facts: more rows of the table ``protocol``: key and value.
 

@@ -151,11 +151,15 @@ class Trial:
 
 def scores(trials: Sequence[Trial], controllers: Sequence[Controller | None]) -> list[Score]:
     """:class:`Score` of each candidate; the first trial holds the cases of the task."""
-    costs = [trial.costs(controllers) for trial in trials]
+    return scored([trial.costs(controllers) for trial in trials], [trial.cases for trial in trials])
+
+
+def scored(costs: Sequence[Floats], cases: Sequence[TuningCases]) -> list[Score]:
+    """:class:`Score` of each candidate from :meth:`Trial.costs`; the sums depend on the number of candidates."""
     parts = [
-        rows[:, np.array(trial.cases.families) == family].mean(axis=1)
-        for trial, rows in zip(trials, costs, strict=True)
-        for family in dict.fromkeys(trial.cases.families)
+        rows[:, np.array(own.families) == family].mean(axis=1)
+        for own, rows in zip(cases, costs, strict=True)
+        for family in dict.fromkeys(own.families)
     ]
     equal = np.exp(np.mean(np.log(parts), axis=0))
     return [Score(float(mean), float(value)) for mean, value in zip(costs[0].mean(axis=1), equal, strict=True)]

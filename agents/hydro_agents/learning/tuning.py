@@ -13,17 +13,20 @@ import itertools
 import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from cmaes import CMA
+from joblib import effective_n_jobs
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.learning.trials import JUDGED, REST, Score, Trial, TuningCases, over_tasks, scores
+from hydro_agents.learning.trials import JUDGED, REST, Score, Trial, TuningCases, over_tasks, scored
+from hydro_agents.running.jobs import Columns, Job, run_jobs
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_text, validate, write_text
 from hydro_env.mistakes import unknown
@@ -109,7 +112,7 @@ def tune(
     """
     if kind not in CONTROLLERS:
         raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}")
-    make, group = CONTROLLERS[kind]
+    group = CONTROLLERS[kind][1]
     tasks = [config] if isinstance(config, TaskConfig) else list(config)
     space, base = Space(group, tasks[0].plant), start or group()
     described = [task.model_dump(mode="json") for task in tasks]
@@ -123,13 +126,6 @@ def tune(
         "task": described[0] if len(tasks) == 1 else hashlib.sha256(json.dumps(described).encode()).hexdigest(),
     }
     done = _read(log, settings) if log is not None and resume else []
-    trials = [
-        (
-            Trial(task, TuningCases.of(task, cases, seed + number), population),
-            Trial(task_config(task, episode_duration=REST), TuningCases.resting(seed + number), population, JUDGED),
-        )
-        for number, task in enumerate(tasks)
-    ]
     optimiser = CMA(
         space.point(base),
         _SIGMA,
@@ -139,33 +135,72 @@ def tune(
     )
     rows, best = list(done), None
     generations = -(-evaluations // population)
-    try:
-        for generation in range(generations):
-            points = [optimiser.ask() for _ in range(population)]
-            gains = [_gains(group, {**base.model_dump(), **space.values(point)}) for point in points]
-            if generation < len(done):
-                costed = done[generation]
-            else:
-                costed = over_tasks(
-                    [scores(pair, [_controller(make, one, pair[0].config) for one in gains]) for pair in trials]
-                )
-                rows.append(costed)
-            costs = [getattr(score, objective) for score in costed]
-            leader = int(np.argmin(costs))
-            found = gains[leader]
-            if found is not None and (best is None or costs[leader] < getattr(best.score, objective)):
-                best = Tuned(found, costed[leader], 0)
-            optimiser.tell(list(zip(points, costs, strict=True)))
-            if generation >= len(done) and log is not None:
-                _write(log, settings, rows)
-            if best is not None and generation >= len(done) and progress is not None:
-                progress(Tuned(best.gains, best.score, (generation + 1) * population))
-    finally:
-        for trial in itertools.chain(*trials):
-            trial.close()
+    for generation in range(generations):
+        points = [optimiser.ask() for _ in range(population)]
+        gains = [_gains(group, {**base.model_dump(), **space.values(point)}) for point in points]
+        if generation < len(done):
+            costed = done[generation]
+        else:
+            costed = _costed(kind, gains, tasks, cases, seed, at_once=generation > len(done))
+            rows.append(costed)
+        costs = [getattr(score, objective) for score in costed]
+        leader = int(np.argmin(costs))
+        found = gains[leader]
+        if found is not None and (best is None or costs[leader] < getattr(best.score, objective)):
+            best = Tuned(found, costed[leader], 0)
+        optimiser.tell(list(zip(points, costs, strict=True)))
+        if generation >= len(done) and log is not None:
+            _write(log, settings, rows)
+        if best is not None and generation >= len(done) and progress is not None:
+            progress(Tuned(best.gains, best.score, (generation + 1) * population))
     if best is None:
         raise ConfigurationError(f"{kind}: none of {generations * population} candidates could control the axis")
     return Tuned(best.gains, best.score, generations * population)
+
+
+def _costed(
+    kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int, at_once: bool
+) -> list[Score]:
+    """The scores of a generation; each job costs a part of the candidates."""
+    count = min(effective_n_jobs(None), len(gains))
+    bounds = [len(gains) * part // count for part in range(count + 1)]
+    jobs = {
+        str(begin): Job(cost_candidates, None, (kind, list(gains[begin:end]), list(tasks), cases, seed))
+        for begin, end in itertools.pairwise(bounds)
+    }
+    results, _ = run_jobs(jobs, None, None, None, at_once and count > 1)
+    for result in results.values():
+        if result.error:
+            raise ConfigurationError(result.error)
+    # Sums come after all parts are joined: their last bit depends on the number of candidates.
+    costs = {name: np.concatenate([results[key].metrics[name] for key in jobs]) for name in results["0"].metrics}
+    pairs = [_cases(task, cases, seed + number) for number, task in enumerate(tasks)]
+    return over_tasks(
+        [scored([costs[f"{number}"], costs[f"{number} rest"]], pair) for number, pair in enumerate(pairs)]
+    )
+
+
+def _cases(task: TaskConfig, count: int, seed: int) -> tuple[TuningCases, TuningCases]:
+    return TuningCases.of(task, count, seed), TuningCases.resting(seed)
+
+
+def cost_candidates(
+    _: None, kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
+) -> Columns:
+    """Costs of some candidates of a kind, (candidates, cases): ``0`` and ``0 rest`` of the first task, ``1``, …
+
+    A candidate that is ``None`` is refused.
+    """
+    costs: Columns = {}
+    for number, task in enumerate(tasks):
+        rest = task_config(task, episode_duration=REST)
+        moving, resting = _cases(task, cases, seed + number)
+        controllers = [_controller(CONTROLLERS[kind][0], one, task) for one in gains]
+        with closing(Trial(task, moving, len(gains))) as trial:
+            costs[f"{number}"] = trial.costs(controllers)
+        with closing(Trial(rest, resting, len(gains), JUDGED)) as trial:
+            costs[f"{number} rest"] = trial.costs(controllers)
+    return costs
 
 
 def _gains(group: type[Group], values: Mapping[str, Any]) -> Group | None:

@@ -46,7 +46,7 @@ def write_benchmark(
         folder: for the files.
         config: the task.
         benchmark: size and key.
-        jobs: blocks side by side; ``None``: one per core.
+        jobs: blocks side by side; ``None``: that of the active ``parallel_config``, or one.
         progress: called when a block is finished.
 
     Returns:
@@ -74,7 +74,7 @@ def write_benchmark(
             raise ConfigurationError(f"{folder}: holds another benchmark ({', '.join(other)}); choose another folder")
     write_text(place, json.dumps(manifest, indent=2))
     waiting = {
-        f"{split} {block}": Job(_write_block, None, (config, benchmark, str(folder), split, block))
+        f"{split} {block}": Job(_write_block, None, (config, benchmark, str(folder.absolute()), split, block))
         for split in SPLITS
         for block in range(len(benchmark.blocks(split)))
         if not all(path.exists() for path in block_files(folder, split, block))

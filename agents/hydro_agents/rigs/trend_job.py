@@ -51,7 +51,6 @@ class Watch(NamedTuple):
     repaired: Sequence[str] = ()  # [AXIS=]DATE
     hourly: bool = False
     axis_column: str = ""
-    jobs: int | None = None
 
 
 class Watched(NamedTuple):
@@ -105,14 +104,14 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
     new = unread(files, table)
     page, left_out = folder / f"{how.table.stem}.html", list[str]()
     with output_folder(folder, "trend", (page.name, FIGURE_FILES), resume=True):
-        jobs = {
-            file.name: Job(read_rows, None, (str(file.path), file.axis, configs[file.axis], maps[file], settings))
-            for file in new
-        }
+        jobs = {}
+        for file in new:
+            arguments = (str(file.path.absolute()), file.axis, configs[file.axis], maps[file], settings)
+            jobs[file.name] = Job(read_rows, None, arguments)
         by_name = {file.name: file for file in new}
         if progress is not None and new:
             progress("files", 0, len(new))
-        with closing(answers_of(jobs, how.jobs)) as answers:
+        with closing(answers_of(jobs, None)) as answers:
             for done, (name, result) in enumerate(answers, 1):
                 if result.error:
                     left_out.append(result.error)

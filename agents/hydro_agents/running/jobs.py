@@ -1,7 +1,8 @@
 """Independent jobs: they run side by side through joblib, and each finished result is one file.
 
 A job is a function of its arguments: neither the order of the jobs nor the place where they run changes a bit of the
-results. ``joblib.parallel_config`` sets the backend; by default each job has its own process.
+results. The active ``joblib.parallel_config`` says where they run, and how many (:mod:`hydro_agents.running.workers`);
+without one they run one after another in this process.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import hashlib
 import inspect
 import io
 import json
-import os
 import random
 import sys
 import warnings
@@ -23,12 +23,14 @@ from functools import cache, cached_property
 from multiprocessing import parent_process
 from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
+from socket import gethostname
 from threading import current_thread, main_thread
 from typing import Any
 
 import joblib
 import numpy as np
-from joblib import Parallel, delayed, effective_n_jobs
+from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+from joblib.parallel import get_active_backend
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
@@ -41,6 +43,11 @@ CODE = ("controllers", "running", "learning", "estimation", "detection", "evalua
 """Rooms whose code may change the result of a job."""
 
 _JOBS_PER_ROUND = 4
+MOST_KILLED = 3
+"""A pool whose workers are killed (for their memory, say) begins again so often."""
+
+_KILLED = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker", "RayActorError", "WorkerCrashedError")
+"""Names of the errors with which the pools of loky, Dask and Ray answer: only one of them is installed always."""
 
 Columns = dict[str, NDArray[Any]]  # numbers by name, arrays of any shape
 Report = Callable[[str, int, int], None]
@@ -129,7 +136,7 @@ def _fingerprint(participant: Any) -> str:
 
 
 def run_jobs(
-    listed: Mapping[str, Any], folder: Path | None, jobs: int | None, progress: Report | None
+    listed: Mapping[str, Any], folder: Path | None, jobs: int | None, progress: Report | None, at_once: bool = False
 ) -> tuple[dict[str, JobResult], int]:
     """Run jobs, or read the results that are already in a folder; after an interruption, finished results stay there.
 
@@ -138,14 +145,15 @@ def run_jobs(
     Args:
         listed: each :class:`Job` by a unique key.
         folder: of the study; results are files in its :data:`JOBS_FOLDER`. ``None`` keeps none.
-        jobs: number of jobs side by side; ``None``: one per core, or that of the active ``parallel_config``.
+        jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
         progress: called when a job finishes.
+        at_once: as in :func:`answers_of`.
 
     Returns:
         The results by the same keys, and the number of results that were read.
 
     Raises:
-        ConfigurationError: a file cannot be written.
+        ConfigurationError: a file cannot be written, or the workers were killed again and again.
     """
     results: dict[str, JobResult] = {}
     for key, job in listed.items() if folder is not None else ():
@@ -161,7 +169,7 @@ def run_jobs(
     report()
     waiting = [key for key in listed if key not in results]
     random.Random(0).shuffle(waiting)
-    with closing(answers_of({key: listed[key] for key in waiting}, jobs)) as answers:
+    with closing(answers_of({key: listed[key] for key in waiting}, jobs, at_once)) as answers:
         for key, result in answers:
             results[key] = result
             job = listed[key]
@@ -201,11 +209,6 @@ def digest_of_code(*rooms: str) -> str:
     return digest.hexdigest()
 
 
-def default_jobs() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def side_by_side(pool: Any, calls: Sequence[Any]) -> Generator[Any, None, None]:
     """Answers of a pool of joblib that gives them one by one; closed early, it cancels the others without a warning."""
     answers = pool(calls)
@@ -224,29 +227,72 @@ def _named(key: str, job: Job) -> tuple[str, JobResult]:
     if torch is not None:
         torch.set_num_threads(1)  # as many jobs as cores run side by side
     try:
-        return key, job.run()
+        with parallel_config("sequential"):  # jobs of a job do not go to the pool that waits for it
+            return key, job.run()
     finally:
         if torch is not None:
             torch.set_num_threads(threads)
 
 
-def _in_worker(key: str, job: Job) -> tuple[str, JobResult]:
-    """Run a job in a process of the pool, which leaves Ctrl-C to the waiting process."""
+def _in_worker(key: str, job: Job, code: str) -> tuple[str, JobResult]:
+    """Run a job in a process of the pool, which leaves Ctrl-C to the waiting process.
+
+    Raises:
+        ConfigurationError: the worker has another version of the code.
+    """
     if parent_process() is not None and current_thread() is main_thread():
         signal(SIGINT, SIG_IGN)
+    if digest_of_code(*CODE) != code:
+        raise ConfigurationError(f"the worker on {gethostname()} has another version of hydro_env: install the same")
     return _named(key, job)
 
 
-def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[str, JobResult], None, None]:
-    """Results of jobs in the order of completion, each with its key; those of closed ones are lost."""
-    if not waiting:
-        return
-    first, *others = waiting.items()
-    yield _named(*first)  # in this process: the others then read the compiled code from disk
-    calls = [delayed(_in_worker)(key, job) for key, job in others]
+def answers_of(
+    waiting: Mapping[str, Job], jobs: int | None, at_once: bool = False
+) -> Generator[tuple[str, JobResult], None, None]:
+    """Results of jobs in the order of completion, each with its key; those of closed ones are lost.
+
+    Jobs whose worker is killed run again. A participant that has no :func:`fingerprint` stays in this process.
+
+    Args:
+        waiting: the jobs.
+        jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
+        at_once: give all of them to the workers. Otherwise the first one runs in this process, and the others read the
+            code that it compiled from the disk: better for many short jobs.
+
+    Raises:
+        ConfigurationError: the workers were killed again and again, or have another version of the code.
+    """
+    left = dict(waiting)
+    here = [key for key, job in left.items() if job.participant is not None and not job.digest]
+    if not at_once and len(here) < len(left):
+        here = [next(key for key in left if key not in here), *here]
+    for key in here:
+        yield _named(key, left.pop(key))
+    killed = 0
+    while left:
+        calls = [delayed(_in_worker)(key, job, digest_of_code(*CODE)) for key, job in left.items()]
+        try:
+            for key, result in _pooled(calls, jobs):
+                del left[key]
+                yield key, result
+        except Exception as error:
+            if not any(kind.__name__ in _KILLED for kind in type(error).__mro__):
+                raise
+            killed += 1
+            if killed > MOST_KILLED:
+                why = f"worker processes were killed {killed} times (for their memory?); give a smaller --jobs"
+                raise ConfigurationError(f"{why}; the finished results are kept") from None
+
+
+def _pooled(calls: Sequence[Any], jobs: int | None) -> Generator[tuple[str, JobResult], None, None]:
+    """Answers of the pool of the active ``parallel_config``, as they come."""
+    limit = jobs if jobs is not None else get_active_backend()[1]
+    # Dask has as many jobs under way as the cluster has cores; what is sent to it can be fewer.
+    sent = {"pre_dispatch": limit} if limit is not None and limit > 0 else {}
     pool: Any
     try:
-        pool = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")
+        pool = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered", **sent)
     except ValueError:  # a backend that returns all results together
         pool = Parallel(n_jobs=jobs, batch_size=1)
         size = _JOBS_PER_ROUND * effective_n_jobs(jobs)

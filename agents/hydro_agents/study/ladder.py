@@ -160,7 +160,6 @@ class Resolved(NamedTuple):
 def run_ladder(
     ladder: LadderSettings,
     folder: Path,
-    jobs: int = 1,
     rungs: list[str] | None = None,
     seeds: int | None = None,
     test: bool = False,
@@ -172,7 +171,6 @@ def run_ladder(
     Args:
         ladder: the ladder.
         folder: for the results; each job has its own subfolder.
-        jobs: number of jobs side by side.
         rungs: names of the rungs to train; default: all.
         seeds: number of seeds, instead of the ladder's.
         test: evaluate on test plants instead of validation plants; only after all choices are made.
@@ -195,8 +193,8 @@ def run_ladder(
     writes += [f"rungs/*/*/{file}" for file in (*TRAINING_FILES, JOB_FILE)]
     with output_folder(folder, "ladder", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         names = {f"{name}{SEED_MARK}{seed}": (name, seed) for name, seed in todo}
-        trainings = {key: Job(train_rung, None, (ladder, *names[key], str(folder))) for key in names}
-        answers, _ = run_jobs(trainings, None, jobs, lambda _, *done: display.update("training", *done))
+        trainings = {key: Job(train_rung, None, (ladder, *names[key], str(folder.absolute()))) for key in names}
+        answers, _ = run_jobs(trainings, None, None, lambda _, *done: display.update("training", *done), at_once=True)
         failed = {key: answer.error for key, answer in answers.items() if answer.error}
         errors = [f"rung {names[key][0]}, seed {names[key][1]}: {error}" for key, error in failed.items()]
         controllers = {name: ladder.make(name) for name in ladder.controllers}
@@ -204,7 +202,7 @@ def run_ladder(
             if key not in failed:
                 controllers[key] = ladder.resolved(name).trainer.load(ladder.folder(folder, name, seed) / WEIGHTS)
         who = Participants(controllers)
-        results = run(ladder.protocol(test), who, folder, jobs, lambda _, *done: display.update("evaluation", *done))
+        results = run(ladder.protocol(test), who, folder, None, lambda _, *done: display.update("evaluation", *done))
         write_tables(ladder, folder, results)
         for name in chosen:
             write_curve(ladder, folder, name)

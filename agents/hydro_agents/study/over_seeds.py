@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from joblib import effective_n_jobs
 
 from hydro_agents.report.training_plots import BASE_ERROR, ERROR, learning_plots
 from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
+from hydro_agents.running.jobs import Columns, Job, run_jobs
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.statistics import seeds_interval
 from hydro_agents.running.text import Table, number
 from hydro_agents.study.results import Phases
-from hydro_agents.study.run import HEAD_PHASE, TUNED_FILE, is_finished, run_study
+from hydro_agents.study.run import HEAD_PHASE, TUNED_FILE, claimed, is_finished, run_study, try_out
 from hydro_agents.study.settings import StudySettings
 from hydro_agents.study.training import read_curve
+from hydro_env import ConfigurationError
 from hydro_env.files import write_whole
 
 TABLE, CURVES, CURVE_FILE = "tables/over_seeds.csv", "tables/learning_curves.csv", "learning_curve.svg"
 SEED = "seed"  # begins the names of the studies' folders and of the table's columns, as in ``seed 0``
+JOB = "study --seeds"
 FIRST_ERROR = "first_mean_error_mm"
 """Column of the learning curves: error of the first controller on the same validation plants."""
 
@@ -42,6 +47,8 @@ def run_over_seeds(
 ) -> Path:
     """Run a study once per training seed, each in its own folder, and collect the results in one table.
 
+    The active ``parallel_config`` says how many run side by side; without one they run one after another.
+
     All runs use the same test plants; their results differ by the training alone.
 
     Args:
@@ -60,12 +67,14 @@ def run_over_seeds(
         ConfigurationError: as :func:`~hydro_agents.study.run.run_study`; or a file is in the way.
         KeyboardInterrupt: Ctrl-C; the finished work remains.
     """
-    for seed in seeds:
-        own = folder / f"{SEED} {seed}"
-        if not (resume and is_finished(study, own, seed)):
-            run_study(study, own, seed, resume, overwrite, command)
+    waiting = [seed for seed in seeds if not (resume and is_finished(study, folder / f"{SEED} {seed}", seed))]
+    if effective_n_jobs(None) > 1 and len(waiting) > 1:
+        _run_side_by_side(study, folder, waiting, resume, overwrite, command)
+    else:
+        for seed in waiting:
+            run_study(study, folder / f"{SEED} {seed}", seed, resume, overwrite, command)
     with (
-        output_folder(folder, "study --seeds", [TABLE, CURVES, CURVE_FILE], overwrite=True),
+        output_folder(folder, JOB, [TABLE, CURVES, CURVE_FILE], overwrite=True),
         ProgressDisplay() as display,
     ):
         table, curves = over_seeds(study, folder, seeds), learning_curves(study, folder, seeds)
@@ -77,6 +86,42 @@ def run_over_seeds(
                 write_whole(folder / CURVE_FILE, plot.file)
         display.console.lines(console_table(_summary(table, len(seeds)), left=(0, 1)))
     return folder / TABLE
+
+
+def _run_side_by_side(
+    study: StudySettings, folder: Path, seeds: Sequence[int], resume: bool, overwrite: bool, command: str
+) -> None:
+    """Run each study as a job; what it prints goes to ``seed 0.log``, …"""
+    study.check()
+    folder = folder.absolute()
+    logs = output_folder(folder, f"{JOB} --jobs", [f"{SEED} *.log"], resume=True)
+    with logs, ProgressDisplay() as display:
+        for seed in seeds:
+            with claimed(study, folder / f"{SEED} {seed}", resume, overwrite):
+                pass  # refuses results of an earlier run, or removes them; the job then goes on if its worker is killed
+        try_out(study)
+        display.say(f"{len(seeds)} studies side by side; {folder / SEED} *.log tells how far each is")
+        jobs = {f"{SEED} {seed}": Job(one_study, None, (study, str(folder), seed, command)) for seed in seeds}
+        results, _ = run_jobs(jobs, None, None, lambda _, *done: display.update("studies", *done), at_once=True)
+    errors = [f"{key}: {result.error}" for key, result in results.items() if result.error]
+    if errors:
+        raise ConfigurationError("; ".join(errors))
+    for seed in seeds:
+        if not is_finished(study, folder / f"{SEED} {seed}", seed):
+            raise ConfigurationError(f"{folder / SEED} {seed}: the worker wrote elsewhere; all need a common disk")
+
+
+def one_study(_: None, study: StudySettings, folder: str, seed: int, command: str) -> Columns:
+    """Run or resume the study of one seed; its results are files in its own folder.
+
+    Raises:
+        ConfigurationError: as :func:`~hydro_agents.study.run.run_study`.
+    """
+    own = Path(folder) / f"{SEED} {seed}"
+    own.parent.mkdir(parents=True, exist_ok=True)
+    with open(f"{own}.log", "a", encoding="utf-8") as log, redirect_stdout(log), redirect_stderr(log):
+        run_study(study, own, seed, True, False, command)  # a job whose worker was killed goes on
+    return {}
 
 
 def over_seeds(study: StudySettings, folder: Path, seeds: range) -> pd.DataFrame:

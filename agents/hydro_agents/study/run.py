@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, cast
 
@@ -65,12 +66,9 @@ def run_study(
         KeyboardInterrupt: Ctrl-C; the finished work remains and the study can be resumed.
     """
     study.check()
-    below = [f"controllers/{name}/{file}" for name in study.trained for file in TRAINING_FILES]
-    below += [f"controllers/{name}/{file}" for name in study.tuned for file in TUNING_FILES]
-    writes = [CONFIG_FILE, TUNED_FILE, STATE_FILE, *HEAD_FILES, *below, *REPORT_FILES]
-    with output_folder(folder, "study", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+    with claimed(study, folder, resume, overwrite), ProgressDisplay() as display:
         _write_settings(study, folder, seed)
-        _try_out(study)
+        try_out(study)
         phases = Phases(folder)
         controllers: dict[str, Controller] = {}
         curves = []
@@ -100,6 +98,14 @@ def run_study(
     display.say("times: " + ", ".join(f"{phase} {seconds:.0f} s" for phase, seconds in phases.seconds.items()))
     display.say(f"report: {(folder / REPORT_FILE).resolve()}")
     return evaluation
+
+
+def claimed(study: StudySettings, folder: Path, resume: bool, overwrite: bool) -> AbstractContextManager[Path]:
+    """The folder of a study for its files; see :func:`~hydro_agents.running.folders.output_folder`."""
+    below = [f"controllers/{name}/{file}" for name in study.trained for file in TRAINING_FILES]
+    below += [f"controllers/{name}/{file}" for name in study.tuned for file in TUNING_FILES]
+    writes = [CONFIG_FILE, TUNED_FILE, STATE_FILE, *HEAD_FILES, *below, *REPORT_FILES]
+    return output_folder(folder, "study", writes, resume=resume, overwrite=overwrite)
 
 
 def is_finished(study: StudySettings, folder: Path, seed: int) -> bool:
@@ -139,7 +145,7 @@ def _with_gains(study: StudySettings, controllers: Mapping[str, Controller]) -> 
     return settings
 
 
-def _try_out(study: StudySettings) -> None:
+def try_out(study: StudySettings) -> None:
     """Run each controller that needs no training for two episodes, before hours of training.
 
     Raises:
