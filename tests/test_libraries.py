@@ -20,6 +20,13 @@ ROOT = Path(__file__).parents[1]
 ZOO = ROOT / "configs" / "agents" / "rl_zoo3_ppo.yaml"
 
 
+def python_of_page(name, start):
+    """The one block of a page that begins so."""
+    page = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    (code,) = re.findall(rf"^```python\n({start}\b.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    return code
+
+
 def test_control_libraries_take_the_linearised_axis():
     plant = PlantParameters().replace(friction={"model": "none"})
     space = linearise(plant, position=0.02).state_space(outputs=("position", "velocity"))
@@ -47,6 +54,16 @@ def test_torchrl():
     processes.close()
 
 
+@pytest.mark.slow  # starts processes of Ray
+@pytest.mark.parametrize("runners", [0, 1])
+def test_rllib(runners, capsys):
+    """The code of docs/clients.md."""
+    pytest.importorskip("ray.rllib.algorithms.ppo", exc_type=ImportError)
+    code = python_of_page("clients", "from ray.rllib")
+    exec(code.replace("num_env_runners=1", f"num_env_runners={runners}"), {"__name__": "__main__"})
+    assert capsys.readouterr().out.splitlines()[-1] == "100.0"
+
+
 def test_tau_ctrl():
     tau = pytest.importorskip("tau_ctrl")
     env = gym.make(ID, episode_duration=0.1)
@@ -66,8 +83,7 @@ def test_the_plant_drives_a_joint_of_mujoco(tmp_path, monkeypatch):
     pytest.importorskip("mujoco")
     if c_compiler() is None:
         pytest.skip("this machine has no C compiler")
-    page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"^```python\n(import ctypes\n.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    code = python_of_page("export", "import ctypes")
     (tmp_path / "plant.so").write_bytes(compiled(plant_code().files, ["-shared", "-fPIC"]))
     monkeypatch.chdir(tmp_path)
     space = {"__name__": "__main__"}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import ClassicalController, Floats, search_space
 from hydro_agents.detection.head import LeakageEstimate, LeakageHead
-from hydro_agents.export.c_files import WARNINGS, CCode, compiled, render
+from hydro_agents.export.c_files import WARNINGS, CCode, compiled, cross_compiler, render
 from hydro_agents.export.controller import controller_code, controller_graph, memory_type
 from hydro_agents.export.expressions import DOUBLE, INT, UINT64
 from hydro_agents.export.leakage_head import head_code
