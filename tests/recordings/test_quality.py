@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from recorded import CONFIG, changed, healthy
 
+from hydro_agents.recordings.driving import check_driving
 from hydro_agents.recordings.findings import Weight
-from hydro_agents.recordings.quality import _flow_into_a, balance, check_driving, check_recording
+from hydro_agents.recordings.quality import _flow_into_a, balance, check_recording
 from hydro_agents.recordings.recording import Recording
 from hydro_agents.recordings.sampling import bridged, cut, on_grid, sampled
 from hydro_env.plant.arrays import plant_coefficients

@@ -80,7 +80,7 @@ def record(
     task draws the parameters that are not known exactly.
     """
     from hydro_agents.learning.opponents import opponent
-    from hydro_agents.recordings.quality import check_driving
+    from hydro_agents.recordings.driving import check_driving
     from hydro_agents.recordings.recording import read_recording
     from hydro_agents.recordings.sampling import sampled
     from hydro_agents.recordings.simulated import named_faults, record_axis

@@ -20,7 +20,7 @@ from hydro_env.units import UNITS as QUANTITIES
 MEASURED = (*SENSORS, "command")
 """Names of the signals in a file, in the order of a window's rows."""
 
-COMMAND = MEASURED.index("command")
+POSITION, PRESSURE_A, PRESSURE_B, SPOOL, COMMAND = range(5)
 
 BESIDE = ("supply_pressure", "tank_pressure", "flow", "oil_temperature")
 """Further signals that a file may hold: they drive the model, or a balance of volumes, and are not part of a window.

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.model import Model, noise_of
 from hydro_agents.estimation.unknowns import Prior, priors_of, starts_of
-from hydro_agents.recordings.columns import COMMAND
-from hydro_agents.rigs.parts import POSITION, Stretch
+from hydro_agents.recordings.columns import COMMAND, POSITION
+from hydro_agents.rigs.parts import Stretch
 from hydro_agents.running.text import number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parameters import to_vector

@@ -12,6 +12,7 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from hydro_agents.recordings.columns import POSITION
 from hydro_agents.report.canvas import GREY, WIDE, make_plot, row_axis, thinned
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
@@ -30,7 +31,6 @@ from hydro_agents.rigs.identification_tables import (
     unknowns_table,
 )
 from hydro_agents.rigs.identify import Identification, as_json
-from hydro_agents.rigs.parts import POSITION
 from hydro_agents.rigs.repeatability import share_inside
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
+from hydro_agents.recordings.columns import POSITION
 from hydro_agents.rigs.found_rig import TIMING, hull, path_of, share_in_words, shown
 from hydro_agents.rigs.held_back import PRESSURES, HeldBack, share_of_all
 from hydro_agents.rigs.identify import Identification
-from hydro_agents.rigs.parts import POSITION
 from hydro_agents.running.text import Table, listed, number
 from hydro_env.task.sensors import SENSORS
 

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydro_agents.estimation.unknowns import EXTERNAL_LEAKAGE, LATENCY, LEAKAGE, RISE_TIME
-from hydro_agents.recordings.columns import ColumnMap
+from hydro_agents.recordings.columns import POSITION, ColumnMap
+from hydro_agents.recordings.driving import AXIS
 from hydro_agents.recordings.findings import Finding
-from hydro_agents.recordings.quality import AXIS, Checked, check_recording
+from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import on_grid
 from hydro_agents.rigs.advice import Advice, advise
@@ -21,7 +22,7 @@ from hydro_agents.rigs.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
 from hydro_agents.rigs.fit import Combination, Fit, Progress, combinations, fit_windows
 from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant, found_timing, share_in_words, shown
 from hydro_agents.rigs.held_back import HeldBack, errors_in_words, share_of_all, simulate_held_back
-from hydro_agents.rigs.parts import POSITION, Parts, parts_of
+from hydro_agents.rigs.parts import Parts, parts_of
 from hydro_agents.rigs.repeatability import Repeat, repeats_of, share_inside
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
 from hydro_env.task.rig import Rig

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
-from hydro_agents.recordings.columns import COMMAND
+from hydro_agents.recordings.columns import COMMAND, POSITION
 from hydro_agents.recordings.findings import Finding
 from hydro_agents.recordings.sampling import Sampled, bridged, cut
 from hydro_env import ConfigurationError
@@ -37,8 +37,6 @@ FULL_COMMAND = 0.99  # of the largest command
 
 MOST_SATURATED = 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""
-
-POSITION = SENSORS.index("position")
 
 
 class Stretch(NamedTuple):

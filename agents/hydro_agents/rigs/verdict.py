@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Reading
 from hydro_agents.detection.estimator import leak_scale
 from hydro_agents.detection.volume_balance import VolumeLeak
+from hydro_agents.recordings.driving import AXIS
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
-from hydro_agents.recordings.quality import AXIS
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import LeakageDraw

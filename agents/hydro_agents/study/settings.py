@@ -105,7 +105,7 @@ class StudySettings(Group):
     def from_yaml(cls, path: str | Path) -> StudySettings:
         """Read a study; a group, and the settings of a controller, may be the path of another YAML file.
 
-        Such a path is relative to the file of the study. The task may be the name of one in ``configs/tasks``.
+        Such a path is relative to the study's file. The task may be a name in ``configs/tasks``.
 
         Raises:
             ConfigurationError: unreadable file, unknown key or impossible value.
@@ -308,8 +308,7 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
     Raises:
         ConfigurationError: no controller is left.
     """
-    absent = [name for name in SENSORS if not getattr(study.task.sensors, name).fitted]
-    if not absent:
+    if not (absent := [name for name in SENSORS if not getattr(study.task.sensors, name).fitted]):
         return study, []
     kept: dict[str, ControllerEntry] = {}
     notes = []
@@ -347,5 +346,5 @@ def _refusal(entry: ControllerEntry, task: TaskConfig) -> str:
 def _correcting(entry: ControllerEntry, base: str, controller: type[ClassicalController]) -> ControllerEntry:
     """The entry of a policy that corrects another controller, whose estimates it sees only if there are any."""
     estimates = entry.settings.get("see_estimates", False) and hasattr(controller, "estimate_names")
-    settings = entry.settings | ({"see_estimates": estimates} if "see_estimates" in entry.settings else {})
-    return entry.model_copy(update={"corrects": base, "settings": settings})
+    seen = {"see_estimates": estimates} if "see_estimates" in entry.settings else {}
+    return entry.model_copy(update={"corrects": base, "settings": entry.settings | seen})
