@@ -66,6 +66,8 @@ CUT_OFF = """() => {
       if (box.scrollWidth > box.clientWidth + 1 && style.position !== 'absolute')
         found.push(`${name} cuts its content off`);
     }
+    if (scrolls(box) && box.scrollWidth > box.clientWidth + 1 && style.backgroundImage === 'none')
+      found.push(`${name} scrolls sideways without a hint`);
     let inside = false;
     for (let up = box; up; up = up.parentElement) inside ||= scrolls(up);
     const place = box.getBoundingClientRect();

@@ -25,11 +25,11 @@ PAGES = yaml.safe_load(Path(__file__).with_name("published_pages.yaml").read_tex
 
 
 def contents_of(html):
-    """Figures, tables and folded parts of a page, by the name of its section, in order."""
+    """Figures, tables and folded parts of a page but those of its cards, by the name of its section, in order."""
     found = {}
     for name, body in re.findall(r'<section id="(\w+)"[^>]*>(.*?)</section>', html, flags=re.DOTALL):
         titles = re.findall(
-            r"<figcaption><strong>(.*?)</strong>|<caption><span>(.*?)</span>|<summary>(.*?)</summary>", body
+            r"<figcaption><strong>(.*?)</strong>|<caption><span>(.*?)</span>|<summary>(?!Details<)(.*?)</summary>", body
         )
         kinds = ("figure", "table", "folded")
         found[name] = [

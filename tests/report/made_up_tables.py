@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 
+from hydro_agents.evaluation.metrics import COMPARED
+
 CONDITIONS = [
     ("leak_0.01", "leak", "0.01 l/min"),
     ("leak_8", "leak", "8 l/min"),
@@ -33,7 +35,12 @@ def summary():
     rows = []
     for number, name in enumerate(("PID", *RATIOS)):
         for condition in ("all", *(condition for condition, *_ in CONDITIONS)):
-            for metric, mean in (("mean_error_mm", 0.2), ("valve_travel_per_s", 9.0), ("supply_energy_j", 300.0)):
+            for metric, mean in (
+                ("mean_error_mm", 0.2),
+                ("valve_travel_per_s", 9.0),
+                ("supply_energy_j", 300.0),
+                ("settling_time_s", 0.1),
+            ):
                 low, high = 0.9 * mean, 1.1 * mean
                 row = {"controller": name, "condition": condition, "metric": metric, "mean": mean - 0.01 * number}
                 row |= {"mean_low": low, "mean_high": high, "iqm": mean, "iqm_low": low, "iqm_high": high, "worst": 1.5}
@@ -51,6 +58,7 @@ def cases():
     rows = [
         {"condition": condition, "family": family, "leakage_flow_lpm": 4.0, "seed": 2_200_000 + seed}
         | {"controller": name, "training_seed": 0, "mean_error_mm": error}
+        | {"plant": seed, "mean_error_sensor_mm": error, **dict.fromkeys((m.name for m in COMPARED.values()), 1.0)}
         for (condition, family, seed), by_name in errors.items()
         for name, error in by_name.items()
     ]

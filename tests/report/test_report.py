@@ -19,6 +19,7 @@ from untrained import untrained_head
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.evaluation.evaluate import Evaluation, ProtocolSettings, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
+from hydro_agents.report.asked import against_corrected
 from hydro_agents.report.content import interval_text, verdict
 from hydro_agents.report.palette import LEAK_LOOKS, LEAKS, NEUTRALS, SERIES, VARIABLES, looks_of
 from hydro_agents.report.sections import render_page
@@ -234,7 +235,7 @@ def test_the_score_comes_first_with_the_errors_in_both_frames(evaluation):
     [
         (
             {"step": 3.0, "sine": 2.0},
-            "With a leak of 4 l/min, PID makes 2.50 times the error that it makes with a healthy seal (0.01 l/min).\n",
+            "With a leak of 4 l/min, PID makes 2.50 times the error that it makes with a healthy seal.\n",
             "× 2.50 (2.50 to 2.50). More error in steps (× 3.00) and sines (× 2.00).",
         ),
         (
@@ -314,20 +315,24 @@ def at_rest(evaluation, *, cycles, largest, failures=0):
 
 
 @pytest.mark.parametrize(
-    ("unrest", "clause"),
+    ("unrest", "clause", "sentence"),
     [
         (
             {"cycles": 14, "largest": 7900.0},
-            ", which cannot hold this axis (limit cycle at 14 of 16 standstills, up to 7.9 mm)",
+            ", which cannot hold this axis",
+            "PID at rest: limit cycle at 14 of 16 standstills, up to 7.9 mm.",
         ),
         (
             {"cycles": 3, "largest": 45.0},
-            ", which does not come to rest (limit cycle at 3 of 16 standstills, up to 45 µm)",
+            ", which does not come to rest",
+            "PID at rest: limit cycle at 3 of 16 standstills, up to 45 µm.",
         ),
-        ({"cycles": 0, "largest": 0.0}, ""),
+        ({"cycles": 0, "largest": 0.0}, "", "clear"),
     ],
 )
-def test_a_comparison_with_a_controller_that_oscillates_says_so_in_the_same_sentence(evaluation, unrest, clause):
+def test_a_comparison_with_a_controller_that_oscillates_says_so_in_the_same_sentence(
+    evaluation, unrest, clause, sentence
+):
     ratios = evaluation.ratios.copy()
     for (value, low, high), lead in (
         (WIN, f"{ODD_NAME} positions better than PID{clause}: 20 % less error.\n"),
@@ -335,7 +340,46 @@ def test_a_comparison_with_a_controller_that_oscillates_says_so_in_the_same_sent
         (OPEN, f"No clear difference between {ODD_NAME} and PID{clause}{',' if clause else ''} over all runs.\n"),
     ):
         ratios[["ratio", "low", "high"]] = value, low, high
-        assert told(at_rest(replace(evaluation, ratios=ratios), **unrest), 2).startswith(lead)
+        text = told(at_rest(replace(evaluation, ratios=ratios), **unrest), 2)
+        assert text.startswith(lead)
+        assert sentence in text if clause else "at rest" not in text
+
+
+def test_a_card_says_how_the_most_accurate_controller_stands_and_settles(evaluation):
+    levels = evaluation.levels.copy()
+    means = {
+        "mean_error_mm": (0.3, 0.2),
+        "steady_state_error_sensor_mm": (0.05, 0.012),
+        "settling_time_s": (0.2, 0.084),
+    }
+    for metric, values in means.items():
+        for name, value in zip(evaluation.controllers, values, strict=True):
+            smallest = levels["leakage_flow_lpm"] == levels["leakage_flow_lpm"].min()
+            levels.loc[(levels["controller"] == name) & (levels["metric"] == metric) & smallest, "mean"] = value
+    quiet = at_rest(replace(evaluation, levels=levels), cycles=3, largest=45.0)
+    lead, text = told(quiet, 4).split("\n")
+    assert lead == f"{ODD_NAME}: at standstill ± 12 µm, settles in 84 ms."
+    assert text.startswith(
+        "PID: at standstill ± 50 µm, does not come to rest everywhere, settles in 200 ms. All at the"
+    )
+
+
+def test_a_policy_is_compared_with_the_controller_that_it_corrects(evaluation):
+    rows = evaluation.cases[evaluation.cases["controller"] == ODD_NAME]
+    policy = rows.assign(controller="PPO", mean_error_mm=0.9 * rows["mean_error_mm"])
+    three = pd.concat([evaluation.cases, policy], ignore_index=True)
+    content = content_of(replace(evaluation, cases=three), corrects={"PPO": ODD_NAME})
+    (found,) = against_corrected(content)
+    assert found.lead == f"PPO improves {ODD_NAME}: 10 % less error."
+    assert f"Mean error over that of {ODD_NAME} on the same runs: 0.900 (0.900 to 0.900)" in found.text
+    assert "Better in 100 % of the runs." in found.text
+    assert against_corrected(content_of(evaluation, corrects={ODD_NAME: "PID"})) == []  # that card stands anyway
+
+
+def test_a_card_shows_one_sentence_and_folds_the_numbers(evaluation, page):
+    cards = re.search(r'<ol class="findings grid">(.*?)</ol>', page, re.DOTALL)[1]
+    assert cards.count("<li>") == len(findings_of(content_of(evaluation)))
+    assert re.sub(r"<strong>.*?</strong>|<details>.*?</details>|<[^>]*>|\s", "", cards, flags=re.DOTALL) == ""
 
 
 def test_the_page_tells_who_comes_to_rest(evaluation):
@@ -388,7 +432,7 @@ def with_detection(evaluation, found, alarms):
     ],
 )
 def test_whether_leaks_are_noticed(evaluation, found, alarms, lead):
-    text = told(with_detection(evaluation, found, alarms), 4)
+    text = told(with_detection(evaluation, found, alarms), 5)
     assert text.startswith(f"Leaks from 0.3 l/min {lead}\n")
     assert (f"clearly more under PID and {ODD_NAME}" in text) == (alarms > 0.03)
     assert ", 25.0 % (20.0 to 30.0) of those of 0.1–0.2" in text
@@ -399,7 +443,7 @@ def test_whether_leaks_are_noticed(evaluation, found, alarms, lead):
 
 
 def test_how_well_the_size_is_estimated(evaluation):
-    text = told(with_detection(evaluation, 0.97, 0.012), 5)
+    text = told(with_detection(evaluation, 0.97, 0.012), 6)
     assert text.startswith("The size of a leak is estimated within a factor of 1.42 for half of the leaks.\n")
     assert f"2.50 under PID and 3.00 under {ODD_NAME}" in text
 

@@ -174,7 +174,8 @@ def stiffness_table(content: Content) -> Table:
     rows = []
     for name, own in table.groupby("controller", sort=False):
         parts = [own[own["leakage_flow_lpm"] == leak] for leak in leaks]
-        cells = [(_stiffness(part, "remaining_mm"), _stiffness(part, "peak_mm"), _recovery(part)) for part in parts]
+        columns = ("remaining_mm", "peak_mm")
+        cells = [(*(stiffness_text(part, column) for column in columns), _recovery(part)) for part in parts]
         rows.append((str(name), *(text for part in cells for text in part)))
     header = ("Controller", *("static, N/mm", "dynamic, N/mm", "recovered after, ms") * len(leaks))
     groups = tuple((f"{setting(leak)} l/min", 3) for leak in leaks)
@@ -190,7 +191,7 @@ def _recovery(part: pd.DataFrame) -> str:
     return text if len(times) == len(part) else f"{text} ({len(times)} of {len(part)})" if len(times) else "never"
 
 
-def _stiffness(part: pd.DataFrame, column: str) -> str:
+def stiffness_text(part: pd.DataFrame, column: str) -> str:
     """Force over deviation, rounded to two digits, with ≥ if the deviation is too small."""
     force, deviation = float(part["force_n"].iloc[0]), float(part[column].median())
     value = force / max(deviation, LEAST_DEVIATION)

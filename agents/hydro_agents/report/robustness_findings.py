@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_agents.evaluation.metrics import COMPARED
+from hydro_agents.report.asked import against_corrected, held
 from hydro_agents.report.content import ALL, Content, interval, interval_text, percent, verdict
 from hydro_agents.report.sections import Finding
 from hydro_agents.running.statistics import Interval
@@ -19,8 +20,10 @@ def findings_of(content: Content) -> list[Finding]:
     items: list[Finding] = []
     if content.has("comparison"):
         items += [_winner(content), *(_controller(content, name) for name in content.controllers[1:])]
+        items += against_corrected(content)
     if content.has("standstill"):
         items.append(_standstill(content))
+    items += held(content)
     if content.has("leak_price"):
         items.append(_price(content))
     return items

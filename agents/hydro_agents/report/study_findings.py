@@ -9,6 +9,7 @@ import pandas as pd
 
 from hydro_agents.evaluation.limit_cycles import comes_to_rest, is_broken, rest_text
 from hydro_agents.evaluation.metrics import FRAMES
+from hydro_agents.report.asked import against_corrected, change, held
 from hydro_agents.report.content import Content, interval, interval_text, percent, verdict
 from hydro_agents.report.sections import Finding
 from hydro_agents.running.statistics import (
@@ -30,7 +31,9 @@ FALSE_ALARM_TARGET = 0.01
 def findings_of(content: Content) -> list[Finding]:
     """The findings, in the order of a user's questions."""
     items = [*_score(content), _leak(content), *(_comparison(content, name) for name in content.controllers[1:])]
+    items += against_corrected(content)
     items += [_standstill(content)] if content.has("limit_cycle_summary") else []
+    items += held(content)
     return [*items, _detection(content), _size(content)] if content.has("detection_summary") else items
 
 
@@ -92,13 +95,6 @@ def growth(cases: pd.DataFrame, controller: str, family: str | None = None) -> I
     return ratio_interval(errors[:, -1], errors[:, 0])
 
 
-def _change(ratio: float) -> str:
-    """A ratio of errors as a phrase."""
-    if ratio >= 2.0:
-        return f"{number(ratio)} times the error"
-    return f"{number(100.0 * abs(ratio - 1.0), 0)} % {'more' if ratio > 1.0 else 'less'} error"
-
-
 def _leak(content: Content) -> Finding:
     cases, base = content.table("cases"), content.baseline
     first, last = (float(cases["leakage_flow_lpm"].agg(end)) for end in ("min", "max"))
@@ -114,11 +110,11 @@ def _leak(content: Content) -> Finding:
         f"a healthy seal ({setting(leak)} l/min)" if leak <= healthy else f"a leak of {setting(leak)} l/min"
         for leak in (first, last)
     )
-    whole = growth(cases, base)
+    whole, short = growth(cases, base), best.partition(" (")[0]
     lead = f"A leak of {setting(last)} l/min makes no clear difference to the mean error of {base}."
     if verdict(whole) != "same":
         than = "that it makes" if whole.value >= 2.0 else "than"
-        lead = f"With a leak of {setting(last)} l/min, {base} makes {_change(whole.value)} {than} with {best}."
+        lead = f"With a leak of {setting(last)} l/min, {base} makes {change(whole.value)} {than} with {short}."
     text = (
         f"{base}: {interval_text(least, 'mm')} mean error with {best}, {interval_text(most, 'mm')} with "
         f"{worst}: × {interval_text(whole)}. {_growth_by_family(cases, base)}"
@@ -144,11 +140,11 @@ def _growth_by_family(cases: pd.DataFrame, base: str) -> str:
 def _comparison(content: Content, name: str) -> Finding:
     row, equal = (content.row("ratios", controller=name, group=group) for group in ("all", "equal_weight"))
     whole, base = interval(row, "ratio"), row["against"]
-    rest = _unrest(content, base)
+    unrest, at_rest = _unrest(content, base)
     lead = {
-        "better": f"{name} positions better than {base}{rest}: {_change(whole.value)}.",
-        "worse": f"{name} loses to {base}{rest}: {_change(whole.value)}.",
-        "same": f"No clear difference between {name} and {base}{rest and f'{rest},'} over all runs.",
+        "better": f"{name} positions better than {base}{unrest}: {change(whole.value)}.",
+        "worse": f"{name} loses to {base}{unrest}: {change(whole.value)}.",
+        "same": f"No clear difference between {name} and {base}{unrest and f'{unrest},'} over all runs.",
     }[verdict(whole)]
     mine, theirs = (
         number(conditional_value_at_risk(content.rows("cases", controller=who)["mean_error_mm"].to_numpy()))
@@ -160,7 +156,7 @@ def _comparison(content: Content, name: str) -> Finding:
         f"Steps have by far the largest errors and dominate this mean. With equal weights for all kinds of reference "
         f"(geometric mean of the ratios) the ratio is {interval_text(interval(equal, 'ratio'))}. "
         f"{_breakdown(content, name, 'level')} {_breakdown(content, name, 'family')} "
-        f"Worst 5 % of the runs: {mine} mm on average, against {theirs} mm with {base}."
+        f"Worst 5 % of the runs: {mine} mm on average, against {theirs} mm with {base}.{at_rest}"
     )
     return Finding(lead, text)
 
@@ -184,12 +180,13 @@ def _breakdown(content: Content, name: str, group: str) -> str:
 # At rest ------------------------------------------------------------------------------------------------------------
 
 
-def _unrest(content: Content, name: str) -> str:
-    """A clause about a controller that does not come to rest, else an empty text."""
+def _unrest(content: Content, name: str) -> tuple[str, str]:
+    """A clause and a sentence about a controller that does not come to rest, else empty texts."""
     found = content.row("limit_cycle_summary", controller=name)
     if not found or comes_to_rest(found):
-        return ""
-    return f", which {'cannot hold this axis' if is_broken(found) else 'does not come to rest'} ({rest_text(found)})"
+        return "", ""
+    clause = f", which {'cannot hold this axis' if is_broken(found) else 'does not come to rest'}"
+    return clause, f" {name} at rest: {rest_text(found)}."
 
 
 def _standstill(content: Content) -> Finding:
