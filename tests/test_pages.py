@@ -64,7 +64,7 @@ def test_python_runs(page, number, given, capsys):
     block = FENCE.findall(TEXTS[page])[number][1]
     if re.search(r"^(import mujoco|from ray\.rllib)\b", block, re.MULTILINE):
         compile(block, page, "exec")
-        pytest.skip("tests/test_libraries.py runs this code, which needs MuJoCo and a compiled plant, or processes of Ray")
+        pytest.skip("tests/test_libraries.py runs this code, which needs a library or processes")
     for package in NO_DEPENDENCIES:
         if re.search(rf"^(import|from) {package}\b", block, re.MULTILINE) and not importlib.util.find_spec(package):
             pytest.skip(f"{package} is not installed: tests/test_libraries.py uses it where it is")
