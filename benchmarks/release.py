@@ -56,6 +56,13 @@ def run(*command: str | Path, cwd: Path = ROOT, code: int = 0, **variables: str)
     return done.stdout
 
 
+def works(interpreter: str) -> bool:
+    """Whether it is installed; a version manager may put a name on the path that only tells how to choose it."""
+    if shutil.which(interpreter) is None:
+        return False
+    return subprocess.run((interpreter, "--version"), capture_output=True, check=False).returncode == 0
+
+
 def environment(interpreter: str, folder: Path) -> Path:
     """The interpreter of a new virtual environment."""
     run(interpreter, "-m", "venv", folder)
@@ -104,7 +111,7 @@ def main() -> None:
         (source,) = arguments.output.glob("*.tar.gz")
         run(tools, "-m", "twine", "check", "--strict", str(wheel), str(source))
         run(tools.with_name("check-wheel-contents"), str(wheel))
-        found = [name for name in (f"python{version}" for version in VERSIONS) if shutil.which(name)]
+        found = [name for name in (f"python{version}" for version in VERSIONS) if works(name)]
         for name in found or [sys.executable]:
             print(f"{name}: the wheel in a clean environment", flush=True)
             (folder / Path(name).name).mkdir()

@@ -95,6 +95,21 @@ def test_the_detectors_of_the_page_are_the_leakage_head(runs):
     assert (page[-1, :, 0] > 0.9).all()  # each detector finds the leak
 
 
+def test_the_detectors_listen_for_two_seconds_before_they_give_a_verdict(browser):
+    script = f"""async (steps) => {{ {START}
+    page.settings.running = false;
+    page.restart();
+    for (let step = 0; step < steps; step++) page.step();
+    page.draw();
+    return [...document.querySelectorAll(".verdict")].map((line) => line.textContent); }}"""
+    steps = round(2.0 / CONFIG.control_period)
+    with open_page(browser, FILE) as page:
+        first, later = page.evaluate(script, steps - 10), page.evaluate(script, steps + 30)
+    assert len(first) == len(later) == len(CHOICES)
+    assert all(line.startswith("detector: listening, ") for line in first)
+    assert not any("listening" in line for line in later)
+
+
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("width", SIZES)
 def test_nothing_is_cut_off_and_the_console_stays_silent(browser, width, scheme):

@@ -24,7 +24,8 @@ def change(ratio: float) -> str:
 
 
 def against_corrected(content: Content) -> list[Finding]:
-    """Each policy against the controller that it corrects; the page compares with the baseline anyway."""
+    """Each policy against the controller that it corrects, with the ratio that the page uses for the baseline."""
+    leading = "equal_weight" if content.has("comparison") else "ratio"
     pairs = {
         name: base
         for name, base in content.corrects.items()
@@ -36,7 +37,7 @@ def against_corrected(content: Content) -> list[Finding]:
     everywhere = np.ones(len(grid.family), dtype=np.bool_), np.ones(len(grid.leak), dtype=np.bool_)
     for name, base in pairs.items():
         row = grid.compare(name, base, *everywhere)
-        whole = interval(row, "ratio")
+        whole = interval(row, leading)
         lead = {
             "better": f"{name} improves {base}: {change(whole.value)}.",
             "worse": f"{name} makes {base} worse: {change(whole.value)}.",
@@ -47,10 +48,12 @@ def against_corrected(content: Content) -> list[Finding]:
             for column, metric in COMPARED.items()
             if metric.cost and math.isfinite(row[column])
         ]
+        plain, equal, sensed = (
+            interval_text(interval(row, each)) for each in ("ratio", "equal_weight", "ratio_sensor")
+        )
         text = (
-            f"Mean error over that of {base} on the same runs: {interval_text(whole)}; with equal weights of the kinds "
-            f"of reference {interval_text(interval(row, 'equal_weight'))}, in the frame of the sensor "
-            f"{interval_text(interval(row, 'ratio_sensor'))}. Better in {number(100.0 * row['share_better'], 0)} % of "
+            f"Mean error over that of {base} on the same runs: {plain}; with equal weights of the kinds of reference "
+            f"{equal}, in the frame of the sensor {sensed}. Better in {number(100.0 * row['share_better'], 0)} % of "
             "the runs."
         )
         findings.append(Finding(lead, text + (f" Its cost relative to {base}: {listed(costs)}." if costs else "")))

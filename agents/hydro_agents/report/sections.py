@@ -71,7 +71,7 @@ def cards(findings: Iterable[Finding]) -> Cards:
     """Findings with every number on one line with its unit or its ×."""
 
     def unbroken_words(text: str) -> str:
-        return re.sub(r"(?<=\d) (?=×|µm|Hz|W\b)", "\u00a0", unbroken(text))
+        return re.sub(r"(?<=\d) (?=×|µm|ms\b|Hz|W\b)", "\u00a0", unbroken(text))
 
     return Cards([Finding(*map(unbroken_words, one)) for one in findings])
 
