@@ -23,16 +23,16 @@ from scipy.signal import lfilter
 
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.operations import MOTIONS
-from hydro_agents.estimation.model import noise_of
 from hydro_agents.learning.opponents import shipped
-from hydro_agents.recordings.simulated import record_axis
-from hydro_agents.rigs.diagnose import Diagnosis, diagnose
-from hydro_agents.rigs.verdict import Kind
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import DIAGNOSIS
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
+from hydro_rig.diagnosis.diagnose import Diagnosis, diagnose
+from hydro_rig.diagnosis.verdict import Kind
+from hydro_rig.estimation.model import noise_of
+from hydro_rig.recordings.simulated import record_axis
 
 TASK = TaskConfig(episode_duration=4.0)
 WRONG_RIG = TASK.model_copy(update={"plant": TASK.plant.replace(cylinder={"rod_diameter": 0.024})})

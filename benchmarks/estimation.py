@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.operations import ACTING, MOTIONS
-from hydro_agents.estimation.estimate import estimate
-from hydro_agents.estimation.following import estimate_run
-from hydro_agents.estimation.result import Estimate
-from hydro_agents.estimation.unknowns import LEAKAGE, default_unknowns
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import EVALUATION, THRESHOLDS
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution, default_randomisation
+from hydro_rig.estimation.estimate import estimate
+from hydro_rig.estimation.result import Estimate
+from hydro_rig.estimation.unknowns import LEAKAGE, default_unknowns
 
 Array = NDArray[np.float64]
 
@@ -175,39 +174,6 @@ def structure(windows: int) -> None:
         describe(name, estimate(recordings[name][:, :, LATER : LATER + SAMPLES], CONFIG, more), leak, 0.04)
 
 
-def run(axes: int) -> None:
-    """Continuous running: the moving window and the filter, by time since the start, and their cost."""
-    config = TaskConfig(episode_duration=8.0)
-    signals = record(config, EVALUATION.take(axes, 30_000), np.full(axes, 0.1))
-    print(f"\n{axes} axes with 0.1 l/min for 8 s")
-    for name, window, hop, memory in (
-        ("moving window of 2 s, every 0.5 s", 401, 100, None),
-        ("filter, 0.5 s at a time", 101, None, 60.0),
-        ("filter, 0.1 s at a time", 21, None, 60.0),
-    ):
-        before = time.process_time()
-        runs = [estimate_run(one, config, window=window, hop=hop, memory=memory) for one in signals]
-        cost = (time.process_time() - before) / axes / signals.shape[2]
-        print(f"{name}: {1e3 * cost:.2f} ms of one core per control period of {1e3 * config.control_period:g} ms")
-        for until in (2.0, 4.0, 7.9):
-            place = np.flatnonzero(runs[0][0] * config.control_period <= until + 1e-9)[-1]
-            value, sigma, holds = (
-                np.array([column[place] for column in columns])
-                for columns in (
-                    [found.value(LEAKAGE) for _, found in runs],
-                    [found.deviation(LEAKAGE) for _, found in runs],
-                    [found.holds for _, found in runs],
-                )
-            )
-            error = np.abs(value - 0.1)
-            print(
-                f"  after {until:g} s: median |error| {np.median(error):.4f}, median σ {np.median(sigma):.4f} l/min, "
-                f"90 % interval {100 * np.mean(error <= 1.645 * sigma):.0f} %, "
-                f"window flagged {100 * np.mean(~holds):.0f} %",
-                flush=True,
-            )
-
-
 def rest(windows: int) -> None:
     """Axes that stand still or move slowly, each controller on plants of its own; windows begin 3 s after the start."""
     print(f"\nAt rest and slowly, {windows} windows per row:")
@@ -229,7 +195,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--windows", type=int, default=64, help="test windows per level")
     parser.add_argument("--validation", type=int, default=200, help="windows that set the threshold")
-    parser.add_argument("--only", nargs="+", default=["motion", "worn", "structure", "run", "rest"])
+    parser.add_argument("--only", nargs="+", default=["motion", "worn", "structure", "rest"])
     parser.add_argument(
         "--levels", nargs="+", type=float, choices=LEVELS, default=list(LEVELS), help="l/min at 100 bar"
     )
@@ -247,8 +213,6 @@ def main() -> None:
         structure(arguments.windows)
     if "rest" in arguments.only:
         rest(arguments.windows)
-    if "run" in arguments.only:
-        run(max(arguments.windows // 4, 1))
 
 
 if __name__ == "__main__":

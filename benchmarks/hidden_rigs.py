@@ -14,8 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.drawn_rigs import TRIES, drawn_answers
-from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LATENCY, LEAKAGE, RISE_TIME
-from hydro_agents.recordings.simulated import record_axis
 from hydro_agents.rigs.new_rig import new_rig
 from hydro_agents.rigs.questions import answers_from
 from hydro_agents.rigs.stable_gain import stable_pid
@@ -26,6 +24,8 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 from hydro_env.task.sensors import SENSOR_COLUMNS
 from hydro_env.units import flow_from_resistance
+from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LATENCY, LEAKAGE, RISE_TIME
+from hydro_rig.recordings.simulated import record_axis
 
 LARGEST_BORE, MOST_OVERLAP = 100, 6.0  # mm, %
 EVERY = 30  # rigs until the pattern below repeats

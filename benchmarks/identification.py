@@ -22,14 +22,14 @@ import numpy as np
 
 from benchmarks.hidden_rigs import HiddenRig, hidden_rig, identified_task, true_values
 from hydro_agents.learning.opponents import opponent
-from hydro_agents.recordings.simulated import record_axis
-from hydro_agents.rigs.identify import identify
 from hydro_agents.running.seeds import EVALUATION, HIDDEN_RIGS, THRESHOLDS
 from hydro_env import HydroError
 from hydro_env.files import write_text, write_yaml
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 from hydro_env.task.sensors import SENSORS
+from hydro_rig.identification.identify import identify
+from hydro_rig.recordings.simulated import record_axis
 
 VALIDATION_SKIP = 50_000  # seeds of validation before those of the drawn rigs
 FAR = 10.0  # standard deviations

@@ -24,9 +24,6 @@ from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_ppo
 from hydro_agents.learning.tuning import tune
-from hydro_agents.recordings.simulated import record_axis
-from hydro_agents.rigs.identification_page import identify_to_folder
-from hydro_agents.rigs.identify import identify
 from hydro_agents.rigs.new_rig import new_rig
 from hydro_agents.rigs.questions import answers_from
 from hydro_agents.running.seeds import LEARNING
@@ -36,6 +33,9 @@ from hydro_env.files import read_yaml, validate, write_text, write_yaml
 from hydro_env.plant.parameters import from_vector
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
+from hydro_rig.identification.identification_page import identify_to_folder
+from hydro_rig.identification.identify import identify
+from hydro_rig.recordings.simulated import record_axis
 
 NAMEPLATES = {
     "63/36 x 500 mm": {"bore": "63 mm", "rod": "36 mm", "stroke": "500 mm", "rated_flow": "40 l/min"}

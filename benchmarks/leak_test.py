@@ -20,14 +20,14 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_agents.estimation.unknowns import LEAKAGE
-from hydro_agents.recordings.simulated import recording_csv
-from hydro_agents.rigs.leak_test import FIND, LeakTestSettings, Plan, plan, simulated
-from hydro_agents.rigs.leak_test_reading import read_leak_test
 from hydro_agents.running.seeds import LEAK_TESTS, THRESHOLDS
 from hydro_env import TaskConfig
 from hydro_env.files import write_text
 from hydro_env.task.configuration import task_config
+from hydro_rig.diagnosis.leak_test_plan import FIND, LeakTestSettings, Plan, plan, simulated
+from hydro_rig.diagnosis.leak_test_reading import read_leak_test
+from hydro_rig.estimation.unknowns import LEAKAGE
+from hydro_rig.recordings.simulated import recording_csv
 
 VALIDATION_SKIP = 60_000  # seeds of validation before those of this benchmark
 

@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 from scipy.stats import kendalltau
 
 from hydro_agents.detection.detector import Cause, Detector, Reading, Windows
-from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
-from hydro_agents.recordings.benchmark_axes import DURATION
-from hydro_agents.recordings.benchmark_score import labels_of, score, text_of
-from hydro_agents.recordings.columns import MEASURED, factor
-from hydro_agents.recordings.simulated import WRITTEN_UNITS, heading
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import TaskConfig
+from hydro_rig.challenge.axes import DURATION
+from hydro_rig.challenge.scores import labels_of, score, text_of
+from hydro_rig.estimation.estimator import EstimatorDetector
+from hydro_rig.recordings.columns import MEASURED, factor
+from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
 Array = NDArray[np.float64]
 

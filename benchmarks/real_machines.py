@@ -17,14 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from hydro_agents.detection.monitor import load_head
-from hydro_agents.recordings.columns import ColumnMap
-from hydro_agents.recordings.recording import read_recording
-from hydro_agents.recordings.sampling import Sampled, sampled
-from hydro_agents.rigs.diagnose import diagnose
-from hydro_agents.rigs.found_rig import shown
-from hydro_agents.rigs.held_back import HeldBack
-from hydro_agents.rigs.identify import identify
-from hydro_agents.rigs.repeatability import share_inside
 from hydro_agents.running.console import ProgressDisplay
 from hydro_env import HydroError
 from hydro_env.files import read_yaml, write_yaml
@@ -32,6 +24,14 @@ from hydro_env.folders import config_file
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
+from hydro_rig.diagnosis.diagnose import diagnose
+from hydro_rig.identification.found_rig import shown
+from hydro_rig.identification.held_back import HeldBack
+from hydro_rig.identification.identify import identify
+from hydro_rig.identification.repeatability import share_inside
+from hydro_rig.recordings.columns import ColumnMap
+from hydro_rig.recordings.recording import read_recording
+from hydro_rig.recordings.sampling import Sampled, sampled
 
 RIG = Path(__file__).parent / "festo_tp511.yaml"
 FESTO = "festo_tp511"  # the folder with the MAT files

@@ -22,19 +22,19 @@ import pandas as pd
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.learning.opponents import shipped
-from hydro_agents.recordings.columns import BESIDE
-from hydro_agents.recordings.liveliest import Liveliest
-from hydro_agents.recordings.recording import Recording
-from hydro_agents.rigs.oil import GRADES, Oil
-from hydro_agents.rigs.trend import Settings, row_of
-from hydro_agents.rigs.trend_summary import DAY, trends_of
-from hydro_agents.rigs.trend_table import SIZES, stamp
-from hydro_agents.rigs.verdict import Kind
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Job, fingerprint, run_jobs
 from hydro_agents.running.seeds import TREND_CALIBRATION, TRENDS
 from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
+from hydro_rig.diagnosis.verdict import Kind
+from hydro_rig.monitoring.oil import GRADES, Oil
+from hydro_rig.monitoring.trend import Settings, row_of
+from hydro_rig.monitoring.trend_summary import DAY, trends_of
+from hydro_rig.monitoring.trend_table import SIZES, stamp
+from hydro_rig.recordings.columns import BESIDE
+from hydro_rig.recordings.liveliest import Liveliest
+from hydro_rig.recordings.recording import Recording
 
 LENGTH, LOST = 30.0, 0.05  # s of a day that are recorded; share of lost rows
 FAMILIES = ("point_to_point", "multi_sine", "staircase", "ramp", "start_stop", "sine", "step")

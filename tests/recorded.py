@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from hydro_agents.learning.opponents import shipped
-from hydro_agents.recordings.recording import Recording, read_recording
-from hydro_agents.recordings.simulated import record_axis
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
+from hydro_rig.recordings.recording import Recording, read_recording
+from hydro_rig.recordings.simulated import record_axis
 
 SEED = VALIDATION_SEEDS.start + 5
 

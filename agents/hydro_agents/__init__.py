@@ -2,14 +2,10 @@
 
 from typing import TYPE_CHECKING, Any
 
-from hydro_agents.moved import find_moved_modules
-
 if TYPE_CHECKING:
     from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 
 __all__ = ["Evaluation", "evaluate"]
-
-find_moved_modules()
 
 
 def __getattr__(name: str) -> Any:

@@ -43,31 +43,34 @@ Begin with `hydro study` (the whole job; it soon says how many minutes it takes 
 up to 0.03 is healthy, 1 to 4 is severe."""
 
 GROUPS = {
-    "A rig": {
-        "new-rig": "rig:new_rig",
-        "check-rig": "rig:check_rig",
-        "identify": "axis:identify",
-        "simulate": "axis:simulate",
-        "record": "datasets:record",
-    },
     "Controllers": {
-        "study": "study:study",
-        "train": "study:train",
-        "evaluate": "evaluate:evaluate",
-        "render": "axis:render",
-        "export": "export:export",
-        "bound": "bounds:bound",
-        "ladder": "study:ladder",
+        "study": "hydro_agents.commands.study:study",
+        "train": "hydro_agents.commands.study:train",
+        "evaluate": "hydro_agents.commands.evaluate:evaluate",
+        "bound": "hydro_agents.commands.bound:bound",
+        "ladder": "hydro_agents.commands.study:ladder",
+        "render": "hydro_agents.commands.axis:render",
+    },
+    "A rig": {
+        "new-rig": "hydro_agents.commands.rig:new_rig",
+        "check-rig": "hydro_agents.commands.rig:check_rig",
+        "simulate": "hydro_agents.commands.axis:simulate",
+        "record": "hydro_rig.commands.datasets:record",
+        "identify": "hydro_rig.commands.identify:identify",
+        "export": "hydro_rig.commands.export:export",
     },
     "The leak": {
-        "diagnose": "watching:diagnose",
-        "trend": "watching:trend",
-        "alarms": "alarms:alarms",
-        "leak-test": "leak_test:leak_test",
-        "leak-bound": "bounds:leak_bound",
-        "score": "datasets:score",
+        "diagnose": "hydro_rig.commands.diagnosing:diagnose",
+        "leak-test": "hydro_rig.commands.leak_testing:leak_test",
+        "trend": "hydro_rig.commands.diagnosing:trend",
+        "alarms": "hydro_rig.commands.alarms:alarms",
+        "leak-bound": "hydro_rig.commands.leak_bound:leak_bound",
+        "score": "hydro_rig.commands.datasets:score",
     },
-    "The paper, and this machine": {"reproduce": "checkout:reproduce", "benchmark": "checkout:benchmark"},
+    "The paper, and this machine": {
+        "reproduce": "hydro_agents.commands.checkout:reproduce",
+        "benchmark": "hydro_agents.commands.checkout:benchmark",
+    },
 }
 """All commands under the headings of the help: by name the module and its function."""
 
@@ -89,7 +92,7 @@ def application(only: str = "") -> typer.Typer:
         for name, place in commands.items():
             if not only or name == only:
                 module, _, function = place.partition(":")
-                command = getattr(import_module(f"hydro_agents.commands.{module}"), function)
+                command = getattr(import_module(module), function)
                 text = re.sub(r"docs/(\w+\.md)", lambda found: page(found[1]), inspect.getdoc(command) or "")
                 app.command(name, rich_help_panel=heading, help=text)(command)
     return app

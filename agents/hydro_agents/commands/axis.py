@@ -17,14 +17,11 @@ from hydro_agents.commands.options import (
     Output,
     Overwrite,
     OverwriteFile,
-    OwnTask,
     PlantSeed,
     Rig,
     Task,
     check_new_file,
-    command_line,
     exact_task,
-    guesses_shown,
     named_agents,
     say,
 )
@@ -76,66 +73,6 @@ def simulate(
     )
 
 
-def identify(
-    recordings: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RECORDING...",
-            help="Measured signals of one axis, one file or several: CSV, Parquet, MDF4, TDMS, MAT.",
-        ),
-    ],
-    rig: Annotated[
-        Path,
-        typer.Option(
-            "--rig", metavar="NAME|FILE", help="The rig file; its `randomisation` holds a range for each unknown."
-        ),
-    ],
-    columns: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--map",
-            metavar="[PATTERN=]FILE",
-            help="YAML: the signal of each column, with unit, gain and offset. Repeat it for recordings with different "
-            "columns: `--map '*_a.csv=a.yaml' --map '*_b.csv=b.yaml'`.",
-        ),
-    ] = None,
-    hold_back: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Recordings that test the fit and are not used for it, such as '*_5V_*'; repeat the option for "
-            "several. Default: chosen by motion and amplitude.",
-        ),
-    ] = None,
-    task: OwnTask = None,
-    output: Output = Path("results/identify"),
-    overwrite: Overwrite = False,
-) -> None:
-    """Estimate the unknowns of a rig file: fit its ranges, the leak and the sensors' offsets to recordings.
-
-    Several recordings share the unknowns, each with the sensors that it has; the page then shows what each of them says
-    by itself.
-
-    Writes `rig.yaml` (estimated values, ranges narrowed to their 95 % intervals; ready for `hydro check-rig` and `hydro
-    study --rig`), a page (`identification.html`: measured and simulated signals, each interval, the unknowns that the
-    recording cannot determine, and motions that would), and all numbers (`identification.json`). If the recording
-    contradicts the rig, the command ends with one line. See `docs/identify.md`.
-    """
-    from hydro_agents.recordings.columns import maps_of
-    from hydro_agents.rigs.identification_page import identify_to_folder
-    from hydro_agents.rigs.identify import identify as identify_recordings
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_env.task.configuration import task_config
-    from hydro_env.task.rig import read_rig
-
-    known = read_rig(rig)
-    config = task_config(task, rig=known.source)
-    maps = maps_of(columns or [], recordings)
-    with guesses_shown(), ProgressDisplay() as display:
-        found = identify_recordings(recordings, config, known, maps, display.update, hold_back or [])
-    say(*identify_to_folder(output, found, overwrite, command_line()))
-
-
 MOST_PANELS = 6
 
 
@@ -165,9 +102,9 @@ def render(
     `--task`, or without `--rig`, the task draws the parameters that are not known exactly.
     """
     from hydro_agents.learning.opponents import opponent
-    from hydro_agents.recordings.simulated import named_faults
     from hydro_agents.report.film import FORMATS, check_mp4, film, film_size, frame_rate, panels, write_film
     from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.tasks import named_faults
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
 

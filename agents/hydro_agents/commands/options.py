@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -155,18 +154,6 @@ def command_line() -> str:
 def say(*lines: object) -> None:
     """Print the results of a command without formatting."""
     print(*lines, sep="\n", flush=True)
-
-
-@contextlib.contextmanager
-def guesses_shown() -> Iterator[None]:
-    """Print the map that is guessed for a recording with unknown headings; the error goes on."""
-    from hydro_agents.recordings.guessed_map import UnknownHeadingsError
-
-    try:
-        yield
-    except UnknownHeadingsError as error:
-        say(error.guess)
-        raise
 
 
 def show(text: str) -> None:

@@ -158,7 +158,7 @@ class LeakAlarm:
         return self.step(look.score, look.sigma, look.cause, activity, state)
 
     def step(self, score: Any, sigma: Any, cause: Any, activity: Any, state: AlarmState) -> tuple[Alarm, AlarmState]:
-        """The same from the fields of a reading; only with operations that :mod:`hydro_agents.export.tracing` knows."""
+        """The same from the fields of a reading; only with operations that :mod:`hydro_rig.export.tracing` knows."""
         counts = (np.absolute(score) < np.inf) & (cause < int(Cause.UNKNOWN))
         here = activity.reshape(-1, 1) == np.arange(len(Activity))
         score = np.where(counts, score, 0.0)

@@ -91,7 +91,7 @@ class Windows:
     end: Floats  # (N,), s
 
     beside: Floats | None = None
-    """(N, 4, T) in SI units and °C, in the order of :data:`~hydro_agents.recordings.columns.BESIDE`: supply and tank
+    """(N, 4, T) in SI units and °C, in the order of :data:`~hydro_rig.recordings.columns.BESIDE`: supply and tank
     pressure, flow into chamber a, temperature of the oil. NaN: not recorded; ``None``: none of them."""
 
     @classmethod

@@ -8,15 +8,17 @@ from pydantic import Field, field_validator
 
 from hydro_agents.controllers.registry import imported
 from hydro_agents.detection.detector import Detector
-from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
-from hydro_agents.detection.two_stage import TwoStageDetector
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError
 from hydro_env.files import Group
 
 KINDS = ("head", "estimator", "two_stage")
+
+ESTIMATOR = "hydro_rig.estimation.estimator:EstimatorDetector"
+TWO_STAGE = "hydro_rig.estimation.two_stage:TwoStageDetector"
+"""Detectors of the package above this one: they come by name."""
 
 
 class DetectorChoice(Group):
@@ -64,8 +66,10 @@ def make_detector(choice: DetectorChoice, head: LeakageHead | None = None) -> De
             raise ConfigurationError(f"'{choice.kind}': is no leak detector, it has no {', '.join(missing)}")
         return own
     if choice.kind == "estimator":
-        return EstimatorDetector(choice.task, choice.unknowns)
+        detector: Detector = imported(ESTIMATOR)(choice.task, choice.unknowns)
+        return detector
     head = head or LeakageHead.load(choice.weights or pretrained_folder() / HEAD_FILE)
     if choice.kind == "two_stage":
-        return TwoStageDetector(head, EstimatorDetector(choice.task, choice.unknowns, restarts=0))
+        both: Detector = imported(TWO_STAGE)(head, imported(ESTIMATOR)(choice.task, choice.unknowns, restarts=0))
+        return both
     return HeadDetector(head)

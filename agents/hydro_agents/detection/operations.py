@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Floats, ObservationLayout, as_batch
-from hydro_agents.estimation.known_windows import at_rest
 from hydro_agents.learning.opponents import shipped
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
@@ -22,8 +21,14 @@ Make = Callable[[TaskConfig, int, int], Controller]
 """Makes the controller of the axes from the task, the number of axes and a seed."""
 
 SLOWER = 12.0
+SMALLEST_STEP = 1e-6  # m; steps of this size count as rest
 WAVES = ("sine", "square", "noise")
 """Waves that may be added to the command; noise is a new random level in each half period."""
+
+
+def at_rest(config: TaskConfig) -> TaskConfig:
+    """The task with constant references at the start of each episode."""
+    return task_config(config, references={"weights": {"step": 1.0}, "step_range": (SMALLEST_STEP, SMALLEST_STEP)})
 
 
 class Manner(NamedTuple):

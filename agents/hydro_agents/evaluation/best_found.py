@@ -6,7 +6,7 @@ rig can measure the true state.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -264,32 +264,6 @@ def travel(frame: pd.DataFrame) -> pd.DataFrame:
     table = frame.pivot_table("valve_travel_per_s", "family", "controller", sort=False)
     table.loc["mean"] = table.mean()
     return table
-
-
-def convergence(
-    config: TaskConfig,
-    settings: ComparisonSettings,
-    variations: Mapping[str, Sequence[Any]],
-    progress: Progress | None = None,
-) -> pd.DataFrame:
-    """Mean error of the best found with the true plant, as one setting of the search varies.
-
-    Returns:
-        One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.
-    """
-    varied = [(name, value) for name, values in variations.items() for value in values]
-    chosen = {f"{name} {value}": settings.search.model_copy(update={name: value}) for name, value in varied}
-    searches = {name: partial(best_found, settings=search) for name, search in chosen.items()}
-    protocol = _protocol(config, settings, ("best_found",))
-    results = run(protocol, Participants({}, searches=searches), jobs=1, progress=progress)
-    errors = (
-        _errors(results.part("best_found")).groupby(["controller", "family"], sort=False)["error_mm"].mean().unstack()
-    )
-    rows = []
-    for name, value in varied:
-        found = errors.loc[f"{name} {value}", list(settings.families)]
-        rows.append({"setting": name, "value": value, **found, "mean": found.mean()})
-    return pd.DataFrame(rows)
 
 
 def _protocol(config: TaskConfig, settings: ComparisonSettings, parts: tuple[str, ...]) -> RobustnessProtocol:

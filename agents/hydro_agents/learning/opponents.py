@@ -21,7 +21,7 @@ SHIPPED_WEIGHTS = {"ppo": "policy"}
 ANY_RIG = ("flow_linearising",)
 """Kinds whose class has gains for any rig as its defaults; benchmarks/no_tuning.py tunes and judges them."""
 
-EXPORTED = "hydro_agents.export.exported:ExportedController"
+EXPORTED = "hydro_rig.export.exported:ExportedController"
 """The class that runs a folder of ``hydro export``; by name, because that room imports this one."""
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_agents.evaluation.metrics import COMPARED
-from hydro_agents.report.asked import against_corrected, held
 from hydro_agents.report.content import ALL, Content, interval, interval_text, percent, verdict
 from hydro_agents.report.sections import Finding
+from hydro_agents.report.shared_findings import against_corrected, held
 from hydro_agents.running.statistics import Interval
 from hydro_agents.running.text import listed, number, setting
 

@@ -216,7 +216,7 @@ def recording(content: Content) -> list[Block]:
 
 
 def findings_frame(findings: Iterable[Any]) -> pd.DataFrame:
-    """Findings about a recording (:class:`hydro_agents.recordings.findings.Finding`) as texts."""
+    """Findings about a recording (:class:`hydro_rig.recordings.findings.Finding`) as texts."""
     rows = [(each.signal, each.line().removeprefix(f"{each.signal} "), MEANING[each.weight]) for each in findings]
     return pd.DataFrame(rows, columns=["Signal", "Finding", "For the verdict"])
 

@@ -9,9 +9,9 @@ import pandas as pd
 
 from hydro_agents.evaluation.limit_cycles import comes_to_rest, is_broken, rest_text
 from hydro_agents.evaluation.metrics import FRAMES
-from hydro_agents.report.asked import against_corrected, change, held
 from hydro_agents.report.content import Content, interval, interval_text, percent, verdict
 from hydro_agents.report.sections import Finding
+from hydro_agents.report.shared_findings import against_corrected, change, held
 from hydro_agents.running.statistics import (
     LEAST_SAMPLES,
     Interval,

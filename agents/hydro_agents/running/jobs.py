@@ -201,7 +201,7 @@ def load_result(path: Path) -> JobResult | None:
 
 @cache
 def digest_of_code(*rooms: str) -> str:
-    """Digest of the compiled plant and of some rooms of ``agents``: the code that results depend on."""
+    """Digest of the compiled plant and of some rooms of ``hydro_agents``: the code that results depend on."""
     digest = hashlib.sha256(str(SOURCES).encode())
     for room in rooms:
         for file in sorted((Path(__file__).resolve().parents[1] / room).glob("*.py")):

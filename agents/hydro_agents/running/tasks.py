@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,9 +12,10 @@ from pydantic import Field, model_validator
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
-from hydro_env.mistakes import did_you_mean, kept, refuse
+from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.task.configuration import task_config
+from hydro_env.task.faults import FAULTS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.rig import merged, task_from
 from hydro_env.task.sensors import CHANNELS
@@ -157,3 +159,23 @@ def read_settings(controllers: Any, file: Path) -> dict[str, str]:
                 entry["settings"] = read_yaml(sources[name])
     refuse(errors, str(file))
     return sources
+
+
+def named_faults(texts: Sequence[str]) -> dict[str, float]:
+    """The values of ``--fault NAME=VALUE``, by name.
+
+    Raises:
+        ConfigurationError: a value has the wrong form, or a name is unknown or given twice.
+    """
+    faults: dict[str, float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if name not in FAULTS:
+            raise ConfigurationError(f"--fault {text}: {unknown(name, FAULTS, 'fault')}")
+        if name in faults:
+            raise ConfigurationError(f"--fault {text}: '{name}' is given twice")
+        try:
+            faults[name] = float(value)
+        except ValueError:
+            raise ConfigurationError(f"--fault {text}: must be NAME=VALUE, such as {name}=0.01") from None
+    return faults

@@ -1,0 +1,66 @@
+"""``hydro bound``: the smallest errors that a controller could reach."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hydro_agents.commands.options import (
+    Agents,
+    Output,
+    Overwrite,
+    Rig,
+    Task,
+    Written,
+    command_line,
+    named_agents,
+    write_results,
+)
+
+if TYPE_CHECKING:
+    from hydro_agents.running.console import ProgressDisplay
+
+
+def bound(
+    output: Output = Path("results/bound"),
+    task: Task = None,
+    rig: Rig = None,
+    plants: Annotated[int, typer.Option(min=3, max=1000, help="Plants per leak level and reference family.")] = 3,
+    leak: Annotated[
+        list[float] | None,
+        typer.Option(help="Leak in l/min at 100 bar; repeat the option for several. Default: 0.01, 0.3, 1, 4."),
+    ] = None,
+    agent: Agents = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Find the smallest errors that a controller could reach, and compare them with those of the shipped controllers.
+
+    A search plans the commands with the simulator itself. It knows the true state, and either the true plant with its
+    leak or only the data sheet; the difference is the value of knowing the plant. The command prints the mean error for
+    each family of references and each leak, and writes all cases as CSV. It takes some minutes; the first
+    seconds of the search show how many on your machine.
+    """
+    from hydro_agents.evaluation.best_found import ComparisonSettings, compare, summary, travel
+    from hydro_agents.running.text import frame_markdown
+    from hydro_agents.study.settings import StudySettings
+    from hydro_env.files import validate
+    from hydro_env.folders import config_file
+    from hydro_env.task.configuration import task_config
+
+    study = StudySettings.from_yaml(config_file("studies", "opponents"))
+    config = task_config(task, rig=rig)
+    settings = validate(ComparisonSettings, {"leak_levels": leak or [0.01, 0.3, 1.0, 4.0], "plants": plants}, "bound")
+
+    def compared(display: ProgressDisplay) -> Written:
+        controllers, unfit = study.model_copy(update={"task": config}).fitting(named_agents(agent))
+        for reason in unfit:
+            display.say(f"left out: {reason}")
+        frame = compare(config, controllers, settings, display.update)
+        parts = [frame_markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
+        price = "Valve travel, full strokes per second:"
+        text = "\n\n".join(["Mean |error|, mm:", *parts, price, frame_markdown(travel(frame), 2)])
+        return text, {"bound.csv": frame.to_csv(index=False), "bound.md": f"`{command_line()}`\n\n{text}\n"}
+
+    write_results(output, "bound", ["bound.md", "bound.csv"], compared, overwrite=overwrite)

@@ -1,1 +1,0 @@
-"""Recordings of a rig: files, columns, units, time stamps, and checks."""

@@ -1,0 +1,210 @@
+"""The public benchmark of leaking axes: recordings of many simulated axes, with labels, as files.
+
+A split is a folder of Parquet files, each a block of recordings; its labels are another folder. The labels of the test
+split stand apart, so that the rest can be published; ``benchmark.json`` holds their SHA-256.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import jinja2
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from hydro_agents.running.jobs import Job, Report, run_jobs
+from hydro_env import ConfigurationError, TaskConfig, __version__
+from hydro_env.errors import reason
+from hydro_env.files import read_json, read_text, write_text, write_whole
+from hydro_rig.challenge import axes as benchmark_axes
+from hydro_rig.challenge.axes import SPLITS, TIERS, VERSION, Benchmark, simulated_block
+from hydro_rig.recordings.columns import MEASURED
+from hydro_rig.recordings.simulated import check_dataset, heading
+
+MANIFEST, CARD = "benchmark.json", "README.md"
+
+HIDDEN = "hidden"
+"""The folder of the labels of the test split."""
+
+_CARD = Path(__file__).parent / "benchmark_card.md.j2"
+
+
+def write_benchmark(
+    folder: Path, config: TaskConfig, benchmark: Benchmark, jobs: int | None = None, progress: Report | None = None
+) -> dict[str, Any]:
+    """Write the recordings and labels of all splits; blocks that are there already stay as they are.
+
+    Args:
+        folder: for the files.
+        config: the task.
+        benchmark: size and key.
+        jobs: blocks side by side; ``None``: that of the active ``parallel_config``, or one.
+        progress: called when a block is finished.
+
+    Returns:
+        The content of ``benchmark.json``.
+
+    Raises:
+        ConfigurationError: the folder holds another benchmark, or a file cannot be written.
+    """
+    least = len(TIERS) * len(SPLITS)
+    if benchmark.recordings < least:
+        raise ConfigurationError(f"--recordings = {benchmark.recordings}: must be at least {least}")
+    manifest: dict[str, Any] = {
+        "name": "leaking axes",
+        "version": VERSION,
+        "hydro_env": __version__,
+        "recordings": {split: sum(benchmark.blocks(split)) for split in SPLITS},
+        "task_sha256": hashlib.sha256(config.model_dump_json().encode()).hexdigest(),
+        "key_sha256": hashlib.sha256(benchmark.key.encode()).hexdigest() if benchmark.key else "",
+    }
+    place = folder / MANIFEST
+    if place.exists():
+        present = read_json(place)
+        other = [name for name, value in manifest.items() if present.get(name) != value]
+        if other:
+            raise ConfigurationError(f"{folder}: holds another benchmark ({', '.join(other)}); choose another folder")
+    write_text(place, json.dumps(manifest, indent=2))
+    waiting = {
+        f"{split} {block}": Job(_write_block, None, (config, benchmark, str(folder.absolute()), split, block))
+        for split in SPLITS
+        for block in range(len(benchmark.blocks(split)))
+        if not all(path.exists() for path in block_files(folder, split, block))
+    }
+    run_jobs(waiting, None, jobs, progress)
+    for split in SPLITS:
+        labels = read_labels(folder, split)
+        manifest.setdefault("labels_sha256", {})[split] = digest_of_labels(labels)
+        manifest.setdefault("hours", {})[split] = round(float(labels["seconds"].sum()) / 3600.0, 3)
+    write_text(place, json.dumps(manifest, indent=2))
+    write_text(folder / CARD, data_card(config, manifest))
+    return manifest
+
+
+def block_files(folder: Path, split: str, block: int) -> tuple[Path, Path]:
+    """The files of a block: recordings and labels."""
+    return folder / split / f"{block:04d}.parquet", labels_folder(folder, split) / f"{block:04d}.parquet"
+
+
+def labels_folder(folder: Path, split: str) -> Path:
+    """Where the labels of a split are; those of the test split stand apart."""
+    return (folder / HIDDEN if split == "test" else folder) / f"{split}_labels"
+
+
+def _write_block(
+    nothing: None, config: TaskConfig, benchmark: Benchmark, folder: str, split: str, block: int
+) -> dict[str, NDArray[Any]]:
+    """Simulate a block and write its files, the labels last."""
+    made = simulated_block(config, benchmark, split, block)
+    for path, table in zip(block_files(Path(folder), split, block), made, strict=True):
+        buffer = io.BytesIO()
+        table.to_parquet(buffer, index=False, compression="zstd")
+        write_whole(path, buffer.getvalue())
+    return {"rows": np.array([len(made.signals)])}
+
+
+def read_labels(folder: Path, split: str) -> pd.DataFrame:
+    """The labels of a split, in the order of the recordings.
+
+    Raises:
+        ConfigurationError: they are not there, or not readable.
+    """
+    place = labels_folder(folder, split)
+    if not place.is_dir():
+        raise ConfigurationError(f"{place}: is missing; the labels of the split '{split}' are needed")
+    return read_table(place).sort_values("recording", ignore_index=True)
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """A Parquet file, or a folder of them.
+
+    Raises:
+        ConfigurationError: it cannot be read.
+    """
+    try:
+        return pd.read_parquet(path)
+    except ImportError:
+        raise ConfigurationError(
+            f"{path}: Parquet needs the library pyarrow: pip install 'hydro_env[recordings]'"
+        ) from None
+    except Exception as error:  # a damaged file makes the library raise errors of any kind
+        raise ConfigurationError(f"{path}: is not a readable Parquet file: {reason(error)}") from None
+
+
+def digest_of_labels(labels: pd.DataFrame) -> str:
+    """SHA-256 of the labels as CSV text, in the order of the recordings."""
+    return hashlib.sha256(labels.to_csv(index=False, lineterminator="\n").encode()).hexdigest()
+
+
+def write_minari(folder: Path, name: str, progress: Report | None = None) -> list[str]:
+    """Write the splits with public labels as Minari data sets ``NAME/train-v0`` and ``NAME/validation-v0``.
+
+    An episode is a recording: observations are the sensors in the units of the files, the action is the command. The
+    infos hold whether the seal leaks at each row, its size at the end, and the number that finds all labels.
+
+    Raises:
+        ConfigurationError: Minari is missing, or a name is impossible or taken.
+    """
+    stem, _, version = name.rpartition("-")
+    names = [f"{stem}/{split}-{version}" for split in SPLITS if split != "test"]
+    for each in names:
+        check_dataset(each)
+    import minari
+    from minari.data_collector import EpisodeBuffer
+
+    sensors, command = [heading(each) for each in MEASURED if each != "command"], heading("command")
+    for number, each in enumerate(names):
+        split = each.removeprefix(f"{stem}/").removesuffix(f"-{version}")
+        labels = read_labels(folder, split).set_index("recording")
+        buffers: list[EpisodeBuffer] = []
+        for recording, rows in read_table(folder / split).groupby("recording"):
+            label, steps = labels.loc[recording], len(rows) - 1
+            time = rows[heading("time")].to_numpy()
+            ended = np.arange(steps) == steps - 1
+            infos: dict[str, Any] = {"time": time, "leaks": time >= (label["onset"] if label["leak"] else np.inf)}
+            numbers = {"recording": recording, "tier": label["tier"], "size": label["size"]}
+            infos |= {key: np.full(len(rows), value) for key, value in numbers.items()}
+            buffers.append(
+                EpisodeBuffer(
+                    id=len(buffers),
+                    observations=rows[sensors].to_numpy(),
+                    actions=rows[[command]].to_numpy()[:-1],
+                    rewards=[0.0] * steps,
+                    terminations=[False] * steps,
+                    truncations=ended.tolist(),
+                    infos=infos,
+                )
+            )
+        with warnings.catch_warnings():  # the user adds author and code link
+            warnings.simplefilter("ignore")
+            minari.create_dataset_from_buffers(
+                each,
+                buffers,
+                observation_space=gym.spaces.Box(-np.inf, np.inf, (len(sensors),), np.float32),
+                action_space=gym.spaces.Box(-np.inf, np.inf, (1,), np.float32),
+                algorithm_name="several",
+                description=f"leaking axes, version {VERSION}: columns {', '.join(sensors)}; action {command}",
+            )
+        if progress is not None:
+            progress("data sets", number + 1, len(names))
+    return names
+
+
+def data_card(config: TaskConfig, manifest: Mapping[str, Any]) -> str:
+    """The description that stands beside the data, as Markdown."""
+    environment = jinja2.Environment(trim_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined)
+    return environment.from_string(read_text(_CARD)).render(
+        manifest=manifest,
+        axes=benchmark_axes,
+        places={split: labels_folder(Path(), split).as_posix() for split in SPLITS},
+        headings=[heading(name) for name in ("time", *MEASURED)],
+        rate=f"{1.0 / config.control_period:g}",
+    )

@@ -1,0 +1,1 @@
+"""The commands of ``hydro`` that need a machine or its recordings."""

@@ -1,0 +1,180 @@
+"""``hydro record`` and ``score``: simulated recordings, data sets of them, and the benchmark of leak detectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hydro_agents.commands.options import (
+    Faults,
+    OverwriteFile,
+    OwnTask,
+    PlantSeed,
+    Rig,
+    check_new_file,
+    command_line,
+    exact_task,
+    say,
+    show,
+    side_by_side,
+)
+
+if TYPE_CHECKING:
+    from hydro_env import TaskConfig
+
+
+@side_by_side
+def record(
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file to write.")] = None,
+    minari: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME-v0",
+            help="Minari data set to write, for offline learning; with --benchmark beside its files.",
+        ),
+    ] = None,
+    benchmark: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Write the benchmark of leaking axes instead: many axes, with labels."),
+    ] = None,
+    recordings: Annotated[int, typer.Option(help="Recordings of the benchmark.")] = 600,
+    key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A text known to nobody else, from which its test recordings follow."),
+    ] = None,
+    episodes: Annotated[int, typer.Option(help="Number of episodes of the data set.")] = 100,
+    task: OwnTask = None,
+    rig: Rig = None,
+    controller: Annotated[
+        str,
+        typer.Option("--controller", help="A kind (pid, ppo, …), module:attribute, or the path of weights or gains."),
+    ] = "pid",
+    leakage: Annotated[
+        float | None, typer.Option(help="Leak in l/min at 100 bar; default: drawn from the task's ranges.")
+    ] = None,
+    fault: Faults = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Length in s; default: 20, or the task's for a data set.")
+    ] = None,
+    family: Annotated[
+        str | None,
+        typer.Option(
+            help="Kind of reference: step, point_to_point, ramp, sine, multi_sine, start_stop, pause, creep or "
+            "staircase; default: drawn."
+        ),
+    ] = None,
+    seed: PlantSeed = 0,
+    overwrite: OverwriteFile = False,
+) -> None:
+    """Record a simulated axis: time, position, pressures, spool and command as its sensors measure them.
+
+    `hydro diagnose` reads the file. The first line is a comment with this command and the true leak. `--minari` writes
+    a data set of episodes instead, with observations, actions, rewards and the hidden leak. `--benchmark` writes the
+    public benchmark of leak detectors for `hydro score`, with `--minari` also as Minari data sets; see
+    `docs/benchmark.md`.
+
+    With `--rig` alone the axis has the parameters of its file. With `--task`, for `--minari`, and without `--rig`, the
+    task draws the parameters that are not known exactly.
+    """
+    from hydro_agents.learning.opponents import opponent
+    from hydro_agents.rigs.stable_gain import stable_pid
+    from hydro_agents.running.tasks import named_faults
+    from hydro_env import ConfigurationError
+    from hydro_env.task.configuration import task_config
+    from hydro_env.task.reference_signals import FAMILIES
+    from hydro_rig.recordings.driving import check_driving
+    from hydro_rig.recordings.recording import read_recording
+    from hydro_rig.recordings.sampling import sampled
+    from hydro_rig.recordings.simulated import record_axis
+
+    if family is not None and family not in FAMILIES:
+        raise ConfigurationError(f"--family '{family}': must be one of {', '.join(FAMILIES)}")
+    if (output is None) == (minari is None and benchmark is None):
+        raise ConfigurationError("record: needs one of --output FILE, --minari NAME or --benchmark FOLDER")
+    if benchmark is not None:
+        _record_benchmark(benchmark, task_config(task, rig=rig), recordings, key, minari)
+        return
+    faults = named_faults(fault or [])
+    if output is None:
+        given = {"leakage_flow_lpm": leakage, "reference": family, "faults": faults or None}
+        length = duration if duration is not None else task_config(task, rig=rig).episode_duration
+        config = task_config(task, rig=rig, episode_duration=length)
+        _record_dataset(str(minari), config, controller, episodes, seed, given)
+        return
+    check_new_file(output, overwrite)
+    config = task_config(exact_task(task, rig), rig=rig, episode_duration=20.0 if duration is None else duration)
+    mover, gains = stable_pid(config) if controller == "pid" else (opponent(controller, config, "--controller"), "")
+    done = record_axis(output, config, mover, seed, leakage, family, faults, command_line())
+    end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
+    drawn = f"; parameters of the plant drawn by --seed {seed}" if config.randomisation else ""
+    leak = f"leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"
+    driving = check_driving(sampled(read_recording(output), config), config)
+    say(*([f"{output}: {gains}"] if gains else []), *(f"{output}: {finding.line()}" for finding in driving))
+    say(f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}")
+
+
+def _record_dataset(
+    name: str, config: TaskConfig, controller: str, episodes: int, seed: int, given: Mapping[str, Any]
+) -> None:
+    from hydro_agents.learning.opponents import opponent
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_rig.recordings.simulated import check_dataset, record_dataset
+
+    check_dataset(name)
+    mover = opponent(controller, config, "--controller")
+    options = {option: value for option, value in given.items() if value is not None}
+    with ProgressDisplay() as display:
+
+        def progress(finished: int) -> None:
+            display.update("episodes", finished, episodes)
+
+        data = record_dataset(name, config, mover, controller, episodes, seed, options, command_line(), progress)
+    say(f"{name}: {data.episodes} episodes, {data.steps} steps, in {data.folder}")
+
+
+def _record_benchmark(folder: Path, config: TaskConfig, recordings: int, key: Path | None, minari: str | None) -> None:
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_env.files import read_text
+    from hydro_rig.challenge.axes import Benchmark
+    from hydro_rig.challenge.files import HIDDEN, write_benchmark, write_minari
+
+    secret = read_text(key).strip() if key is not None else ""
+    with ProgressDisplay() as display:
+        made = write_benchmark(folder, config, Benchmark(recordings, secret), None, display.update)
+        sets = write_minari(folder, minari, display.update) if minari is not None else []
+    hours = ", ".join(f"{name} {count} ({made['hours'][name]:.3g} h)" for name, count in made["recordings"].items())
+    say(f"{folder}: {hours}; README.md describes them; do not publish {folder / HIDDEN}")
+    say(*(f"{name}: Minari data set" for name in sets))
+
+
+def score(
+    predictions: Annotated[
+        list[Path], typer.Argument(metavar="PREDICTIONS...", help="Parquet files, one for each detector.")
+    ],
+    data: Annotated[Path, typer.Option(metavar="FOLDER", help="The benchmark, from `hydro record --benchmark`.")],
+    split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
+    labels: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The labels, where they are not in the folder of the benchmark.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print all numbers as JSON instead of tables.")] = False,
+) -> None:
+    """Score anyone's leak detector on the benchmark: leaks found, false alarms, delay, causes, calibration.
+
+    A prediction is a table with a row for each look at a recording: recording, time, score, and what else the detector
+    says. `docs/benchmark.md` describes the columns and shows a detector in forty lines.
+    """
+    import json
+
+    from hydro_rig.challenge.files import read_table
+    from hydro_rig.challenge.scores import labels_of, table_of, text_of
+    from hydro_rig.challenge.scores import score as scored
+
+    truth = labels_of(data, split, labels)
+    scores = [scored(path.stem, read_table(path), truth) for path in predictions]
+    if as_json:
+        say(json.dumps(json.loads(table_of(scores).to_json(orient="records")), indent=2))
+    else:
+        show(text_of(scores))

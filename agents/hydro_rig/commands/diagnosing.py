@@ -1,0 +1,137 @@
+"""``hydro diagnose`` and ``hydro trend``: verdicts on recordings of a machine, once and over weeks."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydro_agents.commands.options import (
+    Columns,
+    Output,
+    Overwrite,
+    OwnTask,
+    Recording,
+    Rig,
+    command_line,
+    say,
+    side_by_side,
+)
+from hydro_rig.commands.guesses import guesses_shown
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")]
+Oil = Annotated[
+    str,
+    typer.Option(
+        metavar="GRADE", help="ISO VG grade, or mm²/s at 40 and 100 °C from the oil's data sheet, such as 46/8.1."
+    ),
+]
+
+
+def diagnose(
+    recording: Recording,
+    columns: Columns = None,
+    task: OwnTask = None,
+    rig: Rig = None,
+    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
+    alarm: Annotated[
+        Path | None, typer.Option(help="Settings of an alarm, from `hydro alarms`, that watches the recording.")
+    ] = None,
+    window: Annotated[float, typer.Option(min=0.2, max=60.0, help="Length of one reading in s.")] = 2.0,
+    as_json: Json = False,
+    output: Output = Path("results/diagnose"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Judge a recording: healthy, internal leak (with its size), another fault (which), or undecided (why).
+
+    First it checks the recording: gaps, jitter, units, signs, exchanged chambers, stuck and saturated sensors. Then two
+    detectors read the leak window by window: an estimator with the simulator as model, and the leakage head. Writes a
+    page (`diagnosis.html`), a picture, the leak over time and the findings as CSV; the last line is the verdict.
+    Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
+
+    Exit codes: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell, 2 wrong input.
+    """
+    from hydro_agents.detection.alarm import AlarmSettings
+    from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import pretrained_folder
+    from hydro_env.task.configuration import task_config
+    from hydro_rig.diagnosis.diagnose import diagnose as diagnose_recording
+    from hydro_rig.diagnosis.diagnose import in_json
+    from hydro_rig.diagnosis.diagnosis_page import diagnose_to_folder
+    from hydro_rig.diagnosis.verdict import EXIT_CODES
+    from hydro_rig.recordings.columns import read_map
+
+    config = task_config(task, rig=rig)
+    weights = LeakageHead.load(head or pretrained_folder() / "leakage_head")
+    mapped = read_map(columns) if columns is not None else None
+    settings = AlarmSettings.load(alarm) if alarm is not None else None
+    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
+        progress = display.update if display is not None else None
+        found = diagnose_recording(recording, config, weights, mapped, window, settings, progress)
+    lines = diagnose_to_folder(output, found, overwrite, command_line())
+    say(*([json.dumps(in_json(found), indent=1, ensure_ascii=False)] if as_json else lines))
+    raise typer.Exit(EXIT_CODES[found.verdict.kind])
+
+
+@side_by_side
+def trend(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(metavar="FOLDER...", help="Folders of recordings, one sub-folder per axis, or single files."),
+    ],
+    append: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE", help="The table; rows of new files are added to it. The page is written beside it."
+        ),
+    ] = Path("results/trend/trend.csv"),
+    columns: Annotated[
+        list[str] | None,
+        typer.Option("--map", metavar="[PATTERN=]FILE", help="Map of the columns, for all files or by file name."),
+    ] = None,
+    task: OwnTask = None,
+    rig: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[AXIS=]NAME|FILE", help="A rig, for all axes or one; repeat it. Default: the paper's."),
+    ] = None,
+    oil: Oil = "46",
+    temperature: Annotated[
+        str, typer.Option(metavar="LOW..HIGH", help="Oil temperature in °C where none was recorded.")
+    ] = "20..60",
+    limit: Annotated[
+        float | None,
+        typer.Option(min=1e-3, max=100.0, help="Leak in l/min at 100 bar and 40 °C whose date is told; default: 0.3."),
+    ] = None,
+    repaired: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[AXIS=]DATE", help="A new seal, since 2026-10-03; the column `repaired` does the same."),
+    ] = None,
+    hourly: Annotated[bool, typer.Option("--hourly", help="One row per hour instead of one per file.")] = False,
+    axis_column: Annotated[
+        str, typer.Option(metavar="HEADING", help="Column that names the axis, in files of several axes.")
+    ] = "",
+    as_json: Json = False,
+) -> None:
+    """Watch axes over weeks: one row per recording, the growth of the leak, and the date of a limit.
+
+    Each file that the table does not hold yet is read (CSV, Parquet, MDF4 of any length): its liveliest windows, with
+    the estimator of `hydro diagnose`. Sizes are referred to 100 bar and 40 °C. Writes the table and a page. Ctrl-C
+    keeps all finished files; the same command goes on. `docs/trend.md` shows timers and files of historians.
+
+    Exit codes: 0 all healthy, 10 an axis leaks, 11 something else, 12 cannot tell, 2 wrong input.
+    """
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_rig.monitoring.trend_job import Watch, watch
+
+    given = Watch(append, columns or [], task, rig or [], oil, temperature, limit, repaired or [], hourly, axis_column)
+    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
+        found = watch(recordings, given, command_line(), display.update if display is not None else None)
+    for line in found.left_out:
+        print(f"hydro: left out: {line}", file=sys.stderr)
+    say(*([json.dumps(found.json(), indent=1, ensure_ascii=False)] if as_json else found.lines()))
+    raise typer.Exit(found.exit_code)

@@ -1,0 +1,240 @@
+"""``hydro export``: the plant, a controller, the leak detector or its alarm for other tools, or the playground."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hydro_agents.commands.options import Latency, Output, Overwrite, Period, Rig, Task, command_line, say, write_files
+from hydro_env import ConfigurationError
+from hydro_env.folders import page
+from hydro_env.mistakes import one_of
+
+if TYPE_CHECKING:
+    from hydro_agents.controllers.base import Controller
+    from hydro_env import TaskConfig
+
+FMU_FILE = "hydro_axis.fmu"
+SOURCES = ("plant.h", "plant.c")
+JOB = "export"
+LANGUAGES = ("c", "st")
+OWN_PARTS = ("plant", "leakage_head", "alarm", "playground")
+
+
+def export(
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector, or the path of your "
+            "own. alarm: the alarm over time, or the alarm.yaml of hydro alarms. playground: a page to try out. Or a "
+            "controller: results/study/controllers/NAME of a study on your rig; as shipped, for the paper's rig: pid, "
+            "flow_linearising, adrc, lqg, mpc, ppo; a file of gains, weights, or module:attribute.",
+            show_default=False,
+        ),
+    ],
+    output: Output = Path("results/export"),
+    task: Task = None,
+    rig: Rig = None,
+    period: Period = None,
+    latency: Latency = None,
+    language: Annotated[
+        str,
+        typer.Option(
+            "--format", metavar="c|st", help="st: a controller also as Structured Text (IEC 61131-3) for a PLC."
+        ),
+    ] = "c",
+    all_systems: Annotated[
+        bool, typer.Option("--all-systems", help="plant: the FMU with binaries for Linux, Windows and macOS.")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write the plant, a controller, the leakage head or its alarm for other tools, or for your own C program.
+
+    `hydro export plant` writes `hydro_axis.fmu` (FMI 2.0 co-simulation for Simulink, Amesim, OpenModelica and others,
+    with the binary of this platform and its sources; it needs a C compiler) and `plant.c`, `plant.h` (C99, no library
+    but the mathematical one). `--all-systems` adds the binaries of Linux, Windows and macOS; it needs `pip install
+    'hydro_env[playground]'`. Its inputs are the voltage of the valve, an external force, the leak and the faults. With
+    `--rig` the parameters are those of your rig.
+
+    `hydro export CONTROLLER` writes a folder that needs nothing of this project to run: the controller from measured
+    signals in SI units to the voltage of the valve as `controller.onnx` and as C99, a test program with test vectors,
+    and `contract.json`, which describes its inputs and outputs. Before the folder is written, its controller is
+    compared with the one in Python. `hydro evaluate --agent exported=FOLDER` evaluates it. It needs `pip install
+    'hydro_env[export]'`. A rig that nobody tuned: `hydro export flow_linearising --rig my.yaml --period 2ms`.
+
+    `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to the
+    probability and size of a leak, and its network as ONNX. `hydro export study/leakage_head` does so for your own.
+    `hydro export alarm` writes the shipped alarm as C99: baseline, sum, latch, cause and reset, with test vectors.
+    `hydro export results/alarms/alarm.yaml` does so for your own.
+
+    `hydro export playground` writes `playground.html`: one page, without server or network, on which three axes move
+    in real time while you turn leak, supply, load and gains. It needs `pip install 'hydro_env[playground]'`.
+    """
+    from hydro_env.task.configuration import task_config
+
+    if language not in LANGUAGES:
+        raise ConfigurationError(f"--format {language[:40]}: {one_of(language, LANGUAGES)}")
+    part = _part(what)
+    if part and language != "c":
+        raise ConfigurationError(f"export {what}: has no --format {language}; a controller does")
+    if part and (period is not None or latency is not None):
+        raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
+    if all_systems and part != "plant":
+        raise ConfigurationError(f"export {what}: takes no --all-systems; the plant does")
+    if part == "plant":
+        _export_plant(task_config(task, rig=rig), output, overwrite, all_systems)
+    elif part and (task is not None or rig is not None):
+        owner = "the shipped head" if what == part else part.replace("_", " ")
+        raise ConfigurationError(f"export {what}: takes no --task and no --rig; {owner} has its own")
+    elif part == "leakage_head":
+        _export_head(what, output, overwrite)
+    elif part == "alarm":
+        _export_alarm(what, output, overwrite)
+    elif part == "playground":
+        _export_playground(output, overwrite)
+    else:
+        _export_controller(what, (task, rig, period, latency), language, output, overwrite)
+
+
+def _part(what: str) -> str:
+    """The one of :data:`OWN_PARTS` that a name or a path means; empty: a controller."""
+    from hydro_agents.detection.head import KIND
+    from hydro_agents.running.weights import kind_of_weights
+    from hydro_env.files import read_yaml
+
+    if what in OWN_PARTS:
+        return what
+    if Path(what).suffix == ".yaml" and Path(what).is_file():
+        return "alarm" if "scales" in read_yaml(what) else ""
+    return "leakage_head" if ":" not in what and kind_of_weights(what) == KIND else ""
+
+
+Given = tuple[str | None, Path | None, str | None, str | None]  # task, rig, control period and latency
+Exported = tuple[Mapping[str, str | bytes], Sequence[str]]  # contents of files by name, and lines about them
+
+
+def _write(output: Path, overwrite: bool, names: Sequence[str], make: Callable[[], Exported]) -> None:
+    """Make files in a folder that is claimed for them, and say what was written."""
+    from hydro_agents.running.folders import output_folder
+
+    with output_folder(output, JOB, names, overwrite=overwrite):
+        files, report = make()
+        write_files(output, files)
+    say(*report, *(f"written: {output / name}" for name in names))
+
+
+def _export_plant(config: TaskConfig, output: Path, overwrite: bool, all_systems: bool) -> None:
+    from hydro_rig.export.plant import make_fmu, plant_code
+
+    def make() -> Exported:
+        return {**plant_code(config.plant).files, FMU_FILE: make_fmu(config, all_systems)}, ()
+
+    _write(output, overwrite, [FMU_FILE, *SOURCES], make)
+
+
+def _export_head(what: str, output: Path, overwrite: bool) -> None:
+    from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.running.folders import pretrained_folder
+    from hydro_rig.export.leakage_head import FILES, exported_head
+    from hydro_rig.export.onnx_writer import onnx_package
+
+    onnx_package()  # report a missing package at the start
+    head = LeakageHead.load(pretrained_folder() / "leakage_head" if what == "leakage_head" else what)
+    _write(output, overwrite, FILES, lambda: exported_head(head, command_line()))
+
+
+def _export_alarm(what: str, output: Path, overwrite: bool) -> None:
+    from hydro_agents.detection.alarm import AlarmSettings
+    from hydro_env.folders import config_folder
+    from hydro_rig.export.alarm import FILES, exported_alarm
+
+    settings = AlarmSettings.load(config_folder() / "agents" / "alarm.yaml" if what == "alarm" else what)
+    _write(output, overwrite, FILES, lambda: exported_alarm(settings, command_line()))
+
+
+def _export_playground(output: Path, overwrite: bool) -> None:
+    from hydro_rig.export.playground import PAGE_FILE, playground_page, web_compiler
+
+    web_compiler()  # report a missing package at the start
+    _write(output, overwrite, [PAGE_FILE], lambda: ({PAGE_FILE: playground_page()}, ()))
+
+
+def _export_controller(what: str, given: Given, language: str, output: Path, overwrite: bool) -> None:
+    from hydro_agents.controllers.registry import CONTROLLERS
+    from hydro_agents.learning.opponents import gains_file, takes_gains_for_any_rig, trained_for
+    from hydro_env import ConfigurationError, PlantParameters
+    from hydro_rig.export.controller_folder import FILES, ST_FILE, exported_files
+    from hydro_rig.export.exported import ExportedController
+    from hydro_rig.export.onnx_writer import onnx_package
+
+    onnx_package()  # report a missing package at the start
+    controller, config = _controller_and_task(what, given)
+    if isinstance(controller, ExportedController):
+        raise ConfigurationError(f"{what}: is an exported controller already")
+    made_for = trained_for(controller)
+    if made_for is not None and made_for != config.plant:
+        print(f"hydro: {what}: trained for another rig", file=sys.stderr)
+    if takes_gains_for_any_rig(what, config):
+        say(f"{what}: gains for any rig, which nobody tuned for this one: {page('no_tuning.md')} says what they cost")
+    elif what in CONTROLLERS and config.plant != PlantParameters() and gains_file(what, config) is None:
+        print(
+            f"hydro: {what}: the shipped gains, tuned for the paper's rig: not safe on yours. hydro study --rig FILE "
+            "tunes them; then export results/study/controllers/NAME",
+            file=sys.stderr,
+        )
+    names = [*FILES, ST_FILE] if language == "st" else FILES
+    _write(output, overwrite, names, lambda: exported_files(controller, config, command_line(), language))
+
+
+def _controller_and_task(what: str, given: Given) -> tuple[Controller, TaskConfig]:
+    """The controller and the task for which it is exported: that of its training, unless the user gives one."""
+    from hydro_agents.controllers.registry import CONTROLLERS
+    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped
+    from hydro_agents.learning.policy import PolicyController
+    from hydro_agents.running.tasks import timed_task
+    from hydro_agents.running.weights import weight_files
+    from hydro_env import ConfigurationError
+    from hydro_env.mistakes import unknown
+
+    known = (*CONTROLLERS, *SHIPPED_WEIGHTS)
+    path = Path(found_in(what))
+    if what not in known and ":" not in what and not (path.exists() or weight_files(path)[1].is_file()):
+        raise ConfigurationError(
+            f"export '{what}': {unknown(what, OWN_PARTS + known)}, the path of weights or gains, or module:attribute"
+        )
+    config = timed_task(*given, f"export {what}")
+    if given[:2] == (None, None):
+        if given[2:] != (None, None) and what not in CONTROLLERS and ":" not in what:
+            raise ConfigurationError(
+                f"export {what}: --period and --latency need --rig or --task; gains and weights have those for which "
+                "they were made"
+            )
+        controller: Controller | None = None
+        if what in SHIPPED_WEIGHTS:
+            controller = shipped(what, config)
+        elif ":" not in what and weight_files(path)[0].is_file():
+            controller = PolicyController.load(path)
+        if isinstance(controller, PolicyController):
+            return controller, controller.features.config
+        if path.suffix == ".yaml":
+            config = _task_of_gains(path)
+    return opponent(what, config, what), config
+
+
+def _task_of_gains(gains: Path) -> TaskConfig:
+    """The task of the study in whose folder a file of gains lies.
+
+    Raises:
+        ConfigurationError: it lies in no folder of a study.
+    """
+    from hydro_agents.study.run import TUNED_FILE
+    from hydro_agents.study.settings import StudySettings
+
+    study = gains.absolute().parent.parent.parent / TUNED_FILE  # controllers/NAME/gains.yaml
+    if not study.is_file():
+        raise ConfigurationError(f"{gains}: gains belong to a rig, and the file does not tell which; give --rig FILE")
+    return StudySettings.from_yaml(study).task

@@ -1,0 +1,151 @@
+"""``hydro leak-test``: plan a test that shows a leak, and read its recording."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from contextlib import nullcontext
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hydro_agents.commands.options import Columns, Overwrite, OwnTask, Rig, command_line, say
+from hydro_rig.commands.diagnosing import Json
+from hydro_rig.commands.guesses import guesses_shown
+
+if TYPE_CHECKING:
+    from hydro_env import TaskConfig
+
+
+class Stop(StrEnum):
+    """Stops that the test presses against."""
+
+    BOTH = "both"
+    EXTENDED = "extended"
+    RETRACTED = "retracted"
+    NONE = "none"
+
+
+_PLAN = "Limits of the plan"
+
+
+def leak_test(
+    recording: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[RECORDING]", help="Recording of the test, to be read. Without it the test is planned."
+        ),
+    ] = None,
+    rig: Rig = None,
+    task: OwnTask = None,
+    columns: Columns = None,
+    limit: Annotated[
+        float | None,
+        typer.Option(help="Leak in l/min at 100 bar from which the seal is faulty; default: those of the task."),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="s; default: 60.", rich_help_panel=_PLAN)] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(help="Largest speed in mm/s, also against a stop; default: 50.", rich_help_panel=_PLAN),
+    ] = None,
+    opening: Annotated[
+        float | None, typer.Option(help="Largest opening of the valve in %; default: 30.", rich_help_panel=_PLAN)
+    ] = None,
+    pressure: Annotated[
+        float | None, typer.Option(help="Largest pressure in bar; default: the rating.", rich_help_panel=_PLAN)
+    ] = None,
+    stop: Annotated[
+        Stop, typer.Option(help="Stops to press against; none: only moves around the start.", rich_help_panel=_PLAN)
+    ] = Stop.BOTH,
+    low: Annotated[
+        float | None, typer.Option("--from", help="Lowest position in mm from mid-stroke.", rich_help_panel=_PLAN)
+    ] = None,
+    high: Annotated[float | None, typer.Option("--to", help="Highest position in mm.", rich_help_panel=_PLAN)] = None,
+    start: Annotated[
+        float | None, typer.Option(help="Where the axis stands, in mm; default: mid-stroke.", rich_help_panel=_PLAN)
+    ] = None,
+    leak: Annotated[
+        float | None, typer.Option(help="Leak of the simulated axes, l/min at 100 bar.", rich_help_panel=_PLAN)
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder; default: results/leak_test_plan, or results/leak_test."),
+    ] = None,
+    as_json: Json = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Plan an active test of a minute that shows a leak past the piston; or, with RECORDING, read it.
+
+    The test presses the axis against its stops at several openings, closes the valve, and makes short moves. The plan
+    is the one with the lowest Cramér–Rao bound that stays within your limits on simulated axes. Written are a page
+    (`plan.html`), the commands (`commands.csv`, `leak_test.h`) and a simulated recording. The reading gives litres per
+    minute with an interval, the leak of the seal apart from that of the valve's edges, as `leak_test.html` and JSON.
+    Exit codes of the reading: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell.
+    """
+    from hydro_env import ConfigurationError
+    from hydro_env.task.configuration import task_config
+
+    config = task_config(task, rig=rig)
+    limits = {
+        "duration": duration,
+        "speed": _scaled(speed, 1e-3),
+        "opening": _scaled(opening, 1e-2),
+        "pressure": _scaled(pressure, 1e5),
+        "low": _scaled(low, 1e-3),
+        "high": _scaled(high, 1e-3),
+        "start": _scaled(start, 1e-3),
+        "leak": leak,
+    }
+    given = {name: value for name, value in limits.items() if value is not None}
+    if recording is None:
+        _plan(config, given | {"stop": stop.value}, output or Path("results/leak_test_plan"), as_json, overwrite)
+        return
+    if given or stop is not Stop.BOTH:
+        option = {"low": "from", "high": "to"}.get(next(iter(given), "stop"), next(iter(given), "stop"))
+        raise ConfigurationError(f"--{option}: belongs to the plan; leave out RECORDING, or the option")
+    if limit is not None and not 0.0 < limit <= 100.0:
+        raise ConfigurationError(f"--limit {limit:g} l/min: must be above 0 and at most 100")
+    _read(recording, config, columns, limit, output or Path("results/leak_test"), as_json, overwrite)
+
+
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value
+
+
+def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json: bool, overwrite: bool) -> None:
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_env.files import validate
+    from hydro_rig.diagnosis.leak_test_plan import LeakTestSettings, plan
+    from hydro_rig.diagnosis.leak_test_plan_page import plan_facts, plan_to_folder
+
+    settings = validate(LeakTestSettings, given, "leak-test")
+    with nullcontext() if as_json else ProgressDisplay() as display:
+        test = plan(config, settings, display.update if display is not None else None)
+    lines = plan_to_folder(output, test, overwrite, command_line())
+    say(json.dumps(plan_facts(test), indent=1) if as_json else "\n".join(lines))
+
+
+def _read(
+    recording: Path,
+    config: TaskConfig,
+    columns: Path | None,
+    limit: float | None,
+    output: Path,
+    as_json: bool,
+    overwrite: bool,
+) -> None:
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_rig.diagnosis.leak_test_page import reading_facts, reading_to_folder
+    from hydro_rig.diagnosis.leak_test_reading import read_leak_test
+    from hydro_rig.diagnosis.verdict import EXIT_CODES
+    from hydro_rig.recordings.columns import read_map
+
+    mapped = read_map(columns) if columns is not None else None
+    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
+        progress = display.update if display is not None else None
+        found = read_leak_test(recording, config, mapped, limit, progress)
+    lines = reading_to_folder(output, found, overwrite, command_line())
+    say(json.dumps(reading_facts(found), indent=1) if as_json else "\n".join(lines))
+    raise typer.Exit(EXIT_CODES[found.verdict.kind])

@@ -1,0 +1,324 @@
+"""The page of a diagnosis, for the person who maintains the axis, and the files beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from textwrap import fill
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hydro_agents.detection.detector import Reading
+from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot, render, thinned, with_gaps
+from hydro_agents.report.content import Content
+from hydro_agents.report.page import FIGURE_FILES, Page
+from hydro_agents.report.palette import MEANINGS, looks_of
+from hydro_agents.report.sections import Block, Code, Fold, Points, Text, render_page, section
+from hydro_agents.report.shared import findings_frame
+from hydro_agents.running.folders import output_folder
+from hydro_agents.running.machine import Origin
+from hydro_agents.running.text import Table, capitalised, number, setting
+from hydro_env import PlantParameters
+from hydro_env.files import write_text, write_whole
+from hydro_env.units import UNITS
+from hydro_rig.diagnosis.diagnose import Diagnosis, findings_table, leak_table
+from hydro_rig.diagnosis.verdict import Kind, combined, named_fault
+from hydro_rig.identification.data_sheet import lines_to_paste, residual_table
+from hydro_rig.recordings.findings import Finding, Weight
+
+PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv", "findings.csv", "diagnosis.png"
+FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
+JOB = "diagnose"
+
+DIAGNOSIS = (
+    "diagnosed",
+    "leak_over_time",
+    "recording",
+    "signals",
+    "windows",
+    "judging",
+)  # sections of the page, in order
+SOURCES = Markup("Numbers: <code>leak.csv</code> and <code>findings.csv</code> beside this page.")
+
+ADVICE = {
+    Kind.HEALTHY: "The piston seal leaks too little to matter for the axis. Record again after some time.",
+    Kind.LEAK: "The piston seal leaks. Plan its replacement by the size and by how fast it grows; record again after "
+    "some time under the same conditions.",
+    Kind.OTHER: "Something besides the piston seal differs from the rig's data sheet. Check the named part "
+    "before the seal.",
+    Kind.UNKNOWN: "This recording gives no answer. The verdict gives the reason; correct it and record again.",
+}
+
+JUDGING = (
+    Markup(
+        "<strong>Estimator</strong>: simulates the rig of the data sheet with the recorded commands, and changes leak, "
+        "plant, wear and sensor offsets until it reproduces the readings. If the difference remains above the sensors' "
+        "noise, its reading is not valid."
+    ),
+    Markup("<strong>Leakage head</strong>: a network trained on simulated axes. It is faster, and less accurate."),
+    "The estimator decides if it has read at least one window. If its model does not describe the recording, the "
+    "verdict is “cannot tell”.",
+    "The limits are those of servo faults. Acceptance tests of new cylinders require far less: about 0.06 ml/min for a "
+    "bore of 40 mm.",
+)
+
+MEND = "These lines in the file of the task (--task) make its data sheet agree with the recording:"
+
+STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse", Kind.OTHER: "doubtful", Kind.UNKNOWN: ""}
+"""Class of the verdict in the style of the pages."""
+
+MOST_ROWS = 200  # largest number of windows in the table of the page; the CSV file holds all
+GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
+COLOUR = {Weight.SEVERE: WORSE, Weight.FAULT: WORSE, Weight.NOTE: GREY}
+LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
+
+
+def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str) -> list[str]:
+    """Write page, table, findings and picture; returns the lines for the user, the verdict last."""
+    with output_folder(folder, JOB, FILES, overwrite=overwrite):
+        (picture,) = render(lambda figure: paint(figure, diagnosis), (WIDE, 9.5), "png")
+        write_text(folder / TABLE_FILE, leak_table(diagnosis).to_csv(index=False, lineterminator="\n"))
+        write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
+        write_whole(folder / PICTURE_FILE, picture)
+        render_diagnosis(diagnosis, Origin.now(command)).write(folder / PAGE_FILE)
+    lines = [finding.line() for finding in diagnosis.checked.findings]
+    lines += [diagnosis.alarm.line()] if diagnosis.alarm is not None else []
+    mend = lines_to_paste(diagnosis.fitted, diagnosis.task) if diagnosis.fitted is not None else ""
+    lines += [f"{MEND}\n{mend.rstrip()}"] if mend else []
+    return [*lines, str(folder / PAGE_FILE), diagnosis.verdict.line()]
+
+
+def render_diagnosis(diagnosis: Diagnosis, origin: Origin) -> Page:
+    """The page."""
+    recording, samples = diagnosis.recording, diagnosis.checked.samples
+    read = [f"{int(reading.answers.sum())} read by the {name}" for name, reading in _readings(diagnosis).items()]
+    facts = {
+        "Recording": recording.source,
+        "Rig assumed": rig_line(diagnosis.task.plant),
+        "Duration": f"{number(float(recording.time[-1]), 2)} s, {len(recording.time)} rows",
+        "Control period": f"{1e3 * samples.period:g} ms, {len(samples.time)} samples",
+        "Windows": ", ".join([f"{len(diagnosis.windows)} windows", *read]),
+    }
+    tables = {
+        "protocol": pd.DataFrame(facts.items(), columns=["key", "value"]),
+        "findings": findings_frame(diagnosis.checked.findings),
+    }
+    content = Content(tables, others={"diagnosis": diagnosis})
+    return render_page("Diagnosis of the axis", DIAGNOSIS, content, origin, SOURCES)
+
+
+@section("", needs=("diagnosis",))
+def diagnosed(content: Content) -> list[Block]:
+    """The verdict, and what to do next."""
+    verdict = content.part("diagnosis", Diagnosis).verdict
+    return [Text(capitalised(verdict.line()), f"verdict {STYLES[verdict.kind]}".strip()), Text(ADVICE[verdict.kind])]
+
+
+@section("Leak over time", needs=("diagnosis",))
+def leak_over_time(content: Content) -> list[Block]:
+    """The readings and the signals over time."""
+    diagnosis = content.part("diagnosis", Diagnosis)
+    lines = [head_line(diagnosis.head), diagnosis.alarm.line() if diagnosis.alarm is not None else ""]
+    blocks: list[Block] = [_plot(diagnosis), *(Text(line) for line in lines if line)]
+    if diagnosis.note:
+        blocks.append(Text(f"{capitalised(diagnosis.note)}. Only the estimator was used.", "soft"))
+    return blocks
+
+
+@section("How the signals fit", needs=("diagnosis",))
+def signals(content: Content) -> list[Block]:
+    """What is left of each signal when the model has been fitted, and how the data sheet would agree."""
+    diagnosis = content.part("diagnosis", Diagnosis)
+    if diagnosis.fitted is None:
+        return []
+    mend = lines_to_paste(diagnosis.fitted, diagnosis.task)
+    lines: list[Block] = [Text(MEND), Code(mend)] if mend else []
+    return [residual_table(diagnosis.fitted, diagnosis.task), *lines]
+
+
+@section("Window by window", needs=("diagnosis",))
+def windows(content: Content) -> list[Block]:
+    """The readings of each window."""
+    diagnosis = content.part("diagnosis", Diagnosis)
+    table, more = windows_table(diagnosis), len(diagnosis.windows) - MOST_ROWS
+    if table is None:
+        return []
+    rest = [Text(Markup("{} more windows are in <code>leak.csv</code>.").format(more), "soft")] if more > 0 else []
+    return [Fold("All readings", [table, *rest])]
+
+
+@section("How it was judged", needs=("diagnosis",))
+def judging(content: Content) -> list[Block]:
+    """What the detectors do, and the limits."""
+    return [Points(JUDGING)]
+
+
+def rig_line(plant: PlantParameters) -> str:
+    """The nameplate of a rig in one line, by which a person sees whether it is the recorded one."""
+    cylinder, supply = plant.cylinder, plant.supply.pressure / UNITS["Pa"]["bar"]
+    return (
+        f"bore {1e3 * cylinder.bore_diameter:g} mm, rod {1e3 * cylinder.rod_diameter:g} mm, "
+        f"stroke {1e3 * cylinder.stroke:g} mm, supply {supply:g} bar"
+    )
+
+
+def head_line(reading: Reading | None) -> str:
+    """The result of the leakage head for the whole recording, for comparison; empty if it was not used."""
+    if reading is None:
+        return ""
+    if not reading.answers.any():
+        return "The leakage head gives no valid reading."
+    leak, _ = combined(reading)
+    fault = named_fault(reading)
+    return f"The leakage head reads {leak.text()}; other faults that it names: {fault or 'none'}."
+
+
+def _readings(diagnosis: Diagnosis) -> dict[str, Reading]:
+    given = {"estimator": diagnosis.estimator, "leakage head": diagnosis.head}
+    return {name: reading for name, reading in given.items() if reading is not None}
+
+
+def windows_table(diagnosis: Diagnosis) -> Table | None:
+    """The readings of each window; ``None`` without windows."""
+    readings = _readings(diagnosis)
+    if not readings:
+        return None
+    rows = []
+    for window in range(min(len(diagnosis.windows), MOST_ROWS)):
+        begin, end = diagnosis.windows.begin[window], diagnosis.windows.end[window]
+        cells = [f"{number(float(begin), 1)} to {number(float(end), 1)} s"]
+        for reading in readings.values():
+            cells += [_shown(reading, window), reading.fault[window] or reading.why[window]]
+        rows.append(tuple(cells))
+    header = ("Window", *(text for name in readings for text in (name, "remark")))
+    return Table("Leak in l/min at 100 bar, 90 % interval", header, rows)
+
+
+def _shown(reading: Reading, window: int) -> str:
+    value, low, high = reading.flow_lpm[window], reading.low_lpm[window], reading.high_lpm[window]
+    text = f"{number(value, 3)} [{number(max(low, 0.0), 3)}, {number(max(high, 0.0), 3)}]"
+    return text if reading.answers[window] else "–"
+
+
+# The figure ---------------------------------------------------------------------------------------------------------
+
+
+def _plot(diagnosis: Diagnosis) -> Plot:
+    limits = diagnosis.limits
+    note = (
+        f"Each point is one window with its 90 % interval. Green: leaks of healthy seals, up to "
+        f"{setting(limits.healthy)} l/min at 100 bar. Orange: leaks that count as a fault, from "
+        f"{setting(limits.fault)} l/min. Shaded in the measured signals: the first place of each finding."
+    )
+    alt = f"Leak over time and measured signals. {diagnosis.verdict.line()}"
+    title = "Leak and measured signals"
+    return make_plot("diagnosis", title, note, alt, lambda figure: paint(figure, diagnosis), 9.5, WIDE)
+
+
+def paint(figure: Figure, diagnosis: Diagnosis) -> None:
+    """Draw leak, position, pressures, spool and command over time."""
+    axes = figure.subplots(4, 1, sharex=True, height_ratios=[1.7, 1, 1, 1])
+    paint_leak(axes[0], diagnosis)
+    paint_signals(axes[1:], diagnosis)
+    axes[-1].set_xlabel("time, s")
+    figure.suptitle(_title(diagnosis), fontsize=10, fontweight="bold", x=0.01, ha="left")
+    for axis in axes:  # room for short labels
+        axis.margins(x=0.01)
+
+
+def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
+    """The leak of each window with its 90 % interval; a hollow marker is an invalid reading."""
+    windows, limits = diagnosis.windows, diagnosis.limits
+    axes.set_yscale("log")
+    axes.set_ylim(LOWEST, HIGHEST)
+    axes.set_ylabel("leak, l/min at 100 bar")
+    axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
+    axes.axhspan(LOWEST, limits.healthy, color=GOOD, alpha=0.10, linewidth=0)
+    axes.axhspan(limits.fault, HIGHEST, color=WORSE, alpha=0.07, linewidth=0)
+    for height, text in ((LOWEST, "healthy seal"), (limits.fault, "faulty seal")):
+        axes.annotate(
+            text, (0.004, height), xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points",
+            va="bottom", fontsize=8, color=GREY,
+        )  # fmt: skip
+    looks = looks_of(["leakage head", "estimator"])
+    middle = 0.5 * (windows.begin + windows.end)
+    shift = 0.12 * float(windows.end[0] - windows.begin[0]) if len(middle) else 0.0
+    for name, reading in reversed(_readings(diagnosis).items()):
+        side = -shift if name == "leakage head" else shift
+        _paint_reading(axes, middle + side, reading, looks[name].colour, looks[name].marker, name)
+    if diagnosis.alarm is not None and diagnosis.alarm.at is not None:
+        axes.axvline(diagnosis.alarm.at, color=INK, linestyle="--", linewidth=1.2, label="alarm")
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        axes.legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
+    else:
+        axes.text(0.5, 0.5, "no window was read", transform=axes.transAxes, ha="center", color=GREY)
+
+
+def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, colour: str, marker: str, name: str) -> None:
+    def shown(values: NDArray[Any]) -> NDArray[Any]:
+        clipped: NDArray[Any] = np.clip(values, LOWEST, HIGHEST)
+        return clipped
+
+    counts, known = reading.answers, np.isfinite(reading.flow_lpm)
+    for chosen, options, label in (
+        (known & counts, {"markerfacecolor": colour}, name),
+        (known & ~counts, {"markerfacecolor": PAPER, "alpha": 0.5}, f"{name}, does not count"),
+    ):
+        if chosen.any():
+            parts = (reading.flow_lpm, reading.low_lpm, reading.high_lpm)
+            value, low, high = (shown(values[chosen]) for values in parts)
+            axes.errorbar(
+                place[chosen], value, yerr=[value - low, high - value], fmt=marker, color=colour, markersize=4.5,
+                capsize=2, linewidth=1.2, label=label, **options,
+            )  # fmt: skip
+
+
+def paint_signals(axes: Any, diagnosis: Diagnosis) -> None:
+    """Draw position, pressures, and spool with command, in mm, bar and %, and mark the findings."""
+    recording = diagnosis.recording
+    position, pressure_a, pressure_b, spool, command = recording.signals
+    looks = list(looks_of(range(2)).values())
+    panels = (
+        ("position, mm", [("position", 1e3 * position)]),
+        ("pressure, bar", [("pressure_a", 1e-5 * pressure_a), ("pressure_b", 1e-5 * pressure_b)]),
+        ("valve, %", [("spool_position", 100 * spool), ("command", 100 * command)]),
+    )
+    for axis, (label, lines) in zip(axes, panels, strict=True):
+        for (name, values), look in zip(lines, looks, strict=False):
+            axis.plot(
+                *with_gaps(*thinned(recording.time, values)), label=name.replace("_", " "), linewidth=1.0, **look.stroke
+            )
+        axis.set_ylabel(label)
+        names = {name for name, _ in lines}
+        for finding in diagnosis.checked.findings:
+            if finding.signal in names or (finding.signal == "time" and "position" in names):
+                _mark(axis, finding, float(recording.time[-1]))
+        if len(lines) > 1:
+            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, frameon=False, fontsize=8)
+
+
+def _mark(axes: Axes, finding: Finding, last: float) -> None:
+    """Shade the first place of a finding, and name it."""
+    if not np.isfinite(finding.begin):
+        return
+    width = max(finding.end - finding.begin, 0.003 * last)
+    axes.axvspan(finding.begin, finding.begin + width, color=COLOUR[finding.weight], alpha=0.35, linewidth=0)
+    words = finding.what.split(",")[0].split(":")[0].split(";")[0]
+    right = finding.begin > 0.6 * last
+    axes.annotate(
+        words[:60], (finding.begin + (0 if right else width), 0.97), xycoords=("data", "axes fraction"),
+        xytext=(-3 if right else 3, 0), textcoords="offset points", ha="right" if right else "left", va="top",
+        fontsize=8, color=INK,
+    )  # fmt: skip
+
+
+def _title(diagnosis: Diagnosis) -> str:
+    line = diagnosis.verdict.line()
+    line = line.split(";")[0] if diagnosis.verdict.kind is Kind.UNKNOWN else line
+    return fill(capitalised(line), 105, max_lines=2, placeholder=" …")

@@ -1,0 +1,324 @@
+"""The plan of a leak test: steps of the valve opening, within limits, from which the leak is read most exactly.
+
+The axis is pressed against its stops at several openings, stands there with the valve closed, and makes short moves off
+the stop. At a stop all oil that enters a chamber leaks: past the seal, whose flow changes its direction from one stop
+to the other, and past the edges of the valve, whose flow changes with the opening. All steps run in open loop.
+
+Several tests of this form are simulated on plants with worn valves. The plan is the one with the lowest Cramér–Rao
+bound (:mod:`hydro_rig.estimation.information`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hydro_agents.rigs.check import resting_place
+from hydro_agents.running.seeds import LEARNING
+from hydro_agents.running.tasks import own_reference
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group
+from hydro_env.plant.analysis import speed_limits
+from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
+from hydro_env.task.randomisation import Distribution, own_value
+from hydro_env.task.sensors import SENSORS
+from hydro_rig.diagnosis.leak_test_steps import (
+    AROUND,
+    FORMS,
+    STOPS,
+    Allowed,
+    Form,
+    Step,
+    commands_of,
+    rounded,
+    steps_of,
+)
+from hydro_rig.estimation.information import information, sigma
+from hydro_rig.estimation.known_windows import KnownWindows, known_windows, leak_cases
+from hydro_rig.estimation.replay import Commands, replay
+from hydro_rig.estimation.unknowns import Prior, priors_of
+from hydro_rig.identification.fit import unknowns_of
+
+Floats = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+WEAR = {
+    "valve.null_shift": (-0.02, 0.02),
+    "valve.underlap": (0.0, 0.04),
+    "supply.tank_pressure": (-0.5e5, 4e5),
+}
+"""What wear and a clogged return line add to a parameter, SI."""
+
+WEAR_FACTORS = {"valve.rated_flow": (0.75, 1.25), "valve.edge_ratio": (0.85, 1.18)}
+"""By what wear of the edges multiplies a parameter."""
+
+ARRIVED = 0.9  # share of the way to where the axis comes to rest, at which it counts as arrived
+MOST_TRAVEL_TIME = 0.7  # largest share of the test that the axis may need to reach the stops
+SAFETY = 0.95  # of the limit of speed, which the largest opening reaches
+ATTEMPTS = 5  # to find the largest opening
+UNLIMITED = 100.0, 2e8  # m/s and Pa: limits of a trial whose peaks are still to be measured
+FIND, MISS = 2.326, 1.645  # quantiles of the normal distribution: 1 % false alarms, and 95 % found
+
+
+class LeakTestSettings(Group):
+    """Limits of the test."""
+
+    duration: float = Field(60.0, ge=2.0, le=600.0, description="s")
+    opening: float = Field(0.3, gt=0.0, le=1.0, description="largest opening of the valve, of full stroke")
+    speed: float | None = Field(None, gt=0.0, le=10.0, description="m/s; default: the task's, against an end stop")
+    pressure: float | None = Field(None, gt=0.0, le=2e8, description="Pa; default: the rating of the task")
+    stop: Literal["both", "extended", "retracted", "none"] = Field("both", description="stops that it presses against")
+    low: float | None = Field(None, description="m, lowest position that the axis may reach; default: no limit")
+    high: float | None = Field(None, description="m")
+    start: float | None = Field(None, description="m, where the axis stands at the start; default: where it rests")
+    leak: float = Field(0.01, ge=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar, of the simulated axes")
+    plants: int = Field(6, ge=2, le=1000, description="of the training seeds")
+
+
+class Trial(NamedTuple):
+    """A form of the test, and how the simulated axes run it."""
+
+    form: Form
+    steps: tuple[Step, ...]
+    lengths: tuple[float, ...]  # s from the start, rising
+    bound: Floats  # (plants, lengths), smallest standard deviation of the leak, l/min at 100 bar
+    windows: KnownWindows  # measured signals of the simulated axes
+    position: Floats  # (plants, T), m, without noise
+    pressures: Floats  # (plants, 2, T), Pa
+    beyond: int  # axes that went beyond a limit
+
+    def mean_bound(self) -> float:
+        """Geometric mean of the bound at the end over the axes, l/min at 100 bar."""
+        return float(np.exp(np.log(self.bound[:, -1]).mean()))
+
+
+class Plan(NamedTuple):
+    """The test."""
+
+    task: TaskConfig  # with a worn valve
+    allowed: Allowed
+    trials: tuple[Trial, ...]
+    best: Trial
+
+    @property
+    def commands(self) -> Floats:
+        """Openings, one per control period, (T,)."""
+        return commands_of(self.best.steps, self.task.control_period)
+
+    @property
+    def deviation(self) -> float:
+        """The bound on the worst simulated axis, l/min at 100 bar."""
+        return float(self.best.bound[:, -1].max())
+
+    @property
+    def smallest(self) -> float:
+        """The leak that an estimate at the bound finds in 95 % of the tests at 1 % false alarms, l/min at 100 bar."""
+        return (FIND + MISS) * self.deviation
+
+
+def worn_task(config: TaskConfig) -> TaskConfig:
+    """The task with a valve that may be worn and a return line that may be clogged; wider ranges of the rig stay."""
+    ranges: dict[str, Any] = {path: drawn.model_dump(exclude_none=True) for path, drawn in config.randomisation.items()}
+    for path in (*WEAR, *WEAR_FACTORS):
+        own = own_value(config.plant, path)
+        drawn = config.randomisation.get(path, Distribution(uniform=(own, own)))
+        if drawn.times is not None:
+            continue
+        low, high = drawn.bounds(own)
+        if path in WEAR:
+            ends = own + WEAR[path][0], own + WEAR[path][1]
+        else:
+            ends = own * WEAR_FACTORS[path][0], own * WEAR_FACTORS[path][1]
+        lowest = -0.5 if path == "valve.null_shift" else 0.0
+        ranges[path] = {"uniform": (max(min(low, ends[0]), lowest), max(high, ends[1]))}
+    return task_config(config, randomisation=ranges)
+
+
+def priors_of_test(config: TaskConfig, measured: NDArray[np.bool_]) -> dict[str, Prior]:
+    """The unknowns of a test and their priors; ``config``: the :func:`worn_task`; ``measured``: the sensors, (4,)."""
+    return priors_of(config, unknowns_of(config, config.randomisation, measured))
+
+
+class Played:
+    """Plays openings (T,), one per call, on all axes."""
+
+    def __init__(self, openings: Floats) -> None:
+        self.openings, self._step = openings, 0
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], Any]:
+        """The next opening; after the last one the valve is closed."""
+        opening = self.openings[self._step] if self._step < len(self.openings) else 0.0
+        self._step += 1
+        return np.full((len(observation), 1), opening, dtype=np.float32), state
+
+
+def plan(config: TaskConfig, settings: LeakTestSettings, progress: Progress | None = None) -> Plan:
+    """The test with the lowest bound within the limits.
+
+    Args:
+        config: the task of the rig.
+        settings: the limits.
+        progress: called with phase, done, total.
+
+    Raises:
+        ConfigurationError: no test is possible within the limits.
+    """
+    task = worn_task(config)
+    allowed = _allowed(task, settings)
+    forms = FORMS if allowed.stop != "none" else AROUND
+    total = len(forms) + 1
+    report = progress or (lambda phase, done, total: None)
+    report("plan", 0, total)
+    opening, travel = _largest_opening(forms, task, allowed)
+    trials = []
+    for number, form in enumerate(forms):
+        report("plan", number + 1, total)
+        steps = rounded(steps_of(form, task.plant, allowed, opening, travel), task.control_period)
+        windows = simulated(task, steps, allowed)
+        position, pressures = _true_course(task, windows)
+        lengths = tuple(np.linspace(0.05, 1.0, 20) * (windows.signals.shape[2] - 1) * task.control_period)
+        known = information(task, windows, priors_of_test(task, _fitted(task)), lengths)
+        beyond = _beyond(task, allowed, steps, position)
+        trials.append(Trial(form, steps, lengths, sigma(known), windows, position, pressures, beyond))
+    report("plan", total, total)
+    within = [trial for trial in trials if not trial.beyond]
+    if not within:
+        raise ConfigurationError(_refusal(allowed, trials))
+    return Plan(task, allowed, tuple(trials), min(within, key=Trial.mean_bound))
+
+
+def _refusal(allowed: Allowed, trials: Sequence[Trial]) -> str:
+    """Why no test is possible."""
+    least = min(trials, key=lambda trial: trial.beyond)
+    lowest, highest = 1e3 * least.position.min(), 1e3 * least.position.max()
+    return (
+        f"leak-test: {least.beyond} of {len(least.position)} simulated axes go beyond a limit in every test; they "
+        f"reach {lowest:.0f} to {highest:.0f} mm, {1e-5 * least.pressures.max():.0f} bar: widen --from, --to or "
+        "--pressure, lower --opening or --duration, or test another --stop"
+    )
+
+
+def simulated(task: TaskConfig, steps: tuple[Step, ...], allowed: Allowed, seeds: range | None = None) -> KnownWindows:
+    """Signals of simulated axes during a test, those of the plan or of other seeds; no limit ends it."""
+    return _run(task, steps, allowed, *UNLIMITED, seeds)
+
+
+def _run(
+    task: TaskConfig,
+    steps: tuple[Step, ...],
+    allowed: Allowed,
+    speed: float,
+    pressure: float,
+    seeds: range | None = None,
+) -> KnownWindows:
+    openings = commands_of(steps, task.control_period)
+    loose = task_config(task, failure={"end_stop_speed": speed, "pressure_rating": pressure})
+    standing = own_reference(loose, np.full(len(openings) + 1, allowed.start))
+    cases = leak_cases(LEARNING.take(allowed.plants) if seeds is None else seeds, allowed.plants, allowed.leak)
+    return known_windows(standing, Played(openings), cases, 0.0, (len(openings) - 2) * task.control_period)
+
+
+def _fitted(task: TaskConfig) -> NDArray[np.bool_]:
+    return np.array([getattr(task.sensors, name).fitted for name in SENSORS])
+
+
+def _true_course(task: TaskConfig, windows: KnownWindows) -> tuple[Floats, Floats]:
+    """Position (plants, T) and pressures (plants, 2, T) of simulated axes, without noise."""
+    count, samples = windows.count, windows.signals.shape[2]
+    commands = Commands(windows.signals[:, -1], np.full((count, samples - 1), task.control_period))
+    read, _ = replay(task, commands, np.arange(count), windows.physical, windows.start, windows.latency)
+    return read[:, 0], read[:, 1:3]
+
+
+def speeds(position: Floats, period: float) -> Floats:
+    """Speed of each axis over time, m/s, from its position (plants, T)."""
+    return np.asarray(np.gradient(position, period, axis=1))
+
+
+def _allowed(task: TaskConfig, settings: LeakTestSettings) -> Allowed:
+    """The limits, which must lie within the stroke."""
+    half, failure = 0.5 * task.plant.cylinder.stroke, task.failure
+    start = resting_place(task.plant) if settings.start is None else settings.start
+    for name, place in (("--start", start), ("--from", settings.low), ("--to", settings.high)):
+        if place is not None and not -half <= place <= half:
+            raise ConfigurationError(
+                f"{name} {1e3 * place:g} mm: must be within the stroke, {-1e3 * half:g} to {1e3 * half:g} mm"
+            )
+    low = -np.inf if settings.low is None else settings.low
+    high = np.inf if settings.high is None else settings.high
+    if not low < start < high:
+        raise ConfigurationError(f"--start {1e3 * start:g} mm: must lie between --from and --to")
+    return Allowed(
+        settings.duration,
+        settings.opening,
+        failure.end_stop_speed if settings.speed is None else settings.speed,
+        failure.pressure_rating if settings.pressure is None else settings.pressure,
+        settings.stop,
+        low,
+        high,
+        start,
+        settings.leak,
+        settings.plants,
+    )
+
+
+def _largest_opening(forms: Sequence[Form], task: TaskConfig, allowed: Allowed) -> tuple[float, tuple[float, ...]]:
+    """The largest opening with which no simulated axis is too fast, and the times of :func:`_travel_times`."""
+    opening = min(allowed.opening, allowed.speed / max(speed_limits(task.plant)))
+    for _ in range(ATTEMPTS):
+        travel = _travel_times(task, allowed, opening)
+        # The last form moves fastest: off a stop, the pressures of both chambers drive the axis.
+        position, _ = _true_course(
+            task, simulated(task, steps_of(forms[-1], task.plant, allowed, opening, travel), allowed)
+        )
+        fastest = float(np.abs(speeds(position, task.control_period)).max())
+        if fastest <= allowed.speed:
+            return opening, travel
+        opening *= SAFETY * allowed.speed / fastest
+    raise ConfigurationError(
+        f"--speed {1e3 * allowed.speed:g} mm/s: some simulated axes are faster even with the valve nearly closed; "
+        "raise --speed"
+    )
+
+
+def _travel_times(task: TaskConfig, allowed: Allowed, opening: float) -> tuple[float, ...]:
+    """Seconds that the slowest simulated axis needs to each stop of the test, in order."""
+    signs = STOPS[allowed.stop]
+    if not signs:
+        return ()
+    steps = tuple(Step(sign * opening, allowed.duration, "trial") for sign in signs)
+    position, _ = _true_course(task, simulated(task, steps, allowed))
+    length = round(allowed.duration / task.control_period)
+    times = []
+    for number in range(len(signs)):
+        part = position[:, number * length : (number + 1) * length]
+        way = np.abs(part - part[:, :1])
+        arrived = way >= ARRIVED * way[:, -1:]
+        times.append(task.control_period * float(arrived.argmax(axis=1).max()))
+    needed = sum(times) / MOST_TRAVEL_TIME
+    if needed > allowed.duration:
+        one = "" if len(signs) == 1 else ", or test one stop (--stop extended)"
+        raise ConfigurationError(
+            f"--duration {allowed.duration:g} s: the axis needs {sum(times):.0f} s to reach the stop"
+            f"{'s' if len(signs) > 1 else ''} at an opening of {100 * opening:.2g} %; allow {np.ceil(needed):.0f} s, "
+            f"raise --speed or --opening{one}"
+        )
+    return tuple(times)
+
+
+def _beyond(task: TaskConfig, allowed: Allowed, steps: tuple[Step, ...], position: Floats) -> int:
+    """How many simulated axes go beyond a limit: of speed, of pressure, or of the positions."""
+    try:
+        kept = _run(task, steps, allowed, allowed.speed, allowed.pressure).case
+    except ConfigurationError:  # not one reaches the end
+        kept = np.zeros(0, np.int64)
+    within = np.isin(np.arange(len(position)), kept)
+    within &= np.abs(speeds(position, task.control_period)).max(axis=1) <= allowed.speed
+    within &= (position.min(axis=1) >= allowed.low) & (position.max(axis=1) <= allowed.high)
+    return int((~within).sum())

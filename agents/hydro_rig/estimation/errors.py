@@ -1,0 +1,145 @@
+"""Errors of the readings, estimated from a recording: white noise, a slow error and spikes of each channel.
+
+The residuals of a fit show what the data sheet of the sensors does not say: a channel that scatters more, and a model
+that is slightly wrong. The slow error of a channel is a first-order Gauss–Markov process, x(k+1) = φ x(k) + w(k) with
+the correlation φ = exp(−1 / memory) from sample to sample. A Kalman filter of this process (Brown and Hwang,
+*Introduction to Random Signals and Applied Kalman Filtering*, 2012) turns residuals into independent ones of unit
+variance: the least squares of :mod:`hydro_rig.estimation.solver` then weigh them rightly.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from hydro_env.compiling import SOURCES, compiled
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MEMORIES = np.array([2.0, 6.0, 20.0, 60.0, 200.0])  # samples; candidates of the slow error's correlation time
+RATIOS = np.array([0.0, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0, 4.0, 8.0, 16.0, 40.0])  # slow error over white noise; candidates
+WORTH = 6.0  # least gain of twice the log-likelihood by which a slow error is believed
+LEAST_WHITE = 0.1  # smallest white noise, over that of the data sheet
+
+SPIKE = 5.0  # robust standard deviations from the median of its neighbours beyond which a residual is a spike
+LEAST_SPIKE = 4.0  # the same, in standard deviations of the data sheet's noise
+MOST_SPIKES = 0.2  # share of a channel; with more of them, the channel is not described by spikes
+_NEIGHBOURS = 5
+
+
+class Errors(NamedTuple):
+    """Errors of the channels of B windows, over the noise of the data sheet; each (B, channels)."""
+
+    white: Array  # standard deviation of the white noise
+    slow: Array  # standard deviation of the slow error; 0: none
+    memory: Array  # its correlation time, samples
+
+    @classmethod
+    def of_data_sheet(cls, windows: int, channels: int) -> Errors:
+        """White noise as the data sheet says."""
+        return cls(np.ones((windows, channels)), np.zeros((windows, channels)), np.ones((windows, channels)))
+
+    def part(self, chosen: Any) -> Errors:
+        """Errors of some of the windows."""
+        return Errors(*(values[chosen] for values in self))
+
+
+def errors_of(residual: Array, known: Mask) -> tuple[Errors, Array]:
+    """The most likely errors of residuals (B, channels, T), and twice their negative log-likelihood, (B,).
+
+    Args:
+        residual: readings minus model, over the noise of the data sheet.
+        known: readings that exist, (B, channels, T).
+    """
+    windows, channels, _ = residual.shape
+    errors = Errors.of_data_sheet(windows, channels)
+    likelihood = np.zeros(windows)
+    for window in range(windows):
+        for channel in range(channels):
+            if known[window, channel].any():
+                found = _most_likely(residual[window, channel], known[window, channel], MEMORIES, RATIOS)
+                white, slow, memory, cost = found
+                errors.white[window, channel] = max(white, LEAST_WHITE)
+                errors.slow[window, channel], errors.memory[window, channel] = slow, memory
+                likelihood[window] += cost
+    return errors, likelihood
+
+
+def whitened(values: Array, known: Mask, errors: Errors) -> Array:
+    """Independent values of unit variance, (B, …, channels, T), from values with these errors; 0 if not ``known``.
+
+    The filter is linear: it serves residuals and derivatives alike.
+    """
+    shape = values.shape
+    inner = np.ascontiguousarray(values.reshape(shape[0], -1, *shape[-2:]))
+    result = np.zeros_like(inner)
+    _whiten(inner, np.ascontiguousarray(known), *errors, result)
+    return result.reshape(shape)
+
+
+def spikes_of(residual: Array, known: Mask) -> Mask:
+    """Single readings that stand out from their neighbours, (B, channels, T)."""
+    filled = np.where(known, residual, 0.0)
+    away = np.abs(filled - median_filter(filled, size=(1, 1, _NEIGHBOURS), mode="nearest"))
+    away = np.where(known, away, np.where(known.any(axis=2, keepdims=True), np.nan, 0.0))  # 0: an absent channel
+    with np.errstate(invalid="ignore"):
+        usual = 1.483 * np.nanmedian(away, axis=2, keepdims=True)
+        spikes = known & (away > np.maximum(SPIKE * np.nan_to_num(usual), LEAST_SPIKE))
+    spikes &= spikes.sum(axis=2, keepdims=True) <= MOST_SPIKES * known.sum(axis=2, keepdims=True)
+    return np.asarray(spikes)
+
+
+def _build(sources: int) -> tuple[Any, Any]:
+    def most_likely(residual: Array, known: Mask, memories: Array, ratios: Array) -> tuple[float, float, float, float]:
+        assert sources >= 0  # keys numba's cache
+        best = (1.0, 0.0, 1.0, np.inf)
+        for ratio in ratios:
+            for memory in memories:
+                keep = math.exp(-1.0 / memory)
+                steady = ratio * ratio
+                mean, variance, square, logarithms, count = 0.0, steady, 0.0, 0.0, 0
+                for sample in range(len(residual)):
+                    if known[sample]:
+                        away, total = residual[sample] - mean, variance + 1.0
+                        square += away * away / total
+                        logarithms += math.log(total)
+                        count += 1
+                        mean += variance / total * away
+                        variance = variance / total
+                    mean *= keep
+                    variance = keep * keep * variance + (1.0 - keep * keep) * steady
+                scale = max(square / count, 1e-12)
+                cost = count * (math.log(scale) + 1.0) + logarithms + (WORTH if ratio > 0.0 else 0.0)
+                if cost < best[3]:
+                    best = (math.sqrt(scale), ratio * math.sqrt(scale), memory, cost)
+                if ratio == 0.0:
+                    break
+        return best
+
+    def whiten(values: Array, known: Mask, white: Array, slow: Array, memory: Array, result: Array) -> None:
+        assert sources >= 0
+        for window in range(values.shape[0]):
+            for channel in range(values.shape[2]):
+                noise, steady = white[window, channel] ** 2, slow[window, channel] ** 2
+                keep = math.exp(-1.0 / memory[window, channel])
+                for row in range(values.shape[1]):
+                    mean, variance = 0.0, steady
+                    for sample in range(values.shape[3]):
+                        if known[window, channel, sample]:
+                            away = values[window, row, channel, sample] - mean
+                            total = variance + noise
+                            result[window, row, channel, sample] = away / math.sqrt(total)
+                            mean += variance / total * away
+                            variance = variance * noise / total
+                        mean *= keep
+                        variance = keep * keep * variance + (1.0 - keep * keep) * steady
+
+    return compiled(most_likely), compiled(whiten)
+
+
+_most_likely, _whiten = _build(SOURCES)

@@ -1,0 +1,136 @@
+"""Estimates the unknowns of recorded windows: values, uncertainty, and whether the model explains the readings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.task.sensors import SENSORS
+from hydro_rig.estimation.first_guess import first_values
+from hydro_rig.estimation.model import Model
+from hydro_rig.estimation.result import Estimate, join
+from hydro_rig.estimation.search import EstimationSettings, search
+from hydro_rig.estimation.solver import prior_belief
+from hydro_rig.estimation.unknowns import Prior, priors_of
+
+Array = NDArray[np.float64]
+
+SAMPLES_PER_BATCH = 25_600  # largest number of samples, over all windows, in one fit; more would only need more memory
+
+
+def estimate(
+    signals: Array,
+    config: TaskConfig,
+    unknowns: Sequence[str] | None = None,
+    *,
+    priors: Mapping[str, Prior] | None = None,
+    durations: Array | None = None,
+    physical: Array | None = None,
+    first: Mapping[str, Array | float] | None = None,
+    settings: EstimationSettings | None = None,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+    boundary: Array | None = None,
+) -> Estimate:
+    """Estimate the unknowns of measured windows: maximum a posteriori, with the simulator as model.
+
+    Args:
+        signals: (B, 5, T) or (5, T), SI: position (m), pressures a and b (Pa), spool position, command. Column k holds
+            the readings of sample k and the command that acts until one latency after sample k. NaN: no reading.
+        config: the task: the rig, its ranges, its sensors.
+        unknowns: names (:mod:`hydro_rig.estimation.unknowns`); ``None``: all that an episode draws, and the start.
+        priors: priors that replace those of the task, by name.
+        durations: from each sample to the next, (T − 1,) or (B, T − 1), s; ``None``: the control period.
+        physical: known parameters of each window, (B, parameters); ``None``: those of the task's plant.
+        first: initial values by name, each (B,) or a number; ``None``: guessed from the signals.
+        settings: of the search.
+        threads: worker threads; ``None`` takes one per core.
+        progress: called with the number of finished windows.
+        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
+
+    Raises:
+        ConfigurationError: a shape, a command, a duration or a name is wrong.
+
+    Example:
+        >>> import numpy as np
+        >>> from hydro_rig.estimation.estimate import estimate
+        >>> from hydro_rig.estimation.known_windows import known_windows
+        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_agents.running.cases import Cases
+        >>> from hydro_env import TaskConfig
+        >>> task = TaskConfig()
+        >>> cases = Cases(np.array([1]), np.array([1.0]), np.array(["multi_sine"]))
+        >>> windows = known_windows(task, shipped("pid", task), cases, begin=0.0, length=1.0)
+        >>> found = estimate(windows.signals, task)
+        >>> np.round(found.value("leakage_flow_lpm"), 1)  # l/min at 100 bar
+        array([1.])
+    """
+    settings = settings or EstimationSettings()
+    windows = checked_signals(signals)
+    known = priors_of(config, unknowns, priors)
+    own = None if physical is None else np.broadcast_to(physical, (len(windows), np.shape(physical)[-1]))
+    begin = {name: np.broadcast_to(value, len(windows)) for name, value in (first or {}).items()}
+    parts = []
+    together = max(SAMPLES_PER_BATCH // windows.shape[2], 1)
+    for low in range(0, len(windows), together):
+        part = slice(low, low + together)
+        edge = None if boundary is None else boundary[part]
+        time = durations[part] if durations is not None and np.ndim(durations) == 2 else durations
+        model = Model(
+            config, known, windows[part, -1], time, own[part] if own is not None else None, None, threads, edge
+        )
+        guess = first_values(windows[part], model.commands.durations, config, known)
+        for name, value in begin.items():
+            if name not in known:
+                raise ConfigurationError(f"first: '{name}' is not among the unknowns")
+            guess[:, model.names.index(name)] = value[part]
+        measured = usable_readings(windows[part], config, model)
+        belief = prior_belief(model, model.count)
+        parts.append(search(model, measured, model.scaled(guess), belief, settings))
+        if progress is not None:
+            progress(min(low + together, len(windows)))
+    return join(parts)
+
+
+def checked_signals(signals: Any) -> Array:
+    """Signals as (B, 5, T).
+
+    Raises:
+        ConfigurationError: the shape is wrong, or a reading is infinite.
+    """
+    try:
+        windows = np.asarray(signals, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ConfigurationError("signals: must be an array of numbers (windows, 5, samples)") from None
+    shape = windows.shape
+    windows = windows[None] if windows.ndim == 2 else windows
+    if windows.ndim != 3 or windows.shape[1] != len(SENSORS) + 1 or windows.shape[2] < 2 or not len(windows):
+        raise ConfigurationError(f"signals: shape {shape}: must be (windows, {len(SENSORS) + 1}, samples)")
+    if np.isinf(windows).any():
+        window, channel, sample = np.argwhere(np.isinf(windows))[0]
+        name = [*SENSORS, "command"][channel]
+        raise ConfigurationError(
+            f"signals: {name} of window {window}, sample {sample} is infinite: must be finite, or "
+            "NaN if there is no reading"
+        )
+    return windows
+
+
+def usable_readings(signals: Array, config: TaskConfig, model: Model) -> Array:
+    """Readings over their noise (B, channels, T); NaN if a reading is missing or useless.
+
+    Useless are readings within three standard deviations of the noise from an end of the sensor's range, where they
+    saturate, and the first reading of each pressure, whose lag depends on the time before the window.
+    """
+    readings = signals[:, : len(SENSORS)].copy()
+    if config.sensors.enabled:
+        sensors = [getattr(config.sensors, channel) for channel in SENSORS]
+        low = np.array([sensor.low + 3.0 * sensor.noise for sensor in sensors])[:, None]
+        high = np.array([sensor.high - 3.0 * sensor.noise for sensor in sensors])[:, None]
+        readings[~((readings > low) & (readings < high))] = np.nan
+    readings[:, [SENSORS.index("pressure_a"), SENSORS.index("pressure_b")], 0] = np.nan
+    return readings / model.noise[:, None]

@@ -1,0 +1,317 @@
+"""The estimator with the simulator as model, as a detector.
+
+Its unknowns are the parameters that the task draws and those that change by wear: the valve's null shift, its edges,
+its flow, the return line, and offsets of the sensors. Without the latter the model would read a leak on an axis with a
+worn valve. Windows without signs of wear are fitted again without it: the simpler model gives the leak more precisely.
+A window at rest shows no signs of wear, whatever the valve is like, so that its leak keeps the uncertainty of the wear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows
+from hydro_agents.running.text import number
+from hydro_env import PlantParameters, TaskConfig
+from hydro_env.plant.analysis import speed_limits
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.task.configuration import task_config
+from hydro_env.task.randomisation import own_value
+from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
+from hydro_rig.estimation.estimate import estimate
+from hydro_rig.estimation.result import Estimate
+from hydro_rig.estimation.search import EstimationSettings
+from hydro_rig.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    LEAKAGE,
+    Prior,
+    course_of,
+    default_unknowns,
+)
+
+Progress = Callable[[int], None]
+
+SURE = 3.0  # distance of an estimate from its healthy range that names a fault, in standard deviations
+WIDE_BIAS = 3.0  # standard deviation of a sensor's offset, relative to the largest offset of the data sheet
+DETERMINED = 0.05
+"""Largest standard deviation of a valid reading, as a share of the leak, or in l/min at 100 bar on the default rig; on
+other rigs it grows with their flow (:func:`leak_scale`)."""
+
+LEAST_TRAVEL = 20.0  # smallest travel of an axis in motion, in standard deviations of the position's noise
+
+LEAST_GAIN = 3.0  # of twice the log-likelihood per step of a moving supply, by which its course is believed
+
+LEAST_DEVIATION = 0.1
+"""Smallest credible standard deviation of the leak, as a fraction of the healthy bound: the model is not exact."""
+
+LARGEST_NULL_SHIFT, LARGEST_BACK_PRESSURE, LARGEST_BIAS = 0.004, 1.5e5, 2.0
+"""Limits of a healthy axis: null shift as a fraction of full stroke, return pressure above the data sheet's in Pa, and
+offset of a sensor relative to its data sheet."""
+
+MISFIT = "the model does not explain the readings"
+UNDETERMINED = "the window does not determine the leak; more motion is needed"
+AT_REST = "at rest a worn valve and a leak look alike; move the axis"
+
+
+class Wear(NamedTuple):
+    """A fault that an unknown names, and its words."""
+
+    cause: Cause
+    what: str
+    factor: float  # displayed units per unit of the unknown
+    unit: str
+
+
+WEAR = {
+    "valve.null_shift": Wear(Cause.VALVE, "null shift of the valve", 100.0, "% of full stroke"),
+    "valve.underlap": Wear(Cause.VALVE, "worn edges of the valve, underlap", 100.0, "%"),
+    "valve.rated_flow": Wear(Cause.VALVE, "rated flow of the valve", 1.0 / LITRE_PER_MINUTE, "l/min"),
+    "supply.tank_pressure": Wear(Cause.RETURN_LINE, "pressure in the return line", 1e-5, "bar"),
+    EXTERNAL_LEAKAGE: Wear(Cause.EXTERNAL_LEAK, Cause.EXTERNAL_LEAK.in_full, 1.0, "l/min at 100 bar"),
+    "pressure_a_bias": Wear(Cause.SENSOR, "offset of the pressure sensor of chamber a", 1e-5, "bar"),
+    "pressure_b_bias": Wear(Cause.SENSOR, "offset of the pressure sensor of chamber b", 1e-5, "bar"),
+    "spool_position_bias": Wear(Cause.SENSOR, "offset of the spool sensor", 100.0, "% of full stroke"),
+}
+"""By unknown. An offset of the position is no fault: its zero is arbitrary."""
+
+
+class EstimatorDetector:
+    """The estimator: its score is the leak above the healthy bound, in standard deviations.
+
+    It reads windows with all commands; any sensor may be absent. A window that the model does not explain, or with a
+    negative leak, has the cause ``UNKNOWN``; one with too little motion, ``UNDETERMINED``.
+
+    Args:
+        changes: of the task that gives unknowns and priors.
+        unknowns: additional names (:mod:`hydro_rig.estimation.unknowns`).
+        threads: worker threads; ``None`` takes one per core.
+        restarts: further searches for windows that the model does not explain.
+    """
+
+    threshold: float | None = None
+
+    def __init__(
+        self,
+        changes: Mapping[str, Any] | None = None,
+        unknowns: tuple[str, ...] = (),
+        threads: int | None = 1,
+        restarts: int = EstimationSettings().restarts,
+    ) -> None:
+        self.changes, self.unknowns, self.threads = dict(changes or {}), unknowns, threads
+        self.settings = EstimationSettings(restarts=restarts)
+
+    def refuses(self, task: TaskConfig, samples: int) -> str:
+        """An empty text: the estimator reads every rig and every length."""
+        del task, samples
+        return ""
+
+    def read(self, windows: Windows, task: TaskConfig, progress: Progress | None = None) -> Reading:
+        """Read windows.
+
+        Args:
+            windows: N windows.
+            task: rig, ranges and sensors.
+            progress: called with the number of finished fits, at most two per window with commands.
+        """
+        return self.read_and_fit(windows, task, progress)[0]
+
+    def read_and_fit(
+        self, windows: Windows, task: TaskConfig, progress: Progress | None = None
+    ) -> tuple[Reading, Estimate | None]:
+        """Read windows, and return the estimates with wear as well, one for each window with commands.
+
+        The estimate is ``None`` if there is no such window. Arguments as those of :meth:`read`.
+        """
+        chosen = np.flatnonzero(windows.commanded)
+        if not len(chosen):
+            return Reading.of(np.full(len(windows), np.nan), why=(NO_COMMANDS,) * len(windows)), None
+        used, expected = windows.part(chosen), task_config(task, **self.changes)
+        worn = self._fit(used, expected, True, progress)
+        moves = self._with_moving_supply(used, expected, worn)
+        excess = _excess(worn, task)
+        value, deviation = worn.value(LEAKAGE).copy(), worn.deviation(LEAKAGE).copy()
+        still = self._at_rest(used, task)
+        simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still & ~moves)
+        if len(simple):
+            again = None if progress is None else lambda done: progress(len(chosen) + done)
+            plain, rows = self._fit_again(used, simple, expected, worn, again)
+            better = plain.holds[rows]
+            value[simple[better]] = plain.value(LEAKAGE)[rows][better]
+            deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
+        reading = self._reading(worn, excess, value, deviation, still, task)
+        return reading.among(chosen, len(windows), NO_COMMANDS), worn
+
+    def _at_rest(self, windows: Windows, task: TaskConfig) -> NDArray[np.bool_]:
+        """Windows (N,) that stand still and thus cannot show whether the valve is worn."""
+        position = windows.signal("position")
+        travel = np.fmax.reduce(position, axis=1) - np.fmin.reduce(position, axis=1)
+        return np.asarray(travel < LEAST_TRAVEL * task.sensors.position.noise)
+
+    def names(self, task: TaskConfig, worn: bool) -> tuple[str, ...]:
+        """Unknowns of a fit, with or without wear."""
+        own = (*default_unknowns(task), *self.unknowns, *(wear_priors(task) if worn else ()))
+        return tuple(dict.fromkeys(own))
+
+    def _fit(self, windows: Windows, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
+        names = windows.unrecorded(self.names(task, worn))
+        priors = {name: prior for name, prior in wear_priors(task).items() if worn and name in names}
+        return self._estimate(windows, task, names, self.settings, progress, priors=priors)
+
+    def _estimate(
+        self,
+        windows: Windows,
+        task: TaskConfig,
+        names: tuple[str, ...],
+        settings: EstimationSettings,
+        progress: Progress | None = None,
+        **known: Any,
+    ) -> Estimate:
+        """Estimate the unknowns of windows; ``known``: priors or first values that differ from those of the task."""
+        return estimate(
+            windows.signals,
+            task,
+            names,
+            settings=settings,
+            threads=self.threads,
+            progress=progress,
+            boundary=windows.boundary,
+            **known,
+        )
+
+    def _with_moving_supply(self, windows: Windows, task: TaskConfig, worn: Estimate) -> NDArray[np.bool_]:
+        """Fit windows whose readings the model does not explain with a supply that moves; returns where it does, (N,).
+
+        The better estimates replace those in ``worn``. A recorded supply moves as recorded.
+        """
+        moves = np.zeros(len(windows), dtype=np.bool_)
+        odd = np.flatnonzero(~worn.holds | (worn.slow > 0.0).any(axis=1))
+        recorded = windows.beside is not None and bool(np.isfinite(windows.beside[:, 0]).any())
+        if recorded or not len(odd):
+            return moves
+        course = course_of((windows.samples - 1) * task.control_period)
+        first = {name: worn.value(name)[odd] for name in worn.names if np.isfinite(worn.value(name)[odd]).all()}
+        settings = self.settings.model_copy(update={"horizons": (), "restarts": 0})
+        names = (*worn.names, *course)
+        found = self._estimate(windows.part(odd), task, names, settings, priors=wear_priors(task), first=first)
+        gain = worn.unlikelihood[odd] - found.unlikelihood
+        better = found.holds & (~worn.holds[odd] | (gain > LEAST_GAIN * len(course)))
+        moves[worn.take(odd, found, better)] = True
+        return moves
+
+    def _fit_again(
+        self,
+        windows: Windows,
+        simple: NDArray[np.int64],
+        task: TaskConfig,
+        worn: Estimate,
+        progress: Progress | None,
+    ) -> tuple[Estimate, NDArray[np.int64]]:
+        """Fit the windows ``simple`` without wear; returns the estimate, and the row of each of these windows in it."""
+        names = windows.unrecorded(self.names(task, False))
+        first = {name: worn.value(name)[simple] for name in names if name in worn.names}
+        settings = self.settings.model_copy(update={"horizons": ()})
+        plain = self._estimate(windows.part(simple), task, names, settings, progress, first=first)
+        return plain, np.arange(len(simple))
+
+    def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:
+        """The score and its standard deviation, (N,) each."""
+        bound = task.leakage.class_bounds[0]
+        spread = np.hypot(deviation, LEAST_DEVIATION * bound)
+        return (value - bound) / spread, deviation / spread
+
+    def _reading(
+        self,
+        worn: Estimate,
+        excess: Floats,
+        value: Floats,
+        deviation: Floats,
+        still: NDArray[np.bool_],
+        task: TaskConfig,
+    ) -> Reading:
+        fits = worn.holds & (value + SURE * deviation >= 0.0)  # a negative leak: the model is wrong
+        known = deviation <= DETERMINED * np.maximum(leak_scale(task), value)
+        causes = np.array([wear.cause for wear in WEAR.values()])
+        cause = np.where(excess.max(axis=1) > 0.0, causes[excess.argmax(axis=1)], Cause.NONE)
+        score, sigma = self._score(value, deviation, task)
+        return Reading.of(
+            score,
+            np.where(~fits, Cause.UNKNOWN, np.where(known, cause, Cause.UNDETERMINED)),
+            sigma=sigma,
+            probability=ndtr((value - task.leakage.class_bounds[0]) / deviation),
+            flow_lpm=value,
+            low_lpm=value - HALF_WIDTH * deviation,
+            high_lpm=value + HALF_WIDTH * deviation,
+            fault=_in_words(worn, excess > 0.0),
+            why=tuple(np.where(~fits, MISFIT, np.where(known, "", np.where(still, AT_REST, UNDETERMINED))).tolist()),
+        )
+
+
+def leak_scale(task: TaskConfig) -> float:
+    """Flow into chamber a at full opening over that of the default rig: what counts as a small leak grows with it."""
+    return _full_flow(task.plant) / _full_flow(PlantParameters())
+
+
+def _full_flow(plant: PlantParameters) -> float:
+    """Piston area times the speed at full opening, the mean of both directions, m³/s."""
+    return float(plant_coefficients(plant).area_a * np.mean(speed_limits(plant)))
+
+
+def wear_priors(task: TaskConfig) -> dict[str, Prior]:
+    """Priors of the parameters that wear or drift, wide enough for the faults of :mod:`hydro_env.task.faults`."""
+    valve, tank = task.plant.valve, task.plant.supply.tank_pressure
+    wide = {
+        "valve.null_shift": Prior(valve.null_shift, 0.01),
+        "valve.underlap": Prior(max(valve.underlap, 1e-3), 0.6, True),
+        "valve.rated_flow": Prior(valve.rated_flow, 0.2, True),
+        "supply.tank_pressure": Prior(tank, 3e5),
+        EXTERNAL_LEAKAGE: Prior(0.0, 1.0),
+    }
+    for channel in ("pressure_a", "pressure_b", "spool_position"):
+        wide[f"{channel}_bias"] = Prior(0.0, WIDE_BIAS * getattr(task.sensors, channel).bias)
+    return {name: prior for name, prior in wide.items() if prior.deviation > 0.0}
+
+
+def healthy_range(task: TaskConfig, name: str) -> tuple[float, float]:
+    """Lowest and highest value of an unknown on an axis without a fault, from the ranges of the task."""
+    if name == "valve.null_shift":
+        middle, reach = task.plant.valve.null_shift, LARGEST_NULL_SHIFT
+    elif name == "supply.tank_pressure":
+        middle, reach = task.plant.supply.tank_pressure, LARGEST_BACK_PRESSURE
+    elif name in BIASES:
+        middle, reach = 0.0, LARGEST_BIAS * getattr(task.sensors, name.removesuffix("_bias")).bias
+    else:
+        path = EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
+        own = own_value(task.plant, path)
+        bounds = task.randomisation[path].bounds(own) if path in task.randomisation else (own, own)
+        if name != EXTERNAL_LEAKAGE:
+            return bounds
+        middle, reach = 0.0, flow_from_resistance(min(bounds))
+    return middle - reach, middle + reach
+
+
+def _excess(found: Estimate, task: TaskConfig) -> Floats:
+    """Distance of each unknown of WEAR beyond its healthy range, (N, unknowns), in standard deviations above SURE."""
+    excess = np.full((len(found), len(WEAR)), -np.inf)
+    for column, name in enumerate(WEAR):
+        if name in found.names:
+            value, (low, high) = found.value(name), healthy_range(task, name)
+            excess[:, column] = np.maximum(low - value, value - high) / found.deviation(name) - SURE
+    return np.where(np.isnan(excess), -np.inf, excess)
+
+
+def _in_words(found: Estimate, faulty: NDArray[np.bool_]) -> tuple[str, ...]:
+    """The faults of each window as text; the size of a fault is the median over all windows that show it."""
+    texts: list[list[str]] = [[] for _ in faulty]
+    for (name, wear), rows in zip(WEAR.items(), faulty.T, strict=True):
+        if rows.any():
+            size = number(wear.factor * float(np.median(found.value(name)[rows])))
+            for row in np.flatnonzero(rows):
+                texts[row].append(f"{wear.what} ({size} {wear.unit})")
+    return tuple(" and ".join(text) for text in texts)

@@ -1,0 +1,109 @@
+"""Initial values of an estimate: start states, supply, spring and external force, from the signals where possible."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env import TaskConfig
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.task.sensors import SENSORS
+from hydro_rig.estimation.unknowns import STARTS, Prior
+
+Array = NDArray[np.float64]
+
+_FIRST_SAMPLES = 6  # number of samples for the straight line that gives each start value
+
+
+def first_values(signals: Array, durations: Array, config: TaskConfig, priors: Mapping[str, Prior]) -> Array:
+    """First values (B, P) of the unknowns of B windows; the prior's mean where the signals give no information.
+
+    Args:
+        signals: (B, channels + 1, T), NaN where a reading is missing.
+        durations: (B, T − 1), s.
+        config: the task.
+        priors: the unknowns by name.
+    """
+    first = np.tile([prior.mean for prior in priors.values()], (len(signals), 1))
+    places = {name: place for place, name in enumerate(priors)}
+    value, slope = _starts(signals[:, : len(SENSORS)], durations)
+    seen = {f"start.{channel}": value[:, row] for row, channel in enumerate(SENSORS)}
+    seen["start.velocity"] = slope[:, SENSORS.index("position")]
+    command = signals[:, -1, 0]  # without a spool sensor, the spool equals its command
+    seen["start.spool_position"] = np.where(
+        np.isnan(seen["start.spool_position"]), command, seen["start.spool_position"]
+    )
+    supply = supply_pressure(signals, config)
+    seen["supply.pressure"] = seen["start.supply_pressure"] = supply
+    stiffness, force = _spring_and_force(signals, durations, config, "load.external_force" in places)
+    seen["load.spring_stiffness"], seen["load.external_force"] = stiffness, force
+    for name, values in seen.items():
+        if name in places:
+            prior = priors[name]
+            near = values if name in STARTS else _near(values, prior)
+            column = first[:, places[name]]
+            column[:] = np.where(np.isfinite(near), near, column)
+    return first
+
+
+def _near(values: Array, prior: Prior) -> Array:
+    """Values limited to three standard deviations from the mean of the prior."""
+    if prior.logarithmic:
+        factor = np.exp(3.0 * prior.deviation)
+        return np.clip(values, prior.mean / factor, prior.mean * factor)
+    return np.clip(values, prior.mean - 3.0 * prior.deviation, prior.mean + 3.0 * prior.deviation)
+
+
+def _starts(signals: Array, durations: Array) -> tuple[Array, Array]:
+    """Value and slope of each channel at the first sample, (B, channels) each, from a line through a few samples."""
+    time = np.concatenate([np.zeros((len(signals), 1)), np.cumsum(durations, axis=1)], axis=1)[:, None, :_FIRST_SAMPLES]
+    near = signals[:, :, :_FIRST_SAMPLES]
+    weight = np.isfinite(near) * np.ones_like(near)
+    reading = np.nan_to_num(near)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = weight.sum(axis=2)
+        middle = (weight * time).sum(axis=2) / total
+        mean = (weight * reading).sum(axis=2) / total
+        away = time - middle[:, :, None]
+        slope = (weight * away * reading).sum(axis=2) / (weight * away**2).sum(axis=2)
+        return np.where(total >= 2, mean - slope * middle, mean), slope
+
+
+def supply_pressure(signals: Array, config: TaskConfig) -> Array:
+    """Supply pressure (B,), Pa: with equal edges and without flow through the valve, it equals p_a + p_b − p_T."""
+    sums = signals[:, SENSORS.index("pressure_a")] + signals[:, SENSORS.index("pressure_b")]
+    opening = np.abs(signals[:, SENSORS.index("spool_position")])
+    opening = np.where(np.isfinite(opening), opening, np.abs(signals[:, -1]))
+    result = np.full(len(signals), np.nan)
+    for window, (total, width) in enumerate(zip(sums, opening, strict=True)):
+        known = np.isfinite(total)
+        if known.any():
+            result[window] = np.median(total[known & (width <= np.quantile(width[known], 0.25))])
+    return result - config.plant.supply.tank_pressure
+
+
+def _spring_and_force(signals: Array, durations: Array, config: TaskConfig, with_force: bool) -> tuple[Array, Array]:
+    """Spring stiffness (N/m) and external force (N), (B,) each, by least squares on the balance of forces.
+
+    p_a A_a − p_b A_b = k x + F + (friction with the sign of the speed) + c v + m dv/dt.
+    """
+    c = plant_coefficients(config.plant)
+    stiffness, force = np.full(len(signals), np.nan), np.full(len(signals), np.nan)
+    for window, (position, pressure_a, pressure_b, *_) in enumerate(signals):
+        time = np.concatenate([[0.0], np.cumsum(durations[window])])
+        load = pressure_a * c.area_a - pressure_b * c.area_b
+        known = np.isfinite(position) & np.isfinite(load)
+        if known.sum() < 20:
+            continue
+        place, balance, when = position[known], load[known], time[known]
+        speed = np.gradient(np.convolve(np.pad(place, 2, "edge"), np.full(5, 0.2), "valid"), when)
+        columns = [place, np.tanh(speed / 0.003), speed, np.gradient(speed, when)]
+        if with_force:
+            columns.append(np.ones_like(place))
+        answer, _, _, singular = np.linalg.lstsq(np.column_stack(columns), balance, rcond=None)
+        if place.std() > 1e-3 and singular[-1] > 0.0:
+            stiffness[window] = answer[0]
+            force[window] = answer[-1] if with_force else np.nan
+    return stiffness, force

@@ -1,0 +1,290 @@
+"""The Cramér–Rao bound: the smallest standard deviation with which any method can estimate an unknown from a window.
+
+The readings are r = h(θ) + noise, with the simulator as h, white noise of each sensor (its 16-bit steps included), and
+a normal prior of each unknown. The information about θ is then I = Jᵀ W J + P, with J = ∂h/∂θ at the truth, W the
+inverse variances of the noise and P those of the priors; no unbiased estimate of θ_i has a variance below (I⁻¹)_ii
+(Kay, *Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, chapter 3; with priors: Van Trees,
+*Detection, Estimation, and Modulation Theory* I, 1968, section 2.4). Information adds up over sensors and samples; one
+Jacobian therefore serves every choice of sensors, every shorter window and every smaller set of unknowns.
+
+The bound assumes that the model has the true structure. It depends on what else is unknown: :func:`unknown_sets` gives
+sets from none to a worn valve, sensor gains and forces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.mistakes import one_of
+from hydro_env.task.configuration import task_config
+from hydro_env.task.sensors import SENSORS
+from hydro_rig.estimation.estimate import usable_readings
+from hydro_rig.estimation.known_windows import KnownWindows
+from hydro_rig.estimation.model import Model
+from hydro_rig.estimation.unknowns import (
+    BIASES,
+    GAINS,
+    LEAKAGE,
+    STARTS,
+    Prior,
+    default_unknowns,
+    prior_of,
+    priors_of,
+)
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-8  # tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %
+
+RESPONSE = 3.0
+"""Change of the readings by one step of a difference, in standard deviations of their noise, over all samples.
+
+With smaller steps the integrator's error dominates; with larger ones the readings do not change linearly. A tenth of
+this step changes the bound by 0.01 %, a step ten times as large by up to 1 %.
+"""
+
+WINDOWS_PER_BATCH = 16  # number of windows that are linearised together; more would only need more memory
+
+LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, EVERYTHING = (
+    "the leak alone",
+    "start and biases too",
+    "the plant too",
+    "a worn valve too",
+    "gains and forces too",
+)
+"""Names of the sets; each contains the previous one."""
+
+_WEAR = {"valve.null_shift": (0.01, False), "valve.underlap": (0.03, False), "valve.rated_flow": (0.2, True)}
+"""Standard deviation of a worn valve's parameters, of full stroke or (if true) of the logarithm."""
+
+_FURTHER = (*GAINS, "supply.tank_pressure", "load.external_force")
+
+
+class Information(NamedTuple):
+    """Information of B windows about P unknowns, by length of the window and by sensor, for scaled unknowns.
+
+    An unknown is scaled by the standard deviation of its prior (of its logarithm, for a logarithmic prior).
+    """
+
+    names: tuple[str, ...]  # of the unknowns
+    lengths: tuple[float, ...]  # s, rising
+    matrix: Array  # (B, lengths, channels, P, P), of the readings from the start to that length
+    unit: Array  # (B, P), change of each unknown, in its unit, per scaled one
+
+
+def information(
+    config: TaskConfig,
+    windows: KnownWindows,
+    priors: Mapping[str, Prior],
+    lengths: Sequence[float] | None = None,
+    threads: int | None = None,
+) -> Information:
+    """Information of the readings of known windows about the unknowns, without the priors.
+
+    Args:
+        config: the task.
+        windows: the windows; their commands are replayed on the true plants.
+        priors: the unknowns, as :func:`hydro_rig.estimation.unknowns.priors_of` gives them.
+        lengths: of the windows, from their start, s; ``None``: the whole windows.
+        threads: worker threads; ``None`` takes one per core.
+
+    Raises:
+        ConfigurationError: a length is not above 0, or longer than the windows.
+    """
+    period, samples = config.control_period, windows.signals.shape[2]
+    whole = (samples - 1) * period
+    given = tuple(sorted(lengths)) if lengths is not None else (whole,)
+    for length in given:
+        if not period <= length <= whole * (1.0 + 1e-9):
+            raise ConfigurationError(f"window = {length:g} s: must be within {period:g} to {whole:g} s")
+    ends = [round(length / period) + 1 for length in given]
+    matrices, units = [], []
+    for first in range(0, windows.count, WINDOWS_PER_BATCH):
+        part = windows.part(first, first + WINDOWS_PER_BATCH)
+        model, scaled = true_model(config, part, priors, threads)
+        used = np.isfinite(usable_readings(part.signals, config, model))
+        jacobian = np.where(used[:, None], jacobian_at(model, scaled), 0.0)[:, :, :, : ends[-1]]
+        pieces = np.split(jacobian, ends[:-1], axis=3)
+        steps = [np.einsum("bpct,bqct->bcpq", piece, piece, optimize=True) for piece in pieces]
+        matrices.append(np.cumsum(np.stack(steps, axis=1), axis=1))
+        units.append(model.derivative(scaled))
+    return Information(tuple(priors), given, np.concatenate(matrices), np.concatenate(units))
+
+
+def true_model(
+    config: TaskConfig, windows: KnownWindows, priors: Mapping[str, Prior], threads: int | None = None
+) -> tuple[Model, Array]:
+    """The model of known windows with a strict integrator, and the true scaled unknowns (B, P)."""
+    strict = task_config(config, tolerance=min(config.tolerance, TOLERANCE))
+    physical, start = windows.physical, windows.start
+    model = Model(strict, priors, windows.signals[:, -1], None, physical, start, threads)
+    return model, model.scaled(np.stack([windows.value(name) for name in priors], axis=1))
+
+
+def jacobian_at(model: Model, scaled: Array) -> Array:
+    """Derivatives of the readings over their noise, (B, P, channels, T), by central differences.
+
+    A first, coarse derivative gives the steps: each changes the readings by about :data:`RESPONSE`.
+    """
+    coarse = model.linearise(scaled).jacobian[:, model.simulated]
+    steps = np.clip(RESPONSE / np.sqrt(1.0 + (coarse**2).sum(axis=(2, 3))), 1e-7, 0.1)
+    directions = steps[:, :, None] * np.eye(len(model.simulated))
+    above, below = (model.linearise(scaled, directions=sign * directions).jacobian for sign in (1.0, -1.0))
+    return 0.5 * (above + below)
+
+
+def covariance(
+    known: Information,
+    unknowns: Sequence[str] | None = None,
+    sensors: Sequence[str] = SENSORS,
+    widths: Mapping[str, float] | None = None,
+) -> Array:
+    """Smallest covariance of some unknowns, (B, lengths, p, p), each in its unit; the others are known exactly.
+
+    Args:
+        known: information of the readings.
+        unknowns: names; ``None``: all.
+        sensors: available sensors.
+        widths: factors on the standard deviations of priors, by name; ``inf`` means no prior.
+
+    Raises:
+        ConfigurationError: an unknown or a sensor is not in ``known``.
+    """
+    names = known.names if unknowns is None else tuple(unknowns)
+    for what, choice, allowed in (("unknowns", names, known.names), ("sensors", sensors, SENSORS)):
+        for name in choice:
+            if name not in allowed:
+                raise ConfigurationError(f"{what}: '{name}': {one_of(name, allowed)}")
+    place = [known.names.index(name) for name in names]
+    rows = [SENSORS.index(sensor) for sensor in sensors]
+    matrix = known.matrix[:, :, rows].sum(axis=2)[..., place, :][..., place]
+    width = np.array([(widths or {}).get(name, 1.0) for name in names])
+    matrix = matrix + np.diag(1.0 / width**2)
+    # The unknowns have very different information; scaling each by its own keeps the inverse accurate.
+    scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", matrix), 1e-300))
+    inverse = np.linalg.inv(matrix * scale[..., :, None] * scale[..., None, :])
+    unit = known.unit[:, None, place] * scale
+    result: Array = inverse * unit[..., :, None] * unit[..., None, :]
+    return result
+
+
+def sigma(
+    known: Information,
+    name: str = LEAKAGE,
+    unknowns: Sequence[str] | None = None,
+    sensors: Sequence[str] = SENSORS,
+    widths: Mapping[str, float] | None = None,
+) -> Array:
+    """The bound of one unknown: its smallest standard deviation, (B, lengths), in its unit; see :func:`covariance`."""
+    names = known.names if unknowns is None else tuple(unknowns)
+    spread = covariance(known, names, sensors, widths)
+    place = names.index(name)
+    result: Array = np.sqrt(spread[..., place, place])
+    return result
+
+
+class Ratio(NamedTuple):
+    """Errors of a detector relative to the bound at one level of the leak."""
+
+    level: float  # l/min at 100 bar
+    windows: int
+    error: float  # root mean square of the errors, l/min
+    bound: float  # root mean square of the bound, l/min
+    ratio: float  # error over bound
+    median_ratio: float  # median of the absolute errors over the median for an estimate at the bound
+
+
+def ratios_to_bound(level: Array, estimate: Array, bound: Array) -> list[Ratio]:
+    """Errors of any detector relative to the bound, by level of the leak; 1 is the physical limit.
+
+    The ratio of root mean squares includes outliers; the ratio of medians is robust against them.
+
+    Args:
+        level: true leaks (N,), l/min at 100 bar.
+        estimate: of the detector, (N,), l/min; NaN (no estimate) is left out.
+        bound: standard deviations of the bound (N,), l/min.
+
+    Raises:
+        ConfigurationError: the arrays differ in shape, or a bound is not above 0.
+    """
+    if not level.shape == estimate.shape == bound.shape or level.ndim != 1:
+        raise ConfigurationError(
+            f"level {level.shape}, estimate {estimate.shape}, bound {bound.shape}: must be (N,) each"
+        )
+    if not (bound > 0.0).all():
+        raise ConfigurationError("ratio to the bound: every bound must be above 0")
+    half_of_normal = 0.6744897501960817  # median of |x| of a standard normal x
+    result = []
+    for value in np.unique(level):
+        here = (level == value) & np.isfinite(estimate)
+        if not here.any():
+            continue
+        error, least = np.abs(estimate[here] - value), bound[here]
+        whole, best = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(least**2))
+        median = np.median(error / least) / half_of_normal
+        result.append(
+            Ratio(float(value), int(here.sum()), float(whole), float(best), float(whole / best), float(median))
+        )
+    return result
+
+
+class UnknownSet(NamedTuple):
+    """Some unknowns, and factors on the standard deviations of their priors."""
+
+    unknowns: tuple[str, ...]
+    widths: Mapping[str, float]
+
+
+class UnknownSets(NamedTuple):
+    """Sets of unknowns by name, and the priors of all their unknowns."""
+
+    sets: Mapping[str, UnknownSet]
+    priors: Mapping[str, Prior]
+
+
+def unknown_sets(config: TaskConfig, more: Sequence[str] = ()) -> UnknownSets:
+    """The sets for a task; ``more`` adds a set with these unknowns in addition to the task's.
+
+    Raises:
+        ConfigurationError: an unknown of ``more`` does not exist, occurs twice, or is already an unknown of the task.
+    """
+    task = default_unknowns(config)
+    for name in more:
+        prior_of(config, name)
+        if name in task or list(more).count(name) > 1:
+            what = "is among the unknowns of the task" if name in task else "is given twice"
+            raise ConfigurationError(f"unknown '{name}': {what}")
+    own = {name: prior_of(config, name) for name in _WEAR}
+    worn = {name: _widened(prior, *_WEAR[name]) for name, prior in own.items()}
+    names = tuple(dict.fromkeys((*task, *worn, *_FURTHER, *more)))
+    priors = priors_of(config, names, worn)
+    as_drawn = {name: _linear(own[name], worn[name]) / worn[name].deviation for name in worn}
+    start = tuple(name for name in task if name in (*BIASES, *STARTS))
+    sets = {
+        LEAK_ALONE: UnknownSet((LEAKAGE,), {}),
+        PLANT_KNOWN: UnknownSet((LEAKAGE, *start), {}),
+        TASK: UnknownSet(task, as_drawn),
+        WORN_VALVE: UnknownSet(tuple(dict.fromkeys((*task, *worn))), {}),
+        EVERYTHING: UnknownSet(tuple(dict.fromkeys((*task, *worn, *_FURTHER))), {}),
+    }
+    if more:
+        sets[f"the plant and {', '.join(more)} too"] = UnknownSet((*task, *more), as_drawn)
+    return UnknownSets(sets, priors)
+
+
+def _widened(prior: Prior, deviation: float, logarithmic: bool) -> Prior:
+    """The prior of a worn valve; a wider range of the task is kept."""
+    wide = Prior(prior.mean, deviation, logarithmic and prior.mean > 0.0)
+    return Prior(wide.mean, max(deviation, _linear(prior, wide)), wide.logarithmic)
+
+
+def _linear(prior: Prior, like: Prior) -> float:
+    """Standard deviation of a prior in the scale of another prior of the same unknown, to first order."""
+    if prior.logarithmic == like.logarithmic:
+        return prior.deviation
+    return prior.deviation * prior.mean if prior.logarithmic else prior.deviation / prior.mean

@@ -1,0 +1,191 @@
+"""Windows of simulated axes: the signals that a rig measures, the hidden true values, and motions to compare."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.operations import at_rest
+from hydro_agents.running.cases import Cases, TrueStateController, run_cases
+from hydro_agents.running.tasks import steady
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.axes import Axes
+from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
+from hydro_env.plant.parts.leakage import ROD_SEAL
+from hydro_env.task.configuration import task_config
+from hydro_env.task.faults import FAULTS
+from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
+from hydro_rig.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    GAINS,
+    LATENCY,
+    LEAKAGE,
+    STARTS,
+)
+
+Array = NDArray[np.float64]
+
+SLOWER = 16.0  # factor of the slow motion
+
+
+@dataclass(frozen=True)
+class KnownWindows:
+    """B windows of T samples."""
+
+    signals: Array  # (B, 5, T), SI: the measured signals (NaN without sensor) and the command that acts at each sample
+    leakage_flow_lpm: Array  # (B,), l/min at 100 bar
+    physical: Array  # (B, parameters), the true plants with their faults, in the order of PARAMETER_PATHS
+    start: Array  # (B, N_STATES), true state at the first sample
+    latency: Array  # (B,), s
+    gain: Array  # (B, channels), reading over true value; 1 for a sound sensor
+    bias: Array  # (B, channels), SI; a fault's offset included
+    case: NDArray[np.int64]  # (B,), index of the case; failed cases are left out
+
+    @property
+    def count(self) -> int:
+        """Number of windows."""
+        return len(self.signals)
+
+    def part(self, first: int, last: int) -> KnownWindows:
+        """The windows from ``first`` to before ``last``."""
+        return KnownWindows(**{name: values[first:last] for name, values in vars(self).items()})
+
+    def value(self, name: str) -> Array:
+        """True values (B,) of an unknown of :mod:`hydro_rig.estimation.unknowns`, in its unit."""
+        if name == LEAKAGE:
+            return self.leakage_flow_lpm
+        if name == EXTERNAL_LEAKAGE:
+            flow: Array = ROD_SEAL.flow(self.physical[:, PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)])
+            return flow
+        if name == LATENCY:
+            return self.latency
+        if name in BIASES:
+            return self.bias[:, BIASES.index(name)]
+        if name in GAINS:
+            return self.gain[:, GAINS.index(name)]
+        if name in STARTS:
+            return self.start[:, STARTS.index(name)]
+        return self.physical[:, PARAMETER_PATHS.index(name)]
+
+
+def known_windows(
+    config: TaskConfig, controller: Controller, cases: Cases, begin: float, length: float
+) -> KnownWindows:
+    """Run every case and extract one window.
+
+    Leak, faults and external force stay constant during an episode, as the model assumes.
+
+    Args:
+        config: the task; its episodes get the length that the windows need.
+        controller: moves the axes.
+        cases: the episodes.
+        begin: start of the window, s after the start of the episode.
+        length: of the window, s.
+
+    Raises:
+        ConfigurationError: the window is shorter than two control periods, or no case reaches its end.
+    """
+    first, periods = round(begin / config.control_period), round(length / config.control_period)
+    if periods < 2 or first < 0:
+        raise ConfigurationError(
+            f"window = {length:g} s from {begin:g} s: must last two control periods or more, from 0 s or later"
+        )
+    task = task_config(steady(config), episode_duration=(first + periods + 1) * config.control_period)
+    watcher = _Watcher(controller, first, periods + 1)
+    run = run_cases(task, watcher, cases, states=False, chunk=max(len(cases), 1))
+    kept = np.flatnonzero((run.failed_at < 0) | (run.failed_at >= first + periods))
+    if not len(kept):
+        raise ConfigurationError(f"windows: all {len(cases)} axes failed before the end of their window")
+    signals = np.stack(watcher.columns, axis=2)[kept]
+    signals[:, [place for place, name in enumerate(SENSORS) if not getattr(config.sensors, name).fitted]] = np.nan
+    return KnownWindows(
+        signals=signals,
+        leakage_flow_lpm=run.leakage_flow_lpm[kept],
+        case=kept,
+        **{name: values[kept] for name, values in watcher.truth.items()},
+    )
+
+
+class _Watcher:
+    """Passes on the commands of a controller, and records the state of the axes."""
+
+    def __init__(self, controller: Controller, first: int, samples: int) -> None:
+        self.controller, self.first, self.last = controller, first, first + samples
+        self.columns: list[Array] = []
+        self.truth: dict[str, Array] = {}
+        self._step = 0
+
+    def begin(self, axes: Axes) -> None:
+        self._axes = axes
+        if isinstance(self.controller, TrueStateController):
+            self.controller.begin(axes)
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], Any]:
+        axes = self._axes
+        if self._step == self.first:
+            self.truth = {
+                "physical": np.array([_physical(axes, axis) for axis in range(axes.count)]),
+                "start": axes.state.copy(),
+                "latency": axes.column("latency").copy(),
+                **_sensors(axes),
+            }
+        if self.first <= self._step < self.last:
+            self.columns.append(np.column_stack([axes.column("measured")[:, SENSOR_COLUMNS], axes.column("command")]))
+        self._step += 1
+        return self.controller.predict(observation, state, episode_start, deterministic)
+
+
+def _physical(axes: Axes, axis: int) -> Array:
+    """Present parameters of an axis; its external force includes the constant part that the task adds."""
+    vector = to_vector(axes.parameters(axis))
+    vector[PARAMETER_PATHS.index("load.external_force")] = axes.external_force(axis)
+    return vector
+
+
+def _sensors(axes: Axes) -> dict[str, Array]:
+    """Gain and bias of the sensors of all axes now, (N, sensors) each, faults included."""
+    faults = axes.column("fault")
+    gain, offset = (faults[:, [FAULTS.index(f"{name}_{what}") for name in SENSORS]] for what in ("gain", "offset"))
+    sensors = [getattr(axes.config.sensors, name) for name in SENSORS]
+    spans = np.array([sensor.high - sensor.low for sensor in sensors])
+    return {"gain": 1.0 + gain, "bias": axes.column("bias")[:, SENSOR_COLUMNS] + offset * spans}
+
+
+def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mapping[str, float] | None = None) -> Cases:
+    """The first seeds of a range as cases, all with the same leak (l/min at 100 bar) and the same faults."""
+    levels = np.full(count, leakage_flow_lpm)
+    every = {name: np.full(count, size) for name, size in (faults or {}).items()}
+    return Cases(np.array(seeds[:count], dtype=np.int64), levels, faults=every or None)
+
+
+def slow(config: TaskConfig) -> TaskConfig:
+    """The task with smooth references that are 16 times slower."""
+    references = config.references
+    weights = {name: weight for name, weight in references.weights.items() if name not in ("step", "user")}
+    if not sum(weights.values()) > 0.0:
+        weights = {"point_to_point": 1.0}
+    return task_config(
+        config,
+        references={
+            "weights": weights,
+            "speed_share": references.speed_share / SLOWER,
+            "acceleration_limit": max(references.acceleration_limit / SLOWER**2, 0.01),
+            "frequency_range": tuple(one / SLOWER for one in references.frequency_range),
+        },
+    )
+
+
+MOTIONS: dict[str, Callable[[TaskConfig], TaskConfig]] = {
+    "ordinary motion": lambda config: config,
+    "slow motion": slow,
+    "at rest": at_rest,
+}

@@ -1,0 +1,289 @@
+"""The simulator as a model of recorded windows: from unknowns to sensor readings and their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
+from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
+from hydro_env.plant.states import N_STATES, State
+from hydro_env.task.sensors import SENSORS
+from hydro_rig.estimation.replay import RISE, Commands, replay, time_constant
+from hydro_rig.estimation.unknowns import (
+    BIASES,
+    COURSE,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    GAINS,
+    KNOTS,
+    LATENCY,
+    LEAKAGE,
+    RISE_TIME,
+    STARTS,
+    Prior,
+)
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+LONG_STEP, SHORT_STEP = 2.0, 0.05
+"""Steps of the finite differences, in standard deviations along each axis of the uncertainty.
+
+Long steps work where sticking friction makes the readings rough. Short steps follow a narrow, curved valley to its
+lowest point, for example at rest; long ones would reach across it.
+"""
+
+FIRST_STEP, FIRST_START_STEP = 3e-3, 3e-4
+"""Steps of the first finite differences, in standard deviations of the prior, for parameters and for start states."""
+
+MOST_LATE = 3.0  # largest latency, and largest lead, of an unknown latency, control periods
+LARGEST_CHANGE = 1e6
+"""Largest change of a reading by a step, over its noise; beyond it the integration of the moved plant has diverged."""
+
+LONGEST_INTERVAL = 10.0  # s; a longer gap between two samples must be a mistake
+
+_UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
+_SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
+_EXTERNAL = PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)
+
+
+class Linearised(NamedTuple):
+    """Readings of B windows and their derivatives, both over the noise of each channel."""
+
+    readings: Array  # (B, channels, T)
+    jacobian: Array  # (B, P, channels, T), per standard deviation of each unknown's prior
+    last_state: Array  # (B, N_STATES), at the last sample
+    last_jacobian: Array  # (B, P, N_STATES), per standard deviation of each unknown's prior
+
+
+def noise_of(config: TaskConfig) -> Array:
+    """Standard deviation of each channel's white noise, (channels,): noise and steps of the acquisition.
+
+    For exact sensors it is a millionth of their range, about the integrator's error.
+    """
+    sensors = [getattr(config.sensors, channel) for channel in SENSORS]
+    on = float(config.sensors.enabled)
+    return np.array([max(on * np.hypot(s.noise, s.resolution / 12**0.5), 1e-6 * (s.high - s.low)) for s in sensors])
+
+
+class Model:
+    """The simulator as a model of B windows with P unknowns.
+
+    The methods take the unknowns in two scales: *values* in their units, and *scaled* values, standard deviations from
+    the mean of the prior (of the logarithm, for a logarithmic prior).
+
+    Args:
+        config: the task; its plant gives the known parameters, its sensors give noise and lag.
+        priors: the unknowns and their priors, by name.
+        commands: recorded commands (B, T); column k acts until one latency after sample k.
+        durations: from each sample to the next, (T − 1,) or (B, T − 1), s; ``None``: the control period.
+        physical: known parameters, (B, parameters) in the order of ``PARAMETER_PATHS``; ``None``: those of the task's
+            plant.
+        start: known start states, (B, N_STATES). NaN as coil current means the current of the first command, NaN as gas
+            volume the volume at the supply pressure. ``None``: supply pressure at its setting, NaN for these two, and 0
+            for all others.
+        threads: worker threads; ``None`` takes one per core.
+        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
+
+    Raises:
+        ConfigurationError: the shapes of the arrays contradict each other.
+    """
+
+    def __init__(
+        self,
+        config: TaskConfig,
+        priors: Mapping[str, Prior],
+        commands: Array,
+        durations: Array | None = None,
+        physical: Array | None = None,
+        start: Array | None = None,
+        threads: int | None = None,
+        boundary: Array | None = None,
+    ) -> None:
+        self.config, self.names, self.threads = config, tuple(priors), threads
+        self.noise = noise_of(config)
+        command = np.array(commands, dtype=np.float64)
+        if command.ndim != 2 or command.shape[1] < 2:
+            raise ConfigurationError(f"commands: shape {command.shape}: must be (windows, samples), at least 2 samples")
+        self.count, self.samples = command.shape
+        if not (np.abs(command) <= 1.0).all():
+            window, sample = np.argwhere(~(np.abs(command) <= 1.0))[0]
+            raise ConfigurationError(
+                f"commands: window {window}, sample {sample} = {command[window, sample]:g}: must be within -1 to 1"
+            )
+        steps = np.full(self.samples - 1, config.control_period) if durations is None else np.asarray(durations, float)
+        if steps.shape not in ((self.samples - 1,), (self.count, self.samples - 1)):
+            raise ConfigurationError(
+                f"durations: shape {steps.shape}: must be ({self.samples - 1},) or ({self.count}, {self.samples - 1})"
+            )
+        if not ((steps > 0.0) & (steps <= LONGEST_INTERVAL)).all():
+            wrong = steps[~((steps > 0.0) & (steps <= LONGEST_INTERVAL))][0]
+            raise ConfigurationError(f"durations: {wrong:g} s: must be above 0 and at most {LONGEST_INTERVAL:g} s")
+        if boundary is not None and np.shape(boundary) != (self.count, 2, self.samples):
+            raise ConfigurationError(
+                f"boundary: shape {np.shape(boundary)}: must be ({self.count}, 2, {self.samples}), supply and tank"
+            )
+        self.commands = Commands(command, np.array(np.broadcast_to(steps, (self.count, self.samples - 1))), boundary)
+
+        own = to_vector(config.plant) if physical is None else np.asarray(physical, dtype=np.float64)
+        self._physical = np.array(np.broadcast_to(own, (self.count, len(PARAMETER_PATHS))))
+        resting = np.zeros(N_STATES)
+        resting[State._fields.index("supply_pressure")] = config.plant.supply.pressure
+        resting[_UNFOLLOWED] = np.nan
+        self._start = np.array(np.broadcast_to(resting if start is None else start, (self.count, N_STATES)))
+
+        self.priors = dict(priors)
+        self._mean = np.array([prior.mean for prior in priors.values()])
+        self._deviation = np.array([prior.deviation for prior in priors.values()])
+        self._logarithmic = np.array([prior.logarithmic for prior in priors.values()], dtype=np.bool_)
+        # A bias adds to the readings: its derivative needs no simulation.
+        self._added = {place: BIASES.index(name) for place, name in enumerate(self.names) if name in BIASES}
+        self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
+        self._first_steps = np.array(
+            [FIRST_START_STEP if self.names[place] in STARTS else FIRST_STEP for place in self.simulated]
+        )
+
+    def with_more(self, priors: Mapping[str, Prior], window: Indices) -> Model:
+        """The same model of some of the windows, with more unknowns behind its own."""
+        return Model(
+            self.config,
+            self.priors | dict(priors),
+            self.commands.command[window],
+            self.commands.durations[window],
+            self._physical[window],
+            self._start[window],
+            self.threads,
+            None if self.commands.boundary is None else self.commands.boundary[window],
+        )
+
+    def values(self, scaled: Array) -> Array:
+        """Scaled values to values in their units, both (…, P)."""
+        with np.errstate(over="ignore"):
+            logarithmic = self._mean * np.exp(np.where(self._logarithmic, self._deviation * scaled, 0.0))
+        values: Array = np.where(self._logarithmic, logarithmic, self._mean + self._deviation * scaled)
+        return values
+
+    def scaled(self, values: Array) -> Array:
+        """The inverse of :meth:`values`."""
+        ratio = np.where(self._logarithmic, values / np.where(self._logarithmic, self._mean, 1.0), 1.0)
+        linear = (values - self._mean) / self._deviation
+        scaled: Array = np.where(self._logarithmic, np.log(ratio) / self._deviation, linear)
+        return scaled
+
+    def derivative(self, scaled: Array) -> Array:
+        """Change of each value per change of its scaled value, (…, P)."""
+        slope: Array = np.where(self._logarithmic, self.values(scaled), 1.0) * self._deviation
+        return slope
+
+    def readings(self, scaled: Array, window: Indices, samples: int | None = None) -> tuple[Array, Array]:
+        """Readings over their noise (R, channels, T) and last states (R, N_STATES) of R rows.
+
+        Args:
+            scaled: the unknowns of each row, (R, P).
+            window: index of the window that each row replays, (R,).
+            samples: number of first samples to replay; ``None``: all.
+        """
+        physical, start = self._physical[window], self._start[window]
+        latency = np.full(len(window), self.config.command_latency)
+        lag = np.full(len(window), time_constant(self.config))
+        bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
+        commands = self.commands.beginning(samples or self.samples)
+        course: Array | None = None
+        for name, value in zip(self.names, self.values(scaled).T, strict=True):
+            if name.startswith(COURSE):
+                time = np.pad(np.cumsum(commands.durations[window], axis=1), ((0, 0), (1, 0)))
+                rise = value[:, None] * np.clip(time / KNOTS - int(name.removeprefix(COURSE)) + 1, 0.0, 1.0)
+                course = rise if course is None else course + rise
+            elif name == LEAKAGE:
+                for field, size in leak_past_piston(value, self.config.leakage.law).items():
+                    physical[:, PARAMETER_PATHS.index(f"leakage.{field}")] = size
+            elif name == EXTERNAL_LEAKAGE:
+                physical[:, _EXTERNAL] = ROD_SEAL.value(value)
+            elif name == LATENCY:
+                reach = MOST_LATE * self.config.control_period
+                latency = np.clip(value, -reach, reach)
+            elif name == RISE_TIME:
+                lag = np.maximum(value, 0.0) / RISE
+            elif name in BIASES:
+                bias[:, BIASES.index(name)] = value
+            elif name in GAINS:
+                gain[:, GAINS.index(name)] = value
+            elif name in STARTS:
+                start[:, STARTS.index(name)] = value
+            else:
+                physical[:, PARAMETER_PATHS.index(name)] = value
+        if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
+            start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
+        read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course)
+        read *= (gain / self.noise)[:, :, None]
+        read += (bias / self.noise)[:, :, None]
+        return read, last
+
+    def linearise(
+        self,
+        scaled: Array,
+        window: Indices | None = None,
+        directions: Array | None = None,
+        samples: int | None = None,
+        central: bool = False,
+    ) -> Linearised:
+        """Readings and their derivatives by finite differences, all plants in one batch.
+
+        Args:
+            scaled: the unknowns of each window, (B, P).
+            window: index of each window, (B,); ``None``: all in order.
+            directions: steps of the differences (:meth:`directions`); ``None``: a small step for each unknown.
+            samples: number of first samples to replay; ``None``: all.
+            central: steps to both sides instead of forward steps. A long forward step measures the slope beside the
+                point, so that a search with it ends beside the minimum of a curved valley.
+        """
+        if window is None:
+            window = np.arange(self.count)
+        if directions is None:
+            directions = np.tile(np.diag(self._first_steps), (len(scaled), 1, 1))
+        count, unknowns = scaled.shape
+        moved = len(self.simulated)
+        steps = directions.transpose(0, 2, 1)
+        if central:
+            steps = np.concatenate([steps, -steps], axis=1)
+        rows = np.repeat(scaled[:, None], steps.shape[1] + 1, axis=1)
+        rows[:, 1:, self.simulated] += steps
+        read, last = self.readings(rows.reshape(-1, unknowns), np.repeat(window, rows.shape[1]), samples)
+        read, last = read.reshape(count, rows.shape[1], len(SENSORS), -1), last.reshape(count, -1, N_STATES)
+
+        def change(values: Array) -> Array:
+            """Change by each step, (B, S, …); 0 without a derivative: one of the plants of the difference failed."""
+            with np.errstate(invalid="ignore", over="ignore"):
+                if central:
+                    difference = 0.5 * (values[:, 1 : moved + 1] - values[:, moved + 1 :])
+                else:
+                    difference = values[:, 1:] - values[:, :1]
+            return np.nan_to_num(difference, posinf=0.0, neginf=0.0)
+
+        moves, last_moves = change(read), change(last)
+        moves[np.abs(moves).max(axis=(2, 3)) > LARGEST_CHANGE] = 0.0
+        back = np.linalg.inv(directions).transpose(0, 2, 1)
+        jacobian = np.zeros((count, unknowns, len(SENSORS), read.shape[-1]))
+        jacobian[:, self.simulated] = (back @ moves.reshape(count, moved, -1)).reshape(moves.shape)
+        last_jacobian = np.zeros((count, unknowns, N_STATES))
+        last_jacobian[:, self.simulated] = back @ last_moves
+        for place, channel in self._added.items():
+            jacobian[:, place, channel] = self._deviation[place] / self.noise[channel]
+        return Linearised(read[:, 0], jacobian, last[:, 0], last_jacobian)
+
+    def directions(self, precision: Array, length: float) -> Array:
+        """Steps (B, S, S), one per column, along the axes of the uncertainty with this precision (B, P, P).
+
+        Each step is ``length`` standard deviations long. It changes the readings by about their noise: far more than
+        the integrator's error, but within the region of probable values. Steps along single unknowns would leave that
+        region, because some unknowns compensate each other.
+        """
+        own = precision[:, self.simulated[:, None], self.simulated]
+        values, vectors = np.linalg.eigh(own)
+        steps: Array = vectors * (length / np.sqrt(np.clip(values, 1e-12, 1e12)))[:, None]  # beyond: rounding alone
+        return steps

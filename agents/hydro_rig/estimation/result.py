@@ -1,0 +1,133 @@
+"""The result of an estimate: values of the unknowns, their uncertainty, and the errors of the readings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env import ConfigurationError
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+UNLIKELY = 4.0  # standard deviations of the prior beyond which a value contradicts it
+UNDETERMINED = 0.7  # an unknown is undetermined if its standard deviation remains above this share of the prior's
+UNEVEN = 2.0  # largest white noise of a channel, over the median of all, that raises no doubt
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimates of B windows with P unknowns; values in the units of :mod:`hydro_rig.estimation.unknowns`.
+
+    ``deviations`` and ``covariance`` are valid where ``holds`` is true. Elsewhere the model does not explain the
+    readings, or the search ended in a local minimum; the values are then unreliable.
+
+    ``white``, ``slow``, ``spikes``, ``latency`` and ``rise_time`` are those of the data sheet, unless the readings
+    contradict it.
+    """
+
+    names: tuple[str, ...]
+    values: Array  # (B, P), most probable values
+    deviations: Array  # (B, P), standard deviations
+    covariance: Array  # (B, P, P)
+    remaining: Array  # (B, P), standard deviation over the prior's, both of the scaled unknown
+    chi2_per_sample: Array  # (B,), about 1 if readings and model differ only by noise
+    misfit: Array  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
+    holds: NDArray[np.bool_]  # (B,), whether the model explains the readings
+    iterations: Indices  # (B,), of the last fit
+    searches: Indices  # (B,), 1 if the first search gave the result
+    scaled: Array  # (B, P), the values in standard deviations of the prior from its mean
+    precision: Array  # (B, P, P), inverse covariance of the scaled unknowns
+    white: Array  # (B, channels), standard deviation of the white noise, over that of the data sheet
+    slow: Array  # (B, channels), the same of the slow error of the model and the sensors
+    memory: Array  # (B, channels), correlation time of the slow error, samples
+    spikes: Array  # (B, channels), share of the readings that are spikes, and were left out
+    latency: Array  # (B,), of the command, s
+    rise_time: Array  # (B,), of the pressure transducers, s
+    unlikelihood: Array  # (B,), twice the negative log-likelihood of the readings with their errors; chi2 without
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def value(self, name: str) -> Array:
+        """Values of one unknown, (B,)."""
+        return self.values[:, self._place(name)]
+
+    def deviation(self, name: str) -> Array:
+        """Standard deviations of one unknown, (B,)."""
+        return self.deviations[:, self._place(name)]
+
+    def interval(self, name: str, coverage: float = 0.9) -> tuple[Array, Array]:
+        """Lower and upper end, (B,) each, of the interval that covers the true value with probability ``coverage``."""
+        reach = NormalDist().inv_cdf(0.5 + 0.5 * coverage) * self.deviation(name)
+        return self.value(name) - reach, self.value(name) + reach
+
+    def probability_above(self, name: str, limit: float) -> Array:
+        """Probability, (B,), that an unknown is above a limit."""
+        normal = NormalDist()
+        return np.array([normal.cdf(x) for x in (self.value(name) - limit) / self.deviation(name)])
+
+    def undetermined(self, window: int) -> tuple[str, ...]:
+        """Unknowns that a window hardly determines: their standard deviation stays above 0.7 of the prior's."""
+        return tuple(n for n, left in zip(self.names, self.remaining[window], strict=True) if left > UNDETERMINED)
+
+    def unlikely(self, window: int) -> tuple[str, ...]:
+        """Unknowns whose value lies more than 4 standard deviations from the prior's mean."""
+        far = np.abs(self.scaled[window]) > UNLIKELY
+        return tuple(name for name, is_far in zip(self.names, far, strict=True) if is_far)
+
+    @property
+    def uneven(self) -> NDArray[np.bool_]:
+        """Windows (B,) where one channel scatters far more than the others: perhaps the search ended too early."""
+        return np.asarray(self.white.max(axis=1) > UNEVEN * np.median(self.white, axis=1))
+
+    def widen(self, scaled: Array, scale: Array) -> None:
+        """Add a difference of scaled values, (B, P), to the uncertainty; ``scale``: value per scaled value, (B, P)."""
+        square = scaled[:, :, None] * scaled[:, None]
+        self.precision[:] = np.linalg.inv(np.linalg.inv(self.precision) + square)
+        self.covariance[:] += square * scale[:, :, None] * scale[:, None]
+        self.deviations[:] = np.hypot(self.deviations, scaled * scale)
+        self.remaining[:] = np.hypot(self.remaining, scaled)
+
+    def part(self, windows: Indices) -> Estimate:
+        """Some of the windows."""
+        return Estimate(names=self.names, **{name: getattr(self, name)[windows] for name in _PER_WINDOW})
+
+    def among(self, names: tuple[str, ...]) -> Estimate:
+        """The same estimate of some of the unknowns, the first ones; the others are left unknown."""
+        count = len(names)
+        own = {name: getattr(self, name)[:, :count] for name in ("values", "deviations", "remaining", "scaled")}
+        precision = np.linalg.inv(np.linalg.inv(self.precision)[:, :count, :count])
+        return replace(self, names=names, **own, covariance=self.covariance[:, :count, :count], precision=precision)
+
+    def take(self, windows: Indices, by: Estimate, better: NDArray[np.bool_] | None = None) -> Indices:
+        """Replace windows by those of another estimate; returns the replaced ones.
+
+        Args:
+            windows: of this estimate, (C,).
+            by: the C windows of the other estimate; further unknowns behind those of this one are left unknown.
+            better: which of them to take, (C,); ``None``: all.
+        """
+        chosen = np.arange(len(windows)) if better is None else np.flatnonzero(better)
+        by = by if by.names == self.names else by.among(self.names)
+        for name in _PER_WINDOW:
+            getattr(self, name)[windows[chosen]] = getattr(by, name)[chosen]
+        return windows[chosen]
+
+    def _place(self, name: str) -> int:
+        if name not in self.names:
+            raise ConfigurationError(f"estimate: '{name}' was not among the unknowns: {', '.join(self.names)}")
+        return self.names.index(name)
+
+
+_PER_WINDOW = tuple(field.name for field in fields(Estimate) if field.name != "names")
+
+
+def join(parts: Sequence[Estimate]) -> Estimate:
+    """The windows of several estimates with the same unknowns, one after another."""
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _PER_WINDOW}
+    return Estimate(names=parts[0].names, **joined)

@@ -1,0 +1,257 @@
+"""A controller from measured signals in SI units to volts: the computation of an exported controller, in NumPy.
+
+Around ``predict`` it adds the work of the environment in training (velocity estimate, tracking error and its integral,
+scaling, limits) and the treatment of lost samples, which only a machine needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.axes import Axes
+from hydro_env.task.sensors import CHANNEL_UNITS, CHANNELS
+from hydro_env.task.settings import settings_of
+from hydro_env.task.signals import observation_layout
+from hydro_env.units import FULL_VOLTAGE
+from hydro_rig.export.origin import SCALED
+from hydro_rig.export.tracing import named
+
+Array = NDArray[np.float64]
+COMPUTED = ("velocity_estimate", "tracking_error", "error_integral")
+"""Entries of the observation that follow from measured signals."""
+
+_PREVIEW = "reference_preview_"
+SENSOR_MEANINGS = {
+    "position": "measured, from the middle of the stroke; positive: extended",
+    "pressure_a": "gauge pressure of the chamber on the bore side",
+    "pressure_b": "gauge pressure of the chamber on the rod side",
+    "spool_position": "of full stroke; positive: extends",
+}
+
+
+class Signal(NamedTuple):
+    """A measured signal."""
+
+    name: str
+    unit: str
+    low: float  # ends of the range in training
+    high: float
+    limit: float  # the controller clips values to ± this; of a future reference: its distance from the present one
+    meaning: str
+
+
+class MeasuredSignals:
+    """The signals that a controller needs, in SI units, and their relation to the observation.
+
+    Args:
+        config: the task: sensors, sampling, limits.
+        used: names of the entries of the observation that the controller reads; default: all.
+
+    Raises:
+        ConfigurationError: an entry of the task's observation is not a measured signal.
+    """
+
+    def __init__(self, config: TaskConfig, used: Collection[str] | None = None) -> None:
+        self.config = config
+        self.layout = ObservationLayout.of(config)
+        self.limits = observation_layout(config)[3]
+        self.scale = np.array(self.layout.scale)
+        self.used = [name for name in self.layout.names if used is None or name in used]
+        self.previews = [name for name in self.used if name.startswith(_PREVIEW)]
+        needed = {*self.used, "previous_command"}
+        if needed & set(COMPUTED):
+            needed |= {"position"}
+        if needed & {"tracking_error", "error_integral", *self.previews}:
+            needed |= {"reference"}
+        self.signals = tuple(self._signal(name) for name in self.layout.names if name in needed - set(COMPUTED))
+        self.places = {signal.name: place for place, signal in enumerate(self.signals)}
+
+    def _signal(self, name: str) -> Signal:
+        place = self.layout.index(name)
+        limit = float(self.limits[place] * self.scale[place])
+        reach = self.config.plant.cylinder.stroke / 2.0
+        if name.startswith(_PREVIEW):
+            shown = [one for one in self.layout.names if one.startswith(_PREVIEW)]
+            ahead = dict(zip(shown, self.config.preview_samples, strict=True))[name]
+            return Signal(ahead_name(name), "m", -reach, reach, limit, f"reference {ahead} control periods ahead")
+        if name == "reference":
+            return Signal(name, "m", -reach, reach, limit, "desired position now, from the middle of the stroke")
+        if name == "previous_command":
+            text = "voltage that the valve received in the last control period"
+            return Signal("previous_voltage", "V", -FULL_VOLTAGE, FULL_VOLTAGE, FULL_VOLTAGE, text)
+        if name not in CHANNELS:
+            raise ConfigurationError(f"export: '{name}' of the observation is not a measured signal")
+        sensor = getattr(self.config.sensors, name)
+        return Signal(name, CHANNEL_UNITS[name], sensor.low, sensor.high, limit, SENSOR_MEANINGS.get(name, "measured"))
+
+    def of_observation(self, observation: NDArray[Any]) -> Array:
+        """Signals (N, signals) for observations (N, n), with the readings as rounded by the environment.
+
+        Readings of the position are whole steps of the sensor. The tracking error gives the reference with a finer
+        resolution than the observed reference.
+        """
+        si = {name: self.layout.si(observation, name) for name in self.layout.names}
+        sensor = self.config.sensors.position
+        if self.config.sensors.enabled and sensor.resolution > 0.0:
+            steps = np.round((si["position"] - sensor.low) / sensor.resolution)
+            si["position"] = np.clip(sensor.low + steps * sensor.resolution, sensor.low, sensor.high)
+        observed = observation[:, self.layout.index("reference")].astype(np.float32)
+        exact = observed.astype(np.float64)
+        low, high = (exact + 0.499 * (np.nextafter(observed, np.float32(end)) - exact) for end in (-np.inf, np.inf))
+        scale = self.scale[self.layout.index("reference")]
+        si["reference"] = np.clip(si["position"] + si["tracking_error"], low * scale, high * scale)
+        return self._stacked(si, {name: si["reference"] + si[name] for name in self.previews})
+
+    def of_axes(self, axes: Axes) -> Array:
+        """Signals (N, signals) of simulated axes, exactly as their sensors read."""
+        now = np.asarray(axes.column("step"), dtype=np.int64)
+        row = np.arange(axes.count)
+        si = {name: axes.column("measured")[:, place] for place, name in enumerate(CHANNELS)}
+        si |= {"reference": axes.reference[row, now], "previous_command": axes.column("command")}
+        shown = [name for name in self.layout.names if name.startswith(_PREVIEW)]
+        counts = dict(zip(shown, self.config.preview_samples, strict=True))
+        return self._stacked(si, {name: axes.reference[row, now + counts[name]] for name in self.previews})
+
+    def _stacked(self, si: dict[str, Array], ahead: dict[str, Array]) -> Array:
+        values = si | {ahead_name(name): reference for name, reference in ahead.items()}
+        values["previous_voltage"] = FULL_VOLTAGE * si["previous_command"]
+        return np.stack([values[signal.name] for signal in self.signals], axis=1)
+
+
+def ahead_name(name: str) -> str:
+    """Name of the reference ahead that a preview of the observation shows."""
+    return f"reference_in_{name.removeprefix(_PREVIEW).replace('.', '_')}"
+
+
+class MeasuredMemory(NamedTuple):
+    """Memory of a controller from one sample to the next."""
+
+    last: Array  # (signals,), the last valid samples
+    waiting: NDArray[np.bool_]  # (), it starts at the next sample: none was complete, or the command was not a number
+    computed: dict[str, Array]
+    """If the controller reads them: velocity_estimate (), m/s, and error_integral (), m s. With them standby (),
+    whether the last call was a start with a complete sample."""
+    controller: Any
+
+
+class Step(NamedTuple):
+    """Both continuations of a sample, a start and a continuation, and which of them is valid."""
+
+    begins: Any  # (), whether the controller starts here
+    lost: Array  # (), number of lost signals
+    common: dict[str, Any]  # memory that is the same in both cases, by name
+    started: dict[str, Any]  # voltage, and the other parts of the memory
+    continued: dict[str, Any]
+
+
+class MeasuredController:
+    """A controller with measured signals in SI units as input and the voltage of the valve as output."""
+
+    def __init__(self, controller: Controller, signals: MeasuredSignals) -> None:
+        self.controller = controller
+        self.signals = signals
+        settings = settings_of(signals.config)[0]
+        self._period, self._blend = signals.config.control_period, float(settings["velocity_blend"])
+        self._integral_time = float(settings["integral_time"])
+        self._integral_limit = float(settings["integral_limit"])
+
+    # One sample ---------------------------------------------------------------------------------------------------
+
+    def step(self, signals: Array, start: Any, memory: MeasuredMemory) -> Step:
+        """Both continuations of one sample.
+
+        Args:
+            signals: (signals,), SI units; a lost signal is NaN or infinite.
+            start: (), whether the controller begins here. In consecutive starts it stands by while another controller
+                drives the axis: it measures the speed with which it takes over.
+            memory: of the last call; at the first start its values are ignored.
+        """
+        s = self.signals
+        present = np.less(np.absolute(signals), np.inf)
+        lost = np.where(present, 0.0, 1.0).sum(axis=0)
+        begins = np.logical_or(start, memory.waiting)
+        value: dict[str, Any] = {}
+        for name, place in s.places.items():
+            sample = np.where(present[place], signals[place], memory.last[place])
+            value[name] = named(f"{name}_sample", sample)
+        held = np.stack(list(value.values()))
+
+        computed: dict[str, Any] = {}
+        if memory.computed:
+            goes_on = np.logical_or(np.logical_not(begins), np.logical_and(start, memory.computed["standby"]))
+            computed["standby"] = np.logical_and(start, lost < 0.5)
+        if "velocity_estimate" in s.used:
+            rate = (value["position"] - memory.last[s.places["position"]]) / self._period
+            speed = memory.computed["velocity_estimate"]
+            smoothed = np.where(goes_on, speed + self._blend * (rate - speed), 0.0)
+            computed["velocity_estimate"] = named("velocity_estimate_sample", smoothed)
+        if "tracking_error" in s.used or "error_integral" in s.used:
+            error = value["reference"] - value["position"]
+            value["tracking_error"] = named("tracking_error_sample", error)
+        if "error_integral" in s.used:
+            integral = memory.computed["error_integral"]
+            integral = integral + self._period * (error - integral / self._integral_time)
+            integral = np.clip(integral, -self._integral_limit, self._integral_limit)
+            computed["error_integral"] = named("error_integral_sample", np.where(goes_on, integral, 0.0))
+        value["previous_command"] = named("previous_command_sample", value["previous_voltage"] / FULL_VOLTAGE)
+        for name in s.previews:
+            preview = value[ahead_name(name)] - value["reference"]
+            value[name] = named(f"{name}_sample", preview)
+        value |= computed
+
+        entries = [np.float32(0.0)] * len(s.layout.names)
+        for place, name in enumerate(s.layout.names):
+            if name in s.used:
+                scaled = np.clip(value[name] / s.scale[place], -s.limits[place], s.limits[place]).astype(np.float32)
+                entries[place] = named(name + SCALED, scaled)
+        observation = np.stack(entries)[None]
+        kept = np.clip(value["previous_voltage"], -FULL_VOLTAGE, FULL_VOLTAGE)
+
+        def way(memory: Any, incomplete: Any) -> dict[str, Any]:
+            command, new = aligned(self.controller.predict(observation, memory))
+            voltage = FULL_VOLTAGE * np.clip(command.astype(np.float64), -1.0, 1.0)[0, 0]
+            # The valve keeps its voltage before the first complete sample, and if the command is not a number.
+            waiting = np.logical_or(incomplete, np.logical_not(np.absolute(voltage) < np.inf))
+            voltage = np.where(waiting, kept, voltage)
+            return {"voltage": voltage, "waiting": waiting, "controller": new}
+
+        common = {"last": held, "computed": computed}
+        incomplete = lost > 0.5
+        return Step(begins, lost, common, way(None, incomplete), way(memory.controller, np.array(False)))
+
+    def empty(self) -> MeasuredMemory:
+        """Memory before the first call: the right shapes, no content."""
+        s = self.signals
+        rest = np.array([0.5 * (one.low + one.high) for one in s.signals])
+        computed: dict[str, Array] = {
+            name: np.zeros(()) for name in ("velocity_estimate", "error_integral") if name in s.used
+        }
+        if computed:
+            computed["standby"] = np.array(False)
+        plain = MeasuredMemory(rest, np.array(False), computed, None)
+        observation = np.zeros((1, len(s.layout.names)), dtype=np.float32)
+        observation[0] = [0.25 if "pressure" in name else 0.0 for name in s.layout.names]
+        _, memory = self.controller.predict(observation, None)
+        return plain._replace(controller=aligned((None, memory))[1])
+
+    def __call__(
+        self, signals: Array, memory: MeasuredMemory | None, start: bool = False
+    ) -> tuple[float, MeasuredMemory]:
+        """Voltage, V, for a sample, and the memory for the next one; ``None`` starts."""
+        start = start or memory is None
+        with np.errstate(all="ignore"):
+            step = self.step(signals, np.array(start), memory if memory is not None else self.empty())
+        way = dict(step.started if bool(step.begins) else step.continued)
+        return float(way.pop("voltage")), MeasuredMemory(**step.common, **way)
+
+
+def aligned(way: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Command and memory; the memory in a form that a trace can record."""
+    command, memory = way
+    return command, memory.aligned() if hasattr(memory, "aligned") else memory

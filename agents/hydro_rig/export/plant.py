@@ -1,0 +1,237 @@
+"""The plant and its integrator as C99, without any library but ``math.h``, and as an FMU: FMI 2.0 co-simulation.
+
+Inputs of the FMU: voltage of the valve, external force, leakage past the piston, faults. Outputs: states, flows and
+    forces, and the readings of ideal sensors. Standard: *Functional Mock-up Interface for Model Exchange and
+    Co-Simulation*, version 2.0.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import platform
+import sys
+import uuid
+import zipfile
+from dataclasses import dataclass
+from typing import Annotated, get_args, get_type_hints
+
+from hydro_env import HydroError, TaskConfig, __version__, equilibrium
+from hydro_env.plant import kernel
+from hydro_env.plant.analysis import leak_at_test_pressure
+from hydro_env.plant.equations import (
+    Coefficients,
+    Derived,
+    coefficients,
+    command_changed,
+    derivatives,
+    derived_quantities,
+    hold_limits,
+    time_to_kink,
+)
+from hydro_env.plant.equilibrium import equilibrium_state
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, Physical, PlantParameters, to_vector
+from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, leak_past_piston
+from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, State
+from hydro_env.task.settings import settings_of
+from hydro_env.units import LITRE_PER_MINUTE
+from hydro_rig.export.c_files import CCode, c_code, compiled, cross_compiler, render
+from hydro_rig.export.expressions import DOUBLE
+from hydro_rig.export.translator import Translator
+
+MODEL = "hydro_axis"
+SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
+SUFFIXES = {"linux": ".so", "win32": ".dll", "darwin": ".dylib"}
+TARGETS = {"linux": "x86_64-linux-gnu.2.28", "win32": "x86_64-windows-gnu", "darwin": "x86_64-macos"}
+"""Of the compiler for other systems; the second version of FMI knows 64-bit x86 alone."""
+ALL_SYSTEMS = "the binaries of all systems are"
+SHARED = ("-shared", "-fvisibility=hidden")
+_ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
+
+
+def plant_code(parameters: PlantParameters | None = None) -> CCode:
+    """Generate the plant with the parameters of a rig as its defaults; ``None`` is the paper's.
+
+    Raises:
+        TranslationError: the plant uses a construct without translation.
+    """
+    translator = Translator()
+    state, constants, physical = (translator.struct(kind) for kind in (State, Coefficients, Physical))
+    translator.function(coefficients, [physical], "coefficients_of")
+    translator.function(derivatives, [state, constants, DOUBLE])
+    translator.function(command_changed, [state, constants, DOUBLE])
+    translator.function(hold_limits, [state, constants])
+    translator.function(time_to_kink, [state, state, constants])
+    translator.function(derived_quantities, [state, constants])
+    translator.function(equilibrium_state, [DOUBLE, physical, constants])
+    private = [text for text in translator.structs if not text.endswith((" State;\n", " Derived;\n"))]
+    values = {
+        "version": __version__,
+        "states": list(zip(State._fields, STATE_UNITS, strict=True)),
+        "parameters": list(zip(PARAMETER_PATHS, to_vector(parameters or PlantParameters()).tolist(), strict=True)),
+        "coefficients": len(Coefficients._fields),
+        "coefficient_names": Coefficients._fields,
+        "first_weight": Coefficients._fields.index("position_weight"),
+        "shared": [text for text in translator.structs if text not in private],
+        "structs": private,
+        "functions": translator.functions,
+        "stages": kernel.STAGES,
+        "error": kernel.ERROR,
+        "kernel": {
+            name: getattr(kernel, name) for name in ("FIRST_STEP", "MAXIMUM_STEP", "TOLERANCE", "SHORTEST_STEP")
+        },
+        "most_steps": kernel.MOST_STEPS_PER_PERIOD,
+    }
+    return c_code("plant", values)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the FMU; its value reference is its index in the list."""
+
+    name: str
+    description: str
+    unit: str
+    causality: str
+    start: float | None = None
+    parameter: str | None = None  # C name of the plant's parameter that it sets
+    index: int = 0  # from 1
+
+    @property
+    def symbol(self) -> str:
+        """Name in C."""
+        return self.name.replace(".", "_").upper()
+
+    @property
+    def variability(self) -> str:
+        """FMI's attribute ``variability``."""
+        return "fixed" if self.causality == "parameter" else "continuous"
+
+    @property
+    def initial(self) -> str:
+        """FMI's attribute ``initial``."""
+        return {"output": "calculated", "parameter": "exact"}.get(self.causality, "")
+
+
+def fmu_variables(config: TaskConfig) -> list[Variable]:
+    """Inputs, parameters and outputs, in the order of their value references."""
+    plant = config.plant
+    _, voltage = equilibrium(plant, 0.0)
+    inputs = [
+        ("voltage", "command to the valve's drive", "V", voltage),
+        ("external_force", "added to the plant's own; positive against extension", "N", 0.0),
+        ("leakage", "past the piston seal, at 100 bar", "l/min", leak_at_test_pressure(with_one_leak(config))),
+        ("fault.valve_null_shift", "spool position at which the edges are centred", "1", 0.0),
+        ("fault.valve_underlap", "added to the underlap, of full stroke", "1", 0.0),
+        ("fault.valve_flow", "relative change of the rated flow", "1", 0.0),
+        ("fault.tank_pressure", "added to the tank pressure", "Pa", 0.0),
+        ("fault.external_leak", "past the rod seal, at 100 bar", "l/min", 0.0),
+    ]
+    lag = float(settings_of(config)["pressure_lag"][0]) * config.control_period
+    parameters = [
+        Variable("initial_position", "position of the axis at rest at the start", "m", "parameter", 0.0),
+        Variable("pressure_lag", "time constant of the pressure transducers", "s", "parameter", lag),
+    ]
+    for path, value in zip(PARAMETER_PATHS, to_vector(plant).tolist(), strict=True):
+        if path == f"leakage.{LEAK_LAWS[config.leakage.law].parameter}":
+            continue  # an input replaces it
+        group, field = path.split(".")
+        info = type(getattr(plant, group)).model_fields[field]
+        extra = info.json_schema_extra
+        unit = str(extra["unit"]) if isinstance(extra, dict) else "1"
+        codes = MODEL_CODES.get(path)
+        what = ", ".join(f"{i} {name}" for i, name in enumerate(codes)) if codes else (info.description or "")
+        symbol = f"PLANT_{path.replace('.', '_').upper()}"
+        parameters.append(Variable(f"rig.{path}", what, unit, "parameter", value, symbol))
+    outputs = [
+        *((name, "state", unit) for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True)),
+        *((name, "follows from the state", unit) for name, unit in _units_of_derived().items()),
+        ("measured_position", "ideal sensor", "m"),
+        ("measured_pressure_a", "behind the transducer's lag", "Pa"),
+        ("measured_pressure_b", "behind the transducer's lag", "Pa"),
+        ("measured_spool_position", "ideal sensor", "1"),
+        ("holding_voltage", "holds the axis at its initial position", "V"),
+    ]
+    variables = [
+        *(Variable(name, what, unit, "input", start) for name, what, unit, start in inputs),
+        *parameters,
+        *(Variable(name, what, unit, "output") for name, what, unit in outputs),
+    ]
+    return [
+        Variable(v.name, _plain(v.description), _unit(v.unit), v.causality, v.start, v.parameter, index)
+        for index, v in enumerate(variables, 1)
+    ]
+
+
+def with_one_leak(config: TaskConfig) -> PlantParameters:
+    """The rig of a task whose piston leaks by the task's law alone."""
+    own = LEAK_LAWS[config.leakage.law].parameter
+    tight = {field: none for field, none in leak_past_piston(0.0, config.leakage.law).items() if field != own}
+    return config.plant.replace(leakage=tight)
+
+
+def _units_of_derived() -> dict[str, str]:
+    hints = get_type_hints(Derived, include_extras=True)
+    return {name: str(get_args(hint)[1]) for name, hint in hints.items() if hint is not Annotated}
+
+
+def _plain(text: str) -> str:
+    return text.replace("&", "and").replace("<", "below").replace('"', "'")
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit.translate(_ASCII)
+
+
+def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
+    """The FMU as the bytes of a zip file; the same task gives the same sources.
+
+    Args:
+        config: the task, with its rig.
+        all_systems: binaries for Linux, Windows and macOS instead of this system's alone.
+
+    Raises:
+        ConfigurationError: ``all_systems`` without the package ziglang.
+        HydroError: this machine has no C compiler, or the compiler failed.
+    """
+    if all_systems:
+        cross_compiler(TARGETS["linux"], ALL_SYSTEMS)  # report a missing package at the start
+    variables = fmu_variables(config)
+    code = plant_code(config.plant)
+    values = {
+        "version": __version__,
+        "model": MODEL,
+        "variables": variables,
+        "units": sorted({variable.unit for variable in variables} - {""}),
+        "states": STATE_NAMES,
+        "derived": list(_units_of_derived()),
+        "leak": LEAK_LAWS[config.leakage.law],
+        "flow_to_leak": LITRE_PER_MINUTE / LEAK_LAWS[config.leakage.law].at_test,
+        "flow_to_external_leak": LITRE_PER_MINUTE / ROD_SEAL.at_test,
+        "guid": "",
+    }
+    digest = hashlib.sha256((code.source + render("fmu.c.j2", values)).encode()).hexdigest()
+    values["guid"] = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, digest)) + "}"
+    sources = {"plant.h": code.header, "plant.c": code.source, "fmu.c": render("fmu.c.j2", values)}
+    files = {"modelDescription.xml": render("modelDescription.xml.j2", values).encode()}
+    files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
+    for system in SYSTEMS if all_systems else (sys.platform,):
+        files[_place_of_binary(system)] = _binary(sources, system, all_systems)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name, (2020, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
+    return packed.getvalue()
+
+
+def _place_of_binary(system: str) -> str:
+    return f"binaries/{SYSTEMS.get(system, system)}/{MODEL}{SUFFIXES.get(system, '')}"
+
+
+def _binary(sources: dict[str, str], system: str, cross: bool) -> bytes:
+    if cross:
+        options = [*SHARED, *([] if system == "win32" else ["-fPIC"]), "-s"]
+        return compiled(sources, options, cross_compiler(TARGETS[system], ALL_SYSTEMS))
+    if system not in SYSTEMS or platform.machine().lower() not in ("x86_64", "amd64"):
+        raise HydroError(f"FMI 2.0 has no binary for {system} on {platform.machine()}; it needs 64-bit x86")
+    return compiled(sources, [*SHARED, "-fPIC"])

@@ -1,0 +1,128 @@
+"""Motions that would determine what a recording does not determine.
+
+Each candidate is a voltage over some seconds from rest, in open loop, simulated on the identified rig. The derivatives
+of its readings give the information about every unknown, together with the recording.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env import HydroError, PlantParameters, TaskConfig
+from hydro_env.plant.analysis import reachable_range, speed_limits
+from hydro_env.plant.arrays import equilibrium
+from hydro_env.task.sensors import SENSORS
+from hydro_rig.estimation.estimate import usable_readings
+from hydro_rig.estimation.model import LONG_STEP, Model
+from hydro_rig.estimation.solver import equations_of, prior_belief, without
+from hydro_rig.estimation.unknowns import priors_of, starts_of
+from hydro_rig.identification.fit import DETERMINED, Fit
+
+Array = NDArray[np.float64]
+
+DURATION = 8.0  # s, of each candidate motion
+
+LEAST_GAIN = 0.8
+"""A motion is recommended if it lowers the standard deviation to less than this share of the present one."""
+
+
+class Advice(NamedTuple):
+    """The most informative motion for an unknown."""
+
+    motion: str
+    remaining: float  # standard deviation after it, as a share of the range's
+    enough: bool  # whether the unknown is then determined
+
+
+class _Travel(NamedTuple):
+    """Limits of the axis."""
+
+    reach: float  # m, from end to end
+    out: float  # m/s at full opening
+    back: float  # m/s
+    hold: float  # command that holds the middle position
+
+
+def _commands(time: Array, can: _Travel) -> dict[str, Array]:
+    """Commands (T,) of each candidate by name; each returns to its start."""
+
+    def moves(share: float, travel: float, rest: float) -> Array:
+        """Out and back at a share of the speed, with a rest at either end."""
+        slowest = min(can.out, can.back)
+        duration = travel * can.reach / (share * slowest)
+        phase = np.mod(time, 2.0 * (duration + rest))
+        out, back = phase < duration, (phase >= duration + rest) & (phase < 2.0 * duration + rest)
+        return np.asarray(can.hold + share * slowest * (out / can.out - back / can.back))
+
+    sweep = np.sin(2.0 * math.pi * (0.5 * time + 0.5 * (15.0 - 0.5) / time[-1] * time**2))
+    return {
+        "standing still": np.full_like(time, can.hold),
+        "slow moves with reversals (5 % of full speed)": moves(0.05, 0.02, 0.0),
+        "moves at half speed with rests of 0.5 s": moves(0.5, 0.2, 0.5),
+        "fast moves with reversals (80 % of full speed)": moves(0.8, 0.2, 0.0),
+        "full stroke out and back": moves(0.4, 0.7, 0.3),
+        "a sine from 0.5 to 15 Hz at 20 % of full command": can.hold + 0.2 * sweep,
+    }
+
+
+def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Advice | None]:
+    """For each undetermined unknown, the most informative motion of the identified plant; ``None`` if none helps."""
+    wanted = [name for name, known in zip(fit.names, fit.determined, strict=True) if not known]
+    if not wanted:
+        return {}
+    try:
+        low, high = reachable_range(plant)
+        middle = 0.5 * (low + high)
+        state, voltage = equilibrium(plant, middle)
+        speeds = speed_limits(plant, plant.load.external_force + plant.load.spring_stiffness * middle)
+    except HydroError:
+        return dict.fromkeys(wanted)
+    can = _Travel(high - low, speeds.extending, speeds.retracting, voltage / 10.0)
+    if not min(can.reach, can.out, can.back) > 0.0:
+        return dict.fromkeys(wanted)
+    time = config.control_period * np.arange(round(DURATION / config.control_period), dtype=np.float64)
+    commands = _commands(time, can)
+    information = _information(np.clip(list(commands.values()), -1.0, 1.0), fit, config, state)
+    # The recording is weighted by its widened intervals.
+    present = _widened(fit.information, fit) + np.eye(len(fit.names))
+    after = np.sqrt(np.einsum("mii->mi", np.linalg.inv(present + _widened(information, fit))))
+    advice: dict[str, Advice | None] = {}
+    for name in wanted:
+        place = fit.names.index(name)
+        best = int(after[:, place].argmin())
+        left = float(after[best, place])
+        helps = left < LEAST_GAIN * fit.remaining[place]
+        advice[name] = Advice(list(commands)[best], left, left <= DETERMINED) if helps else None
+    return advice
+
+
+def _widened(information: Array, fit: Fit) -> Array:
+    """Information, (…, p, p), less by the widening of the intervals."""
+    return np.asarray(information / (fit.widening[:, None] * fit.widening))
+
+
+def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str, float]) -> Array:
+    """Information of each candidate about the unknowns, (motions, p, p), with an unknown start."""
+    starts = starts_of(config)
+    priors = fit.priors | priors_of(config, starts)
+    model = Model(config, priors, commands)
+    values = [*fit.values, *(state[name.removeprefix("start.")] for name in starts)]
+    scaled = model.scaled(np.tile(values, (len(commands), 1)))
+    shared = np.arange(len(fit.names))
+    precision = np.tile(np.eye(len(priors)), (len(commands), 1, 1))
+    precision[:, shared[:, None], shared] += _widened(fit.information, fit)
+    linear = model.linearise(scaled, None, model.directions(precision, LONG_STEP))
+    measured = linear.readings * model.noise[:, None]
+    for row, channel in enumerate(SENSORS):  # absent sensors give no information
+        if f"{channel}_bias" not in fit.names and config.sensors.enabled:
+            measured[:, row] = np.nan
+    signals = np.concatenate([measured, commands[:, None]], axis=1)
+    known = np.isfinite(usable_readings(signals, config, model))
+    jacobian = np.where(known[:, None], linear.jacobian, 0.0).reshape(len(commands), len(priors), -1)
+    ones = np.ones((len(commands), jacobian.shape[2]))
+    prior = without(prior_belief(model, model.count).precision, shared)
+    return equations_of(0.0 * ones, jacobian, ones, scaled, prior, shared).information

@@ -1,0 +1,344 @@
+"""The common fit of the windows of a recording: shared parameters, leaks and biases, and a start state for each window.
+
+A cost with friction and edges has local minima. The search therefore begins at several values: those that the windows
+found by themselves, and, where no window is explained, random ones. Windows that the common values do not explain are
+fitted again from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.detection.detector import Windows
+from hydro_env import TaskConfig
+from hydro_rig.estimation.estimate import estimate, usable_readings
+from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
+from hydro_rig.estimation.result import Estimate
+from hydro_rig.estimation.search import UNKNOWN_COMMANDS, EstimationSettings, search, timing_priors
+from hydro_rig.estimation.solver import (
+    Belief,
+    channel_weights,
+    equations_of,
+    fit,
+    masked,
+    misfit_of,
+    prior_belief,
+    without,
+)
+from hydro_rig.estimation.unknowns import LATENCY, STARTS, Prior
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Report = Callable[[str, int, int], None]
+
+WELL_FITTED = EstimationSettings().largest_misfit  # of an explained window
+OUTLIER = 3.0
+"""Unexplained windows whose misfit is larger than this factor times the median are left out: the search ended in a
+local minimum, or there was a disturbance."""
+
+ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2, errors=False)
+"""Search settings of the single windows; the common fit continues from their results."""
+
+RANDOMLY, FEW = ROUGHLY.model_copy(update={"restarts": 3}), 2
+"""The same for the few best windows, where no common values explain most of all."""
+
+LOOSENED = 4.0  # factor on the variance of the common values, as the prior of a window that they do not explain
+
+ITERATIONS, LAST_ITERATIONS = 40, 25  # at the most, of the two searches below
+ROUGH_TOLERANCE, TOLERANCE = 1.0, 0.02
+"""A common fit ends when a step with little damping lowers its cost by less: first with long differences, which bridge
+the roughness of friction, then with short ones, which alone follow a curved valley to its lowest point."""
+
+LINEARISATIONS = 3
+"""Of the result, each with differences as long as the uncertainty that the one before has shown. Short ones are rough,
+and roughness looks like information: an unknown without influence would seem to be known."""
+
+MOST_DAMPING = 5e5
+"""A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
+
+STARTING_VALUES = 2  # common fits from different values; the best is taken
+AS_GOOD = 6.0  # rise of the cost up to which another minimum explains the readings as well (5 % of two dimensions)
+APART = 4.0  # standard deviations between two minima
+PROMISING = (
+    50.0  # rise of the cost up to which the end of a rough search is searched further, if it is far from the best
+)
+
+
+class Joint(NamedTuple):
+    """A common fit of B windows with P unknowns, of which p are shared; all unknowns are scaled by their priors."""
+
+    scaled: Array  # (B, P), most probable values; the shared ones are the same in each row
+    shared: Indices  # (p,), indices of the shared unknowns
+    information: Array  # (B, p, p), of each window about the shared unknowns, with an unknown start
+    score: Array  # (B, p), derivative of each window's log-likelihood to the shared unknowns
+    misfit: Array  # (B,), as in hydro_rig.estimation.result.Estimate
+    own: Indices  # (P − p,), indices of the start states
+    response: Array  # (B, P − p, p), change of the most probable start states per change of the shared unknowns
+    cost: float  # weighted squares of the residuals, and of the scaled unknowns
+
+    @property
+    def precision(self) -> Array:
+        """Inverse covariance of the shared unknowns, (p, p), including the priors."""
+        total: Array = self.information.sum(axis=0) + np.eye(len(self.shared))
+        return total
+
+    @property
+    def common(self) -> Array:
+        """The shared values, (p,), scaled."""
+        values: Array = self.scaled[0, self.shared]
+        return values
+
+
+class Common(NamedTuple):
+    """The best common fit of the windows of a recording."""
+
+    model: Model  # of the windows that were used
+    readings: Array  # of these, over their noise
+    joint: Joint
+    misfit: Array  # (B,), of all windows; infinite for one that was left out
+    second: Joint | None  # another minimum that explains the readings as well
+
+    @property
+    def explained(self) -> int:
+        """Number of explained windows."""
+        return int((self.misfit < WELL_FITTED).sum())
+
+
+def fit_together(
+    model: Model,
+    measured: Array,
+    first: Array,
+    progress: Callable[[int, int], None] | None = None,
+    iterations: int = LAST_ITERATIONS,
+) -> Joint:
+    """The most probable shared parameters and start states of several windows.
+
+    Args:
+        model: of the B windows.
+        measured: readings over their noise, (B, channels, T); NaN is left out.
+        first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
+        progress: called with the number of iterations and its limit.
+        iterations: largest number.
+    """
+    shared, own = shared_and_own(model)
+    scaled, directions = descend(model, measured, first, shared, progress, TOLERANCE, SHORT_STEP, iterations)
+    known = np.isfinite(measured)
+    prior = without(prior_belief(model, model.count).precision, shared)
+    for _ in range(LINEARISATIONS):
+        linear = model.linearise(scaled, None, directions, central=True)
+        residual, jacobian = masked(linear, np.where(known, measured, 0.0), known)
+        equations = equations_of(residual, jacobian, channel_weights(residual, known), scaled, prior, shared)
+        directions = model.directions(equations.precision, LONG_STEP)
+    misfit = misfit_of(residual, jacobian, np.linalg.inv(equations.precision), known)
+    curvature = equations.curvature[:, own]
+    response = np.asarray(-np.linalg.solve(curvature[:, :, own], curvature[:, :, shared]), np.float64)
+    cost = _cost(residual.reshape(known.shape), known, scaled, shared, own)
+    return Joint(scaled, shared, equations.information, equations.score, misfit, own, response, cost)
+
+
+def shared_and_own(model: Model) -> tuple[Indices, Indices]:
+    """Indices of the unknowns that all windows share, and of their start states."""
+    start = np.array([name in STARTS for name in model.names])
+    return np.flatnonzero(~start), np.flatnonzero(start)
+
+
+def descend(
+    model: Model,
+    measured: Array,
+    first: Array,
+    shared: Indices,
+    progress: Callable[[int, int], None] | None,
+    tolerance: float,
+    step: float,
+    iterations: int = ITERATIONS,
+) -> tuple[Array, Array]:
+    """Unknowns at the end of a search, (B, P) scaled, and the directions of its differences."""
+    belief = prior_belief(model, model.count)
+    found = fit(
+        model,
+        measured,
+        np.arange(model.count),
+        first,
+        belief,
+        model.samples,
+        iterations,
+        tolerance,
+        step=step,
+        give_up=MOST_DAMPING,
+        shared=shared,
+        progress=progress,
+    )
+    return found.scaled, found.directions
+
+
+def _cost(residual: Array, known: NDArray[np.bool_], scaled: Array, shared: Indices, own: Indices) -> float:
+    """Twice the negative logarithm of the posterior: of residuals (B, channels, T) over their noise, and the priors.
+
+    A channel of a window that scatters more than its noise counts as if it had that noise, as in the search.
+    """
+    number = known.sum(axis=2)
+    square = np.nan_to_num((residual**2).sum(axis=2) / np.maximum(number, 1), nan=1e12, posinf=1e12)
+    likelihood = number * np.where(square > 1.0, 1.0 + np.log(np.maximum(square, 1.0)), square)
+    return float(likelihood.sum() + (scaled[:, own] ** 2).sum() + (scaled[0, shared] ** 2).sum())
+
+
+def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], report: Report) -> Common:
+    """Fit windows of one recording together.
+
+    Args:
+        windows: of one recording, or of several of one axis.
+        config: the task, on the rig.
+        priors: of the unknowns.
+        report: called with phase, done, total.
+    """
+    report("windows", 0, len(windows))
+    alone = _alone(windows, config, priors, ROUGHLY)
+    report("windows", len(windows), len(windows))
+    best = _common_fit(windows, config, priors, alone, report)
+    if best.explained < len(windows):
+        if 2 * best.explained >= len(windows):
+            again = np.flatnonzero(~(best.misfit < WELL_FITTED))
+            other = _nearby(windows.part(again), config, best, alone.scaled[again])
+        else:
+            again = np.sort(np.argsort(alone.misfit)[:FEW])
+            other = _alone(windows.part(again), config, priors, RANDOMLY)
+        if len(alone.take(again, other, other.misfit < alone.misfit[again])):
+            second = _common_fit(windows, config, priors, alone, report)
+            best = max(best, second, key=_quality)
+    if 2 * best.explained < len(windows) and config.sensors.enabled:
+        timed = _with_timing(windows, config, best, report)
+        if timed.explained > best.explained:  # otherwise it would only take up another error of the model
+            best = timed
+    report("common fit", 1, 1)
+    return best
+
+
+def _quality(found: Common) -> tuple[int, float]:
+    return found.explained, -float(np.median(found.misfit))
+
+
+def _with_timing(windows: Windows, config: TaskConfig, found: Common, report: Report) -> Common:
+    """The fit continued with latency of the command and rise time of the transducers as further common unknowns.
+
+    The command may stand a row early or late: the row at which the readings differ least begins.
+    """
+    kept = np.flatnonzero(np.isfinite(found.misfit))
+    more = {name: prior for name, prior in timing_priors(config).items() if name not in found.model.names}
+    if not more:
+        return found
+    model, readings = replayed(windows.part(kept), config, found.model.priors | more)
+    readings[:, :, :UNKNOWN_COMMANDS] = readings[:, :, -UNKNOWN_COMMANDS:] = np.nan  # of commands beyond the windows
+    first = np.concatenate([found.joint.scaled, np.zeros((len(kept), len(more)))], axis=1)
+    trials = [first]
+    if LATENCY in more:
+        for rows in (-1.0, 1.0):
+            moved = first.copy()
+            moved[:, model.names.index(LATENCY)] = rows * config.control_period / more[LATENCY].deviation
+            trials.append(moved)
+
+    def progress(done: int, total: int) -> None:
+        report("timing", done, total)
+
+    rough = [descend(model, readings, trial, shared_and_own(model)[0], progress, ROUGH_TOLERANCE, LONG_STEP)[0]
+             for trial in trials]  # fmt: skip
+    joint = fit_together(model, readings, rough[int(np.argmin(costs_of(model, readings, rough)))], progress)
+    misfit = np.full(len(windows), np.inf)
+    misfit[kept] = joint.misfit
+    return Common(model, readings, joint, misfit, None)
+
+
+def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], settings: EstimationSettings) -> Estimate:
+    """Each window by itself."""
+    return estimate(windows.signals, config, list(priors), settings=settings, boundary=windows.boundary)
+
+
+def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> tuple[Model, Array]:
+    """The model of some windows, and their readings over their noise."""
+    model = Model(config, priors, windows.signals[:, -1], boundary=windows.boundary)
+    return model, usable_readings(windows.signals, config, model)
+
+
+def _nearby(windows: Windows, config: TaskConfig, found: Common, first: Array) -> Estimate:
+    """Windows that common values do not explain, fitted near these values; ``first``: where they ended, scaled."""
+    joint, (model, measured) = found.joint, replayed(windows, config, found.model.priors)
+    unknowns = len(model.names)
+    mean, precision = np.zeros((len(windows), unknowns)), np.tile(np.eye(unknowns), (len(windows), 1, 1))
+    mean[:, joint.shared] = joint.common
+    precision[:, joint.shared[:, None], joint.shared] = joint.precision / LOOSENED
+    first = first.copy()
+    first[:, joint.shared] = joint.common
+    return search(model, measured, first, Belief(mean, precision), ROUGHLY)
+
+
+def _common_fit(
+    windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], alone: Estimate, report: Report
+) -> Common:
+    """The best common fit of the consistent windows from several starting values."""
+
+    def progress(done: int, total: int) -> None:
+        report("common fit", done, total)
+
+    kept = without_outliers(alone.misfit)
+    for again in (False, True):  # the second time without the outliers of the first
+        model, readings = replayed(windows.part(kept), config, priors)
+        shared = shared_and_own(model)[0]
+        rough = [
+            descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)[0]
+            for first in _first_values(model, readings, alone, kept)
+        ]
+        costs = costs_of(model, readings, rough)
+        order = np.argsort(costs)
+        joint = fit_together(model, readings, rough[order[0]], progress)
+        still = without_outliers(joint.misfit)
+        if again or len(still) == len(kept):
+            break
+        kept = kept[still]
+    second = None
+    for place in order[1:]:
+        if costs[place] < costs[order[0]] + PROMISING and _far(rough[place][0, shared], joint):
+            other = fit_together(model, readings, rough[place], progress)
+            joint, other = (joint, other) if joint.cost <= other.cost else (other, joint)
+            if other.cost < joint.cost + AS_GOOD and _far(other.common, joint):
+                second = other
+    misfit = np.full(len(windows), np.inf)
+    misfit[kept] = joint.misfit
+    return Common(model, readings, joint, misfit, second)
+
+
+def _far(common: Array, joint: Joint) -> bool:
+    """Whether shared values, (p,) scaled, lie outside the uncertainty of a fit."""
+    away = common - joint.common
+    return float(away @ joint.precision @ away) > APART**2 + len(away)
+
+
+def costs_of(model: Model, readings: Array, trials: list[Array]) -> list[float]:
+    """The cost of each trial, (B, P) scaled."""
+    known, window = np.isfinite(readings), np.arange(model.count)
+    return [
+        _cost(np.where(known, readings - model.readings(one, window)[0], 0.0), known, one, *shared_and_own(model))
+        for one in trials
+    ]
+
+
+def without_outliers(misfit: Array) -> Indices:
+    """Indices of the windows that are explained, or whose misfit is not much larger than that of most others."""
+    finite = np.where(np.isfinite(misfit), misfit, 1e9)
+    return np.flatnonzero(finite <= max(WELL_FITTED, OUTLIER * float(np.median(finite))))
+
+
+def _first_values(model: Model, readings: Array, alone: Estimate, kept: Indices) -> list[Array]:
+    """Starts of the common fit, each (B, P) scaled: shared values of one window, or their median; own start states."""
+    shared = shared_and_own(model)[0]
+    scaled = alone.scaled[kept]
+    candidates = np.concatenate([scaled[:, shared], np.median(scaled[:, shared], axis=0, keepdims=True)])
+    trials = []
+    for candidate in candidates:
+        tried = scaled.copy()
+        tried[:, shared] = candidate
+        trials.append(tried)
+    order = np.argsort(costs_of(model, readings, trials))
+    return [trials[place] for place in order[:STARTING_VALUES]]

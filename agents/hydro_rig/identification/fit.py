@@ -1,0 +1,213 @@
+"""Fits the unknowns of a rig file: most probable values, intervals, and whether the recording determines them.
+
+The windows of a recording share the parameters of the rig, and each has its own initial state. They are short: a small
+error of the model cannot grow, and gaps between windows do not matter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.detection.detector import Windows
+from hydro_env import TaskConfig
+from hydro_env.task.randomisation import Distribution
+from hydro_env.task.sensors import SENSORS
+from hydro_rig.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    LEAKAGE,
+    Prior,
+    priors_of,
+    starts_of,
+)
+from hydro_rig.identification.common_fit import WELL_FITTED, Common, Joint, common_fit, fit_together
+from hydro_rig.identification.intervals import (
+    Sides,
+    Spread,
+    beside_the_edge,
+    range_ends,
+    sides_of,
+    spread_of,
+    truncated_end,
+    within_bounds,
+)
+from hydro_rig.identification.profiles import pinned, ridge
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
+DETERMINED = 0.5
+"""A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
+
+
+class Fit(NamedTuple):
+    """Result for the windows of a recording. p unknowns: parameters, leaks and biases of sensors."""
+
+    names: tuple[str, ...]  # (p,)
+    priors: dict[str, Prior]  # of these
+    values: Array  # (p,), most probable
+    low: Array  # (p,), ends of the 95 % interval, in the unknown's unit
+    high: Array  # (p,)
+    remaining: Array  # (p,), standard deviation as a share of that of the range
+    widening: Array  # (p,), factor on the standard deviations of a fit to white noise
+    information: Array  # (p, p), of the readings, for unknowns scaled by their ranges
+    misfit: Array  # (B,), of each window; infinite for a window that was left out
+    joint: Joint | None = None  # the common fit of the other windows
+    open: NDArray[np.int64] | None = None  # (p,), 1: only the lower end is known, −1: only the upper one; None: both
+    second: Mapping[str, float] = MappingProxyType({})  # values of another minimum that explains the readings as well
+
+    @property
+    def determined(self) -> NDArray[np.bool_]:
+        """Whether the recording determines each unknown, (p,); an interval with one known end does not."""
+        return np.asarray((self.remaining <= DETERMINED) & (self.side == 0))
+
+    @property
+    def side(self) -> NDArray[np.int64]:
+        """1 where only the lower end of an interval is known, −1 where only the upper one, (p,)."""
+        return np.zeros(len(self.names), np.int64) if self.open is None else self.open
+
+    @property
+    def explained(self) -> NDArray[np.bool_]:
+        """Whether the model explains the readings of each window within the sensors' noise, (B,)."""
+        return np.asarray(self.misfit < WELL_FITTED)
+
+    def value(self, name: str) -> float:
+        """Most probable value of one unknown."""
+        return float(self.values[self.names.index(name)])
+
+    def own(self) -> dict[str, float]:
+        """All values by name."""
+        return dict(zip(self.names, self.values.tolist(), strict=True))
+
+
+def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured: NDArray[np.bool_]) -> list[str]:
+    """Names of the unknowns: parameters with a range, leak, biases of ``measured`` channels, (channels,), and start."""
+    plant = [EXTERNAL_LEAKAGE if path == EXTERNAL_RESISTANCE else path for path in ranges]
+    biases = [name for name, seen in zip(BIASES, measured, strict=True) if seen and config.sensors.enabled]
+    return [LEAKAGE, *plant, *biases, *starts_of(config)]
+
+
+def fit_windows(
+    windows: Windows,
+    config: TaskConfig,
+    ranges: Mapping[str, Distribution],
+    progress: Progress | None = None,
+) -> Fit:
+    """Fit the unknowns to windows of one recording.
+
+    Each window is fitted alone first. The common fit starts from the values of the window that fits all others best.
+
+    Args:
+        windows: of one recording, or of several of one axis.
+        config: the task, on the rig.
+        ranges: ranges that the rig file gives.
+        progress: called with phase, done, total.
+    """
+
+    def report(phase: str, done: int, total: int) -> None:
+        if progress is not None:
+            progress(phase, done, total)
+
+    measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
+    priors = priors_of(config, unknowns_of(config, ranges, measured))
+    return _summary(common_fit(windows, config, priors, report), config, ranges)
+
+
+def _beside_edges(common: Common, config: TaskConfig, ends: Array) -> tuple[Joint, Spread, Sides]:
+    """Interval ends on one side only: their unknowns move away from the found edge, and the others are fitted again."""
+    joint, model = common.joint, common.model
+    spread = spread_of(joint)
+    sides = sides_of(model, common.readings, joint, spread, ends, common.explained > 0)
+    edges = np.flatnonzero(sides.open)
+    if not len(edges):
+        return joint, spread, sides
+    scaled, places = joint.scaled.copy(), joint.shared[edges]
+    moved = {}
+    for edge, place in zip(edges.tolist(), places.tolist(), strict=True):
+        name, end = model.names[place], ends[edge, 1 if sides.open[edge] > 0 else 0]
+        limit = float(_known_end(joint.common, sides)[edge])
+        moved[place] = beside_the_edge(name, model.priors[name], config.plant, limit, float(end))
+        scaled += ridge(joint, edge) * (moved[place] - joint.scaled[0, place])
+    scaled[:, places] = 0.0
+    again = fit_together(pinned(model, moved), common.readings, scaled)
+    for place, value in moved.items():
+        again.scaled[:, place] = value
+    # The readings say nothing about them here.
+    again.information[:, edges] = again.information[:, :, edges] = 0.0
+    again.score[:, edges] = again.response[:, :, edges] = 0.0
+    return again, spread_of(again), sides
+
+
+def _known_end(values: Array, sides: Sides) -> Array:
+    """The known end of each interval with one open side, (p,) scaled."""
+    return np.where(sides.open > 0, values - sides.reach[:, 0], values + sides.reach[:, 1])
+
+
+def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distribution]) -> Fit:
+    """Values and intervals of the shared unknowns."""
+    shared = common.joint.shared
+    names = tuple(common.model.names[place] for place in shared)
+    priors = {name: common.model.priors[name] for name in names}
+    ends = range_ends(config, ranges, priors, names)
+    joint, spread, sides = _beside_edges(common, config, ends)
+    values = common.model.values(joint.scaled[0])[shared]
+    reach = np.minimum(np.maximum(sides.reach, spread.reach[:, None]), COVERAGE) * np.array([-1.0, 1.0])
+    scaled, known = joint.common[:, None] + reach, _known_end(common.joint.common, sides)
+    for row in np.flatnonzero(sides.open).tolist():
+        scaled[row] = (known[row], ends[row, 1]) if sides.open[row] > 0 else (ends[row, 0], known[row])
+    intervals = np.array([priors[name].value(row) for name, row in zip(names, scaled, strict=True)])
+    for row, name in enumerate(names):
+        low, high = intervals[row]
+        if name in (LEAKAGE, EXTERNAL_LEAKAGE):
+            high = truncated_end(float(values[row]), low, high)
+        intervals[row] = [within_bounds(config.plant, name, float(end)) for end in (low, high)]
+    misfit = common.misfit.copy()
+    misfit[np.isfinite(misfit)] = joint.misfit
+    second = {} if common.second is None else _apart(names, priors, common.second.common, scaled)
+    return Fit(
+        names=names,
+        priors=priors,
+        values=np.array([within_bounds(config.plant, *pair) for pair in zip(names, values.tolist(), strict=True)]),
+        low=intervals[:, 0],
+        high=intervals[:, 1],
+        remaining=np.minimum(np.diff(scaled, axis=1)[:, 0] / (2.0 * COVERAGE), 1.0),
+        widening=spread.widening,
+        information=joint.information.sum(axis=0),
+        misfit=misfit,
+        joint=joint,
+        open=sides.open,
+        second=second,
+    )
+
+
+def _apart(names: tuple[str, ...], priors: Mapping[str, Prior], other: Array, scaled: Array) -> dict[str, float]:
+    """Values of another minimum that lie outside the intervals, (p, 2) scaled."""
+    away = (other < scaled[:, 0]) | (other > scaled[:, 1])
+    return {names[row]: float(priors[names[row]].value(other[row])) for row in np.flatnonzero(away).tolist()}
+
+
+class Combination(NamedTuple):
+    """A combination of unknowns, and the information of the recording about it."""
+
+    singular_value: float  # of the readings' derivatives, scaled by ranges and noise; below 1 the range dominates
+    parts: tuple[tuple[str, float], ...]  # names and weights of the largest parts
+
+
+def combinations(fit: Fit) -> list[Combination]:
+    """The singular values of the scaled derivatives with their combinations, the least determined first."""
+    values, vectors = np.linalg.eigh(fit.information)
+    found = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        order = [place for place in np.argsort(-np.abs(vector)) if abs(vector[place]) > 0.3]
+        sign = math.copysign(1.0, vector[order[0]]) if order else 1.0
+        parts = tuple((fit.names[place], float(sign * vector[place])) for place in order)
+        found.append(Combination(math.sqrt(max(float(value), 0.0)), parts))
+    return found

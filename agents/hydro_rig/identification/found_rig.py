@@ -1,0 +1,298 @@
+"""The identified rig: its plant, its narrowed ranges, its YAML file, and how a person reads its numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+
+from hydro_agents.running.text import decimals_for, number
+from hydro_env import PlantParameters, TaskConfig
+from hydro_env.plant.parts.leakage import LEAK_LAWS, leak_past_piston
+from hydro_env.task.randomisation import Distribution, own_value
+from hydro_env.units import UNITS, flow_from_resistance, resistance_from_flow
+from hydro_rig.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    LATENCY,
+    LEAKAGE,
+    PATHS,
+    RISE_TIME,
+)
+from hydro_rig.identification.fit import Fit
+from hydro_rig.identification.intervals import within_bounds
+
+DIGITS = 6  # significant, of the numbers in the file
+
+READ_IN = {"Pa": "bar", "m³/s": "l/min", "m": "mm", "m³": "cm³", "rad/s": "Hz", "m/s": "mm/s"}
+"""Unit in which a person reads a quantity, by its SI unit."""
+
+SHARES = ("overlap", "underlap", "null_shift", "air_fraction")
+"""Fields without a unit that data sheets give in per cent."""
+
+TIMING = {LATENCY: "latency of the command", RISE_TIME: "rise time of the pressure transducers"}
+"""Unknowns of the recording, and not of the rig, by name."""
+
+_BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
+
+
+def path_of(name: str) -> str:
+    """Path of the rig's parameter for an unknown."""
+    return EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
+
+
+def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
+    """Values of the rig's parameters by path, within the bounds of each field; a negative leak becomes none."""
+    values: dict[str, float] = {}
+    for name, value in fit.own().items():
+        if name == LEAKAGE:
+            own = LEAK_LAWS[config.leakage.law].parameter
+            for field, size in leak_past_piston(max(value, 0.0), config.leakage.law).items():
+                if field == own or size != getattr(config.plant.leakage, field):
+                    values[f"leakage.{field}"] = size
+        elif name == EXTERNAL_LEAKAGE:
+            values[EXTERNAL_RESISTANCE] = resistance_from_flow(value)
+        elif name in PATHS:
+            values[name] = value
+    values = {path: within_bounds(config.plant, path, value) for path, value in values.items()}
+    breakaway, coulomb = "friction.breakaway_force", "friction.coulomb_force"
+    if breakaway in values:  # two separate estimates may contradict each other within their uncertainty
+        values[breakaway] = max(values[breakaway], values.get(coulomb, own_value(config.plant, coulomb)))
+    return values
+
+
+def found_plant(fit: Fit, config: TaskConfig) -> PlantParameters:
+    """The plant with the most probable values."""
+    groups: dict[str, dict[str, float]] = {}
+    for path, value in found_values(fit, config).items():
+        group, field = path.split(".")
+        groups.setdefault(group, {})[field] = value
+    return config.plant.replace(**groups)
+
+
+def found_biases(fit: Fit) -> list[float]:
+    """Bias of each channel, SI; 0 where it was not fitted."""
+    own = fit.own()
+    return [own.get(name, 0.0) for name in BIASES]
+
+
+def found_timing(fit: Fit) -> dict[str, float]:
+    """Latency of the command and rise time of the transducers, s, where the task's did not hold."""
+    own = fit.own()
+    return {name: own[name] for name in TIMING if name in own}
+
+
+def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
+    """Lowest and highest value that a range allows, SI, including the value without the range.
+
+    Args:
+        plant: the given rig; factors multiply its own value.
+        found: the identified rig; it gives the value of a parameter that multiplies the range (``times``).
+        path: of the parameter.
+        given: its range.
+    """
+    factor = 1.0 if given.times is None else own_value(found, given.times)
+    ends = [factor * end for end in given.bounds(own_value(plant, path))]
+    ends += [] if given.otherwise is None else [given.otherwise]
+    return min(ends), max(ends)
+
+
+def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> dict[str, dict[str, Any]]:
+    """The range of each parameter in the new rig file: its 95 % interval, within the given range.
+
+    An undetermined parameter keeps its range; if one end of its interval is known, the part beyond that end. The leak,
+    which a task draws, keeps its range too.
+    """
+    result: dict[str, dict[str, Any]] = {}
+    plant = found_plant(fit, config)
+    for name, low, high, determined, side in zip(fit.names, fit.low, fit.high, fit.determined, fit.side, strict=True):
+        path = path_of(name)
+        if path not in ranges:
+            continue
+        given = ranges[path]
+        if not (determined or side):
+            result[path] = _undetermined(config.plant, path, given)
+        elif name == EXTERNAL_LEAKAGE:
+            result[path] = _external(low, high, given)
+        else:
+            ends = _overlap((low, high), hull(config.plant, plant, path, given))
+            ends = (within_bounds(plant, path, ends[0]), within_bounds(plant, path, ends[1]))
+            if given.times is None:
+                form = "log_uniform" if side and given.logarithmic else "uniform"
+                result[path] = {form: _rounded(ends)}
+            else:  # a ratio is never below the old one: breakaway stays above Coulomb friction
+                factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
+                ratios = (max(ends[0] / factor, least), max(ends[1] / factor, least))
+                result[path] = {"uniform": _rounded(ratios), "times": given.times}
+    return result
+
+
+def _overlap(interval: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
+    """The part of an interval within the old range; the whole interval if it lies outside."""
+    low, high = max(interval[0], before[0]), min(interval[1], before[1])
+    return (low, high) if low <= high else interval
+
+
+def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> list[str]:
+    """Names of the determined parameters whose whole interval lies outside the range of the rig file."""
+    plant, names = found_plant(fit, config), []
+    for name, low, high, determined in zip(fit.names, fit.low, fit.high, fit.determined, strict=True):
+        if determined and name in ranges:
+            least, most = hull(config.plant, plant, name, ranges[name])
+            if high < least or low > most:
+                names.append(name)
+    return names
+
+
+def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dict[str, Any]:
+    """The old range; factors become values in SI, because the rig's own value changes."""
+    if not given.relative:
+        return given.model_dump(exclude_defaults=True)
+    form = "log_uniform" if given.logarithmic else "uniform"
+    rest = given.model_dump(exclude_defaults=True, exclude={"factor", "log_factor"})
+    return {form: _rounded(given.bounds(own_value(plant, path))), **rest}
+
+
+def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
+    """Range of the resistance of the leak past the rod seal; ``low``, ``high`` in l/min at 100 bar."""
+    least, most = sorted(given.bounds(1.0))
+    low, high = max(low, 0.0), max(high, 0.0)
+    resistances = (max(resistance_from_flow(high), least), min(resistance_from_flow(low), most))
+    if not resistances[0] <= resistances[1]:  # beyond the old range
+        resistances = (resistance_from_flow(high), resistance_from_flow(low))
+    if high <= 0.0 or not math.isfinite(resistances[1]) or resistances[0] > most:
+        return {"log_uniform": _rounded((least, most)), "otherwise": math.inf, "otherwise_probability": 1.0}
+    if low <= 0.0 and given.otherwise is not None:
+        return {
+            "log_uniform": _rounded(resistances),
+            "otherwise": given.otherwise,
+            "otherwise_probability": given.otherwise_probability,
+        }
+    return {"log_uniform": _rounded(resistances)}
+
+
+def _rounded(ends: tuple[float, float]) -> list[float]:
+    """Both ends with DIGITS significant digits, rounded outwards."""
+    nearly = 1e-6  # of a digit: a number without further digits stays unchanged
+    return [
+        _outwards(ends[0], lambda digits: math.floor(digits + nearly)),
+        _outwards(ends[1], lambda digits: math.ceil(digits - nearly)),
+    ]
+
+
+def _outwards(value: float, rounding: Callable[[float], int]) -> float:
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) - DIGITS + 1)
+    return float(f"{rounding(value / unit) * unit:.{DIGITS}g}")
+
+
+def rig_yaml(
+    rig: Mapping[str, Any], fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution], notes: list[str]
+) -> str:
+    """The given rig file with the identified values and the narrowed ranges; the notes stand at its top."""
+    values = {key: dict(group) if isinstance(group, Mapping) else group for key, group in rig.items()}
+    found = found_values(fit, config)
+    for path, value in found.items():
+        group, field = path.split(".")
+        values.setdefault(group, {})[field] = _with_unit(path, value, config.plant)
+    # The parameters stay in their groups; the narrowed ranges replace the old ones.
+    values["randomisation"] = {
+        path: {
+            key: value if "times" in entry or key.endswith("probability") else _with_unit(path, value, config.plant)
+            for key, value in entry.items()
+        }
+        for path, entry in narrowed(fit, config, ranges).items()
+    }
+    lines = [f"# {' '.join(note.split())}" for note in notes]
+    for key, content in values.items():
+        if not isinstance(content, Mapping):
+            lines.append(_line(key, content))
+            continue
+        lines.append(f"{key}:")
+        for field, value in content.items():
+            mark = "  # found" if f"{key}.{field}" in found else ""
+            if mark and field.endswith("_resistance"):
+                mark += f": {flow_from_resistance(found[f'{key}.{field}']):.3g} l/min at 100 bar"
+            lines.append(f"  {_line(field, value)}{mark}")
+    return "\n".join(lines) + "\n"
+
+
+def _with_unit(path: str, value: Any, plant: PlantParameters) -> Any:
+    """A number in SI, or a list of two, as text in the unit of data sheets; words and infinity as they are."""
+    if isinstance(value, list):
+        return [_with_unit(path, end, plant) for end in value]
+    if not isinstance(value, float) or math.isinf(value):
+        return value
+    size, unit = reading_unit(path, plant)
+    number = float(f"{value / size:.{DIGITS}g}")
+    return number if not unit or unit[0].isdigit() else f"{number:.{DIGITS}g} {unit}"
+
+
+def _line(key: str, value: Any) -> str:
+    """One entry of a YAML mapping in one line."""
+    text = yaml.safe_dump({key: value}, sort_keys=False, allow_unicode=True, default_flow_style=True, width=math.inf)
+    return str(text).strip()[1:-1]
+
+
+class Shown(NamedTuple):
+    """Display of an unknown: name, factor, unit."""
+
+    words: str
+    factor: float
+    unit: str
+
+    def span(self, low: float, high: float) -> str:
+        """Two values with enough digits to distinguish them."""
+        low, high = self.factor * low, self.factor * high
+        # Two digits of their difference; a range of zero width gets four digits of its value.
+        difference = abs(high - low)
+        decimals = decimals_for(difference, 2) if difference > 0.0 and np.isfinite(difference) else None
+        return f"{number(low, decimals, 4)} to {number(high, decimals, 4)}"
+
+    def interval(self, low: float, high: float, side: int) -> str:
+        """A 95 % interval; with ``side`` 1 or −1 only its lower or upper end is known."""
+        if not side:
+            return self.span(low, high)
+        return f"at least {self.value(low, 0.01 * low)}" if side > 0 else f"at most {self.value(high, 0.01 * high)}"
+
+    def value(self, value: float, uncertainty: float) -> str:
+        """A value with the digits that its uncertainty allows; both in the unknown's unit."""
+        size = self.factor * uncertainty
+        decimals = decimals_for(size, 2) if size > 0.0 and np.isfinite(size) else None
+        return number(self.factor * value, decimals, 4)
+
+
+def reading_unit(path: str, plant: PlantParameters) -> tuple[float, str]:
+    """SI per unit, and the unit, in which a person reads a number of the rig: that of data sheets."""
+    group, field = path.split(".")
+    schema = type(getattr(plant, group)).model_fields[field].json_schema_extra
+    si = str(schema.get("unit", "")) if isinstance(schema, dict) else ""
+    unit = "%" if field in SHARES else "GPa" if field.endswith("bulk_modulus") else READ_IN.get(si, si)
+    return UNITS.get(si, {}).get(unit, 1.0), unit
+
+
+def shown(name: str, plant: PlantParameters) -> Shown:
+    """Display of an unknown of :mod:`hydro_rig.estimation.unknowns`."""
+    if name == LEAKAGE:
+        return Shown("leak past the piston", 1.0, "l/min at 100 bar")
+    if name == EXTERNAL_LEAKAGE:
+        return Shown("leak past the rod seal", 1.0, "l/min at 100 bar")
+    if name in TIMING:
+        return Shown(TIMING[name], 1e3, "ms")
+    if name in BIASES:
+        channel = name.removesuffix("_bias")
+        factor, unit = _BIAS_UNITS.get(channel, (1e-5, "bar"))
+        return Shown(f"offset of the sensor: {channel.replace('_', ' ')}", factor, unit)
+    group, field = name.split(".")
+    size, unit = reading_unit(name, plant)
+    return Shown(f"{group}: {field.replace('_', ' ')}", 1.0 / size, unit)
+
+
+def share_in_words(share: float) -> str:
+    """A share of variance as text; a simulation with errors larger than the signal's variation explains nothing."""
+    return f"{100 * share:.2f} %" if share > 0.0 else "nothing"

@@ -1,0 +1,115 @@
+"""Profiles of a common fit along its curved valleys: how far its unknowns move while the readings allow it.
+
+Some unknowns compensate each other along a curve: the dead volume and the wall of a hose, or the parts of a friction.
+The inverse of the information matrix describes the tangent of such a valley, whose ends lie elsewhere. A profile moves
+one unknown step by step and fits all others again (Raue et al., *Bioinformatics* 25, 2009), until the cost has risen as
+far as at the end of an interval. What the others do along the way belongs to their intervals.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_rig.estimation.model import SHORT_STEP, Model
+from hydro_rig.estimation.solver import fit, prior_belief
+from hydro_rig.estimation.unknowns import Prior
+from hydro_rig.identification.common_fit import MOST_DAMPING, Joint, costs_of
+
+Array = NDArray[np.float64]
+
+PINNED = 1e-6  # standard deviation of an unknown that a fit keeps, in standard deviations of its range
+ALIKE = 0.8  # correlation with a profiled unknown from which an unknown needs no profile of its own
+MOST_PROFILES = 3
+MOST_PLACES, MOST_ITERATIONS = 8, 8  # of one side of a profile, and of the fit at each place
+SMALL_RISE = 0.25  # of the rest, by which the cost rises at least from place to place, unless the steps get longer
+FIRST, LONGEST, FARTHEST = 0.5, 2.5, 3.0
+"""First step, as a share of the interval; largest ratio of two steps; longest profile, in standard deviations of the
+range."""
+
+
+class Path(NamedTuple):
+    """One side of the profile of an unknown, K places from the fit on."""
+
+    scaled: Array  # (K, p), the common unknowns
+    rise: Array  # (K,), of the cost
+    endless: bool  # whether the cost had not risen enough where the range of the unknown ends
+
+
+def pinned(model: Model, values: dict[int, float]) -> Model:
+    """The model with some unknowns, by their places, kept at scaled values; their scaled values are 0 there."""
+    priors = dict(model.priors)
+    for place, value in values.items():
+        name, prior = model.names[place], model.priors[model.names[place]]
+        priors[name] = Prior(float(prior.value(np.array(value))), PINNED * prior.deviation, prior.logarithmic)
+    commands = model.commands
+    return Model(model.config, priors, commands.command, commands.durations, boundary=commands.boundary)
+
+
+def ridge(joint: Joint, unknown: int) -> Array:
+    """Change of all unknowns, (B, P) scaled, per change of one common unknown, by the linear model of a fit."""
+    covariance = np.linalg.inv(joint.precision)
+    tangent = covariance[unknown] / covariance[unknown, unknown]
+    slope = np.zeros_like(joint.scaled)
+    slope[:, joint.shared] = tangent
+    slope[:, joint.own] = joint.response @ tangent
+    return slope
+
+
+def follow(model: Model, readings: Array, joint: Joint, unknown: int, reach: float, target: float, end: float) -> Path:
+    """Move one common unknown from a fit, and fit the others again, until the cost has risen by ``target``.
+
+    Args:
+        model: of the windows of the fit.
+        readings: over their noise, (B, channels, T).
+        joint: the fit.
+        unknown: its number among the common ones.
+        reach: end of its interval by the linear model, scaled, from the fit; its sign gives the side.
+        target: rise of the cost at the end of an interval.
+        end: of the unknown's range on this side, scaled; infinite: none.
+    """
+    slope = ridge(joint, unknown)
+    place, window = int(joint.shared[unknown]), np.arange(model.count)
+    begin = costs_of(model, readings, [joint.scaled])[0]
+    path, rises, away, step = [joint.scaled], [0.0], [0.0], FIRST * reach
+    most = min(abs(end - joint.scaled[0, place]), FARTHEST) * float(np.sign(reach))
+    for _ in range(MOST_PLACES):
+        if abs(away[-1]) >= abs(most):
+            break
+        moved = away[-1] + step if abs(away[-1] + step) < abs(most) else most
+        step = moved - away[-1]
+        first = path[-1] + slope * step
+        here = pinned(model, {place: float(joint.scaled[0, place] + moved)})
+        first[:, place] = 0.0
+        found = fit(
+            here,
+            readings,
+            window,
+            first,
+            prior_belief(here, here.count),
+            here.samples,
+            MOST_ITERATIONS,
+            0.1 * target,
+            step=SHORT_STEP,
+            give_up=MOST_DAMPING,
+            shared=joint.shared,
+        ).scaled
+        found[:, place] = joint.scaled[0, place] + moved
+        rise = costs_of(model, readings, [found])[0] - begin
+        slope = (found - path[-1]) / step
+        path.append(found)
+        rises.append(max(rise, 0.0))
+        away.append(moved)
+        if not rise < target:
+            break
+        further = abs(1.1 * moved) * (np.sqrt(target / max(rise, 1e-9)) - 1.0)  # if the cost rises with the square
+        flat = rises[-1] - rises[-2] < SMALL_RISE * (target - rise)
+        step *= LONGEST if flat else float(np.clip(further / abs(step), 0.2, LONGEST))
+    places, rise_at = np.array(path)[:, 0, joint.shared], np.array(rises)
+    if rise_at[-1] > target:  # the end lies before the last place
+        share = (np.sqrt(target) - np.sqrt(rise_at[-2])) / (np.sqrt(rise_at[-1]) - np.sqrt(rise_at[-2]))
+        places[-1] = places[-2] + share * (places[-1] - places[-2])
+        rise_at[-1] = target
+    return Path(places, rise_at, bool(rise_at[-1] < target and abs(away[-1]) >= abs(most)))

@@ -1,0 +1,256 @@
+"""The whole job of ``hydro alarms``: measure looks, calibrate on validation seeds, test on test seeds, and report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm
+from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause
+from hydro_agents.detection.looks import Activity, Looks
+from hydro_agents.running.seeds import ALARM_CALIBRATION, ALARM_GROWTH, ALARMS, SeedRange
+from hydro_agents.running.statistics import Interval, mean_interval, share_interval
+from hydro_env.files import Group
+from hydro_rig.monitoring.alarm_calibration import (
+    COPIES,
+    SHIFT_HOURS,
+    Axes,
+    calibrate,
+    healthy_peaks,
+    rate_per_100_h,
+    totals,
+    z_table,
+)
+from hydro_rig.monitoring.alarm_simulation import Bench, Onset, OnsetLooks, Work
+from hydro_rig.monitoring.growth import growth
+
+LEVELS = (0.05, 0.1, 0.3)  # leaks, l/min at 100 bar
+
+DESIGN = {Activity.STANDING: 0.1, Activity.SLOW: 0.1, Activity.MOVING: 0.05}
+"""The leak that the alarm is designed for, in each activity: a look at rest says less."""
+
+AT_REST: dict[str, Onset] = {
+    "0.1 l/min": Onset(0.1, Activity.STANDING),
+    "0.3 l/min": Onset(0.3, Activity.STANDING),
+    "healthy": Onset(then=Activity.STANDING),
+    "null shift −1.5 %": Onset(then=Activity.STANDING, fault=("valve_null_shift", -0.015)),
+    "null shift +1.5 %": Onset(then=Activity.STANDING, fault=("valve_null_shift", 0.015)),
+    "underlap + 0.02": Onset(then=Activity.STANDING, fault=("valve_underlap", 0.02)),
+}
+"""What begins while the axis rests."""
+
+FAULTS = (
+    ("valve_null_shift", -0.01),
+    ("valve_null_shift", 0.01),
+    ("valve_underlap", 0.025),
+    ("valve_flow", -0.3),
+    ("valve_hysteresis", 0.03),
+    ("tank_pressure", 5e5),
+    ("external_leak", 0.6),
+    ("external_leak", 2.0),
+    ("spool_position_offset", -0.005),
+    ("pressure_a_offset", 0.02),
+    ("pressure_b_offset", 0.02),
+    ("spool_position_gain", 0.03),
+    ("pressure_a_freeze", 1.0),
+    ("pressure_b_dropout", 0.1),
+)
+"""Other faults that begin in motion, and their magnitudes."""
+
+LIMIT_LPM, GROWING = 1.0, 300.0  # the size to which growing leaks are extrapolated; s in which they grow
+
+REST_MINUTES, PAST, NAMING = 20.0, 30.0, 124.0
+"""Minutes at rest; s of work before such a rest or a fault; s in motion after which the alarm should name the fault."""
+
+
+class AlarmJob(Group):
+    """Sizes of the job."""
+
+    rate: float = Field(1.0, gt=0.0, le=1e4, description="wanted false alarms per 100 h")
+    axes: int = Field(40, ge=10, le=10_000, description="whose looks are measured, for calibration and test each")
+    fault_axes: int = Field(20, ge=2, le=10_000, description="of them, at rest and with other faults")
+    seconds: float = Field(600.0, ge=60.0, le=36_000.0, description="work of each healthy axis")
+    leaking: float = Field(240.0, ge=60.0, le=36_000.0, description="s; work of each axis with each leak")
+    interval: float = Field(4.0, gt=0.0, le=60.0, description="s; between looks")
+    learning: int = Field(60, ge=1, le=10_000, description="looks in motion until an axis's own baseline is known")
+
+
+class Result(NamedTuple):
+    """Settings, and the tables of the test by name."""
+
+    settings: AlarmSettings
+    tables: dict[str, pd.DataFrame]
+
+
+def run_job(bench: Bench, job: AlarmJob) -> Result:
+    """Calibrate an alarm and test it.
+
+    Args:
+        bench: task, controllers, detector and folder.
+        job: sizes.
+
+    Raises:
+        ConfigurationError: too few looks, or a score that does not rise with the leak.
+        KeyboardInterrupt: Ctrl-C; the finished jobs remain in the folder.
+    """
+    ration = float(getattr(bench.detector, "ration", 0.0))
+
+    def work(seeds: SeedRange, levels: tuple[float, ...]) -> Work:
+        onsets = tuple(Onset(level) for level in levels)
+        return Work(seeds.take(job.axes).start, job.axes, job.seconds, job.interval, after=job.leaking, onsets=onsets)
+
+    def brief(onsets: tuple[Onset, ...], after: float) -> Work:
+        count = min(job.fault_axes, job.axes)
+        return Work(ALARMS.take(count).start, count, PAST, job.interval, after=after, onsets=onsets)
+
+    designs = tuple(sorted(set(DESIGN.values())))
+    validation = bench.looks({"validation": work(ALARM_CALIBRATION, designs)})["validation"]
+    healthy, *leaking = (Axes(looks, ration) for looks in validation)
+    by_size = dict(zip(designs, leaking, strict=True))
+    chosen = {activity: (size, by_size[size]) for activity, size in DESIGN.items()}
+    bound = bench.config.leakage.class_bounds[0]
+    settings = calibrate(healthy, chosen, job.rate, job.learning, bench.detector_name, bound)
+
+    in_motion = tuple(Onset(then=Activity.MOVING, fault=fault) for fault in (None, *FAULTS))
+    growing = Work(
+        ALARM_GROWTH.first, job.fault_axes, PAST, 0.5, after=GROWING, onsets=(Onset(3.0, Activity.MOVING, grows=True),)
+    )
+    found = bench.looks(
+        {
+            "growth": growing,
+            "work": work(ALARMS, LEVELS),
+            "rest": brief(tuple(AT_REST.values()), max(NAMING, 3.0 * ration + job.interval)),
+            "faults": brief(in_motion, NAMING),
+        }
+    )
+    fresh, *leaks = (Axes(looks, ration) for looks in found["work"])
+    few = fresh.among(np.arange(len(found["rest"][0].score)))
+    resting = {name: Axes(looks, ration) for name, looks in zip(AT_REST, found["rest"][1:], strict=True)}
+    tables = {
+        "z_scores": z_table(settings, healthy),
+        "false_alarms": false_alarms(settings, fresh),
+        "shift": shift_table(settings, fresh, dict(zip(LEVELS, leaks, strict=True))),
+        "at_rest": rest_table(settings, few, resting),
+        "causes": cause_table(settings, few, found["faults"][1:]),
+        "growth": growth_summary(growth_table(growing.found(found["growth"])[0], LIMIT_LPM)),
+    }
+    return Result(settings, tables)
+
+
+def false_alarms(settings: AlarmSettings, healthy: Axes) -> pd.DataFrame:
+    """False alarms per 100 h at multiples of the threshold, counted in drawn hours; the intervals are over axes."""
+    (per_axis, hours), rows = healthy_peaks(settings, healthy), []
+    for factor in (0.25, 0.5, 0.75, 1.0, 1.5):
+        row = {"threshold": factor, "axes": len(per_axis), "hours": hours}
+        row["axes_with_alarms"] = sum(bool((found > factor).any()) for found in per_axis)
+        rows.append(row | rate_per_100_h(per_axis, hours, factor).columns("per_100_h"))
+    return pd.DataFrame(rows)
+
+
+def _learnt(settings: AlarmSettings, healthy: Axes) -> AlarmState:
+    """The memory of the alarms after a drawn shift of healthy axes, acknowledged."""
+    alarm = LeakAlarm(settings)
+    state = totals(alarm, healthy.drawn(SHIFT_HOURS, 1, COPIES))[1]
+    return alarm.reset(state, state.alarm)
+
+
+def shift_table(settings: AlarmSettings, healthy: Axes, leaks: Mapping[float, Axes]) -> pd.DataFrame:
+    """Share of axes whose leak is missed in a shift of 8 h, and the median time in minutes until the alarm.
+
+    The leak begins with the shift, after a healthy one in which the alarm learnt the axis; or it is there when the
+    alarm is switched on.
+    """
+    rows, learnt = [], _learnt(settings, healthy)
+    for level, axes in leaks.items():
+        for state, begins in ((learnt, "after a healthy shift"), (None, "before the alarm is on")):
+            drawn = axes.drawn(SHIFT_HOURS, 2, COPIES)
+            raised = totals(LeakAlarm(settings), drawn, state)[0] > 1.0
+            late = np.where(raised.any(axis=1), drawn.time[raised.argmax(axis=1)] / 60.0, np.inf)
+            missed = np.isinf(late).reshape(COPIES, -1).mean(axis=0)
+            row: dict[str, Any] = {"leak_lpm": level, "begins": begins, "axes": len(missed)}
+            row |= {"median_minutes": float(np.quantile(late, 0.5, method="higher"))}
+            rows.append(row | _share(missed).named("missed"))
+    return pd.DataFrame(rows)
+
+
+def _share(per_axis: NDArray[Any]) -> Interval:
+    """Mean share over axes; its interval is over axes, and that of a count where all axes agree."""
+    if np.ptp(per_axis) > 0.0:
+        return mean_interval(per_axis)
+    return share_interval(round(len(per_axis) * float(per_axis[0])), len(per_axis))
+
+
+def rest_table(settings: AlarmSettings, healthy: Axes, resting: Mapping[str, Axes]) -> pd.DataFrame:
+    """Share of axes with an alarm after 20 minutes at rest, at whose beginning a leak or another fault began.
+
+    The columns ``after_1`` and ``after_5`` say after one minute, which holds a single look of a rationed detector, and
+    after five how many had one: the looks share plant and biases, and their errors are correlated.
+    """
+    rows, learnt = [], _learnt(settings, healthy)
+    for name, axes in resting.items():
+        drawn = axes.drawn(REST_MINUTES / 60.0, 3, COPIES, in_motion=0.0)
+        raised = totals(LeakAlarm(settings), drawn, learnt)[0] > 1.0
+        row: dict[str, Any] = {"begins": name, "axes": len(axes.looks.score), "minutes": REST_MINUTES}
+        row |= {
+            f"after_{minutes}": float(raised[:, drawn.time < 60.0 * minutes].any(axis=1).mean()) for minutes in (1, 5)
+        }
+        rows.append(row | _share(raised.any(axis=1).reshape(COPIES, -1).mean(axis=0)).columns("alarmed"))
+    return pd.DataFrame(rows)
+
+
+def cause_table(settings: AlarmSettings, healthy: Axes, looks: list[Looks]) -> pd.DataFrame:
+    """For each fault that begins in motion: the cause that the alarm names two minutes later.
+
+    Axes count that moved in most of their looks; the slowest references creep. ``leak_alarm`` is the share of them that
+    raise a leak alarm within a quarter of a shift in motion, drawn from these looks.
+    """
+    rows, alarm, learnt = [], LeakAlarm(settings), _learnt(settings, healthy)
+    part: Any = (values[: len(healthy.looks.score)] for values in learnt)
+    first = AlarmState(*part)
+    for fault, each in zip((None, *FAULTS), looks, strict=True):
+        right = CAUSE_OF_FAULT[fault[0]] if fault is not None else Cause.NONE
+        moved = (each.activity == Activity.MOVING).mean(axis=1) >= 0.5
+        named = alarm.follow(each, first)[0].cause[moved, -1]
+        drawn = Axes(each, healthy.ration).drawn(0.25 * SHIFT_HOURS, 4, COPIES, in_motion=1.0)
+        raised = (totals(alarm, drawn, learnt)[0] > 1.0).any(axis=1).reshape(COPIES, -1)[:, moved]
+        row: dict[str, Any] = {"fault": " ".join(map(str, fault or ("none",))), "cause": right.word, "axes": len(named)}
+        row |= share_interval(int((named == right).sum()), len(named)).columns("named_rightly")
+        row["named_wrongly"] = float(((named != right) & (named != Cause.NONE) & (named != Cause.UNKNOWN)).mean())
+        rows.append(row | {"leak_alarm": float(raised.mean())})
+    table = pd.DataFrame(rows)
+    faulty = table[table["cause"] != Cause.NONE.word]
+    hits, count = round(float((faulty["named_rightly"] * faulty["axes"]).sum())), int(faulty["axes"].sum())
+    total = {"fault": "all faults", "cause": "", "axes": count}
+    total |= share_interval(hits, count).columns("named_rightly")
+    total |= {name: float(faulty[name].mean()) for name in ("named_wrongly", "leak_alarm")}
+    return pd.concat([table, pd.DataFrame([total])], ignore_index=True)
+
+
+def growth_table(found: OnsetLooks, limit_lpm: float) -> pd.DataFrame:
+    """Predictions for growing leaks at half of a limit: does the 90 % interval contain the true time to the limit?
+
+    Args:
+        found: looks at axes whose leaks grow beyond the limit.
+        limit_lpm: the limit, l/min at 100 bar.
+    """
+    rows, hours = [], found.after.time / 3600.0
+    for truth, flow in zip(found.after.true_flow_lpm, found.after.flow_lpm, strict=True):
+        half, full = (int(np.argmax(truth >= share * limit_lpm)) for share in (0.5, 1.0))
+        expected, left = growth(hours[: half + 1], flow[: half + 1], limit_lpm).ahead, float(hours[full] - hours[half])
+        row = {"hours_left": left, **expected.columns("expected_hours")}
+        rows.append(row | {"holds": float(expected.low <= left <= expected.high)})
+    return pd.DataFrame(rows)
+
+
+def growth_summary(table: pd.DataFrame) -> pd.DataFrame:
+    """One row: axes with a trend, medians, and the share of intervals that contain the true time."""
+    known = table.dropna()  # NaN: too few looks at a readable size
+    holds = share_interval(int(known["holds"].sum()), len(known))
+    row = {"axes": len(table), "with_trend": len(known), "median_hours_left": float(table["hours_left"].median())}
+    row |= {f"median_{name}": float(known[name].median()) for name in ("expected_hours", "low", "high")}
+    return pd.DataFrame([row | holds.named("holds")])

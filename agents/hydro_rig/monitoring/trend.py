@@ -1,0 +1,199 @@
+"""``hydro trend``: one reading of a recording of any length, or of each hour of it.
+
+A reading is that of ``hydro diagnose`` with the estimator alone, of the dozen liveliest windows
+(:mod:`~hydro_rig.recordings.liveliest`), and the leak is also given at one temperature of the oil
+(:mod:`~hydro_rig.monitoring.oil`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.running.text import number
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_rig.diagnosis.diagnose import read_windows
+from hydro_rig.diagnosis.verdict import Kind, Leak, Limits, Verdict, combined, judge
+from hydro_rig.identification.data_sheet import contradictions, worst_signal
+from hydro_rig.monitoring.oil import Oil, referred
+from hydro_rig.recordings.columns import BESIDE, ColumnMap
+from hydro_rig.recordings.files import Columns, pieces, started
+from hydro_rig.recordings.findings import Weight
+from hydro_rig.recordings.liveliest import Liveliest, sampled_windows
+from hydro_rig.recordings.quality import check_samples
+from hydro_rig.recordings.recording import Recording, map_for, recording_of
+from hydro_rig.recordings.sampling import bridged, cut
+
+MOST_WINDOWS = 12  # of a reading; more take longer and add little
+WINDOW = 2.0  # s
+FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
+HOUR = 3600.0  # s
+
+_DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
+_TEMPERATURE = BESIDE.index("oil_temperature")
+
+
+class Settings(NamedTuple):
+    """How files are read."""
+
+    oil: Oil
+    between: tuple[float, float]  # °C, of an oil whose temperature was not recorded
+    hourly: bool = False  # one row per hour instead of one per file
+    axis_column: str = ""  # heading of the column that names the axis; empty: one axis per file
+    window: float = WINDOW  # s
+    windows: int = MOST_WINDOWS  # of a reading
+
+
+class Row(NamedTuple):
+    """One reading of an axis."""
+
+    time: float  # s since 1970, first and last stamp
+    until: float
+    axis: str
+    verdict: Kind
+    leak: Leak  # l/min at 100 bar, as measured; NaN: no size
+    moving: float  # share of the time in motion
+    temperature: float  # °C, of the oil; NaN: not recorded
+    at_40: Leak  # the leak at 100 bar and 40 °C
+    reason: str
+
+
+def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Any:
+    """The rows of a file as columns, for a :class:`~hydro_agents.running.jobs.Job`.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or holds no rows.
+    """
+    rows = list(rows_of(Path(path), axis, config, columns, how))
+    if not rows:
+        raise ConfigurationError(f"{path}: holds headings but no rows")
+    found: dict[str, NDArray[Any]] = {
+        name: np.array([getattr(row, name) for row in rows])
+        for name in ("time", "until", "axis", "verdict", "moving", "temperature", "reason")
+    }
+    for name, leaks in (("", [row.leak for row in rows]), ("_40", [row.at_40 for row in rows])):
+        for part, values in zip(("size", "low", "high"), np.array(leaks).T, strict=True):
+            found[part + name] = values
+    return found
+
+
+def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Iterator[Row]:
+    """Read a file; one row per axis and hour, or per axis.
+
+    Args:
+        path: CSV, Parquet or MDF4 of any length; TDMS or MAT.
+        axis: its name; with ``axis_column`` the column holds it.
+        config: the task whose rig was recorded.
+        columns: the signal of each column; default: the names that ``hydro record`` writes.
+        how: settings.
+
+    Raises:
+        ConfigurationError: the file cannot be read.
+    """
+    open_: dict[str, tuple[int, Liveliest, str]] = {}
+    clock = None
+    for name, rows in _by_axis(path, axis, columns, how):
+        if clock is None:
+            clock = _clock(path, rows.begin)
+        for hour, part in _by_hour(rows, clock) if how.hourly else [(0, rows)]:
+            known = open_.get(name)
+            if known is None or known[0] != hour:
+                note = ""
+                if known is not None:
+                    yield row_of(name, known[1], config, how, clock, known[2])
+                    back = known[1].last - part.begin
+                    note = f"clock runs back by {number(back, digits=3)} s at its begin" if back > 0.0 else ""
+                open_[name] = (hour, Liveliest(how.window, config), note)
+            open_[name][1].add(part)
+    for name, (_, live, note) in open_.items():
+        yield row_of(name, live, config, how, clock or 0.0, note)
+
+
+def _by_axis(path: Path, axis: str, columns: ColumnMap | None, how: Settings) -> Iterator[tuple[str, Recording]]:
+    """The pieces of a file as recordings, each with the name of its axis."""
+    for piece in pieces(path):
+        columns = columns or map_for(piece, str(path))
+        for name, part in _split(piece, how.axis_column, path) if how.axis_column else [(axis, piece)]:
+            try:
+                yield name, recording_of(part, str(path), columns)
+            except ConfigurationError:
+                if len(part.cells[0]) >= _FEW:
+                    raise  # a few last rows are left out
+
+
+_FEW = 100
+
+
+def _split(piece: Columns, heading: str, path: Path) -> Iterator[tuple[str, Columns]]:
+    if heading not in piece.headings:
+        shown = ", ".join(name[:30] for name in piece.headings[:12])
+        raise ConfigurationError(f"{path}: --axis-column {heading}: no column has this heading; headings: {shown}")
+    if any(stamps is not None for stamps in piece.stamps):
+        raise ConfigurationError(f"{path}: --axis-column {heading}: needs one table; MDF4 files hold one axis each")
+    names = piece.cells[piece.headings.index(heading)].astype(str)
+    for name in names.unique():
+        inside = (names == name).to_numpy()
+        yield str(name), piece._replace(cells=[cells[inside].reset_index(drop=True) for cells in piece.cells])
+
+
+def _by_hour(rows: Recording, clock: float) -> Iterator[tuple[int, Recording]]:
+    hours = np.floor((clock + rows.begin + rows.time) / HOUR).astype(np.int64)
+    ends = [*(np.flatnonzero(np.diff(hours)) + 1).tolist(), len(hours)]
+    for begin, end in zip([0, *ends[:-1]], ends, strict=True):
+        yield int(hours[begin]), rows.part(begin, end)
+
+
+def _clock(path: Path, first: float) -> float:
+    """What is added to the stamps of a file to give s since 1970: dates in it, its header, its name, or its age."""
+    if FIRST_DATE <= first <= LAST_DATE:
+        return 0.0
+    begin = started(path)
+    found = _DATE.search(path.name) if begin is None else None
+    if found is not None:
+        try:
+            begin = datetime(*(int(part or 0) for part in found.groups()), tzinfo=UTC).timestamp()  # type: ignore[arg-type,misc]
+        except ValueError:  # the 45th of a month
+            begin = None
+    return (path.stat().st_mtime if begin is None else begin) - first
+
+
+def row_of(axis: str, live: Liveliest, config: TaskConfig, how: Settings, clock: float = 0.0, note: str = "") -> Row:
+    """The row of what was read: the best windows through checks, estimator, oil temperature and verdict."""
+    candidates, seen = live.finish(how.windows)
+    unknown = Leak(np.nan, np.nan, np.nan)
+    limits, findings, temperature = Limits.of(config), seen.findings, np.nan
+    verdict, leak, at_40 = Verdict(Kind.UNKNOWN, "the recording is shorter than one window", None, ""), unknown, unknown
+    samples = sampled_windows(candidates, how.window, config) if candidates else None
+    if samples is not None:
+        checked = check_samples(samples, seen.findings, config)
+        whole, filled = bridged(checked.samples)
+        findings = [*checked.findings, *filled]
+        windows = cut(whole, round(how.window / config.control_period))
+        windows = windows.part(np.isfinite(windows.signals[:, -1]).mean(axis=1) > 0.5)  # without the margins
+        reading, residual = None, ""
+        if not checked.severe and len(windows):
+            read, fitted = read_windows(windows, config, threads=1)
+            warm = np.full(len(windows), np.nan)
+            if windows.beside is not None:
+                values = windows.beside[:, _TEMPERATURE]
+                known = np.isfinite(values).any(axis=1)
+                warm[known] = np.nanmean(values[known], axis=1)
+                temperature = float(np.nanmean(warm)) if known.any() else np.nan
+            reading = referred(read, how.oil, warm, how.between)
+            leak = combined(read)[0] if read.answers.any() else unknown
+            if fitted is not None:
+                findings += contradictions(fitted, config)
+                residual = worst_signal(fitted, config)
+        verdict = judge(findings, reading, None, limits, how.window, residual)
+        at_40 = combined(reading)[0] if reading is not None and reading.answers.any() else unknown
+    notes = [finding.line() for finding in findings if finding.signal == "clock"]
+    faults = [finding.line() for finding in findings if finding.weight is Weight.FAULT]
+    reason = "; ".join(dict.fromkeys(part for part in (verdict.why, *faults, *notes, note) if part))
+    times = clock + live.first, clock + live.last
+    return Row(*times, axis, verdict.kind, leak, seen.moving, temperature, at_40, reason)

@@ -1,0 +1,166 @@
+"""The whole job of ``hydro trend``: which files are new, their rows, table and page, and the lines for the user."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from hydro_agents.report.page import FIGURE_FILES
+from hydro_agents.running.folders import output_folder
+from hydro_agents.running.jobs import Job, Report, answers_of
+from hydro_agents.running.machine import Origin
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.folders import config_file
+from hydro_env.task.configuration import task_config
+from hydro_rig.estimation.estimator import leak_scale
+from hydro_rig.monitoring.oil import Oil, temperature_range
+from hydro_rig.monitoring.trend import Settings, read_rows
+from hydro_rig.monitoring.trend_page import lines_of, render_trend
+from hydro_rig.monitoring.trend_summary import AxisTrend, exit_code, trends_of
+from hydro_rig.monitoring.trend_table import (
+    File,
+    files_of,
+    read_table,
+    repairs_of,
+    unread,
+    with_rows,
+    write_table,
+)
+from hydro_rig.recordings.columns import maps_of
+from hydro_rig.recordings.files import pieces
+from hydro_rig.recordings.recording import map_for
+
+USUAL_LIMIT = 0.3  # l/min at 100 bar and 40 °C, of the default rig
+
+
+class Watch(NamedTuple):
+    """What the user asks for; texts as on the command line."""
+
+    table: Path
+    maps: Sequence[str] = ()
+    task: str | None = None
+    rigs: Sequence[str] = ()  # [AXIS=]FILE
+    oil: str = "46"
+    temperature: str = "20..60"
+    limit: float | None = None
+    repaired: Sequence[str] = ()  # [AXIS=]DATE
+    hourly: bool = False
+    axis_column: str = ""
+
+
+class Watched(NamedTuple):
+    """What was done and found."""
+
+    trends: list[AxisTrend]
+    read: int  # files that were read now
+    known: int  # files that were in the table already
+    left_out: list[str]  # one line per file that cannot be read
+    notes: list[str]  # about clocks
+    table: Path
+    page: Path
+
+    @property
+    def exit_code(self) -> int:
+        """Of the most serious state of an axis."""
+        return exit_code([one.state for one in self.trends])
+
+    def lines(self) -> list[str]:
+        """For a person."""
+        done = f"{self.read} files read, {self.known} known, {len(self.left_out)} left out"
+        return [*self.notes, *lines_of(self.trends), f"{self.table}: {done}", str(self.page)]
+
+    def json(self) -> dict[str, Any]:
+        """For another program."""
+        files = {"read": self.read, "known": self.known, "left_out": self.left_out}
+        paths = {"table": str(self.table), "page": str(self.page)}
+        axes = [one.json() for one in self.trends]
+        return {"exit_code": self.exit_code, "axes": axes, "files": files, "notes": self.notes, **paths}
+
+
+def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Report | None = None) -> Watched:
+    """Read the files that the table does not hold, and write table and page.
+
+    Args:
+        places: folders and files.
+        how: settings.
+        command: for the page.
+        progress: called when a file is finished.
+
+    Raises:
+        ConfigurationError: a setting is impossible, no file can be read, or the folder cannot be written.
+        KeyboardInterrupt: Ctrl-C; the table holds the finished files.
+    """
+    settings = Settings(Oil.of(how.oil), temperature_range(how.temperature), how.hourly, how.axis_column)
+    folder = how.table.parent
+    files = files_of(places, how.table)
+    table = read_table(how.table)
+    maps = dict(zip(files, maps_of(how.maps, [file.path for file in files]), strict=True))
+    configs = _configs(how, {file.axis for file in files} | set(table["axis"]))
+    new = unread(files, table)
+    page, left_out = folder / f"{how.table.stem}.html", list[str]()
+    with output_folder(folder, "trend", (page.name, FIGURE_FILES), resume=True):
+        jobs = {}
+        for file in new:
+            arguments = (str(file.path.absolute()), file.axis, configs[file.axis], maps[file], settings)
+            jobs[file.name] = Job(read_rows, None, arguments)
+        by_name = {file.name: file for file in new}
+        if progress is not None and new:
+            progress("files", 0, len(new))
+        with closing(answers_of(jobs, None)) as answers:
+            for done, (name, result) in enumerate(answers, 1):
+                if result.error:
+                    left_out.append(result.error)
+                else:
+                    table = with_rows(table, by_name[name], result.metrics, settings.oil)
+                    write_table(how.table, table)
+                if progress is not None:
+                    progress("files", done, len(new))
+        if table.empty:
+            _tell_why(new[0], maps[new[0]] is None, left_out)
+        axes = sorted(set(table["axis"]))
+        configs |= _configs(how, set(axes))  # names of a column
+        limits = {axis: how.limit or USUAL_LIMIT * leak_scale(configs[axis]) for axis in axes}
+        trends = trends_of(table, limits, repairs_of(how.repaired, axes), settings.oil, settings.between)
+        render_trend(trends, table, how.table.name, left_out, Origin.now(command)).write(page)
+    return Watched(trends, len(new) - len(left_out), len(files) - len(new), left_out, _clocks(table), how.table, page)
+
+
+def _configs(how: Watch, axes: set[str]) -> dict[str, TaskConfig]:
+    """The task of each axis, with its own rig."""
+    own: dict[str, Path] = {}
+    for text in how.rigs:
+        axis, _, file = text.rpartition("=")
+        if axis and axis not in axes and not how.axis_column:
+            raise ConfigurationError(f"--rig {text}: axis '{axis}': known: {', '.join(sorted(axes)[:20])}")
+        own[axis] = config_file("rigs", Path(file))
+    made = {name: task_config(how.task, rig=path) for name, path in own.items()}
+    usual = made.get("") or task_config(how.task)
+    return {axis: made.get(axis, usual) for axis in axes}
+
+
+def _tell_why(first: File, guessed: bool, left_out: Sequence[str]) -> None:
+    """No file could be read: the error of the first, with a guessed map if its headings are unknown."""
+    if guessed:
+        for piece in pieces(first.path):
+            map_for(piece, os.fspath(first.path))
+            break
+    more = f" (and {len(left_out) - 1} more files)" if len(left_out) > 1 else ""
+    raise ConfigurationError(f"{left_out[0]}{more}")
+
+
+def _clocks(table: pd.DataFrame) -> list[str]:
+    """A line for each recording that begins before the end of the one before it, by the clock of the machine."""
+    lines = []
+    for axis, rows in table.groupby("axis", sort=True):
+        files = rows.groupby("file", sort=False).agg(begin=("time", "min"), end=("until", "max"))
+        files = files.sort_values("begin", kind="stable")
+        ends = files["end"].cummax().shift(fill_value="")
+        for name, file in files[files["begin"] < ends].iterrows():
+            lines.append(f"{axis}: {name} begins at {file['begin']}, before the file before it ends: a clock ran back")
+    jumped = table[table["reason"].str.contains("clock runs back")]
+    return lines + [f"{row['axis']}: {row['file']}: {row['reason']}" for row in jumped.to_dict("records")]

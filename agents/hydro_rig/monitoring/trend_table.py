@@ -1,0 +1,178 @@
+"""The table of ``hydro trend``: one CSV file with a row per reading, to which each call adds the files it has not read.
+
+The table is written as a whole after each file, so that an interruption loses nothing. It may be edited by hand: a
+mark in the column ``repaired`` says that the seal was new from that row on, and further columns stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from hydro_env import ConfigurationError
+from hydro_env.files import write_text
+from hydro_rig.diagnosis.verdict import Kind
+from hydro_rig.monitoring.oil import Oil
+
+TEXTS = ("time", "until", "axis", "file", "verdict", "reason", "oil", "repaired")
+SIZES = ("size", "low", "high", "moving", "temperature", "size_40", "low_40", "high_40")
+COLUMNS = ("time", "until", "axis", "file", "verdict", *SIZES, "oil", "reason", "bytes", "repaired")
+"""Sizes with the ends of their 90 % intervals in l/min at 100 bar, as measured and at 40 °C; ``moving`` is a share;
+``temperature`` in °C; ``bytes`` of the file: a file that has grown is read again."""
+
+SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mf4", ".mdf", ".tdms", ".mat")
+DECIMALS = 5
+
+
+class File(NamedTuple):
+    """A recording."""
+
+    path: Path
+    axis: str
+    name: str  # in the table: axis, and path within its folder
+    size: int  # bytes
+
+
+def files_of(places: Sequence[Path], table: Path) -> list[File]:
+    """The recordings in folders, and single ones, in the order of their names.
+
+    The first folder below a folder names the axis (``axis=3`` is 3), or the folder itself if the files lie in it.
+
+    Raises:
+        ConfigurationError: a place does not exist, or holds no recording.
+    """
+    found: dict[str, File] = {}
+    for place in places:
+        if not place.exists():
+            raise ConfigurationError(f"{place}: does not exist")
+        inside = [place] if place.is_file() else sorted(place.rglob("*"))
+        paths = [
+            path
+            for path in inside
+            if path == place
+            or (path.is_file() and path.suffix.lower() in SUFFIXES and not _hidden(path.relative_to(place)))
+        ]
+        paths = [path for path in paths if path.resolve() != table.resolve()]
+        if not paths:
+            raise ConfigurationError(f"{place}: holds no recording ({', '.join(SUFFIXES)})")
+        for path in paths:
+            within = path.relative_to(place) if path != place else Path(path.name)
+            axis = within.parts[0] if len(within.parts) > 1 else path.resolve().parent.name
+            rest = Path(*within.parts[1:]) if len(within.parts) > 1 else within
+            axis = axis.split("=", 1)[-1] or "axis"
+            name = f"{axis}/{rest.as_posix()}"
+            found[name] = File(path, axis, name, path.stat().st_size)
+    return [found[name] for name in sorted(found)]
+
+
+def _hidden(path: Path) -> bool:
+    return any(part.startswith((".", "_")) for part in path.parts)
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """The rows so far; none if the file does not exist.
+
+    Raises:
+        ConfigurationError: the file is no such table.
+    """
+    if not path.exists():
+        return pd.DataFrame({name: pd.Series(dtype=str if name in TEXTS else float) for name in COLUMNS})
+    try:
+        table = pd.read_csv(path, dtype=dict.fromkeys(TEXTS, str), keep_default_na=False, na_values=[""])
+        missing = [name for name in COLUMNS if name not in table and name != "repaired"]
+        if missing:
+            raise ConfigurationError(f"{path}: is no table of hydro trend: it has no column '{missing[0]}'")
+        for name in (*SIZES, "bytes"):
+            table[name] = pd.to_numeric(table[name])
+        seconds(table["time"]), seconds(table["until"])
+        unknown = [each for each in table["verdict"].dropna().unique() if each not in list(Kind)]
+        if unknown:
+            raise ConfigurationError(f"{path}: verdict '{unknown[0]}': must be one of {', '.join(Kind)}")
+    except ConfigurationError:
+        raise
+    except (ValueError, OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: is no table of hydro trend: {' '.join(str(error).split())[:200]}") from None
+    table = table if "repaired" in table else table.assign(repaired="")
+    texts = {name: table[name].fillna("").astype(str) for name in TEXTS}
+    return table.assign(**texts)
+
+
+def unread(files: Iterable[File], table: pd.DataFrame) -> list[File]:
+    """The files that are not in the table, or have another size than when they were read."""
+    known = dict(zip(table["file"], table["bytes"], strict=True))
+    return [file for file in files if known.get(file.name) != file.size]
+
+
+def with_rows(table: pd.DataFrame, file: File, found: Mapping[str, NDArray[Any]], oil: Oil) -> pd.DataFrame:
+    """The table with the rows of a file, in place of older ones of the same file; in the order of axis and time."""
+    fresh = pd.DataFrame({name: found[name] for name in ("axis", "verdict", "reason", *SIZES)})
+    fresh = fresh.assign(
+        time=[stamp(value) for value in found["time"]],
+        until=[stamp(value) for value in found["until"]],
+        file=file.name,
+        bytes=file.size,
+        oil=f"{oil.at_40:g}/{oil.at_100:g}",
+        repaired="",
+    )
+    fresh[list(SIZES)] = fresh[list(SIZES)].astype(np.float64).round(DECIMALS)
+    old = table[table["file"] == file.name]
+    marks = dict(zip(old["time"], old["repaired"], strict=True))
+    fresh["repaired"] = [marks.get(when, "") for when in fresh["time"]]
+    rest = table[table["file"] != file.name]
+    whole = fresh if rest.empty else pd.concat([rest, fresh], ignore_index=True)
+    names = [*COLUMNS, *(name for name in table if name not in COLUMNS)]
+    return whole.reindex(columns=names).sort_values(["axis", "time"], kind="stable", ignore_index=True)
+
+
+def write_table(path: Path, table: pd.DataFrame) -> None:
+    """Write the whole table.
+
+    Raises:
+        ConfigurationError: it cannot be written.
+    """
+    text = table.assign(bytes=table["bytes"].astype("Int64")).to_csv(index=False, lineterminator="\n")
+    write_text(path, text)
+
+
+def stamp(time: float) -> str:
+    """Seconds since 1970 as ``2026-10-03T08:00:00``."""
+    return datetime.fromtimestamp(float(time), UTC).strftime("%Y-%m-%dT%H:%M:%S")
+
+
+def seconds(stamps: pd.Series) -> NDArray[np.float64]:
+    """Seconds since 1970 of ``2026-10-03T08:00:00`` or ``2026-10-03``.
+
+    Raises:
+        ValueError: a text is no date.
+    """
+    when = pd.to_datetime(stamps, utc=True, format="ISO8601")
+    found: NDArray[np.float64] = (when - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=np.float64)
+    return found
+
+
+def repairs_of(texts: Sequence[str], axes: Sequence[str]) -> dict[str, list[float]]:
+    """Repairs by axis, s since 1970, from ``2026-10-03`` (all axes) or ``AXIS=2026-10-03``.
+
+    Raises:
+        ConfigurationError: a text is no date, or names an unknown axis.
+    """
+    found: dict[str, list[float]] = {axis: [] for axis in axes}
+    for text in texts:
+        axis, _, date = text.rpartition("=")
+        if axis and axis not in found:
+            raise ConfigurationError(f"--repaired {text}: axis '{axis}': known: {', '.join(axes[:20])}")
+        try:
+            when = float(seconds(pd.Series([date]))[0])
+        except ValueError:
+            when = np.nan
+        if not np.isfinite(when):
+            raise ConfigurationError(f"--repaired {text}: must be a date such as 2026-10-03, or AXIS=2026-10-03")
+        for name in [axis] if axis else list(found):
+            found[name].append(when)
+    return found

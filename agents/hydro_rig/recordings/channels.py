@@ -1,0 +1,223 @@
+"""Checks of each single channel: missing, constant, stuck, saturated, and impossible values."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
+from hydro_env import TaskConfig
+from hydro_env.plant.analysis import speed_limits
+from hydro_env.task.sensors import Sensor
+from hydro_rig.recordings.columns import COMMAND, MEASURED, UNITS
+from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
+from hydro_rig.recordings.sampling import Sampled
+
+Floats = NDArray[np.float64]
+Found = tuple[NDArray[np.bool_], str, Weight]
+
+MOST_MISSING = 0.2  # share of a channel
+MOST_SATURATED = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
+
+ACTIVE_COMMAND = 0.01  # range of the command, as a fraction of full command, over which the spool must move
+FEWEST_STEPS = 20.0  # change of another channel that a sensor cannot miss, in steps of its acquisition
+LEAST_TRAVEL = 2e-3  # m; travel that the oil through the valve would cause
+LEAST_PRESSURE_CHANGE = 0.02  # of the other chamber, as a share of the supply pressure
+
+MOST_SPIKES = 0.05  # largest share of out-of-range values that count as single spikes, which are left out
+DROP = 0.1  # smallest fall of a reading, as a fraction of the sensor's range, when its current loop breaks
+FEWEST_DROPS = 3  # smallest number of falls of a broken loop; a chamber may cavitate once or twice
+LOWEST_PRESSURE = -1.2e5  # Pa; lowest gauge pressure: vacuum minus the error of a transducer
+LEAST_SHARE = 0.05  # smallest used fraction of a signal's range
+LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the two chambers reaches
+
+PRESSURES = (MEASURED.index("pressure_a"), MEASURED.index("pressure_b"))
+SPOOL = MEASURED.index("spool_position")
+
+OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
+
+
+class Channels(NamedTuple):
+    """Results of the checks of single channels."""
+
+    findings: list[Finding]
+    bad: NDArray[np.bool_]  # (5, T), invalid readings: stuck, lost, saturated, impossible
+
+
+def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
+    """Check each channel separately, in the order of MEASURED."""
+    findings: list[Finding] = []
+    bad = np.zeros(samples.signals.shape, dtype=np.bool_)
+
+    def found(row: int, mask: NDArray[np.bool_], what: str, weight: Weight) -> None:
+        if mask.any():
+            bad[row] |= mask
+            findings.append(finding_of(mask, samples.time, MEASURED[row], what, weight))
+
+    for row, signal in enumerate(MEASURED):
+        values = samples.signals[row]
+        known = np.isfinite(values)
+        if not known.any():
+            continue  # not recorded, or no numbers: already reported
+        found(row, ~known, "lacks readings", severe_if(1.0 - known.mean() > MOST_MISSING))
+        if signal != "command" and np.nanmin(values) == np.nanmax(values):
+            findings.append(Finding(signal, f"is constant at {_shown(signal, values[known][0])}", Weight.SEVERE))
+            continue
+        beyond = _out_of_range(values, samples, signal, _largest(signal, config))
+        found(row, *beyond)
+        if signal != "command" and beyond[2] is not Weight.SEVERE:
+            values = np.where(bad[row], np.nan, values)
+            lost = _lost(values, samples, signal, config)
+            found(row, *lost)
+            found(row, *_saturated(np.where(lost[0], np.nan, values), samples, signal, config))
+            found(row, *_stuck(values, samples, signal, config))
+    return Channels([*findings, *_too_low_pressures(samples, config)], bad)
+
+
+def _largest(signal: str, config: TaskConfig) -> float:
+    """Largest possible size on the rig, SI."""
+    if signal == "position":
+        return 0.5 * config.plant.cylinder.stroke
+    if "pressure" not in signal:
+        return 1.0
+    return max(config.failure.pressure_rating, 1.5 * config.plant.supply.pressure)
+
+
+def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float) -> Found:
+    """Impossible values; if there are many, with a unit that would fit."""
+    lowest = -largest if "pressure" not in signal else LOWEST_PRESSURE
+    beyond = np.isfinite(values) & ((values > OVERRANGE * largest) | (values < OVERRANGE * lowest))
+    if beyond.mean() <= MOST_SPIKES:
+        what = f"has single values from {_shown(signal, np.nanmin(values))} to {_shown(signal, np.nanmax(values))}, "
+        return beyond, what + "which are impossible on this rig", Weight.NOTE
+    low, high = np.nanquantile(values, [0.005, 0.995])
+    what = f"reads {_shown(signal, low)} to {_shown(signal, high)}, but the rig has "
+    what += f"{_shown(signal, lowest)} to {_shown(signal, largest)}"
+    if signal == "position" and largest < high <= 2.2 * largest and low >= -0.1 * largest:
+        what += "; zero seems to be at the end of the stroke: mid-stroke is 0, so an offset of "
+        what += f"{_shown(signal, -largest)} would fit"
+    else:
+        what += _fitting_units(signal, max(abs(low), abs(high)), LEAST_SHARE * largest, largest, samples)
+    return beyond, what, Weight.SEVERE
+
+
+def _too_low_pressures(samples: Sampled, config: TaskConfig) -> list[Finding]:
+    """Both pressures are far below the supply: the unit is wrong."""
+    highest = [
+        np.nanquantile(samples.signals[row], 0.995) for row in PRESSURES if np.isfinite(samples.signals[row]).any()
+    ]
+    supply = config.plant.supply.pressure
+    least = LEAST_PRESSURE * supply
+    if not highest or max(highest) > least:
+        return []
+    what = f"read at most {_shown('pressure_a', max(highest))}, but the supply has {_shown('pressure_a', supply)}"
+    what += _fitting_units("pressure_a", max(highest), least, _largest("pressure_a", config), samples)
+    return [Finding("pressures", what, Weight.SEVERE)]
+
+
+def _fitting_units(signal: str, size: float, least: float, largest: float, samples: Sampled) -> str:
+    """Phrase with the units in which values of this size (SI) would fit the rig; empty if there are none."""
+    units = UNITS[signal]
+    unit = samples.units.get(signal, next(iter(units)))
+    wanted = (least, 1.2 * largest)
+    fitting = [name for name in units if name != unit and wanted[0] <= size * units[name] / units[unit] <= wanted[1]]
+    return f"; values in {' or '.join(fitting[:2])} instead of {unit} would fit" if fitting else ""
+
+
+def _lost(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
+    """Readings that jump to the lower end of the range and back, like those of a broken 4–20 mA loop."""
+    sensor = getattr(config.sensors, signal)
+    at_low = (values <= sensor.low + _half_step(sensor)) & ~_under_full_command(samples, signal)
+    lost, times = np.zeros(len(values), dtype=np.bool_), 0
+    for begin, end in zip(*runs_of(at_low), strict=True):
+        beside = [values[place] for place in (begin - 1, end) if 0 <= place < len(values)]
+        if beside and min(beside) - sensor.low > DROP * (sensor.high - sensor.low):
+            lost[begin:end] = True
+            times += 1
+    what = f"loses readings: it falls {times} times to {_shown(signal, sensor.low)} and returns"
+    return lost & (times >= FEWEST_DROPS), what, Weight.FAULT
+
+
+def _saturated(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
+    """Readings at the end of the sensor's range."""
+    sensor = getattr(config.sensors, signal)
+    at_end = _at_end(values, sensor) & ~_under_full_command(samples, signal)
+    what = f"is at the end of the sensor's range ({_shown(signal, sensor.low)} to {_shown(signal, sensor.high)})"
+    return at_end, what, severe_if(at_end.mean() > MOST_SATURATED)
+
+
+def _under_full_command(samples: Sampled, signal: str) -> NDArray[np.bool_]:
+    """Samples in which the spool may be at the end of its stroke."""
+    full: NDArray[np.bool_] = (np.abs(samples.signals[COMMAND]) > 0.8) & (signal == "spool_position")
+    return full
+
+
+def _half_step(sensor: Sensor) -> float:
+    return 0.6 * max(sensor.resolution, 1e-6 * (sensor.high - sensor.low))
+
+
+def _at_end(values: Floats, sensor: Sensor) -> NDArray[np.bool_]:
+    """Readings at either end of a sensor's range."""
+    step = _half_step(sensor)
+    at_end: NDArray[np.bool_] = (values >= sensor.high - step) | (values <= sensor.low + step)
+    return at_end
+
+
+def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
+    """Runs of equal readings while another channel shows that this one must have changed.
+
+    Equal readings alone are no fault: an encoder repeats its value while the axis rests, and a position that leaves
+    its highest or lowest reading again was at the end of the sensor's range or of the stroke.
+    """
+    sensor = getattr(config.sensors, signal)
+    same = np.append(False, (np.diff(values) == 0.0) & (np.diff(samples.place) == 1)) & ~_at_end(values, sensor)
+    shortest = max(FEWEST, round(SHORTEST / samples.period))
+    stuck, ended, runs = np.zeros(len(values), dtype=np.bool_), np.zeros(len(values), dtype=np.bool_), 0
+    extremes = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else ()
+    for begin, end in zip(*runs_of(same), strict=True):
+        if end - begin < shortest:
+            continue
+        if signal == "position" and values[begin] in extremes and end < len(values):
+            ended[begin - 1 : end] = True
+        elif _must_change(samples.signals[:, begin - 1 : end], signal, samples, config):
+            stuck[begin - 1 : end] = True
+            runs += 1
+    levels = np.unique(values[stuck])
+    cut = runs > 1 and len(levels) == 1 and levels[0] in extremes
+    if not runs and ended.any():
+        ends = " and ".join(_shown(signal, end) for end in extremes if end in values[ended])
+        return ended, f"rests at {ends}, the end of its readings: left out there", Weight.NOTE
+    return stuck | ended, f"is cut off at {_shown(signal, levels[0])}" if cut else "is stuck at one value", Weight.FAULT
+
+
+def _must_change(during: Floats, signal: str, samples: Sampled, config: TaskConfig) -> bool:
+    """Whether the other channels (5, n) of a stretch show a motion that ``signal`` cannot miss.
+
+    The spool follows the command. The piston follows the oil through the valve, whatever constant part of it a shifted
+    null or a leak takes. A pressure changes with that of the other chamber; if that was not recorded, with the command.
+    """
+    command = during[COMMAND]
+    swing = np.ptp(command[np.isfinite(command)]) if np.isfinite(command).any() else 0.0
+    if signal == "spool_position":
+        return bool(swing > max(ACTIVE_COMMAND, FEWEST_STEPS * config.sensors.spool_position.resolution))
+    if signal == "position":
+        spool = during[SPOOL] if np.isfinite(during[SPOOL]).all() else command
+        if not np.isfinite(spool).all():
+            return False
+        travel = np.cumsum(spool - spool.mean()) * samples.period * np.mean(speed_limits(config.plant))
+        return bool(np.ptp(travel) > max(LEAST_TRAVEL, FEWEST_STEPS * config.sensors.position.resolution))
+    other = PRESSURES[0] if signal == "pressure_b" else PRESSURES[1]
+    known = during[other][np.isfinite(during[other])]
+    if len(known) < 2:
+        return bool(swing > ACTIVE_COMMAND)
+    noise = 1.05 * np.median(np.abs(np.diff(known)))  # of one reading: 1.483 / √2 of that of a difference
+    low, high = np.quantile(known, [0.05, 0.95])
+    return bool(high - low > max(10.0 * noise, LEAST_PRESSURE_CHANGE * config.plant.supply.pressure))
+
+
+def _shown(signal: str, value: float) -> str:
+    """A value in its displayed unit."""
+    unit = {"position": "mm", "pressure_a": "bar", "pressure_b": "bar"}.get(signal, "%")
+    return f"{value / UNITS[signal][unit]:.4g} {unit}"

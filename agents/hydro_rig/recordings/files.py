@@ -1,0 +1,270 @@
+"""Files of measuring programs as columns: CSV, Parquet, MDF4, TDMS and MAT.
+
+Channels of MDF4 and TDMS have their own time stamps, which are kept. If the stamps of the chosen channels differ,
+:func:`together` interpolates them at the stamps of the command and reports it as a finding.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from hydro_env import ConfigurationError
+from hydro_env.files import read_text
+from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.mat_files import Channel, read_mat
+from hydro_rig.recordings.mdf_files import mdf_pieces, read_mdf
+from hydro_rig.recordings.text_tables import (
+    OTHER_ENCODING,
+    csv_errors,
+    csv_options,
+    decimal_of,
+    decoded,
+    found_table,
+)
+
+LARGEST_RECORDING = 200_000_000  # largest size in bytes; about three hours at 200 rows per second as CSV
+ANY_LENGTH = "hydro trend reads CSV, Parquet and MDF4 files of any length"
+
+LONGEST_STEP = 2.0
+"""Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
+
+PIECE = 200_000  # rows that are in memory at once
+BEGINNING = 200_000  # bytes of a text file, in which its headings stand
+
+TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
+
+Floats = NDArray[np.float64]
+
+
+class Columns(NamedTuple):
+    """The columns of a file, C of them."""
+
+    headings: list[str]  # (C,)
+    cells: list[pd.Series]  # (C,)
+    stamps: list[Floats | None]  # (C,), s, a column's own time stamps; None: those of the time column
+    first_line: int  # line of the first row in the file; 0 for a file without lines
+
+
+def read_columns(path: Path) -> Columns:
+    """Read a file; the end of its name gives its kind (.parquet, .mf4, .mdf, .tdms, .mat, otherwise CSV).
+
+    Raises:
+        ConfigurationError: the file is unreadable, too large or not a table, or its library is not installed.
+    """
+    kind = path.suffix.lower()
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError:  # an impossible name: the reader says so
+        size = 0
+    if size > LARGEST_RECORDING:
+        raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; {ANY_LENGTH}")
+    if kind not in _READERS:
+        return _read_csv(path)
+    library, read = _READERS[kind]
+    with library_errors(path, library) as module:
+        columns = read(path, module)
+    if not columns.cells or not max(map(len, columns.cells)):
+        raise ConfigurationError(f"{path}: holds no numbers")
+    return columns
+
+
+def pieces(path: Path, rows: int = PIECE) -> Iterator[Columns]:
+    """The rows of a file of any length, ``rows`` at a time; TDMS and MAT files are read as a whole.
+
+    Raises:
+        ConfigurationError: as :func:`read_columns`, but not for the size of CSV, Parquet and MDF4 files.
+    """
+    kind = path.suffix.lower()
+    if not path.is_file():
+        read_text(path)  # says why
+    if kind == ".parquet":
+        with library_errors(path, "pyarrow.parquet") as parquet, parquet.ParquetFile(path) as file:
+            for batch in file.iter_batches(batch_size=rows):
+                yield of_table(batch.to_pandas())
+    elif kind in (".mf4", ".mdf"):
+        with library_errors(path, "asammdf") as asammdf, asammdf.MDF(path) as file:
+            for channels in mdf_pieces(file):
+                yield of_channels(channels)
+    elif kind in _READERS:
+        yield read_columns(path)
+    else:
+        yield from _csv_pieces(path, rows)
+
+
+def _mdf_stamps(file: Any, number: int, rows: int) -> Floats:
+    """The stamps of a group; read in pieces, because the library reads all channels of its records with them."""
+    count = int(file.groups[number].channel_group.cycles_nr)
+    parts = [file.get_master(number, record_offset=k, record_count=min(rows, count - k)) for k in range(0, count, rows)]
+    return np.concatenate([np.zeros(0), *(np.asarray(part, dtype=np.float64) for part in parts)])
+
+
+def started(path: Path) -> float | None:
+    """Start of a measurement that the header of an MDF4 file gives, s since 1970; ``None`` for other files."""
+    if path.suffix.lower() not in (".mf4", ".mdf"):
+        return None
+    with library_errors(path, "asammdf") as asammdf, asammdf.MDF(path) as file:
+        return float(file.header.start_time.timestamp())
+
+
+def _csv_pieces(path: Path, rows: int) -> Iterator[Columns]:
+    try:
+        with open(path, "rb") as file:
+            content = file.read(BEGINNING)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    content = content[: content.rfind(b"\n") + 1] if len(content) == BEGINNING else content
+    encoding, text = decoded(content)
+    found = found_table(text, path)
+    options = csv_options(found, decimal_of(found, text))
+    first_line = found.first_line
+    with csv_errors(path):
+        skipped = {"skiprows": first_line - 1, "encoding": encoding, "encoding_errors": "replace", "chunksize": rows}
+        with pd.read_csv(path, **options, **skipped) as reader:
+            for table in reader:
+                yield of_table(table.set_axis(found.headings, axis=1), first_line)
+                first_line += len(table)
+
+
+@contextmanager
+def library_errors(path: Path, library: str) -> Iterator[Any]:
+    """The library that reads a file, and its errors in one line each.
+
+    Raises:
+        ConfigurationError: it is not installed, or any of its errors.
+    """
+    try:
+        module = importlib.import_module(library)
+    except ImportError:
+        raise ConfigurationError(
+            f"{path}: files of this kind need the library {library}: pip install 'hydro_env[recordings]'"
+        ) from None
+    try:
+        yield module
+    except ConfigurationError:
+        raise
+    except Exception as error:  # a damaged file makes these libraries raise errors of any kind
+        reason = " ".join(str(error).split())[:150] or type(error).__name__
+        raise ConfigurationError(f"{path}: is not a readable {path.suffix.lower()} file: {reason}") from None
+
+
+def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], list[Finding]]:
+    """The chosen columns by signal, all with the same rows.
+
+    Columns with their own time stamps are interpolated linearly at the stamps of the command, never extrapolated, and
+    are missing (NaN) in their gaps. A finding names each such signal.
+
+    Args:
+        columns: of the file.
+        places: index of each chosen column by signal, ``time`` and ``command`` among them.
+    """
+    base = columns.stamps[places["command"]]
+    cells = {signal: columns.cells[place] for signal, place in places.items()}
+    findings: list[Finding] = []
+    if base is None:
+        return cells, findings
+    if columns.headings[places["time"]] == TIME_HEADING:
+        cells["time"] = pd.Series(base)
+    for signal, place in places.items():
+        own = columns.stamps[place]
+        if own is None or (len(own) == len(base) and np.allclose(own, base, rtol=0.0, atol=1e-9)):
+            continue
+        values = pd.to_numeric(columns.cells[place], errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
+        cells[signal] = pd.Series(_interpolated(base, own, values))
+        usual = 1e3 * float(np.median(np.diff(own))) if len(own) > 1 else np.nan
+        what = f"has its own time stamps, one every {usual:.4g} ms; it is interpolated at those of the command"
+        findings.append(Finding(signal, what, Weight.NOTE))
+    return cells, findings
+
+
+def _interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
+    """Values at ``time`` between the samples (own, values); NaN before, after, and in gaps."""
+    order = np.argsort(own, kind="stable")
+    own, values = own[order], values[order]
+    if len(own) < 2:
+        return np.full(len(time), np.nan)
+    after = np.clip(np.searchsorted(own, time), 1, len(own) - 1)
+    step = own[after] - own[after - 1]
+    inside = (time >= own[0]) & (time <= own[-1]) & (step <= LONGEST_STEP * np.median(np.diff(own)))
+    share = (time - own[after - 1]) / np.where(step > 0.0, step, 1.0)
+    between = values[after - 1] + share * (values[after] - values[after - 1])
+    return np.where(inside, between, np.nan)
+
+
+def _read_csv(path: Path) -> Columns:
+    """The table of a text file: its headings stand in the line above the first line of numbers (:func:`find_table`)."""
+    text = read_text(path, LARGEST_RECORDING, OTHER_ENCODING)
+    found = found_table(text, path)
+    with csv_errors(path):
+        table = pd.read_csv(io.StringIO(text[found.start :]), **csv_options(found, decimal_of(found, text)))
+    if not len(table):
+        raise ConfigurationError(f"{path}: holds headings but no rows")
+    return of_table(table.set_axis(found.headings, axis=1), found.first_line)
+
+
+def of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
+    """The columns of a table; an index with a name is one of them."""
+    table = table.reset_index() if table.index.name is not None else table
+    headings = [str(name) for name in table.columns]
+    return Columns(headings, [table.iloc[:, k] for k in range(len(headings))], [None] * len(headings), first_line)
+
+
+def _read_parquet(path: Path, _: Any) -> Columns:
+    return of_table(pd.read_parquet(path, engine="pyarrow"))
+
+
+def _read_mdf(path: Path, asammdf: Any) -> Columns:
+    with asammdf.MDF(path) as file:
+        return of_channels(read_mdf(file))
+
+
+def _read_tdms(path: Path, nptdms: Any) -> Columns:
+    channels = []
+    for group in nptdms.TdmsFile.read(path).groups():
+        for channel in group.channels():
+            values = channel[:]
+            if not len(values):
+                continue
+            unit = str(channel.properties.get("unit_string", ""))
+            # Only a waveform has stamps; otherwise a column of the file is the time.
+            stamps = channel.time_track() if "wf_increment" in channel.properties else None
+            channels.append(Channel(group.name, channel.name, unit, values, stamps))
+    return of_channels(channels)
+
+
+def _read_mat(path: Path, scipy_io: Any) -> Columns:
+    return of_channels(read_mat(path, scipy_io))
+
+
+def of_channels(channels: Sequence[Channel]) -> Columns:
+    """Channels as columns: headings ``name [unit]``, with the group before names that occur twice; time comes first."""
+    names = [channel.name for channel in channels]
+    headings = [
+        (f"{c.group}/{c.name}" if names.count(c.name) > 1 else c.name) + (f" [{c.unit}]" if c.unit else "")
+        for c in channels
+    ]
+    cells = [pd.Series(channel.values) for channel in channels]
+    stamps = [channel.stamps for channel in channels]
+    if any(one is not None for one in stamps):
+        longest = max((one for one in stamps if one is not None), key=len)
+        headings, cells, stamps = [TIME_HEADING, *headings], [pd.Series(longest), *cells], [None, *stamps]
+    return Columns(headings, cells, stamps, 0)
+
+
+_READERS: dict[str, tuple[str, Callable[[Path, Any], Columns]]] = {
+    ".parquet": ("pyarrow", _read_parquet),
+    ".mf4": ("asammdf", _read_mdf),
+    ".mdf": ("asammdf", _read_mdf),
+    ".tdms": ("nptdms", _read_tdms),
+    ".mat": ("scipy.io", _read_mat),
+}

@@ -1,0 +1,239 @@
+"""The parts of one or more recordings: windows for the fit, and the parts that are held back, which test it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.detection.detector import Windows
+from hydro_env import ConfigurationError
+from hydro_env.task.sensors import SENSORS
+from hydro_rig.recordings.columns import COMMAND, POSITION
+from hydro_rig.recordings.findings import Finding
+from hydro_rig.recordings.sampling import Sampled, bridged, cut
+
+Floats = NDArray[np.float64]
+
+WINDOW, FEWEST_WINDOWS = 2.0, 5  # s
+"""Length of a window, and number of windows; recordings that are too short for five windows have shorter ones."""
+
+SHORTEST_WINDOW = 0.4  # s; shorter windows give too little information, because their start is unknown
+HELD_BACK_SHARE = 0.3  # of a single recording
+MOST_TRAVEL = 0.5  # largest share of the travel in the part that is held back
+MOST_WINDOWS = 12
+"""More windows would take longer and add little: of a longer recording, each twelfth gives the one with most motion."""
+
+FEWEST_OF_EACH = 3  # windows of each recording, if there are many: one out, one back, and one that ends at rest
+
+LONGEST_HELD_BACK = 10.0  # s, of one recording
+LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
+
+SAME_AMPLITUDE = 1.1  # largest ratio of the largest commands of recordings with the same amplitude
+
+FULL_COMMAND = 0.99  # of the largest command
+
+MOST_SATURATED = 0.9
+"""Largest share of the time at full command; a recording with more gives no information about the valve."""
+
+
+class Stretch(NamedTuple):
+    """A part of a recording that the fit does not use."""
+
+    recording: int  # its number, from 0
+    begin: float  # s
+    signals: Floats  # (5, T), in the order of SIGNALS
+    boundary: Floats | None = None  # (2, T), recorded supply and tank pressure, Pa
+
+
+class Parts(NamedTuple):
+    """Recordings cut in parts."""
+
+    fitted: Windows  # for the fit
+    recording: NDArray[np.int64]  # (B,), the number of the recording of each of these windows
+    held_back: list[Stretch]
+    reason: str  # how the held-back parts were chosen
+    findings: list[list[Finding]]  # changes to the samples, by recording
+
+
+def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Collection[int] = ()) -> Parts:
+    """Choose the parts of recordings with one sample time.
+
+    Held back are, in this order: the recordings that the caller names; of recordings with three or more amplitudes of
+    the command, those with the middle one; of repeated recordings, the last with the same sensors; otherwise a stretch
+    of each recording, the last one that holds its share of the travel.
+
+    Args:
+        recordings: their samples.
+        sources: their names, for messages.
+        whole: numbers of the recordings that are held back.
+
+    Raises:
+        ConfigurationError: a position is missing, a command is saturated, or too few samples are without a gap.
+    """
+    for samples, source in zip(recordings, sources, strict=True):
+        _refuse_useless(samples, source)
+    period, together = recordings[0].period, sources[0] if len(sources) == 1 else f"{len(sources)} recordings"
+    durations = [len(samples.time) * period for samples in recordings]
+    length = round(min(WINDOW, sum(durations) / FEWEST_WINDOWS, *durations) / period)
+    if length * period < SHORTEST_WINDOW:
+        needed = FEWEST_WINDOWS * SHORTEST_WINDOW if len(sources) == 1 else SHORTEST_WINDOW
+        place, least = (
+            (together, durations[0]) if len(sources) == 1 else (sources[int(np.argmin(durations))], min(durations))
+        )
+        raise ConfigurationError(f"{place}: holds {least:.3g} s of samples; at least {needed:g} s are needed")
+    filled = [bridged(samples) for samples in recordings]
+    commanded = [_commanded(cut(samples, length)) for samples, _ in filled]
+    cuts = [_with_position(windows) for windows in commanded]
+    count = sum(map(len, cuts))
+    if count < FEWEST_WINDOWS - 1:
+        raise ConfigurationError(
+            f"{together}: only {count} windows of {length * period:g} s have all commands and a position; "
+            f"at least {FEWEST_WINDOWS - 1} are needed"
+        )
+    apart, reason = _apart(cuts, whole)
+    if apart:
+        for number in apart:
+            if not len(cuts[number]):
+                raise ConfigurationError(
+                    f"{sources[number]}: has no window with all commands and a position to hold back"
+                )
+        stretches = [_as_stretch(number, commanded[number], LONGEST_WHOLE) for number in sorted(apart)]
+        used = {number: cuts[number] for number in range(len(cuts)) if number not in apart}
+    else:
+        reason = "the last part of each recording with its share of the motion"
+        used, stretches = {}, []
+        for number, windows in enumerate(cuts):
+            chosen = _with_motion(windows)
+            used[number] = windows.part(~chosen)
+            if chosen.any():
+                stretches.append(_as_stretch(number, windows.part(chosen), LONGEST_HELD_BACK))
+    used = {number: windows for number, windows in used.items() if len(windows)}
+    if not used:
+        raise ConfigurationError(f"{together}: nothing is left for the fit; hold back fewer recordings")
+    most = max(MOST_WINDOWS // len(used), FEWEST_OF_EACH)
+    choose = _liveliest if len(used) == 1 else _most_varied
+    fitted = {number: choose(windows, most) for number, windows in used.items()}
+    return Parts(
+        Windows.joined(list(fitted.values())),
+        np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),
+        stretches,
+        reason,
+        [findings for _, findings in filled],
+    )
+
+
+def _refuse_useless(samples: Sampled, source: str) -> None:
+    if not np.isfinite(samples.signals[POSITION]).any():
+        raise ConfigurationError(f"{source}: position was not recorded; without it nothing can be identified")
+    full = float(np.mean(np.abs(samples.signals[COMMAND]) >= FULL_COMMAND))
+    if full > MOST_SATURATED:
+        raise ConfigurationError(
+            f"{source}: command is at its limit for {100 * full:.0f} % of the recording; the valve was saturated, "
+            "which hides its flow, edges and dynamics: record the axis while it follows a reference"
+        )
+
+
+def _commanded(windows: Windows) -> Windows:
+    return windows.part(windows.commanded)
+
+
+def _with_position(windows: Windows) -> Windows:
+    """The windows in which most readings of the position are known: not those at rest at the end of its range."""
+    return windows.part(np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5)
+
+
+def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], str]:
+    """Numbers of the recordings that are held back as a whole, and why; none if parts of each are held back."""
+    if whole:
+        return set(whole), "as asked for"
+    known = [number for number, windows in enumerate(cuts) if len(windows)]
+    if len(known) < 2:
+        return set(), ""
+    largest = {number: float(np.nanmax(np.abs(cuts[number].signals[:, COMMAND]))) for number in known}
+    ordered = sorted(known, key=lambda number: largest[number])
+    amplitudes = [[ordered[0]]]
+    for number in ordered[1:]:
+        if largest[number] > SAME_AMPLITUDE * largest[amplitudes[-1][0]]:
+            amplitudes.append([])
+        amplitudes[-1].append(number)
+    if len(amplitudes) > 2:
+        return set(amplitudes[len(amplitudes) // 2]), "another amplitude of the command than those of the fit"
+    repeats: dict[bytes, list[int]] = {}
+    for number in known:
+        sensors = np.isfinite(cuts[number].signals).any(axis=(0, 2)).tobytes()
+        repeats.setdefault(sensors, []).append(number)
+    apart = {numbers[-1] for numbers in repeats.values() if len(numbers) > 1}
+    return apart, "other recordings than those of the fit"
+
+
+def _travel(windows: Windows) -> Floats:
+    """Range of the position in each window, m; 0 without two readings."""
+    position = windows.signals[:, POSITION]
+    low, high = np.where(np.isfinite(position), position, np.inf), np.where(np.isfinite(position), position, -np.inf)
+    travel: Floats = np.maximum(high.max(axis=1) - low.min(axis=1), 0.0)
+    return travel
+
+
+def _liveliest(windows: Windows, most: int) -> Windows:
+    """At most ``most`` windows: from each section of a recording, the one with the longest travel."""
+    if len(windows) <= most:
+        return windows
+    sections, travel = np.array_split(np.arange(len(windows)), most), _travel(windows)
+    return windows.part(np.array([section[travel[section].argmax()] for section in sections]))
+
+
+def _most_varied(windows: Windows, most: int) -> Windows:
+    """At most ``most`` windows: those in which the signals vary most, relative to their largest range in one."""
+    signals = windows.signals[:, : len(SENSORS)]
+    known = np.isfinite(signals)
+    low, high = (np.where(known, signals, end) for end in (np.inf, -np.inf))
+    ranges = np.maximum(high.max(axis=2) - low.min(axis=2), 0.0)
+    activity = (ranges / np.maximum(ranges.max(axis=0), 1e-300)).sum(axis=1)
+    return windows.part(np.sort(np.argsort(-activity, kind="stable")[:most]))
+
+
+def lively(windows: Windows, most: int) -> NDArray[np.int64]:
+    """Numbers of the windows with the longest way of the command, which show best whether the model holds."""
+    way = np.nansum(np.abs(np.diff(windows.signals[:, COMMAND], axis=1)), axis=1)
+    return np.sort(np.argsort(-way, kind="stable")[:most])
+
+
+def _with_motion(windows: Windows) -> NDArray[np.bool_]:
+    """The windows (B,) of a recording to hold back: the last stretch of them with its share of the travel or more.
+
+    It has HELD_BACK_SHARE of the windows, and at most MOST_TRAVEL of the travel. Without such a stretch it is the last.
+    """
+    count = len(windows)
+    chosen = np.zeros(count, dtype=np.bool_)
+    if count < 2:
+        return chosen
+    span = float(windows.end[0] - windows.begin[0])
+    size = min(max(count - round((1.0 - HELD_BACK_SHARE) * count), 1), max(round(LONGEST_HELD_BACK / span), 1))
+    travel = _travel(windows)
+    for begin in range(count - size, -1, -1):
+        stretch = slice(begin, begin + size)
+        if windows.end[begin + size - 1] - windows.begin[begin] > (size + 0.1) * span:
+            continue  # a gap
+        if size / count * travel.sum() <= travel[stretch].sum() <= MOST_TRAVEL * travel.sum():
+            chosen[stretch] = True
+            return chosen
+    chosen[count - size :] = True
+    return chosen
+
+
+def _as_stretch(recording: int, windows: Windows, longest: float) -> Stretch:
+    """The longest stretch of windows without a gap between them, at most ``longest`` s."""
+    span = float(windows.end[0] - windows.begin[0])
+    most = max(round(longest / span), 1)
+    breaks = np.flatnonzero(np.abs(windows.begin[1:] - windows.end[:-1]) > 0.1 * span) + 1
+    stretches = np.split(np.arange(len(windows)), breaks)
+    chosen = max(stretches, key=len)[:most]
+    signals, edges = (
+        None if values is None else np.concatenate(list(values[chosen]), axis=1)
+        for values in (windows.signals, windows.boundary)
+    )
+    assert signals is not None
+    return Stretch(recording, float(windows.begin[chosen[0]]), signals, edges)

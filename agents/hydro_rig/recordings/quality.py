@@ -1,0 +1,306 @@
+"""All checks of a recording, before any verdict: single channels, then spool, command, pressures and motion together.
+
+Two balances, valid for every rig of this kind, reveal a wrong sign, exchanged chambers and a wrong unit:
+
+* flow (12), (13): oil through the valve = piston area x speed + compression. Its slope is near 1 if the units are
+  correct, and positive if spool and position have the same direction.
+* force (14): A_a p_a − A_b p_b = M a + d v + F_c sign(v) + k x + F_0 with M, d, F_c, k not negative. Exchanged chambers
+  or a reversed position do not satisfy it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from hydro_env import TaskConfig, simulate
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.parts.chambers import chamber_volumes
+from hydro_env.plant.parts.valve import edge_flows
+from hydro_env.plant.simulate import LONGEST_PERIOD
+from hydro_env.plant.states import State
+from hydro_env.units import FULL_VOLTAGE
+from hydro_rig.recordings.channels import check_channels
+from hydro_rig.recordings.columns import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
+from hydro_rig.recordings.driving import check_driving
+from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.recording import Recording
+from hydro_rig.recordings.sampling import Sampled, on_grid, sampled
+
+Floats = NDArray[np.float64]
+
+INTERVAL = 0.02
+"""s, approximate averaging time; it makes the noise of the position sensor small compared with the motion."""
+
+MOST_SAMPLES = 4000
+"""Largest number of samples; more add no information. From a longer recording, the part with the most travel is
+used."""
+
+FEWEST_SAMPLES = 100
+
+LEAST_TRAVEL = 20.0  # smallest useful travel, in standard deviations of the position's noise
+STEADY = 0.05  # scatter of the flow over its mean, below which the axis moves at one speed
+LEAST_SHARE = 0.05  # smallest travel, as a share of the travel from the valve's flow
+
+FITS, FAILS = 0.6, 0.75
+"""Unexplained share of the force: largest value of a fitting balance, smallest value of a wrong one.
+
+On the three shipped rigs it is 0 to 0.6, and 0.6 to 1.0 with exchanged chambers or a reversed position.
+"""
+
+SLOPES = (0.15, 6.0)
+"""Valid range of the slopes of the flow balance and of spool against command, including wear and noise."""
+
+LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
+
+
+class Checked(NamedTuple):
+    """A recording at the control period, and all findings about it."""
+
+    samples: Sampled  # invalid readings are NaN
+    findings: list[Finding]
+
+    @property
+    def severe(self) -> list[Finding]:
+        """Findings that rule out a verdict."""
+        return [finding for finding in self.findings if finding.weight is Weight.SEVERE]
+
+    @property
+    def faults(self) -> list[Finding]:
+        """Findings that show a faulty sensor."""
+        return [finding for finding in self.findings if finding.weight is Weight.FAULT]
+
+
+def check_recording(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Checked:
+    """Check time stamps, channels and wiring of a recording for the rig of a task.
+
+    Each check relies on the previous ones, and is left out after a severe finding. ``own_grid`` is that of
+    :func:`~hydro_rig.recordings.sampling.sampled`.
+    """
+    samples = sampled(recording, config, own_grid)
+    return check_samples(samples, recording.findings, on_grid(config, samples.period))
+
+
+def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig) -> Checked:
+    """Check samples at the control period of a task; ``known`` are earlier findings."""
+    findings = [*known, *samples.findings]
+    checked = Checked(samples, findings)
+    if not len(samples.time):
+        return checked
+    findings += check_driving(samples, config)
+    channels = check_channels(samples, config)
+    findings += channels.findings
+    samples = samples._replace(signals=np.where(channels.bad, np.nan, samples.signals))
+    if not checked.severe and not checked.faults:
+        early = row_of_command(samples, config)
+        if early:
+            samples = _with_command_moved(samples, early)
+            word = "early" if early > 0 else "late"
+            what = f"is one row too {word} for the spool: moved; 'rows_early: {early}' in the map says the same"
+            findings.append(Finding("command", what, Weight.NOTE))
+        findings += check_wiring(samples, config)
+    return Checked(samples, findings)
+
+
+def row_of_command(samples: Sampled, config: TaskConfig) -> int:
+    """By how many rows the command stands too early for the spool: −1, 0 or 1; 0 where the signals do not tell."""
+    signals = _stretch_with_motion(samples)
+    expected = _response_at_next_sample(config)
+    if signals is None or expected <= LEAST_RESPONSE or not _commanded(signals, config):
+        return 0
+    weights, rest, wanted = _spool_after_commands(signals)
+    slope = float(weights[:4].sum())
+    if rest > 0.5 * wanted or not SLOPES[0] <= slope <= SLOPES[1]:
+        return 0
+    later, now = weights[0] / slope, weights[1] / slope
+    return -1 if later > 0.5 * expected else 1 if now < 0.25 * expected else 0
+
+
+def _with_command_moved(samples: Sampled, early: int) -> Sampled:
+    """The samples with the command moved by a row, without those at the ends whose command is then unknown."""
+    signals, other = samples.signals.copy(), np.arange(len(samples.place)) - early
+    inside = np.clip(other, 0, len(other) - 1)
+    known = (other == inside) & (samples.place[inside] == samples.place - early)
+    signals[COMMAND] = np.where(known, samples.signals[COMMAND, inside], np.nan)
+    kept = slice(*(np.flatnonzero(known)[[0, -1]] + [0, 1]).tolist())
+    beside = None if samples.beside is None else samples.beside[:, kept]
+    place = samples.place[kept] - samples.place[kept.start]
+    return samples._replace(place=place, time=samples.time[kept], signals=signals[:, kept], beside=beside)
+
+
+class Balance(NamedTuple):
+    """Fit of a recording to the two balances."""
+
+    force_rest: float  # unexplained share of the force, 0 to 1
+    slope: float  # of the flow balance of chamber a
+    travel: float  # m
+    expected_travel: float  # m, by the flow through the valve
+
+
+def _stretch_with_motion(samples: Sampled) -> Floats | None:
+    """The signals (5, T) of a stretch without gaps in which the axis moves most; ``None`` if all are too short."""
+    whole = np.all(np.isfinite(samples.signals), axis=0)
+    if whole.sum() < FEWEST_SAMPLES:
+        return None
+    signals = _liveliest(samples.signals[:, _longest_stretch(samples.place, whole)])
+    return signals if signals.shape[1] >= FEWEST_SAMPLES else None
+
+
+def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
+    """Find wrong signs, exchanged chambers and wrong units; needs motion."""
+    signals = _stretch_with_motion(samples)
+    if signals is None:
+        return []
+    findings = _spool_and_command(signals, config)
+    if any(finding.weight is Weight.SEVERE for finding in findings):
+        return findings
+    given = balance(signals, config)
+    if max(given.travel, given.expected_travel) < LEAST_TRAVEL * config.sensors.position.noise:
+        return findings
+    if given.force_rest < FAILS and SLOPES[0] <= given.slope <= SLOPES[1]:
+        return findings
+    ratio = given.travel / max(given.expected_travel, 1e-300)
+    if ratio < LEAST_SHARE or (given.slope > 0.0 and not SLOPES[0] <= given.slope <= SLOPES[1]):
+        what = f"moves {ratio:.2g} times as far as the valve's flow moves the piston; check its unit and the rig"
+        return [*findings, Finding("position", what, Weight.SEVERE)]
+    changes = _change_that_helps(signals, config)
+    if changes:
+        what = f"contradict each other; they would fit with {changes}"
+        return [*findings, Finding("pressures, spool and motion", what, Weight.SEVERE)]
+    if given.slope < 0.0:
+        return [*findings, Finding("position", "moves against the valve's flow; check the signs", Weight.SEVERE)]
+    what = f"do not fit the motion: {100 * given.force_rest:.0f} % of the force is unexplained"
+    return [*findings, Finding("pressures", what, Weight.NOTE)]
+
+
+def balance(signals: Floats, config: TaskConfig) -> Balance:
+    """Fit of signals (5, T) without gaps to the two balances of the nominal rig."""
+    c = plant_coefficients(config.plant)
+    step = max(round(INTERVAL / config.control_period), 1)
+    time = step * config.control_period
+    position, pressure_a, pressure_b, _ = (_means(signals[row], step) for row in range(4))
+    force = c.area_a * pressure_a - c.area_b * pressure_b
+    speed = (position[2:] - position[:-2]) / (2.0 * time)
+    acceleration = (position[2:] - 2.0 * position[1:-1] + position[:-2]) / time**2
+    slow = 0.02 * max(float(np.abs(speed).max()), 1e-9)
+    causes = np.column_stack([acceleration, speed, np.tanh(speed / slow), position[1:-1]])
+    causes -= causes.mean(axis=0)
+    wanted = force[1:-1] - force[1:-1].mean()
+    scale = causes.std(axis=0) + 1e-300
+    _, rest = nnls(causes / scale, wanted)
+    force_rest = float(rest**2 / max(float(wanted @ wanted), 1e-300))
+
+    flow = _means(_flow_into_a(signals, config, c), step)[1:-1]
+    volume = chamber_volumes(position[1:-1], c)[0]
+    stored = volume / c.bulk_modulus * (pressure_a[2:] - pressure_a[:-2]) / (2.0 * time)
+    needed = c.area_a * speed + stored
+    covariance = np.cov(needed, flow)
+    travel = float(np.ptp(np.quantile(position, [0.01, 0.99])))
+    if flow.std() < STEADY * abs(float(flow.mean())):  # at one speed only the means say something
+        return Balance(0.0, float(needed.mean() / flow.mean()), travel, abs(float(flow.sum())) * time / c.area_a)
+    expected = float(np.ptp(np.cumsum(flow - flow.mean()))) * time / c.area_a
+    return Balance(force_rest, float(covariance[0, 1] / max(covariance[1, 1], 1e-300)), travel, expected)
+
+
+def _flow_into_a(signals: Floats, config: TaskConfig, c: Any) -> Floats:
+    """Flow of the nominal valve into chamber a, m³/s, (T,)."""
+    flow = np.empty(signals.shape[1])
+    rest = State(*[0.0] * len(State._fields))._replace(supply_pressure=config.plant.supply.pressure)
+    for k, (pressure_a, pressure_b, spool) in enumerate(signals[PRESSURE_A : SPOOL + 1].T.tolist()):
+        edges = edge_flows(rest._replace(pressure_a=pressure_a, pressure_b=pressure_b, spool_position=spool), c)
+        flow[k] = edges.supply_to_a - edges.a_to_tank
+    return flow
+
+
+def _change_that_helps(signals: Floats, config: TaskConfig) -> str:
+    """The smallest change of columns after which both balances fit, as text; empty if there is none."""
+    changes = sorted(product((False, True), repeat=3), key=sum)[1:]
+    for exchanged, position_turned, spool_turned in changes:
+        changed = signals.copy()
+        if exchanged:
+            changed[[PRESSURE_A, PRESSURE_B]] = changed[[PRESSURE_B, PRESSURE_A]]
+        if position_turned:
+            changed[POSITION] *= -1.0
+        if spool_turned:
+            changed[SPOOL] *= -1.0
+        found = balance(changed, config)
+        if found.force_rest < FITS and SLOPES[0] <= found.slope <= SLOPES[1]:
+            words = ["the pressures of the chambers exchanged"] if exchanged else []
+            words += ["the other sign of the position"] if position_turned else []
+            words += ["the other sign of spool and command"] if spool_turned else []
+            return " and ".join(words)
+    return ""
+
+
+def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
+    """Check sign and scale of the command against the spool."""
+    if not _commanded(signals, config):
+        return []
+    weights, rest, wanted = _spool_after_commands(signals)
+    slope = float(weights[:4].sum())
+    if rest > 0.5 * wanted:
+        return [Finding("spool_position", "does not follow the command", Weight.NOTE)]
+    if slope < 0.0:
+        return [Finding("spool_position", "moves against the command: reverse the sign of one of them", Weight.SEVERE)]
+    if not SLOPES[0] <= slope <= SLOPES[1]:
+        what = f"moves {slope:.3g} times as far as the command; check the units of both"
+        return [Finding("spool_position", what, Weight.SEVERE)]
+    return []
+
+
+def _commanded(signals: Floats, config: TaskConfig) -> bool:
+    """Whether the command changes enough for the spool to follow it."""
+    command = signals[COMMAND]
+    return bool(np.ptp(command) >= 0.02 and command.std() >= 2.0 * config.sensors.spool_position.noise)
+
+
+def _spool_after_commands(signals: Floats) -> tuple[Floats, float, float]:
+    """Weights of the command one row later, in this row, one and two rows before and of 1 in the spool's readings.
+
+    Returns also the standard deviations of what is left and of the readings.
+    """
+    spool, command = signals[SPOOL], signals[COMMAND]
+    rows = np.column_stack([command[3:], command[2:-1], command[1:-2], command[:-3], np.ones(len(command) - 3)])
+    wanted = spool[2:-1]
+    weights, *_ = np.linalg.lstsq(rows, wanted, rcond=None)
+    return weights, float((wanted - rows @ weights).std()), float(wanted.std())
+
+
+def _response_at_next_sample(config: TaskConfig) -> float:
+    """Share of a new command that the nominal spool follows by the next sample."""
+    period = min(config.control_period - config.command_latency, LONGEST_PERIOD)
+    if period <= 0.0:
+        return 0.0
+    small = 0.1
+    run = simulate(config.plant, [small], period)
+    start = run.spool_position[0]
+    goal = small / FULL_VOLTAGE - start
+    return float((run.spool_position[-1] - start) / goal) if abs(goal) > 1e-9 else 0.0
+
+
+def _means(values: Floats, step: int) -> Floats:
+    """Means over consecutive groups of samples."""
+    count = len(values) // step
+    means: Floats = values[: count * step].reshape(count, step).mean(axis=1)
+    return means
+
+
+def _longest_stretch(index: NDArray[np.int64], whole: NDArray[np.bool_]) -> slice:
+    """The longest stretch of consecutive samples without a missing reading."""
+    rows = np.flatnonzero(whole)
+    breaks = np.flatnonzero(np.diff(index[rows]) != 1) + 1
+    parts = np.split(rows, breaks)
+    longest = max(parts, key=len)
+    return slice(int(longest[0]), int(longest[-1]) + 1)
+
+
+def _liveliest(signals: Floats) -> Floats:
+    """The part of MOST_SAMPLES samples with the largest spread of the position."""
+    starts = range(0, max(signals.shape[1] - MOST_SAMPLES, 0) + 1, MOST_SAMPLES)
+    best = max(starts, key=lambda start: float(signals[POSITION, start : start + MOST_SAMPLES].std()))
+    return signals[:, best : best + MOST_SAMPLES]

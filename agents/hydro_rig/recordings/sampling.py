@@ -1,0 +1,325 @@
+"""Resamples a recording at the control period of the rig: it checks time stamps, selects rows, and keeps gaps.
+
+A log that is faster than the controller, whose commands keep no fixed place in the control period, such as a step test
+in open loop, is taken on its own grid instead: about one sample per millisecond.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.detection.detector import Windows
+from hydro_env import TaskConfig
+from hydro_rig.recordings.columns import COMMAND, UNITS
+from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
+from hydro_rig.recordings.recording import Recording
+
+Floats = NDArray[np.float64]
+
+LARGEST_DEVIATION = 0.02
+"""Largest relative deviation of the row distance from a whole fraction of the control period; clocks differ less."""
+
+JITTER = (0.05, 0.4)
+"""Jitter of time stamps, as a fraction of the row distance: limit for a note, and limit beyond which rows are
+ambiguous."""
+
+ROWS_TOGETHER = 20
+
+SHORTEST_DISTANCE = 1e-7  # s between two rows; no rig logs faster, so the unit of the stamps is wrong
+
+MOST_MISSING = 0.2  # largest share of rows that may be missing or duplicate
+
+FOLLOWING = 0.1
+"""Share of a stamp's deviation by which the clock is corrected: a slightly wrong clock then loses no row."""
+
+LONGEST_FILL = 3  # largest number of successive missing commands that are filled in
+
+HOLD_SHARE = 0.8  # smallest share of command changes at the same row within the control period
+
+OWN_PERIOD = 1e-3  # s, approximate distance of the samples on a log's own grid; from a faster log, medians of its rows
+
+
+class Sampled(NamedTuple):
+    """A recording at the control period; T samples."""
+
+    place: NDArray[np.int64]  # (T,), number of the control period since the first sample, rising; a gap skips numbers
+    time: Floats  # (T,), s
+    signals: Floats  # (5, T), SI, in the order of SIGNALS: column k holds u_{k-1}
+    period: float  # s
+    units: dict[str, str]  # by signal, as in the file
+    findings: list[Finding]
+    beside: Floats | None = None  # (4, T), SI, in the order of BESIDE; None: none of them was recorded
+
+
+def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Sampled:
+    """The samples of a recording, one per control period of the task.
+
+    From n rows per control period, the last row before the command changes is the sample; the command of the previous
+    period still acts there. After a severe finding the samples are empty.
+
+    Args:
+        recording: the rows.
+        config: the task; it gives the control period.
+        own_grid: whether to take the log's own grid (:func:`on_grid`): always, never, or (``None``) where the log is
+            faster than the control period and its commands keep no fixed place in it.
+    """
+    if recording.beside is None:
+        return _sampled(recording, config, own_grid)
+    both = np.concatenate([recording.signals, recording.beside])
+    found = _sampled(recording._replace(signals=both), config, own_grid)
+    rows = len(recording.signals)
+    return found._replace(signals=found.signals[:rows], beside=found.signals[rows:])
+
+
+def _sampled(recording: Recording, config: TaskConfig, own_grid: bool | None) -> Sampled:
+    findings: list[Finding] = []
+    period = config.control_period
+    time, signals = recording.time, recording.signals
+    nothing = Sampled(
+        np.zeros(0, np.int64), np.zeros(0), np.zeros((len(signals), 0)), period, recording.units, findings
+    )
+
+    steps = np.diff(time)
+    if np.any(steps < 0.0):
+        back = np.append(False, steps < 0.0)
+        worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s"
+        findings.append(finding_of(back, time, "time", worst, Weight.SEVERE))
+        return nothing
+    twice = np.append(False, steps == 0.0)
+    if twice.any():
+        many = bool(twice.mean() > MOST_MISSING)
+        findings.append(finding_of(twice, time, "time", "has duplicate stamps; the first row counts", severe_if(many)))
+        if many:
+            return nothing
+        time, signals = time[~twice], signals[:, ~twice]
+
+    distance = _row_distance(time, period)
+    rows_per_period = _whole_fraction(distance, period)
+    if distance < SHORTEST_DISTANCE:
+        findings.append(_other_sampling(distance, period, recording.units.get("time", "s")))
+        return nothing
+    if own_grid or (own_grid is None and not rows_per_period and distance < period):
+        place, jitter_findings = _places(time, distance)
+        findings += jitter_findings
+        severe = any(finding.weight is Weight.SEVERE for finding in findings)
+        return nothing if severe else _on_own_grid(recording, time, signals, place, distance, findings)
+    if not rows_per_period:
+        findings.append(_other_sampling(distance, period, recording.units.get("time", "s")))
+        return nothing
+    place, jitter_findings = _places(time, distance)
+    findings += jitter_findings
+    if any(finding.weight is Weight.SEVERE for finding in findings):
+        return nothing
+    chosen = np.ones(len(place), dtype=np.bool_)
+    if rows_per_period > 1:
+        phase, hold_findings = _phase(place, time, signals[COMMAND], rows_per_period, distance, config)
+        if hold_findings and own_grid is None:
+            return _on_own_grid(recording, time, signals, place, distance, findings)
+        findings += hold_findings
+        if any(finding.weight is Weight.SEVERE for finding in findings):
+            return nothing
+        chosen = place % rows_per_period == phase
+    index = (place[chosen] - place[chosen][0]) // rows_per_period if chosen.any() else place[:0]
+    return Sampled(index, time[chosen], signals[:, chosen], period, recording.units, findings)
+
+
+def _on_own_grid(
+    recording: Recording,
+    time: Floats,
+    signals: Floats,
+    place: NDArray[np.int64],
+    distance: float,
+    findings: list[Finding],
+) -> Sampled:
+    """The samples of a log on its own grid of about OWN_PERIOD.
+
+    From a faster log, readings are medians of the rows around each sample, which leave out spikes. As many commands as
+    possible change at a sample: in column k stands the one that acted since the sample before.
+    """
+    rows = max(round(OWN_PERIOD / distance), 1)
+    period = float(f"{rows * distance:.6g}")
+    changed = place[1:][np.abs(np.diff(signals[COMMAND])) > 0.0]
+    first = int(np.bincount(changed % rows, minlength=rows).argmax())
+    around = (place - first + rows // 2) // rows
+    number = np.unique(around)
+    values = _medians(signals, np.searchsorted(number, around), len(number))
+    acting = (place - first) // rows + 1
+    inside = np.isin(acting, number)
+    commands = _medians(signals[COMMAND:, inside], np.searchsorted(number, acting[inside]), len(number))[0]
+    values[COMMAND] = commands
+    if len(number) > 1 and number[1] == number[0] + 1 and np.isnan(commands[0]):
+        values[COMMAND, 0] = signals[COMMAND, 0]  # what acted before the first row
+    what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for the command in the control period; taken "
+    what += "on its own grid" + (
+        f" of {1e3 * period:.4g} ms, each sample the median of {rows} rows" if rows > 1 else ""
+    )
+    told = [*findings, Finding("time", what, Weight.NOTE)]
+    stamps = time[0] + (number - number[0]) * period
+    return Sampled(number - number[0], stamps, values, period, recording.units, told)
+
+
+def _medians(values: Floats, group: NDArray[np.int64], count: int) -> Floats:
+    """Medians (channels, count) of the values (channels, n) of each group (n,), rising; NaN where there are none."""
+    place = np.arange(len(group)) - np.searchsorted(group, group)
+    filled = np.full((len(values), count, int(place.max(initial=0)) + 1), np.nan)
+    filled[:, group, place] = values
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a group without a reading
+        medians: Floats = np.nanmedian(filled, axis=2)
+    return medians
+
+
+def on_grid(config: TaskConfig, period: float) -> TaskConfig:
+    """The task with the sample time of a log on its own grid, in which a command acts when it is logged."""
+    if period == config.control_period:
+        return config
+    return config.model_copy(update={"control_period": period, "command_latency": 0.0, "command_latency_range": None})
+
+
+def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
+    """The samples with up to LONGEST_FILL missing commands in a row filled in, and a finding about them.
+
+    Lost rows come back with this command alone; readings stay missing. A command comes from the signals
+    around it: the linear combination that fits the other commands of the recording best.
+    """
+    jumps = np.diff(samples.place)
+    lost = [
+        samples.place[k] + np.arange(1, jumps[k]) for k in np.flatnonzero((jumps > 1) & (jumps <= LONGEST_FILL + 1))
+    ]
+    place = np.sort(np.concatenate([samples.place, *lost])).astype(np.int64)
+    signals = np.full((len(samples.signals), len(place)), np.nan)
+    signals[:, np.searchsorted(place, samples.place)] = samples.signals
+    missing = np.isnan(signals[COMMAND])
+    filled = np.zeros(len(place), dtype=np.bool_)
+    for begin, end in zip(*runs_of(missing), strict=True):
+        inside = begin > 0 and end < len(place) and end - begin <= LONGEST_FILL
+        filled[begin:end] = inside and place[end] - place[begin - 1] == end - begin + 1
+    if not filled.any():
+        return samples, []
+    signals[COMMAND, filled] = _likely(signals, filled)
+    time = np.interp(place, samples.place, samples.time)
+    what = f"lacks samples; up to {LONGEST_FILL} in a row are filled in from those around them"
+    finding = finding_of(filled, time, "command", what, Weight.NOTE)
+    samples = samples._replace(beside=_placed(samples.beside, np.searchsorted(place, samples.place), len(place)))
+    return samples._replace(place=place, time=time, signals=signals), [finding]
+
+
+def _placed(values: Floats | None, places: NDArray[np.int64], count: int) -> Floats | None:
+    """Values (channels, n) at their places among ``count`` samples; NaN elsewhere."""
+    if values is None:
+        return None
+    whole = np.full((len(values), count), np.nan)
+    whole[:, places] = values
+    return whole
+
+
+def _likely(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
+    """The commands at ``filled``, from all signals in the two rows before and after."""
+    places, sure = np.arange(signals.shape[1]), np.isfinite(signals[COMMAND])
+    inputs = [np.ones(len(places))]
+    for values in signals:
+        known = np.isfinite(values)
+        if known.any():
+            whole = np.interp(places, places[known], values[known])
+            scale = float(whole.std()) or 1.0
+            inputs += [np.roll((whole - whole.mean()) / scale, by) for by in (2, 1, -1, -2)]
+    around = np.column_stack(inputs)
+    weights, *_ = np.linalg.lstsq(around[sure], signals[COMMAND, sure], rcond=None)
+    return np.asarray(np.clip(around[filled] @ weights, -1.0, 1.0))
+
+
+def cut(samples: Sampled, length: int) -> Windows:
+    """Windows of ``length`` samples; a shorter remainder and windows without any sample are left out."""
+    window, place = samples.place // length, samples.place % length
+    chosen = np.unique(window)
+    if len(samples.place):
+        chosen = chosen[(chosen + 1) * length <= samples.place[-1] + 1]
+    number = np.searchsorted(chosen, window)
+    inside = np.isin(window, chosen)
+
+    def cut_out(values: Floats) -> Floats:
+        parts = np.full((len(chosen), len(values), length), np.nan)
+        parts[number[inside], :, place[inside]] = values[:, inside].T
+        return parts
+
+    begin = np.asarray(chosen * length * samples.period, dtype=np.float64)
+    beside = None if samples.beside is None else cut_out(samples.beside)
+    return Windows(cut_out(samples.signals), begin, begin + length * samples.period, beside)
+
+
+def _row_distance(time: Floats, period: float) -> float:
+    """Usual distance of two rows in s: the median, or that over many rows if only this fits the period."""
+    distance = float(np.median(np.diff(time)))
+    many = min(ROWS_TOGETHER, len(time) - 1)
+    together = float(np.median(time[many:] - time[:-many])) / many
+    return distance if _whole_fraction(distance, period) or not _whole_fraction(together, period) else together
+
+
+def _whole_fraction(distance: float, period: float) -> int:
+    """Rows per control period; 0 if the row distance is not a whole fraction of it."""
+    rows = round(period / max(distance, SHORTEST_DISTANCE))
+    return rows if rows >= 1 and abs(distance * rows / period - 1.0) <= LARGEST_DEVIATION else 0
+
+
+def _other_sampling(distance: float, period: float, unit: str) -> Finding:
+    """The finding that the row distance does not fit the control period, with a unit of time that would fit."""
+    units = UNITS["time"]
+    fitting = [name for name in units if 1 <= _whole_fraction(distance * units[name] / units[unit], period) <= 100]
+    what = f"has one row every {1e3 * distance:.4g} ms, but the rig's control period is {1e3 * period:g} ms"
+    if fitting:
+        what += f"; stamps in {fitting[0]} instead of {unit} would fit"
+    else:
+        what += ": the commands between the rows are unknown" if distance > period else ""
+        what += "; record at the control period or at a whole fraction of it, or give the --task of this rig"
+    return Finding("time", what, Weight.SEVERE)
+
+
+def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], list[Finding]]:
+    """Number of row distances since the first row, (n,), and findings about the time stamps."""
+    findings = []
+    place, off = np.zeros(len(time), dtype=np.int64), np.zeros(len(time))
+    clock, count = float(time[0]), 0
+    for row, stamp in enumerate(time[1:].tolist(), 1):
+        jump = max(round((stamp - clock) / distance), 1)
+        count += jump
+        place[row] = count
+        error = stamp - clock - jump * distance
+        off[row] = abs(error) / distance
+        clock = stamp - (1.0 - FOLLOWING) * error
+    jumps = np.diff(place, prepend=-1)
+    usual = float(np.quantile(off, 0.95))
+    if usual > JITTER[0]:
+        what = f"has stamps that jitter by up to {1e3 * usual * distance:.2g} ms (95 %) around one row every "
+        findings.append(Finding("time", what + f"{1e3 * distance:.4g} ms", severe_if(usual > JITTER[1])))
+    gaps = np.flatnonzero(jumps > 1)
+    if len(gaps):
+        share = float((jumps[gaps] - 1).sum()) / (count + 1)
+        longest = f"{1e3 * distance * (jumps.max() - 1):.3g} ms"
+        what = f"has {len(gaps)} gaps, the longest of {longest}" if len(gaps) > 1 else f"has a gap of {longest}"
+        begin, end = time[gaps[0] - 1], time[gaps[0]]
+        findings.append(Finding("time", what, severe_if(share > MOST_MISSING), float(begin), float(end), share))
+    return place, findings
+
+
+def _phase(
+    place: NDArray[np.int64], time: Floats, command: Floats, rows: int, distance: float, config: TaskConfig
+) -> tuple[int, list[Finding]]:
+    """Index of the sample among the ``rows`` of a control period, from the rows in which the command changes."""
+    changed = np.append(False, np.diff(command) != 0.0) & np.append(False, np.diff(place) == 1)
+    changed &= np.isfinite(command) & np.append(False, np.isfinite(command[:-1]))
+    if not changed.any():  # a constant command: any row is suitable
+        return 0, []
+    counts = np.bincount(place[changed] % rows, minlength=rows)
+    if counts.max() < HOLD_SHARE * changed.sum():
+        spacing = int(np.median(np.diff(place[changed]))) if changed.sum() > 1 else 1
+        what = (
+            f"changes every {1e3 * distance * spacing:.3g} ms, at no fixed place in the control period of "
+            f"{1e3 * config.control_period:g} ms; give the --task of this rig"
+        )
+        return 0, [finding_of(changed, time, "command", what, Weight.SEVERE)]
+    back = max(round(config.command_latency / distance), 1)
+    return int((counts.argmax() - back) % rows), []

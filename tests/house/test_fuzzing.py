@@ -1,0 +1,384 @@
+"""Random damage to everything that a user can give: the answer is a result or one clear line, and it comes soon.
+
+Each target draws a valid input and damages it. A few hundred cases run always, ten thousand with ``-m slow``.
+"""
+
+import json
+import math
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from command_line import hydro, own_lines
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hydro_agents.detection.head import LeakageHead
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.rigs.simulation import read_table
+from hydro_agents.running.folders import config_folder, pretrained_folder
+from hydro_agents.study.settings import StudySettings
+from hydro_env import (
+    HydroError,
+    PlantParameters,
+    ServoHydraulicEnv,
+    ServoHydraulicVectorEnv,
+    TaskConfig,
+    equilibrium,
+    simulate,
+)
+from hydro_env.plant.workable import refuse_unworkable
+from hydro_rig.recordings.columns import read_map
+from hydro_rig.recordings.quality import check_recording
+from hydro_rig.recordings.recording import read_recording
+from hydro_rig.recordings.simulated import recording_csv
+
+SLOWEST = 400.0
+"""Processor time of the slowest case of a target over its median, and no less than a second."""
+
+NUMBERS = st.one_of(
+    st.integers(-3, 3),
+    st.integers(),
+    st.sampled_from([10**30, -(10**400), 2**63, 2**32, 10**9]),
+    st.floats(),
+    st.sampled_from([0.0, -0.0, math.inf, -math.inf, math.nan, 1e308, -1e308, 5e-324, 1e9, 1e-9]),
+)
+WORDS = st.one_of(
+    st.text(max_size=20),
+    st.sampled_from(["", "1e5", "nan", "step", "user", "../x.yaml", "absent.yaml", "a\0b", "x" * 5000, "[b]", "null"]),
+)
+PLAIN = st.one_of(st.none(), st.booleans(), NUMBERS, WORDS)
+ANYTHING = st.recursive(
+    PLAIN,
+    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(st.one_of(WORDS, PLAIN), inner, max_size=3)),
+    max_leaves=6,
+)
+ARRAYS = st.one_of(
+    ANYTHING,
+    st.tuples(
+        st.lists(st.integers(0, 4), max_size=3),
+        st.sampled_from(["f4", "f8", "i8", "?", "U3", "O", "c16", "M8[s]", "f2"]),
+        NUMBERS,
+    ).map(lambda drawn: filled(*drawn)),
+)
+
+
+def filled(shape: list[int], kind: str, value: Any) -> Any:
+    """An array of this shape and type, filled with a value where the type can hold it."""
+    array = np.zeros(shape, dtype=kind)
+    try:
+        with np.errstate(all="ignore"):
+            array[...] = value
+    except (ValueError, TypeError, OverflowError):
+        pass
+    return array
+
+
+@st.composite
+def damaged(draw: Any, base: Any) -> Any:
+    """A copy of nested mappings and lists in which a few places hold something else, are gone, or are new."""
+    tree = json.loads(json.dumps(base))
+    for _ in range(draw(st.integers(1, 3))):
+        place = tree
+        while True:
+            keys = list(place) if isinstance(place, dict) else list(range(len(place)))
+            if not keys:
+                break
+            key = draw(st.sampled_from(keys))
+            if isinstance(place[key], dict | list) and draw(st.integers(0, 9)):
+                place = place[key]
+                continue
+            what = draw(st.integers(0, 9))
+            if what == 0:
+                del place[key]
+            elif what == 1 and isinstance(place, dict):
+                place[draw(WORDS)] = draw(ANYTHING)
+            else:
+                old = place[key]
+                numeric = isinstance(old, int | float) and not isinstance(old, bool) and draw(st.booleans())
+                place[key] = (
+                    old * draw(st.sampled_from([-1, 0, 1e-6, 1e-3, 0.1, 10, 1e3, 1e6])) if numeric else draw(ANYTHING)
+                )
+            break
+    return tree
+
+
+@st.composite
+def edited(draw: Any, base: bytes) -> bytes:
+    """Bytes in which a few stretches are replaced, repeated or gone."""
+    content = base
+    for _ in range(draw(st.integers(1, 4))):
+        start = draw(st.integers(0, len(content)))
+        length = draw(st.integers(0, 20))
+        piece = draw(
+            st.one_of(
+                st.binary(max_size=10),
+                st.text(max_size=10).map(str.encode),
+                st.sampled_from(
+                    [b"", b"&a ", b"*a", b"[" * 3000, b"9" * 5000, b"!!float ", b"\n", b"? ", b"{", b"- ", b"\t"]
+                ),
+                st.just(content[start : start + 200] * 3),
+            )
+        )
+        content = content[:start] + piece + content[start + length :]
+    return content
+
+
+def refused_or_done(call: Any, *arguments: Any, **keywords: Any) -> Any:
+    """The result, or ``None`` after an error of this project: one line, or a heading and one line per mistake."""
+    try:
+        return call(*arguments, **keywords)
+    except HydroError as error:
+        message = str(error)
+    heading, *mistakes = message.split("\n")
+    assert not mistakes or ("mistakes" in heading and all(line.startswith("  ") for line in mistakes))
+    assert all(0 < len(line) < 3000 for line in (heading, *mistakes))
+    return None
+
+
+def file_of(folder: Path, name: str, content: bytes) -> Path:
+    (folder / name).write_bytes(content)
+    return folder / name
+
+
+# --- targets: a strategy, and what is done with each case (in a folder of its own) ---
+
+RIG = yaml.safe_dump(PlantParameters().model_dump(mode="json"), sort_keys=False).encode()
+TASK = yaml.safe_dump(TaskConfig().model_dump(mode="json"), sort_keys=False).encode()
+STUDY = (config_folder() / "studies" / "default.yaml").read_bytes()
+SMALL_TASK = {**TaskConfig().model_dump(mode="json"), "episode_duration": 0.05}
+
+
+def read_text_of_a_file(model: Any) -> Any:
+    def check(folder: Path, content: bytes) -> None:
+        refused_or_done(model.from_yaml, file_of(folder, "a.yaml", content))
+
+    return check
+
+
+def use_rig(folder: Path, values: Any) -> None:
+    parameters = refused_or_done(PlantParameters.from_dict, values)
+    if parameters is None:
+        return
+    refused_or_done(refuse_unworkable, parameters)
+    refused_or_done(equilibrium, parameters)
+    refused_or_done(simulate, parameters, [1.0, -1.0], 1e-3)
+
+
+def use_task(folder: Path, values: Any) -> None:
+    env = refused_or_done(ServoHydraulicEnv, values)
+    if env is not None and refused_or_done(env.reset, seed=0) is not None:
+        refused_or_done(env.step, np.zeros(1, dtype=np.float32))
+
+
+def use_keywords(folder: Path, values: Any) -> None:
+    keywords = values if isinstance(values, dict) else {}
+    refused_or_done(ServoHydraulicEnv, **keywords)
+
+
+def use_study(folder: Path, values: Any) -> None:
+    try:
+        content = yaml.safe_dump(values, allow_unicode=True).encode("utf-8", "surrogatepass")
+    except yaml.YAMLError:
+        return
+    study = refused_or_done(StudySettings.from_yaml, file_of(folder, "a.yaml", content))
+    if study is not None:
+        refused_or_done(study.check)
+
+
+def use_options(folder: Path, options: Any) -> None:
+    env = ServoHydraulicEnv(SMALL_TASK)
+    if refused_or_done(env.reset, seed=0, options=options) is None:
+        env.reset(seed=1)
+    env.step(np.zeros(1, dtype=np.float32))
+    several = ServoHydraulicVectorEnv(3, SMALL_TASK)
+    if refused_or_done(several.reset, seed=0, options=options) is None:
+        several.reset(seed=1)
+    several.step(np.zeros((3, 1), dtype=np.float32))
+
+
+def use_actions(folder: Path, drawn: Any) -> None:
+    action, seed = drawn
+    env, several = ServoHydraulicEnv(SMALL_TASK), ServoHydraulicVectorEnv(2, SMALL_TASK)
+    for each in (env, several):
+        each.reset(seed=0)
+        refused_or_done(each.step, action)
+        refused_or_done(each.reset, seed=seed)
+        refused_or_done(each.reset, seed=0)
+
+
+def use_weights(load: Any, name: str) -> Any:
+    def check(folder: Path, drawn: Any) -> None:
+        described, tensors = drawn
+        shutil.copy(pretrained_folder() / f"{name}.json", folder / "w.json")
+        shutil.copy(pretrained_folder() / f"{name}.safetensors", folder / "w.safetensors")
+        if described is not None:
+            file_of(folder, "w.json", described if isinstance(described, bytes) else json.dumps(described).encode())
+        if tensors is not None:
+            file_of(folder, "w.safetensors", tensors)
+        refused_or_done(load, folder / "w")
+
+    return check
+
+
+def weights_of(name: str) -> Any:
+    described = (pretrained_folder() / f"{name}.json").read_bytes()
+    tensors = (pretrained_folder() / f"{name}.safetensors").read_bytes()
+    return st.one_of(
+        st.tuples(st.one_of(damaged(json.loads(described)), edited(described)), st.none()),
+        st.tuples(st.none(), edited(tensors[:2000]).map(lambda head: head + tensors[2000:])),
+        st.tuples(st.none(), st.integers(0, len(tensors)).map(lambda length: tensors[:length])),
+    )
+
+
+SIMULATE = {
+    "--voltage": ["3", "-10", "nan", "1e9", "abc"],
+    "--input": ["step", "sine", "stop", "sweep", "x"],
+    "--duration": ["0.01", "0", "-1", "nan", "inf", "1e300"],
+    "--sample-time": ["0.001", "0", "1e-300", "inf"],
+    "--leakage": ["1", "0", "-1", "nan", "20", "1e300"],
+    "--position": ["0", "0.05", "9", "nan", "-inf"],
+    "--rig": ["a.yaml", "absent.yaml", "."],
+    "--input-file": ["a.csv", "absent.csv", "/dev/null"],
+    "--overwrite": [None],
+    "--output": ["out", "a.yaml", "a.yaml/b", "/proc/x", "b[/]c", "", "x" * 300],
+}
+OTHERS = {
+    "--config": ["a.yaml", "absent.yaml", "/dev/null"],
+    "--seed": ["1", "-1", "1e9", str(2**40)],
+    "--steps": ["0", "10", "x"],
+    "--plants": ["0", "5", "x", str(10**30)],
+    "--agent": ["x", "=", "a=", "a=b:c", "a=a.yaml", "a=os:system", "PPO=absent"],
+    "--head": ["absent", ".", "a.yaml"],
+    "--only": ["kernel", "x"],
+    "--resume": [None],
+    "--overwrite": [None],
+    "--quick": [None],
+    "--rig": ["a.yaml", "absent.yaml"],
+}
+
+
+@st.composite
+def command_lines(draw: Any) -> tuple[list[str], bytes]:
+    command = draw(
+        st.sampled_from(["simulate"] * 4 + ["train", "evaluate", "study", "benchmark", "reproduce", "x", ""])
+    )
+    table = SIMULATE if command == "simulate" else OTHERS
+    line = [command] if command else []
+    if command == "train":
+        line += draw(st.lists(st.sampled_from(["ppo", "head", "pid", "x", "PID"]), max_size=2))
+    for option in draw(st.lists(st.sampled_from(sorted(table)), max_size=4)):
+        value = draw(
+            st.one_of(st.sampled_from(table[option]), st.none(), WORDS.map(lambda text: text.replace("\0", "")))
+        )
+        line += [option] if value is None else [option, value]
+    if command == "simulate":
+        line += ["--duration", "0.02"] if "--duration" not in line and "--input-file" not in line else []
+    else:
+        line += ["--output", "file"]  # refused before any work
+    return line, draw(edited(draw(st.sampled_from([RIG, STUDY, b"t,v\n0,1\n0.001,2\n"]))))
+
+
+def use_command_line(folder: Path, drawn: Any) -> None:
+    line, content = drawn
+    for name in ("file", "a.yaml", "a.csv"):
+        file_of(folder, name, content)
+    answer = hydro(*line)
+    assert answer.returncode in (0, 2)
+    if answer.returncode == 2 and "Usage" not in answer.stderr + answer.stdout:
+        heading, *mistakes = own_lines(answer.stderr)
+        assert heading.startswith("hydro: ")
+        assert not mistakes or ("mistakes" in heading and all(line.startswith("  ") for line in mistakes))
+
+
+def use_table(folder: Path, content: bytes) -> None:
+    refused_or_done(read_table, file_of(folder, "a.csv", content))
+
+
+def use_recording(folder: Path, drawn: Any) -> None:
+    content, columns = drawn
+    mapped = refused_or_done(read_map, file_of(folder, "map.yaml", columns))
+    for chosen in (None, mapped):
+        recording = refused_or_done(read_recording, file_of(folder, "a.csv", content), chosen)
+        if recording is not None:
+            for finding in check_recording(recording, TaskConfig()).findings:
+                assert finding.line().isprintable()
+
+
+RECORDING = recording_csv(
+    0.005 * np.arange(200), np.random.default_rng(0).normal([[0], [4e6], [5e6], [0], [0]], 0.01, (5, 200)), "a test"
+).encode()
+COLUMNS = b"time: {column: 1, unit: s}\ncommand: {column: 6, unit: V, gain: -1}\npressure_a: pressure_a\n"
+
+OPTIONS = {
+    "leakage_flow_lpm": 1.0,
+    "leakage_resistance": 1e12,
+    "reference": [0.0, 0.01],
+    "parameters": {"load": {"mass": 80.0}, "valve": {"model": "spool"}},
+    "initial_position": 0.01,
+    "persist": True,
+    "reset_mask": [True, False, True],
+}
+
+TARGETS: dict[str, tuple[Any, Any]] = {
+    "rig as text": (edited(RIG), read_text_of_a_file(PlantParameters)),
+    "task as text": (edited(TASK), read_text_of_a_file(TaskConfig)),
+    "study as text": (edited(STUDY), read_text_of_a_file(StudySettings)),
+    "rig": (damaged(PlantParameters().model_dump(mode="json")), use_rig),
+    "task": (damaged(SMALL_TASK), use_task),
+    "keywords": (st.dictionaries(WORDS.filter(str.isidentifier), ANYTHING, max_size=3), use_keywords),
+    "study": (damaged(yaml.safe_load(STUDY)), use_study),
+    "reset options": (
+        st.one_of(damaged(OPTIONS), st.fixed_dictionaries({}, optional=dict.fromkeys(OPTIONS, ARRAYS))),
+        use_options,
+    ),
+    "actions and seeds": (st.tuples(ARRAYS, ARRAYS), use_actions),
+    "policy weights": (weights_of("policy"), use_weights(PolicyController.load, "policy")),
+    "head weights": (weights_of("leakage_head"), use_weights(LeakageHead.load, "leakage_head")),
+    "tables": (edited(b"time,voltage\n" + b"".join(b"%d.5,1e-1\n" % n for n in range(20))), use_table),
+    "recordings": (st.tuples(edited(RECORDING), edited(COLUMNS)), use_recording),
+    "command lines": (command_lines(), use_command_line),
+}
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    """Everything is compiled before any case is timed."""
+    simulate(PlantParameters(), [1.0], 1e-3)
+    for env in (ServoHydraulicEnv(SMALL_TASK), ServoHydraulicVectorEnv(2, SMALL_TASK)):
+        env.reset(seed=0)
+        env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+
+
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("cases", [25, pytest.param(800, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("target", TARGETS)
+def test_damage_is_answered_with_one_line(target, cases, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    strategy, check = TARGETS[target]
+    seconds = []
+
+    @settings(
+        max_examples=cases,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+        print_blob=False,
+    )
+    @given(strategy)
+    def run(case: Any) -> None:
+        began = time.process_time()
+        try:
+            check(tmp_path, case)
+        finally:
+            seconds.append(time.process_time() - began)
+            shutil.rmtree(tmp_path / "out", ignore_errors=True)
+
+    run()
+    seconds.remove(max(seconds))  # the first imports
+    assert max(seconds) <= max(SLOWEST * float(np.median(seconds)), 1.0), sorted(seconds)[-5:]

@@ -1,0 +1,328 @@
+"""The recipes of CONTRIBUTING.md: their steps are read from the page, applied to a copy of the sources, and tried.
+
+Run as a program, in a copy, this file carries out the ``try_…`` functions that it is given.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hydro_env
+from hydro_env import PlantParameters, ServoHydraulicEnv, equilibrium, simulate
+from hydro_env.plant.linearisation import linearise
+from hydro_env.plant.simulate import TRAJECTORY_UNITS, valid_ranges
+from hydro_env.plant.states import STATE_NAMES
+from hydro_env.task.configuration import task_config
+
+ROOT = Path(__file__).resolve().parents[2]
+PLANT_RECIPES = {"A second valve model": 3, "A new state": 4}
+TASK_RECIPES = {"A leak law": 1, "A new measured signal": 3, "A reward term": 2, "A reference family": 1}
+EVALUATION_RECIPES = {"A metric": 1, "A condition": 0, "A section of a page": 1}
+IN_YAML = ("A condition", "A controller", "A detector", "Another algorithm")
+AGENT_RECIPES = {"A controller": 1, "A detector": 1, "Another algorithm": 1}
+MOST_SOURCE_FILES = {**PLANT_RECIPES, **TASK_RECIPES, **EVALUATION_RECIPES, **AGENT_RECIPES}
+
+
+def steps_of(recipe: str) -> list[tuple[str, list[tuple[str, str]]]]:
+    """The files that a recipe changes: name, and pairs of old text (empty in a new file) and new text."""
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    section = re.search(rf"^### {re.escape(recipe)}\n(.*?)(?=^##|\Z)", page, re.M | re.S)
+    assert section, f"CONTRIBUTING.md has no recipe '{recipe}'"
+    steps = []
+    for kind, header, body in re.findall(r"^```(diff|python)\n(.*?)\n(.*?)^```$", section[1], re.M | re.S):
+        name = header.removeprefix("+++ " if kind == "diff" else "# ")
+        if kind == "python":
+            steps.append((name, [("", body)]))
+            continue
+        hunks = []
+        for hunk in body.split("@@\n")[1:]:
+            lines = hunk.splitlines(keepends=True)
+            assert all(line[0] in " +-\n" for line in lines), f"{recipe}, {name}: not a diff:\n{hunk}"
+            old, new = ("".join(line[1:] or "\n" for line in lines if line[0] not in skip) for skip in "+-")
+            hunks.append((old, new))
+        steps.append((name, hunks))
+    assert steps, f"recipe '{recipe}' has no steps"
+    return steps
+
+
+def apply(recipe: str, root: Path) -> set[str]:
+    """Carry out the steps of a recipe; returns the files that it changed."""
+    changed = set()
+    for name, hunks in steps_of(recipe):
+        file = root / name
+        changed.add(name)
+        for old, new in hunks:
+            assert bool(old) == file.exists(), f"recipe '{recipe}': {name}"
+            text = file.read_text(encoding="utf-8") if old else ""
+            assert text.count(old) == 1 or not old, f"recipe '{recipe}': {text.count(old)} places in {name}:\n{old}"
+            file.write_text(text.replace(old, new) if old else new, encoding="utf-8")
+    return changed
+
+
+@pytest.fixture
+def sources(tmp_path):
+    for folder in ("hydro_env", "agents", "configs"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def run(root: Path, *trials: str) -> None:
+    variables = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+    command = [sys.executable, __file__, *trials]
+    done = subprocess.run(
+        command,
+        env={**variables, "PYTHONPATH": os.pathsep.join([str(root), str(root / "agents")])},
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("recipe", MOST_SOURCE_FILES)
+def test_a_recipe_fits_the_sources_and_takes_few_files(recipe, sources):
+    settings = {file: file.read_text(encoding="utf-8") for file in (sources / "configs").rglob("*.yaml")}
+    changed = apply(recipe, sources)
+    in_yaml = {name for name in changed if name.endswith(".yaml")}
+    assert min(1, MOST_SOURCE_FILES[recipe]) <= len(changed - in_yaml) <= MOST_SOURCE_FILES[recipe]
+    assert all(name.startswith(("hydro_env/", "agents/hydro_agents/")) for name in changed - in_yaml)
+    more_lines = sum(len(file.read_text().splitlines()) - len(text.splitlines()) for file, text in settings.items())
+    assert (len(in_yaml), more_lines) == ((1, 1) if recipe in IN_YAML else (0, 0))
+
+
+def test_the_page_has_no_other_recipes():
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    assert re.findall(r"^### (.*)$", page.split("## Recipes")[1], re.M) == list(MOST_SOURCE_FILES)
+
+
+def test_the_recipes_of_the_plant(sources):
+    for recipe in PLANT_RECIPES:
+        apply(recipe, sources)
+    run(sources, "try_plant")
+
+
+def test_the_recipes_of_task_and_agents(sources, tmp_path):
+    np.save(tmp_path / "before.npy", lively_episode())
+    watched_axis(tmp_path / "before", {})
+    for recipe in [*TASK_RECIPES, *EVALUATION_RECIPES, *AGENT_RECIPES]:
+        apply(recipe, sources)
+    run(sources, "try_task", "try_chain", "try_leak_law", "try_agents", "try_detector", "try_evaluation")
+
+
+def lively_episode(**task) -> np.ndarray:
+    """Observations and true supply pressures of an episode with a given seed and reference, (steps + 1, n + 1)."""
+    env, supply = ServoHydraulicEnv(episode_duration=0.2, **task), STATE_NAMES.index("supply_pressure")
+    observation, _ = env.reset(seed=5, options={"reference": "sine"})
+    rows = [[*observation, env.axes.state[0, supply]]]
+    for step in range(40):
+        observation, *_ = env.step(np.array([0.8 if step % 20 < 10 else -0.6]))
+        rows.append([*observation, env.axes.state[0, supply]])
+    return np.array(rows)
+
+
+FITTED = {"supply_pressure": {"fitted": True}}
+
+
+def watched_axis(folder: Path, sensors: dict) -> None:
+    """Recordings of the shipped policy and of a PID on an axis with further sensors, and a diagnosis of the latter."""
+    from hydro_agents.detection.monitor import load_head
+    from hydro_agents.learning.opponents import opponent
+    from hydro_rig.diagnosis.diagnose import diagnose, leak_table
+    from hydro_rig.recordings.simulated import record_axis
+
+    folder.mkdir()
+    fitted = task_config(episode_duration=5.0, sensors=sensors)
+    for kind in ("ppo", "pid"):
+        record_axis(folder / f"{kind}.csv", fitted, opponent(kind, fitted, kind), 3, 1.0, "sine")
+    found = diagnose(folder / "pid.csv", fitted, load_head(None, fitted))
+    assert found.estimator is not None
+    assert found.head is not None
+    leak_table(found).to_csv(folder / "leak.csv")
+
+
+def try_chain() -> None:
+    """A further sensor, fitted or not, changes nothing for policy, recording, estimator and leakage head."""
+    watched_axis(Path("after"), FITTED)
+    for file in ("ppo.csv", "pid.csv", "leak.csv"):
+        assert Path("after", file).read_bytes() == Path("before", file).read_bytes(), file
+
+
+def try_leak_law() -> None:
+    """Two litres per minute are two, by the new law too, wherever the project speaks of leaks: the new cases run."""
+    from hydro_env.plant.parts.leakage import LEAK_LAWS
+
+    assert "turbulent" in LEAK_LAWS
+    tests, known = str(Path(__file__).with_name("test_leak_laws.py")), "not laminar and not orifice"
+    assert pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-k", known, tests]) == 0
+
+
+def try_plant() -> None:
+    voltage = np.repeat([8.0, -8.0, 0.4, -10.0], 10)
+    plain = PlantParameters()
+    notched = plain.replace(valve={"edges": "notched"})
+
+    # The valve: equilibrium, both solvers, and what notches do.
+    for position in (-0.02, 0.03):
+        state, holding = equilibrium(notched, position)
+        held = simulate(notched, np.full(40, holding), 5e-3, initial_state=state)
+        assert np.ptp(held.position) < 1e-7
+        assert np.ptp(held.pressure_a) < 1.0
+    small = {kind: simulate(p, np.full(40, 0.4), 5e-3).position for kind, p in (("plain", plain), ("notched", notched))}
+    assert abs(small["notched"][-1]) < 0.2 * abs(small["plain"][-1])
+    open_wide = [abs(simulate(p, np.full(20, 10.0), 5e-3).position[-1]) for p in (plain, notched)]
+    assert 0.8 * open_wide[0] < open_wide[1] < open_wide[0]
+    fast, exact = (simulate(notched, voltage, 5e-3, method=method) for method in ("fast", "radau"))
+    ranges = np.maximum(np.ptp(exact.states, axis=0), 1e-9)
+    assert (np.abs(fast.states - exact.states) / ranges).max() < 1e-3
+
+    # The state: named everywhere, within its range, at rest, and heated by what the valve draws.
+    row = STATE_NAMES.index("oil_temperature")
+    assert TRAJECTORY_UNITS["oil_temperature"] == "K"
+    assert (valid_ranges(plain)[0][row], valid_ranges(plain)[1][row]) == (200.0, 500.0)
+    with pytest.raises(hydro_env.HydroError, match="oil_temperature left its valid range"):
+        simulate(plain, [0.0], 1e-3, initial_state={"oil_temperature": 600.0})
+    state, holding = equilibrium(plain, 0.01)
+    rest = simulate(plain, np.full(40, holding), 5e-3, initial_state=state)
+    assert np.ptp(rest["oil_temperature"]) < 1e-6
+    assert state["oil_temperature"] > 293.0
+    np.testing.assert_allclose(linearise(plain).a[row, row], -20.0 / 4e3, rtol=1e-6)
+    warm = simulate(plain, np.repeat(voltage, 5), 1e-3)
+    losses = (warm.supply_pressure - plain.supply.tank_pressure) * warm.supply_flow
+    heat = losses - 20.0 * (warm["oil_temperature"] - 293.0)
+    stored = 4e3 * (warm["oil_temperature"][-1] - warm["oil_temperature"][0])
+    assert stored > 10.0
+    np.testing.assert_allclose(np.trapezoid(heat, warm.time), stored, rtol=0.02)
+
+
+def try_task() -> None:
+    # The signal: observed with its own noise; all others as they were, bit for bit.
+    before, after = np.load("before.npy"), lively_episode(sensors=FITTED)
+    np.testing.assert_array_equal(lively_episode(), before)
+    env = ServoHydraulicEnv(reward={"speed": 2.0}, references={"weights": {"sweep": 1.0}}, sensors=FITTED)
+    assert env.axes.observation_names[-1] == "supply_pressure"
+    assert env.axes.observation_units[-1] == "Pa"
+    np.testing.assert_array_equal(after[:, :-2], before[:, :-1])
+    error = 50e5 * after[:, -2] - after[:, -1]
+    assert 0.5 * 0.1e5 < error.std() < 2.0 * 0.1e5
+    assert abs(error.mean()) < 0.5e5 + 0.1e5
+
+    # The reward term, and the reference: within the range of references, faster at the end than at the beginning.
+    env.reset(seed=1)
+    total = 0.0
+    for _ in range(100):
+        _, reward, _, _, info = env.step(np.array([0.5]))
+        terms = info["reward_terms"]
+        np.testing.assert_allclose(terms["speed"], -2.0 * info["velocity"] ** 2, rtol=1e-12)
+        np.testing.assert_allclose(reward, sum(terms.values()), rtol=1e-6)
+        total += terms["speed"]
+    assert total < 0.0
+    assert info["reference_family"] == "sweep"
+    steps = env.config.steps
+    for seed in range(5):
+        env.reset(seed=seed)
+        row = env.axes.reference[0, : steps + 1]
+        assert np.abs(row).max() <= 0.1
+        turns = np.flatnonzero(np.diff(np.sign(np.diff(row))))
+        assert (turns > steps / 2).sum() > (turns < steps / 2).sum() >= 1
+
+
+def try_agents() -> None:
+    from hydro_agents import evaluate
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.study.settings import StudySettings
+    from hydro_agents.study.training import train_controller
+
+    study = StudySettings.from_yaml("configs/studies/quick.yaml")
+    assert list(study.controllers) == ["PID", "damped", "Flow linearisation", "PPO on flow linearisation", "TD3"]
+    assert study.trained == ["PPO on flow linearisation", "TD3"]
+    damped = study.make("damped")
+    trainer = study.controllers["TD3"].trainer
+    assert trainer is not None
+    with tempfile.TemporaryDirectory() as name, ProgressDisplay() as display:
+        folder = Path(name)
+        short = trainer.settings(total_steps=160)
+        trained = train_controller(study, "TD3", folder, 0, False, None, display, settings=short)
+        loaded = trainer.load(folder / "policy")
+    observation = np.random.default_rng(0).normal(size=(7, len(study.make("PID").layout.names))).astype(np.float32)
+    np.testing.assert_array_equal(loaded.predict(observation)[0], trained.predict(observation)[0])
+    sizes = {"leak_levels": [0.1, 2.0], "families": ["sweep"], "plants": 3}
+    made = evaluate(study.task, {"PID": study.make("PID"), "damped": damped, "TD3": loaded}, settings=sizes)
+    assert not made.errors
+    error = made.cases.groupby("controller")["mean_error_mm"].mean()
+    assert error["damped"] < error["TD3"]  # which has hardly learned
+
+
+def try_detector() -> None:
+    from hydro_agents.detection.detector import Windows
+    from hydro_agents.detection.detectors import make_detector
+    from hydro_agents.detection.looks import looks_at
+    from hydro_agents.evaluation.leak_protocol import LeakProtocol, simulated_windows
+
+    # In the protocol, a leak scores higher on the same plants, and a window with motion has no answer; in an alarm too.
+    protocol = LeakProtocol.from_yaml("configs/protocols/leakage.yaml")
+    detector = make_detector(protocol.detectors["held"])
+    task, signals = protocol.known_task("standing"), {}
+    for level in (0.0, 1.0):
+        cases = protocol.cases_in("standing", level, 3)
+        signals[level] = simulated_windows(protocol.task_in("standing"), "PID", cases, 400)[0]
+    healthy, leaking = (detector.read(Windows.of(each), task) for each in signals.values())
+    assert healthy.answers.all()
+    assert (leaking.score > 2.0 * healthy.score).all()
+    moving = simulated_windows(protocol.task_in("ordinary"), "PID", protocol.cases_in("ordinary", 1.0, 3), 400)[0]
+    assert not detector.read(Windows.of(moving), task).answers.all()
+    np.testing.assert_array_equal(looks_at(signals[1.0], task, detector, 0.5).score[:, 0], leaking.score)
+    assert "needs the position" in detector.refuses(task_config(sensors={"spool_position": {"fitted": False}}), 400)
+
+
+def try_evaluation() -> None:
+    from hydro_agents.evaluation.participants import participants
+    from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+    from hydro_agents.evaluation.runner import run as run_protocol
+    from hydro_agents.report.content import Content
+    from hydro_agents.report.robustness import ROBUSTNESS, absolute_table, ranking_table
+    from hydro_agents.report.sections import render_page
+    from hydro_agents.running.text import number
+
+    # The condition of the file, which no controller knows.
+    quick = RobustnessProtocol.from_yaml("configs/protocols/quick.yaml")
+    conditions = {name: quick.conditions[name] for name in ("leak_8", "thin_oil")}
+    task = {"episode_duration": 0.3}
+    protocol = RobustnessProtocol(task=task, plants=3, families=["step"], parts=["tracking"], conditions=conditions)
+    assert protocol.parameters_in("thin_oil")["fluid"]["bulk_modulus"] == 0.7 * protocol.task.plant.fluid.bulk_modulus
+    assert protocol.task_in("thin_oil").plant == protocol.task.plant
+    chosen = participants({"PID": "pid", "Flow linearisation": "flow_linearising"}, protocol)
+    tables = run_protocol(protocol, chosen, jobs=1).tables()
+    assert set(tables["comparison"]["condition"]) == {"all", "leak_8", "thin_oil"}
+
+    # The metric: in the table of cases, in the comparisons, and on the page.
+    assert tables["cases"]["saturated_share"].between(0.01, 0.99).any()
+    for name in ("comparison", "families", "ranking"):
+        assert "saturation_ratio" in tables[name]
+    assert "saturated_share" in set(tables["summary"]["metric"])
+    assert "saturation" in ranking_table(Content(tables))[0].header
+    assert "Command at its limit, % of the time" in absolute_table(Content(tables)).header
+
+    # The section: on the page at its place, and not without its table.
+    page = render_page("Mine", ROBUSTNESS, Content(tables)).html
+    named = re.findall(r'<section id="(\w+)"', page)
+    assert named[named.index("peaks") - 1 : named.index("peaks") + 2] == ["failures", "peaks", "inputs"]
+    worst = tables["worst_cases"].query("controller == 'Flow linearisation'").nlargest(1, "peak_error_mm").iloc[0]
+    where = conditions[worst["condition"]].label
+    assert f"<td>{number(worst['peak_error_mm'])}</td><td>{where}</td>" in page
+    rest = {name: table for name, table in tables.items() if name != "worst_cases"}
+    assert "Largest errors" not in render_page("Mine", ROBUSTNESS, Content(rest)).html
+
+
+if __name__ == "__main__":
+    for trial in sys.argv[1:]:
+        globals()[trial]()

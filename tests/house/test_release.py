@@ -1,0 +1,78 @@
+"""What a release adds: the README for the package index, the pages in the wheel, and the files of a public forge."""
+
+import importlib.util
+import re
+import sys
+import tomllib
+import types
+from pathlib import Path
+
+import pytest
+import yaml
+
+from hydro_env import folders
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+ADDRESS = "https://example.org/hydro_env"
+INSIDE = re.compile(r"\]\((?!https?:)")
+
+
+@pytest.fixture(scope="module")
+def release():
+    """The build hooks, without hatchling, which only a build has."""
+    stand_ins = {
+        "hatchling.builders.hooks.plugin.interface": {"BuildHookInterface": dict},
+        "hatchling.metadata.plugin.interface": {"MetadataHookInterface": object},
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, parts in stand_ins.items():
+            module = types.ModuleType(name)
+            vars(module).update(parts)
+            patch.setitem(sys.modules, name, module)
+        spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    return module
+
+
+def test_without_an_address_the_readme_has_no_dead_link_and_loses_no_word(release):
+    assert INSIDE.search(README)
+    text = release.readme(README, "")
+    assert not INSIDE.search(text)
+    assert "https://gymnasium.farama.org" in text
+    words = [re.escape(word) for word in re.findall(r"(?<!!)\[([^\]]+)\]\((?!https?:)", README)]
+    assert [word for word in words if not re.search(word, text)] == []
+
+
+def test_with_an_address_every_link_leads_to_a_file_of_the_repository(release):
+    text = release.readme(README, ADDRESS)
+    assert not INSIDE.search(text)
+    places = re.findall(rf"\]\({ADDRESS}/(?:blob|raw)/main/([^)#]+)", text)
+    assert len(places) > 20
+    assert [place for place in places if not (ROOT / place).exists()] == []
+
+
+def test_a_wrong_address_is_named(release, monkeypatch):
+    monkeypatch.setenv(release.ADDRESS, "example.org")
+    hook = release.AddressHook()
+    hook.root = str(ROOT)
+    with pytest.raises(ValueError, match="must be an address such as"):
+        hook.update({})
+
+
+def test_messages_name_pages_that_a_user_can_open(monkeypatch, tmp_path):
+    assert (ROOT / folders.page("diagnose.md")).is_file()
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs/diagnose.md").touch()
+    monkeypatch.setattr(folders, "_PACKAGE", tmp_path)
+    assert folders.page("diagnose.md") == str(tmp_path / "docs/diagnose.md")
+
+
+def test_workflows_classifiers_and_the_release_name_the_same_versions_of_python():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    versions = re.findall(r"Python :: (3\.\d+)", "\n".join(project["classifiers"]))
+    tests = yaml.safe_load((ROOT / ".github/workflows/tests.yml").read_text(encoding="utf-8"))
+    assert tests["jobs"]["tests"]["strategy"]["matrix"]["python"] == versions
+    script = (ROOT / "benchmarks/release.py").read_text(encoding="utf-8")
+    assert re.findall(r"\"(3\.\d+)\"", script) == versions

@@ -1,0 +1,224 @@
+"""It runs where the fast path cannot: no folder for the cache, an older processor, processes and threads.
+
+tests/plant/test_compiled_code.py runs it without a compiler.
+"""
+
+import functools
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+
+import hydro_env
+from hydro_env import ServoHydraulicVectorEnv
+
+ROOT = Path(__file__).parents[2]
+STEPS = 40
+EPISODE = f"""
+import json, sys, warnings
+warnings.simplefilter("ignore", RuntimeWarning)  # uncompiled unsigned numbers wrap around, as they must
+from numba.core.event import install_recorder
+import gymnasium as gym
+import hydro_env
+with install_recorder("numba:compile") as recorder:
+    env = gym.make("hydro_env:ServoHydraulic-v0", **json.loads(sys.argv[1]))
+    rows = [env.reset(seed=5)[0].tolist()]
+    for number in range({STEPS}):
+        rows.append(env.step([0.8 if number % 10 < 5 else -0.4])[0].tolist())
+from hydro_env.task import kernel
+stats = getattr(kernel.step_axes.dispatcher, "stats", None)
+found = {{"rows": rows, "kept": bool(stats and stats.cache_path), "compiled": len(recorder.buffer) // 2}}
+code = list(kernel.step_axes.dispatcher.inspect_asm().values()) if "assembly" in sys.argv else []
+print(json.dumps({{**found, "module": hydro_env.__file__, "assembly": code}}))
+"""
+
+
+EXACT = {"sensors": {"enabled": False}}
+"""Without 16-bit steps, which would make a whole step of a difference in the last digit."""
+
+
+def episode_here(**task):
+    env = gym.make("ServoHydraulic-v0", **task)
+    rows = [env.reset(seed=5)[0].tolist()]
+    for number in range(STEPS):
+        rows.append(env.step([0.8 if number % 10 < 5 else -0.4])[0].tolist())
+    return np.array(rows)
+
+
+def episode_elsewhere(folder=ROOT, task=None, *more, **variables):
+    """The same episode in a fresh process with other environment variables, from the package in ``folder``."""
+    answer = subprocess.run(
+        [sys.executable, "-c", EPISODE, json.dumps(task or {}), *more],
+        env={**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", **variables},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.returncode == 0, answer.stderr
+    found = json.loads(answer.stdout)
+    assert Path(found["module"]).parents[1] == Path(folder)
+    return found
+
+
+@pytest.fixture(scope="module")
+def without_cache(tmp_path_factory):
+    """An episode with a file where each folder would have to be: that denies root as well, unlike permissions."""
+    folder = tmp_path_factory.mktemp("sources")
+    shutil.copytree(ROOT / "hydro_env", folder / "hydro_env", ignore=shutil.ignore_patterns("__pycache__"))
+    for source in (folder / "hydro_env").rglob("*.py"):
+        (source.parent / "__pycache__").touch()
+    (folder / "file").touch()
+    nowhere = str(folder / "file" / "folder")
+    variables = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR", "IPYTHONDIR"), nowhere)
+    return episode_elsewhere(folder, None, "assembly", **variables)  # code from a cache cannot be inspected
+
+
+def test_without_any_folder_for_the_cache(without_cache):
+    assert not without_cache["kept"]
+    np.testing.assert_array_equal(without_cache["rows"], episode_here())
+
+
+def test_the_integration_uses_the_widest_vector_instructions(without_cache):
+    """Products of whole registers of doubles must outnumber those of single ones, with square roots and quotients.
+
+    With AVX-512 both widths count: for some processors LLVM prefers the half, at which they run faster.
+    """
+    features = llvm.get_host_cpu_features()
+    register = "[yz]mm" if features.get("avx512f") else "ymm" if features.get("avx") else None
+    if register is None or not llvm.get_process_triple().startswith("x86_64"):
+        pytest.skip("this processor has no vector instructions that are known here")
+    (code,) = without_cache["assembly"]
+    packed = {name: len(re.findall(rf"\bv{name}pd\b[^\n]*%{register}", code)) for name in ("mul", "sqrt", "div")}
+    scalar = len(re.findall(r"\bv?mulsd\b", code))
+    assert packed["mul"] > 100, packed
+    assert packed["mul"] > scalar / 4, (packed, scalar)  # episodes and sensors are scalar
+    assert packed["sqrt"] >= 8, packed
+    assert packed["div"] >= 8, packed
+
+
+@pytest.fixture(scope="module")
+def older(tmp_path_factory):
+    """Episodes on a processor without any instruction beyond SSE4.2, with an empty cache and once more after it."""
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("cache"))}
+    return [
+        episode_elsewhere(ROOT, EXACT, NUMBA_CPU_NAME="x86-64-v2", NUMBA_CPU_FEATURES="", **cache) for _ in range(2)
+    ]
+
+
+def test_on_a_processor_without_wide_registers(older):
+    """The same within rounding.
+
+    Not the same bits: a processor that multiplies and adds in one instruction rounds once where another rounds twice.
+    What holds on one processor, bit for bit, whatever the number of axes, their order and threads, is tested below.
+    """
+    for found in older:
+        assert found["kept"]
+        np.testing.assert_allclose(found["rows"], episode_here(**EXACT), rtol=0, atol=1e-6)
+
+
+def test_few_functions_are_compiled_before_the_first_step(older):
+    cold, warm = (found["compiled"] for found in older)
+    assert 0 < cold <= 180
+    assert warm == 0  # everything came from the cache
+
+
+COMMANDS = np.random.default_rng(3).uniform(-1, 1, (30, 2, 1)).astype(np.float32)
+MAKE = functools.partial(gym.make, "hydro_env:ServoHydraulic-v0", episode_duration=0.1)
+
+
+def gymnasium_numbers(envs):
+    numbers = [envs.reset(seed=11)[0]]
+    for action in COMMANDS:
+        observation, reward, terminated, truncated, _ = envs.step(action)
+        numbers += [observation.copy(), reward, terminated, truncated]
+    envs.close()
+    return numbers
+
+
+def test_forked_processes_of_gymnasium():
+    """Spawned ones: tests/test_vector_env.py."""
+    alone = gymnasium_numbers(SyncVectorEnv([MAKE] * 2))
+    for mine, other in zip(alone, gymnasium_numbers(AsyncVectorEnv([MAKE] * 2, context="fork")), strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+def sb3_numbers(envs):
+    envs.seed(11)
+    numbers = [envs.reset()]
+    for action in COMMANDS:
+        envs.step_async(action)
+        observation, reward, done, _ = envs.step_wait()
+        numbers += [observation.copy(), np.float32(reward), done.copy()]  # only one of the two rounds rewards
+    envs.close()
+    return numbers
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_processes_of_stable_baselines3(method):
+    alone = sb3_numbers(DummyVecEnv([MAKE] * 2))
+    for mine, other in zip(alone, sb3_numbers(SubprocVecEnv([MAKE] * 2, start_method=method)), strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+@pytest.fixture(scope="module")
+def many():
+    """1000 axes through 12 steps and one restart, with one thread: observations, rewards, commands."""
+    rng = np.random.default_rng(4)
+    commands = rng.uniform(-1, 1, (12, 1000, 1)).astype(np.float32)
+    return commands, vector_numbers(commands, 1)
+
+
+def vector_numbers(commands, threads):
+    envs = ServoHydraulicVectorEnv(commands.shape[1], threads=threads, episode_duration=0.04)
+    observations, rewards = [envs.reset(seed=9)[0]], []
+    for action in commands:
+        observation, reward, *_ = envs.step(action)
+        observations.append(observation)
+        rewards.append(reward)
+    threaded = envs.axes._pool is not None
+    envs.close()
+    return np.array(observations), np.array(rewards), threaded
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 64, 1000])
+def test_bit_for_bit_whatever_the_number_of_axes_blocks_and_threads(many, count, threads):
+    commands, (observations, rewards, _) = many
+    mine = vector_numbers(commands[:, :count], threads)
+    assert mine[2] == (threads > 1 and count == 1000)
+    np.testing.assert_array_equal(mine[0], observations[:, :count])
+    np.testing.assert_array_equal(mine[1], rewards[:, :count])
+
+
+def test_nothing_heavy_is_loaded_before_it_is_needed():
+    code = (
+        "import sys, pickle, gymnasium as gym, hydro_env;"
+        "assert gym.spec('ServoHydraulic-v0').entry_point == 'hydro_env.env:ServoHydraulicEnv';"
+        "heavy = {'numba', 'llvmlite', 'scipy', 'pydantic', 'yaml', 'torch', 'matplotlib', 'pygame', 'hydro_agents'};"
+        "found = heavy & set(sys.modules); assert not found, found;"
+        "assert set(hydro_env.__all__) <= set(dir(hydro_env));"
+        "from hydro_env import PlantParameters, TaskConfig, LEAKAGE_CLASSES;"
+        "found = (heavy - {'pydantic', 'yaml'}) & set(sys.modules); assert not found, found;"
+        "assert pickle.loads(pickle.dumps(TaskConfig())) == TaskConfig();"
+        "env = gym.make('ServoHydraulic-v0'); env.reset(seed=0); env.step([0.0]);"
+        "assert 'scipy.integrate' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_every_public_name_can_be_had():
+    for name in hydro_env.__all__:
+        assert getattr(hydro_env, name) is not None
+    with pytest.raises(AttributeError, match="'hydro_env' has no attribute 'nothing'"):
+        _ = hydro_env.nothing

@@ -1,0 +1,113 @@
+"""The training windows: many kinds of operation, labelled, the same for the same seed, whatever was done before."""
+
+import numpy as np
+import pytest
+
+from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Windows, draw_faults
+from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
+from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation, slow
+from hydro_agents.detection.sheet import sheet_of
+from hydro_agents.detection.training_settings import HeadTrainingSettings
+from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.faults import FAULTS, SIGNED_KINDS
+from hydro_rig.estimation.known_windows import at_rest
+
+CONFIG = TaskConfig(episode_duration=0.4)
+CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)
+PLAN = HeadTrainingSettings().plan(CONFIG, [CONTROLLER])
+
+
+@pytest.fixture(scope="module")
+def windows():
+    return list(PLAN.windows(120, TRAINING_SEEDS.start + 920_000))
+
+
+def test_chunks_do_not_depend_on_those_before(windows):
+    first_seed = TRAINING_SEEDS.start + 920_000
+    rest = list(PLAN.windows(120, first_seed, skip=8))
+    assert len(rest) == len(windows) - 8
+    for name in Windows._fields:
+        np.testing.assert_array_equal(getattr(rest[0], name), getattr(windows[8], name))
+
+
+def test_windows_are_labelled(windows):
+    data = Windows.joined(windows)
+    assert data.features.shape[1] == len(FEATURES)
+    np.testing.assert_array_equal(data.labels[:, 0] == 1.0, data.flow_lpm > 0.03)
+    assert 0.3 < np.mean(data.flow_lpm <= 0.03) < 0.7
+    assert set(data.operation) == set(range(len(OPERATIONS)))
+    seconds = 10.0 ** data.features[:, FEATURES.index("duration")]
+    assert seconds.min() == pytest.approx(0.4)
+    assert 0.8 < seconds.max() <= 1.601
+
+
+def test_every_label_but_the_leak_follows_from_a_fault():
+    sizes, first, labels = draw_faults(CONFIG, np.random.default_rng(0), 3000, 0.6)
+    assert 0.55 < np.mean(first >= 0) < 0.65
+    assert not labels[first < 0].any()
+    for label in range(1, len(LABELS)):
+        named = [name for name, of in LABEL_OF_FAULT.items() if of == label]
+        present = np.any([sizes[name] != 0.0 for name in named], axis=0)
+        np.testing.assert_array_equal(labels[:, label] == 1.0, present)
+    assert not labels[(sizes["position_offset"] != 0.0) & (first == FAULTS.index("position_offset"))][:, 1:3].all()
+    for kind, name in (("valve_null_shift", "valve_null_shift"), ("valve_underlap", "valve_underlap")):
+        assert (sizes[name].min() < 0.0) == (kind in SIGNED_KINDS)
+
+
+def test_the_runs_are_shared_out_over_operations_and_leaks():
+    settings = HeadTrainingSettings(changing_share=0.4, orifice_share=0.1, disturbed_share=0.2)
+    chunks = settings.plan(CONFIG, [CONTROLLER]).chunks(10_000)
+    axes = {leak: sum(chunk.axes for chunk in chunks if chunk.leak == leak) for leak in LEAKS}
+    assert axes == {"constant": 5000, "onset": 2000, "growth": 2000, "orifice": 1000}
+    assert sum(chunk.axes for chunk in chunks if chunk.disturbed) == 2000
+    assert {chunk.row for chunk in chunks} == set(range(len(OPERATIONS)))
+    assert max(chunk.axes for chunk in chunks) <= 256
+
+
+@pytest.mark.parametrize("leak", ["onset", "growth"])
+def test_a_changing_leak_is_labelled_with_its_size_at_the_end_of_the_window(leak):
+    config = TaskConfig()
+    plan = HeadTrainingSettings(fault_share=0.0).plan(config, [CONTROLLER])
+    seeds = TRAINING_SEEDS.start + 930_000 + np.arange(60)
+    data = plan._chunk(Chunk(4, -1, leak, 60), seeds, sheet_of(config))
+    assert len(data.flow_lpm) >= 55
+    early, late = (data.features[:, FEATURES.index(f"change of leak in part {part}")] for part in (1, 8))
+    large = data.flow_lpm > 1.0
+    assert large.sum() >= 5
+    assert np.mean(late[large] > early[large] + 1.0) > 0.8
+    assert np.median(data.features[large, CHANGE]) > np.median(data.features[data.flow_lpm <= 0.03, CHANGE]) + 0.5
+    # The leak of the last part is no larger than that at the end; a growing one is smaller.
+    last = 0.1 * np.sinh(data.features[large, FEATURES.index("leak in part 8")])
+    assert np.median(last / data.flow_lpm[large]) < (1.15 if leak == "onset" else 0.9)
+
+
+@pytest.mark.parametrize("name", MANNERS)
+def test_manners_operate_axes_within_the_range_of_commands(name):
+    env = ServoHydraulicVectorEnv(4, CONFIG)
+    observation, _ = env.reset(seed=0)
+    operation, state, commands = Operation(MANNERS[name], CONFIG, 4, seed=0), None, []
+    for _ in range(40):
+        action, state = operation.predict(observation, state)
+        commands.append(action)
+        observation, *_ = env.step(action)
+    commands = np.array(commands)
+    assert commands.shape == (40, 4, 1)
+    assert np.abs(commands).max() <= 1.0
+    again = Operation(MANNERS[name], CONFIG, 4, seed=0)
+    np.testing.assert_array_equal(again.gain, operation.gain)
+    if name in ("chattering", "dithering", "open loop"):
+        assert np.ptp(commands[:, 0]) > 1e-3
+
+
+def test_slow_and_still_references():
+    speeds, still_task = [], at_rest(CONFIG)
+    for task in (CONFIG, slow(CONFIG), still_task):
+        env = ServoHydraulicVectorEnv(32, task)
+        env.reset(seed=0)
+        steps = np.abs(np.diff(env.axes.reference, axis=1))
+        speeds.append(np.quantile(steps, 0.95) if task is not still_task else steps.max())
+    assert speeds[1] < 0.5 * speeds[0]
+    assert speeds[2] < 1e-5
+    assert ObservationLayout.of(at_rest(CONFIG)) == ObservationLayout.of(CONFIG)

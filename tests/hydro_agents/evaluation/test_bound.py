@@ -1,0 +1,257 @@
+"""The best found: it predicts as the simulator does, its steps find known optima; the commands about bounds."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import assert_one_clear_line, done, hydro
+from published import assert_published
+from scipy.optimize import lsq_linear
+
+from hydro_agents.evaluation.best_found import (
+    NOMINAL,
+    TRUTH,
+    BestFound,
+    BoundSettings,
+    best_found,
+    summary,
+    travel,
+)
+from hydro_agents.evaluation.prediction import Prediction, bounded_least_squares, continued, true_schedule
+from hydro_agents.learning.opponents import shipped
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.text import frame_markdown
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_rig.estimation.information import TASK
+from hydro_rig.estimation.leak_bound import COLUMNS, sensor_choices
+
+SHORT = TaskConfig(episode_duration=0.4)
+FAMILIES = ("step", "point_to_point", "ramp", "sine", "multi_sine", "start_stop")
+CASES = Cases(
+    np.arange(1_900_000, 1_900_012), np.repeat([0.01, 4.0], len(FAMILIES)), np.tile(FAMILIES, 2).astype(np.str_)
+)
+CHANGING = SHORT.model_copy(
+    update={
+        "leakage": SHORT.leakage.model_copy(update={"schedule": "growth"}),
+        "disturbance": SHORT.disturbance.model_copy(update={"kind": "sine"}),
+        "command_latency_range": (0.0, 4e-3),
+    }
+)
+
+
+def errors(rollout):
+    """Mean error of each case in the sensor's frame, m."""
+    return np.abs(rollout.reference - rollout.position - rollout.position_bias[:, None]).mean(axis=1)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return best_found(SHORT, CASES)
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return best_found(SHORT, CASES, "nominal")
+
+
+@pytest.fixture(scope="module")
+def pid():
+    return run_cases(SHORT, shipped("pid", SHORT), CASES)
+
+
+def prediction_of(config, env, horizon, threads=1):
+    axes = env.axes
+    schedule = true_schedule(config, axes, config.steps + horizon)
+    return Prediction(config, axes.coefficient.copy(), axes.column("latency").copy(), schedule, threads)
+
+
+@pytest.mark.parametrize("config", [SHORT, CHANGING], ids=["constant", "changing leak, force, latency"])
+def test_the_prediction_is_what_the_environment_does(config):
+    horizon = 30
+    env = ServoHydraulicVectorEnv(3, config, info=False)
+    env.reset(seed=[5, 6, 7], options={"leakage_flow_lpm": 3.0})
+    axes = env.axes
+    commands = np.random.default_rng(0).uniform(-0.3, 0.3, (3, horizon)).astype(np.float32)
+    before = axes.column("command").copy()
+    predicted = prediction_of(config, env, horizon).positions(
+        axes.state.copy(), before, commands[:, None].astype(float), 0
+    )
+    driven = []
+    for period in range(horizon):
+        env.step(commands[:, period : period + 1])
+        driven.append(axes.column("position").copy())
+    np.testing.assert_array_equal(predicted[:, 0], np.transpose(driven))
+
+
+def test_sensitivities_are_differences_of_predictions():
+    horizon = 6
+    env = ServoHydraulicVectorEnv(2, CHANGING, info=False)
+    env.reset(seed=[1, 2])
+    axes, prediction = env.axes, prediction_of(CHANGING, env, horizon)
+    commands = np.random.default_rng(1).uniform(-0.5, 0.5, (2, horizon))
+    start = axes.state.copy(), axes.column("command").copy()
+    positions, jacobian = prediction.sensitivities(*start, commands, 0)
+    for command in range(horizon):
+        change = np.where(commands[:, command] > 0.0, -0.01, 0.01)
+        moved = commands.copy()
+        moved[:, command] += change
+        other = prediction.positions(*start, moved[:, None], 0)[:, 0]
+        np.testing.assert_allclose(jacobian[:, :, command] * change[:, None], other - positions, atol=1e-15)
+    assert np.all(np.triu(jacobian, 1) == 0.0)  # a command changes nothing before it acts
+
+
+def test_a_step_finds_the_optimum_of_a_linear_axis():
+    rng = np.random.default_rng(3)
+    jacobian = np.tril(rng.uniform(0.5, 1.0, (4, 8, 8)))
+    wanted = rng.uniform(-0.9, 0.9, (4, 8))
+    error = (jacobian @ wanted[:, :, None])[..., 0]
+    found = bounded_least_squares(jacobian, error, np.ones((4, 8)), np.zeros((4, 8)), np.zeros(4), 0.0)
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
+
+
+def test_a_step_finds_the_optimum_within_the_limits():
+    rng = np.random.default_rng(4)
+    jacobian = np.tril(rng.uniform(0.5, 1.0, (20, 8, 8))) + 2.0 * np.eye(8)
+    weight = rng.uniform(0.5, 2.0, (20, 8))
+    error = 8.0 * rng.normal(size=(20, 8))
+    found = bounded_least_squares(jacobian, error, weight, np.zeros((20, 8)), np.zeros(20), 0.0)
+    root = np.sqrt(weight)
+    known = [lsq_linear(r[:, None] * j, r * e, (-1, 1)).x for j, e, r in zip(jacobian, error, root, strict=True)]
+    assert np.mean(np.abs(known) > 0.999) > 0.2  # the limits matter
+    np.testing.assert_allclose(found, known, atol=1e-4)
+
+
+def test_told_the_truth_it_is_never_worse_than_the_pid(truth, pid):
+    assert np.all(errors(truth) <= errors(pid))
+    assert np.all(truth.failed_at < 0)
+
+
+def test_smooth_motion_is_followed_to_micrometres(truth):
+    smooth = np.isin(CASES.families, ("point_to_point", "sine", "multi_sine"))
+    assert errors(truth)[smooth].max() < 2e-6
+
+
+def test_the_truth_is_worth_something(truth, nominal):
+    assert np.all(errors(truth) <= errors(nominal) + 1e-6)
+
+
+def test_more_samples_are_not_worse(truth):
+    steps = np.flatnonzero(CASES.families == "step")
+    few = Cases(CASES.seeds[steps], CASES.leakage_flow_lpm[steps], CASES.families[steps])
+    more = best_found(SHORT, few, settings={"samples": 64})
+    assert errors(more).mean() < 1.02 * errors(truth)[steps].mean()
+
+
+@pytest.mark.parametrize("told", ["truth", "nominal"])
+def test_a_case_depends_on_neither_its_neighbours_nor_threads(told, truth, nominal):
+    again = best_found(SHORT, CASES.part(4, 6), told, {"threads": 3}, chunk=1)
+    whole = {"truth": truth, "nominal": nominal}[told]
+    np.testing.assert_array_equal(again.position, whole.position[4:6])
+
+
+def test_without_the_sensors_aim_the_true_position_follows():
+    case = CASES.part(3, 4)
+    rollout = best_found(SHORT, case, settings={"aim": "axis"})
+    assert np.abs(rollout.reference - rollout.position)[:, 40:].mean() < 2e-6 < 10e-6 < np.abs(rollout.position_bias[0])
+
+
+def test_the_reference_beyond_the_preview():
+    ramp = np.arange(20.0)[None]
+    jump = np.where(np.arange(20) < 8, 0.0, 5.0)[None]
+    np.testing.assert_array_equal(continued(ramp, 3, 4, 8, order=1), np.arange(4.0, 12.0)[None])
+    np.testing.assert_array_equal(continued(ramp, 3, 4, 8, order=0), [[4, 5, 6, 7, 7, 7, 7, 7]])
+    np.testing.assert_array_equal(continued(jump, 4, 4, 8, order=1), [[0, 0, 0, 5, 5, 5, 5, 5]])
+    np.testing.assert_array_equal(continued(jump, 4, 4, 8, order=2), [[0, 0, 0, 5, 5, 5, 5, 5]])
+    np.testing.assert_array_equal(continued(ramp, 3, 0, 3, order=1), [[4, 5, 6]])  # without preview
+    np.testing.assert_allclose(continued(ramp**2, 3, 4, 8, order=2), (ramp**2)[:, 4:12])
+
+
+def test_impossible_settings_are_refused():
+    with pytest.raises(ConfigurationError, match=r"told = 'half': must be 'truth' or 'nominal'"):
+        best_found(SHORT, CASES, "half")
+    with pytest.raises(ConfigurationError, match="best found: horizon = 0"):
+        best_found(SHORT, CASES, settings={"horizon": 0})
+    with pytest.raises(ConfigurationError, match="reads the true states"):
+        BestFound(SHORT, "truth", BoundSettings()).predict(np.zeros((1, 13)))
+
+
+def test_the_command_writes_every_case_and_a_table(tmp_path):
+    task = tmp_path / "task.yaml"
+    task.write_text("episode_duration: 0.05\n")
+    answer = done("bound", "--task", task, "--leak", 1, "--leak", 4, "--output", tmp_path / "out")
+    assert_published("bound", tmp_path / "out")
+    cases = pd.read_csv(tmp_path / "out" / "bound.csv")
+    shipped = {"PID", "PID mended", "ADRC", "LQG", "Flow linearisation", "PPO on flow linearisation"}
+    assert set(cases["controller"]) == {*shipped, TRUTH, NOMINAL}
+    assert len(cases) == (len(shipped) + 2) * 2 * 6 * 3  # controllers, leaks, families, plants
+    mean = cases[cases["controller"] == TRUTH]["error_mm"].mean()
+    assert f"| {mean:.4f} |" in answer.stdout
+    assert (tmp_path / "out" / "bound.md").read_text(encoding="utf-8").count("| mean |") == 3
+    assert_one_clear_line(hydro("bound", "--task", task, "--output", tmp_path / "out"), "holds results already")
+
+
+def test_wrong_input_gets_one_line(tmp_path):
+    assert_one_clear_line(hydro("bound", "--task", "none.yaml", "--output", tmp_path / "out"), "none.yaml")
+    wrong = hydro("bound", "--leak", "-1", "--output", tmp_path / "out")
+    assert_one_clear_line(wrong, "leak_levels", "-1")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_summary_has_both_frames():
+    rows = [
+        {
+            "controller": name,
+            "family": family,
+            "error_mm": error,
+            "true_error_mm": error + 0.03,
+            "valve_travel_per_s": 2.0,
+        }
+        for name, error in (("PID", 0.2), (NOMINAL, 0.1), (TRUTH, 0.0))
+        for family in ("step", "sine")
+    ]
+    table = summary(pd.DataFrame(rows), "family")
+    assert list(table.columns) == ["PID", NOMINAL, TRUTH, "PID, true position", "floor, true position"]
+    np.testing.assert_allclose(table.loc["mean"], [0.2, 0.1, 0.0, 0.23, 0.03])
+    assert frame_markdown(travel(pd.DataFrame(rows)), 1).splitlines()[-1] == "| mean | 2.0 | 2.0 | 2.0 |"
+    assert frame_markdown(table).splitlines()[-1] == "| mean | 0.2000 | 0.1000 | 0.0000 | 0.2300 | 0.0300 |"
+
+
+def test_leak_bound_writes_every_number_and_a_table(tmp_path):
+    out = tmp_path / "out"
+    options = ("--leak", 0, "--leak", 1, "--window", 0.2, "--window", 0.4, "--plants", 3)
+    answer = done("leak-bound", *options, "--unknown", "valve.null_shift", "--output", out)
+    table = pd.read_csv(out / "leak_bound.csv")
+    assert tuple(table.columns) == COLUMNS
+    # motions, leaks, plants, windows; six sets of unknowns, and the choices of sensors with one of them
+    assert len(table) == 3 * 2 * 3 * 2 * (6 + len(sensor_choices(TaskConfig())) - 1)
+    assert (table["sigma_lpm"] > 0.0).all()
+    mine = table[
+        (table["motion"] == "ordinary motion")
+        & (table["leakage_flow_lpm"] == 1.0)
+        & (table["unknowns"] == TASK)
+        & (table["sensors"] == "all sensors")
+    ]
+    median = mine.groupby("window_s")["sigma_lpm"].median()
+    assert median[0.4] < median[0.2]
+    text = (out / "leak_bound.md").read_text(encoding="utf-8")
+    assert f"{median[0.4]:.2g}" in text
+    assert text.splitlines()[-1] in answer.stdout
+    assert (out / "leak_bound.png").read_bytes().startswith(b"\x89PNG")
+    assert_one_clear_line(hydro("leak-bound", "--output", out), "holds results already")
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (("--leak", -1), ("--leak -1", "within 0 to 20 l/min")),
+        (("--window", 0.001), ("--window 0.001", "must be within")),
+        (("--window", 1, "--window", 1), ("--window 1", "given twice")),
+        (("--window", "nan"), ("--window nan",)),
+        (("--unknown", "load.color"), ("load.color",)),
+        (("--unknown", "load.mass"), ("load.mass", "among the unknowns of the task")),
+        (("--controller", "nobody"), ("--controller nobody",)),
+        (("--rig", "none.yaml"), ("none.yaml",)),
+    ],
+)
+def test_leak_bound_refuses_in_one_line(tmp_path, options, parts):
+    assert_one_clear_line(hydro("leak-bound", *options, "--output", tmp_path / "out"), *parts)
+    assert not (tmp_path / "out").exists()

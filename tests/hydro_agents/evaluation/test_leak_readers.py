@@ -1,0 +1,168 @@
+"""The detectors of the project and of others: what they read, refuse and name."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_agents.detection.detector import CAUSE_OF_FAULT, NO_COMMANDS, VERDICTS, Cause, Reading, Windows, logit
+from hydro_agents.detection.detectors import DetectorChoice, make_detector
+from hydro_agents.detection.features import LABELS, SIGNALS
+from hydro_agents.detection.looks import looks_at
+from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
+from hydro_agents.evaluation.leak_protocol import LeakProtocol
+from hydro_agents.evaluation.leak_protocol import simulated_windows as simulated
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import validate
+from hydro_rig.estimation.estimator import EstimatorDetector
+
+CONFIG = TaskConfig()
+FAULTS = {
+    "none": {},
+    "valve": {"valve_null_shift": -0.01},
+    "valve edges": {"valve_underlap": 0.025},
+    "sensor": {"pressure_a_offset": 0.03},
+    "rod seal": {"external_leak": 2.0},
+    "return line": {"tank_pressure": 1e6},
+}
+CAUSES = {"none": Cause.NONE, "rod seal": Cause.EXTERNAL_LEAK, "sensor": Cause.SENSOR, "return line": Cause.RETURN_LINE}
+
+
+def made(fault, leak, samples=200):
+    """Two windows of the same two plants with a fault and a leak in l/min."""
+    conditions = {"c": {"duration": samples * 0.005, "faults": FAULTS[fault]}}
+    protocol = LeakProtocol(detectors={"D": {"kind": "head"}}, base="c", conditions=conditions)
+    signals, _ = simulated(protocol.task_in("c"), "PID", protocol.cases_in("c", leak, 2), samples)
+    return Windows.of(signals)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_estimator_reads_the_leak_and_names_the_fault(fault):
+    reading = EstimatorDetector().read(made(fault, 0.5), CONFIG)
+    assert reading.answers.all()
+    assert reading.cause.tolist() == [CAUSES.get(fault, Cause.VALVE)] * 2
+    np.testing.assert_allclose(reading.flow_lpm, 0.5, atol=0.05)
+    assert (reading.probability > 0.99).all()
+    assert all(bool(text) == (fault != "none") for text in reading.fault)
+
+
+def test_only_windows_with_all_commands_are_read():
+    windows = made("none", 0.5)
+    windows.signals[0, SIGNALS.index("previous_command"), 3] = np.nan
+    reading = EstimatorDetector().read(windows, CONFIG)
+    assert reading.answers.tolist() == [False, True]
+    assert reading.why == (NO_COMMANDS, "")
+    assert reading.cause[0] == Cause.UNDETERMINED
+    assert np.isnan(reading.flow_lpm[0])
+    windows.signals[1, SIGNALS.index("previous_command"), 3] = np.nan
+    nothing = EstimatorDetector().read(windows, CONFIG)
+    assert nothing.why == (NO_COMMANDS,) * 2
+    assert not nothing.answers.any()
+
+
+def test_a_window_that_no_leak_explains_is_unknown():
+    windows = made("none", 0.5)
+    windows.signals[0, 0] = windows.signals[0, 0, ::-1]  # no axis moves against its command
+    assert EstimatorDetector().read(windows, CONFIG).cause.tolist() == [Cause.UNKNOWN, Cause.NONE]
+
+
+def test_changes_of_the_task_and_further_unknowns_reach_the_fit():
+    choice = DetectorChoice(
+        kind="estimator", task={"faults": {"external_leak": {"probability": 0.1}}}, unknowns=("spool_position_gain",)
+    )
+    detector = make_detector(choice)
+    assert isinstance(detector, EstimatorDetector)
+    assert "spool_position_gain" in detector.names(CONFIG, False)
+    assert detector.refuses(TaskConfig(control_period=0.01), 10) == ""
+    assert detector.threshold is None
+    reading = detector.read(made("none", 0.5), CONFIG)
+    np.testing.assert_allclose(reading.flow_lpm, 0.5, atol=0.05)
+
+
+def test_the_shipped_head_reads_the_windows_of_its_axis_and_no_others():
+    detector = make_detector(DetectorChoice(kind="head"))
+    assert isinstance(detector, HeadDetector)
+    assert detector.refuses(CONFIG, 400) == ""
+    assert "windows of at least 2 s" in detector.refuses(CONFIG, 20)
+    assert "a control period of 5 ms" in detector.refuses(TaskConfig(control_period=0.01), 400)
+    heavy = CONFIG.model_copy(update={"plant": CONFIG.plant.replace(load={"mass": 900.0})})
+    assert "another rig" in detector.refuses(heavy, 400)
+    assert np.isfinite(detector.threshold)
+
+
+@pytest.mark.parametrize("fault", ["valve", "rod seal", "sensor"])
+def test_the_head_names_the_fault_with_the_largest_excess(fault):
+    detector, windows = make_detector(DetectorChoice(kind="head")), made(fault, 0.01, 800)
+    reading, found = detector.read(windows, CONFIG), detector.head.estimate_windows(windows.signals)
+    thresholds = logit(detector.head.tensors["thresholds"])
+    for window in np.flatnonzero(reading.answers):
+        excess = {
+            cause: logit(getattr(found, name))[window] - thresholds[LABELS.index(name)]
+            for cause, name in zip(OTHER_CAUSES, LABELS[1:], strict=True)
+        }
+        best = max(excess, key=excess.get)
+        assert reading.cause[window] == (best if excess[best] > 0.0 else Cause.NONE)
+        assert (best.in_full in reading.fault[window]) == (excess[best] > 0.0)
+
+
+def test_a_stuck_sensor_gives_no_answer():
+    windows = made("none", 0.5, 400)
+    windows.signals[0, 1] = windows.signals[0, 1, 0]
+    reading = make_detector(DetectorChoice(kind="head")).read(windows, CONFIG)
+    assert reading.answers.tolist() == [False, True]
+    assert reading.why[0].startswith("unlike")
+
+
+def test_the_words_of_the_causes_are_those_of_the_head_and_of_the_faults():
+    assert [cause.word.replace(" ", "_") for cause in Cause][1:6] == list(LABELS)
+    assert (*(cause.word for cause in Cause if cause < Cause.UNKNOWN), "cannot tell") == VERDICTS
+    assert CAUSE_OF_FAULT["valve_hysteresis"] is Cause.VALVE
+    assert CAUSE_OF_FAULT["spool_position_freeze"] is Cause.SENSOR
+    assert CAUSE_OF_FAULT["tank_pressure"] is Cause.RETURN_LINE
+    assert CAUSE_OF_FAULT["external_leak"] is Cause.EXTERNAL_LEAK
+
+
+def test_a_reading_of_some_windows_among_others():
+    some = Reading.of([1.0, np.nan], flow_lpm=np.array([0.2, 0.3]), fault=("worn", ""))
+    assert some.cause.tolist() == [Cause.NONE, Cause.UNDETERMINED]
+    whole = some.among(np.array([2, 0]), 3, "because")
+    np.testing.assert_array_equal(whole.score, [np.nan, np.nan, 1.0])
+    np.testing.assert_array_equal(whole.flow_lpm, [0.3, np.nan, 0.2])
+    assert whole.fault == ("", "", "worn")
+    assert whole.why == ("", "because", "")
+    assert whole.answers.tolist() == [False, False, True]
+
+
+def test_a_detector_of_ones_own_is_named_by_module_and_attribute():
+    reader = make_detector(DetectorChoice(kind="small_leaks:Spread"))
+    assert (type(reader).__name__, reader.refuses(CONFIG, 60)) == ("Spread", "")
+    with pytest.raises(ConfigurationError, match="is no leak detector, it has no threshold, refuses, read"):
+        make_detector(DetectorChoice(kind="small_leaks:SMALL"))
+    with pytest.raises(ConfigurationError, match="has no 'Absent'"):
+        make_detector(DetectorChoice(kind="small_leaks:Absent"))
+    with pytest.raises(
+        ConfigurationError, match="kind = 'network': must be head, estimator, two_stage, or module:attribute"
+    ):
+        validate(DetectorChoice, {"kind": "network"}, "own.yaml")
+
+
+def test_the_logit_of_certainty_is_finite():
+    assert np.isfinite(logit(np.array([0.0, 1.0]))).all()
+    assert logit(np.array([0.5]))[0] == 0.0
+
+
+def test_the_detector_of_the_page_works_in_the_protocol_and_under_an_alarm(tmp_path, monkeypatch):
+    page = (Path(__file__).parents[3] / "docs" / "own_controller.md").read_text(encoding="utf-8")
+    (text,) = (
+        block for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL) if "AlikePressures" in block
+    )
+    (tmp_path / "my_detector.py").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    detector = make_detector(DetectorChoice(kind="my_detector:AlikePressures"))
+    tight, leaking = (detector.read(made("none", leak, 400), CONFIG) for leak in (0.01, 10.0))
+    assert leaking.score.mean() > tight.score.mean()
+    looks = looks_at(made("none", 10.0, 400).signals, CONFIG, detector, 0.5)
+    np.testing.assert_array_equal(looks.score[:, 0], leaking.score)
+    blind = TaskConfig(sensors={"pressure_a": {"fitted": False}})
+    assert "needs both pressures" in detector.refuses(blind, 400)

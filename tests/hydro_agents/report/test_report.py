@@ -1,0 +1,639 @@
+"""The report: one self-contained, well-formed page whose sentences say what the tables say."""
+
+import re
+from dataclasses import replace
+from html import escape
+from html.parser import HTMLParser
+from itertools import pairwise
+from xml.etree import ElementTree
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+from browser import open_page, problems_everywhere
+from contrast import contrast, mixed
+from published import assert_published_page
+from untrained import untrained_head
+
+from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.evaluation.evaluate import Evaluation, ProtocolSettings, evaluate
+from hydro_agents.evaluation.leak_price import leak_price
+from hydro_agents.report.content import interval_text, verdict
+from hydro_agents.report.palette import LEAK_LOOKS, LEAKS, NEUTRALS, SERIES, VARIABLES, looks_of
+from hydro_agents.report.sections import render_page
+from hydro_agents.report.shared_findings import against_corrected
+from hydro_agents.report.study import STUDY, content_of, overview
+from hydro_agents.report.study_findings import caution, failed_runs, findings_of
+from hydro_agents.report.traces import Example, example_plot
+from hydro_agents.report.training_plots import learning_plots, training_plots
+from hydro_agents.running.statistics import Interval
+from hydro_agents.running.text import correction_name, duration, number
+from hydro_agents.study.results import write_tables
+from hydro_env import ConfigurationError, TaskConfig
+
+CONFIG = TaskConfig(episode_duration=0.4)
+SETTINGS = ProtocolSettings(
+    plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=120, bound_plants=1
+)
+ODD_NAME = 'PPO <b>&"quoted"'
+FACTS = {"command": "hydro study --seed 3", "seed": 3, "machine": "a box with 2 cores", "numpy": "9.9.9"}
+KEYS = (
+    "level-mean_error_mm-mean", "level-valve_travel_per_s-mean", "difference", "level-reversals_per_s-mean", "family",
+    "ratio", "level-mean_error_mm-cvar_5_percent", "level-mean_error_mm-worst", "run-0", "level-supply_energy_j-mean",
+    "rates", "roc", "size", "precision", "training", "score",
+)  # fmt: skip
+DRAWING = re.compile(r'<svg[^>]*role="img".*?</svg>', flags=re.DOTALL)
+ERROR, BASE_ERROR = "validation/mean_error_mm", "validation/base_mean_error_mm"
+
+
+def rendered(evaluation, examples=(), curve=True, **others):
+    """The page of an evaluation with made-up facts; ``others`` are parts of its content."""
+    steps = np.arange(0.0, 5000.0, 100.0)
+    reward = np.where(steps > 0.0, -np.exp(-steps / 1000), np.nan)
+    tables = {"leak_price": others.pop("leak_price", pd.DataFrame())}
+    if curve:
+        tables["training_curve"] = pd.DataFrame({"steps": steps, "seconds": steps / 100, "mean_reward": reward})
+    others = {"configuration": "task:\n  control_period: 0.005 # <&>\n", "examples": list(examples), **others}
+    others = {"timings": {"train PPO": 3725.0, "evaluate": 1.25}, **others}
+    return render_page("Trial <one>", STUDY, content_of(evaluation, FACTS, tables, **others))
+
+
+def example(names, **changes):
+    time = np.linspace(0.005, 0.4, 80)
+    traces = {name: 0.01 * (1.0 - np.exp(-time / 0.05)) for name in names}
+    command = dict.fromkeys(names, 0.1 * time)
+    return replace(Example("the same with 4 l/min", time, np.full(80, 0.01), traces, command, leak=4.0), **changes)
+
+
+@pytest.fixture(scope="module")
+def evaluation():
+    gains = {"PID": 200.0, ODD_NAME: 60.0}
+    controllers = {name: PID(PIDGains(proportional=gain), CONFIG) for name, gain in gains.items()}
+    return evaluate(CONFIG, controllers, untrained_head(CONFIG), SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def page(evaluation):
+    return rendered(evaluation, [example(evaluation.controllers)]).html
+
+
+class Page(HTMLParser):
+    """Checks that tags are closed in order, and collects what stands in the page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.attributes, self.words = [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.attributes.append((tag, dict(attrs)))
+        if tag not in {"meta", "br", "input"}:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.attributes.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return re.sub(r"\s+", " ", " ".join(self.words))  # unbroken spaces become plain ones
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.attributes if name == tag]
+
+
+def values_of(svg):
+    """Values that a drawing shows where the pointer rests."""
+    return [element.text for element in ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}title")]
+
+
+def test_the_page_stands_alone(page):
+    found = Page(page)
+    assert len(page) < 3_000_000
+    files = {f"figures/{key}.svg" for key in KEYS}
+    assert {a["href"] for a in found.all("a") if "download" in a} == files
+    for tag, attributes in found.attributes:
+        assert tag not in ("link", "img", "iframe", "object", "base", "form")
+        assert not attributes.keys() & {"src", "srcset", "action", "background", "onload"}
+        for name in ("href", "xlink:href"):
+            assert attributes.get(name, "#").startswith("#") or attributes["href"] in files
+    assert "@import" not in page
+    assert set(re.findall(r"https?://[^\"' ]*", page)) <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+    ids = [attributes["id"] for _, attributes in found.attributes if "id" in attributes]
+    targets = re.findall(r'(?:href="#|url\(#)([^")]+)', page)
+    assert len(ids) == len(set(ids))
+    assert len(targets) > 100
+    assert set(targets) <= set(ids)
+    assert set(re.findall(r"url\((.)", page)) <= {"#"}
+
+
+def test_figures_and_tables_speak_to_everyone(page):
+    found, drawings = Page(page), DRAWING.findall(page)
+    assert len(drawings) == len(found.all("figcaption")) == len(KEYS)
+    for root in map(ElementTree.fromstring, drawings):
+        assert len(root.get("aria-label")) > 30
+        assert root.get("width") is None  # as wide as the page
+    assert len(found.all("caption")) == len(found.all("table")) > 10
+    assert not re.search(r"#[0-9a-f]{6}\b", "".join(drawings))  # every colour follows the theme
+
+
+def test_the_page_tells_how_it_was_made_and_escapes_names(page):
+    found = Page(page)
+    for wanted in (
+        *FACTS.values(), "1 h 2 min", "1.2 s", "2000000", "simulated", ODD_NAME, "control_period: 0.005 # <&>",
+        "so no plant used here took part in training", "steps and sines", "3 plants per leak size and kind of "
+        "reference are too few for a decision",
+    ):  # fmt: skip
+        assert str(wanted) in found.text
+    assert "<b>" not in page
+    assert "<one>" not in page
+    assert any(ODD_NAME in attributes.get("aria-label", "") for attributes in found.all("svg"))
+
+
+def test_seeds_outside_the_test_set_are_confessed(evaluation):
+    cases = evaluation.cases.assign(seed=evaluation.cases["seed"] - 2_000_000)
+    text = Page(rendered(replace(evaluation, cases=cases)).html).text
+    assert "a controller may have been trained on them" in text
+    assert "so no plant used here" not in text
+
+
+def test_the_same_numbers_give_the_same_bytes(evaluation, page, tmp_path):
+    matplotlib.rcParams["xtick.direction"] = "in"  # a user's own settings
+    try:
+        again = rendered(evaluation, [example(evaluation.controllers)])
+        assert matplotlib.rcParams["xtick.direction"] == "in"
+    finally:
+        matplotlib.rcdefaults()
+    again.write(tmp_path / "deep" / "report.html")
+    assert (tmp_path / "deep" / "report.html").read_bytes() == page.encode()
+    assert sorted(path.name for path in (tmp_path / "deep").iterdir()) == ["figures", "report.html"]
+    assert sorted(path.stem for path in (tmp_path / "deep" / "figures").iterdir()) == sorted(KEYS)
+    drawing = ElementTree.parse(tmp_path / "deep" / "figures" / "ratio.svg").getroot()  # whole by itself
+    assert drawing.get("width") == "331.2pt"
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        again.write(tmp_path / "file" / "report.html")
+
+
+def test_one_controller_without_a_head(tmp_path):
+    alone = {"leak_levels": (0.3,), "families": ("step",), "plants": 2, "bound_plants": 0}
+    settings = SETTINGS.model_copy(update=alone)
+    lonely = evaluate(CONFIG, {"PID": PID(PIDGains(), CONFIG)}, None, settings)
+    text = Page(rendered(lonely, curve=False, timings={}).html).text
+    assert "One leak size was tried: 0.3 l/min" in text
+    assert "without intervals" in text
+    for absent in ("Detecting the leak", "Ratio of errors", "Difference to", "nan", "AUROC"):
+        assert absent not in text
+    names = [path.name for path in write_tables(tmp_path / "tables", lonely)]
+    assert names == [f"{name}.csv" for name in ("cases", "levels", "families", "limit_cycles", "limit_cycle_summary")]
+
+
+def test_tables_hold_all_numbers(evaluation, tmp_path):
+    paths = write_tables(tmp_path, evaluation)
+    assert [path.stem for path in paths] == [
+        name for name in Evaluation.__dataclass_fields__ if name not in ("bounds", "errors")
+    ]
+    for path in paths:
+        expected = getattr(evaluation, path.stem).reset_index(drop=True)
+        stored = pd.read_csv(path, dtype={"value": str})
+        stored = stored.fillna({"value": ""}) if "value" in stored else stored
+        pd.testing.assert_frame_equal(stored, expected, check_dtype=False)
+
+
+# Findings -----------------------------------------------------------------------------------------------------------
+
+
+def told(evaluation, number):
+    """A finding as text: its summary on the first line."""
+    return "\n".join(findings_of(content_of(evaluation))[number])
+
+
+def test_the_score_comes_first_with_the_errors_in_both_frames(evaluation):
+    scores = evaluation.score.copy()
+    scores.loc[scores["controller"] == ODD_NAME, ["score", "low", "high"]] = (64.4, 61.0, 67.0)
+    cases = evaluation.cases.assign(mean_error_mm=0.25, mean_error_sensor_mm=0.125)
+    text = told(replace(evaluation, score=scores, cases=cases), 0)
+    assert text.startswith(f"{ODD_NAME} scores 64 of 100.\n0 is PID, 100 the best found")
+    assert f"{ODD_NAME} 64 (61 to 67)." in text
+    assert f"repeatability: 0.125 mm with {ODD_NAME} and 0.125 mm with PID; accuracy: 0.250 mm with" in text
+    without = replace(evaluation, score=evaluation.score.iloc[:0])
+    assert told(without, 0).startswith("With a leak of")
+    assert "score" in overview(content_of(evaluation)).header
+    assert "score" not in overview(content_of(without)).header
+
+
+@pytest.mark.parametrize(
+    ("growth", "lead", "families"),
+    [
+        (
+            {"step": 3.0, "sine": 2.0},
+            "With a leak of 4 l/min, PID makes 2.50 times the error that it makes with a healthy seal.\n",
+            "× 2.50 (2.50 to 2.50). More error in steps (× 3.00) and sines (× 2.00).",
+        ),
+        (
+            {"step": 1.5, "sine": 0.4},
+            "With a leak of 4 l/min, PID makes 5 % less error than",
+            "More error in steps (× 1.50); less error in sines (× 0.400).",
+        ),
+        (
+            {"step": 1.0, "sine": 1.0},
+            "A leak of 4 l/min makes no clear difference to the mean error of PID.\n",
+            "No clear difference in steps (× 1.00) and sines (× 1.00).",
+        ),
+    ],
+)
+def test_what_a_leak_does(evaluation, growth, lead, families):
+    cases, levels = evaluation.cases, evaluation.levels.copy()
+    factor = np.where(cases["leakage_flow_lpm"] == 4.0, cases["family"].map(growth), 1.0)
+    own = (levels["metric"] == "mean_error_mm") & (levels["controller"] == "PID")
+    levels.loc[own & (levels["leakage_flow_lpm"] == 0.01), ["mean", "low", "high"]] = (0.512, 0.4, 0.625)
+    errors = cases.assign(mean_error_mm=(1.0 + cases["plant"]) * factor)
+    text = told(replace(evaluation, cases=errors, levels=levels), 1)
+    assert text.startswith(lead)
+    assert "0.512 mm (0.400 to 0.625) mean error with a healthy seal (0.01 l/min)" in text
+    assert families in text
+
+
+WIN, LOSS, OPEN = (0.8, 0.7, 0.9), (1.25, 1.1, 1.4), (0.9, 0.7, 1.1)
+
+
+@pytest.mark.parametrize(
+    ("whole", "levels", "families", "lead", "sentences"),
+    [
+        (
+            WIN,
+            [WIN, WIN],
+            [OPEN, LOSS],
+            f"{ODD_NAME} positions better than PID: 20 % less error.\n",
+            (
+                "is 0.800 (0.700 to 0.900) times that of PID",
+                "better in 75 % of the runs",
+                "It wins at every leak size.",
+                "By reference it loses on sines; shows no clear difference on steps.",
+            ),
+        ),
+        (
+            LOSS,
+            [WIN, LOSS],
+            [LOSS, LOSS],
+            f"{ODD_NAME} loses to PID: 25 % more error.\n",
+            ("By leak size it wins at 0.01 l/min; loses at 4 l/min.", "It loses on every kind of reference."),
+        ),
+        (OPEN, [OPEN, OPEN], [OPEN, OPEN], "No clear difference between", ()),
+    ],
+)
+def test_who_copes_better(evaluation, whole, levels, families, lead, sentences):
+    ratios = evaluation.ratios.assign(share_of_cases_better=0.75)
+    ratios[["ratio", "low", "high"]] = [whole, *levels, *families, whole]  # the last: equal weights of references
+    text = told(replace(evaluation, ratios=ratios), 2)
+    assert text.startswith(lead)
+    for sentence in sentences:
+        assert sentence in text
+
+
+def at_rest(evaluation, *, cycles, largest, failures=0):
+    """The evaluation with made-up limit cycles of the first controller and none of the second."""
+    summary = pd.DataFrame(
+        {
+            "controller": evaluation.controllers,
+            "limit_cycles": [cycles, 0],
+            "standstills": 16,
+            "failures": [failures, 0],
+            "largest_amplitude_um": [largest, 0.0],
+            "frequency_hz": [8.0, np.nan],
+        }
+    )
+    return replace(evaluation, limit_cycle_summary=summary)
+
+
+@pytest.mark.parametrize(
+    ("unrest", "clause", "sentence"),
+    [
+        (
+            {"cycles": 14, "largest": 7900.0},
+            ", which cannot hold this axis",
+            "PID at rest: limit cycle at 14 of 16 standstills, up to 7.9 mm.",
+        ),
+        (
+            {"cycles": 3, "largest": 45.0},
+            ", which does not come to rest",
+            "PID at rest: limit cycle at 3 of 16 standstills, up to 45 µm.",
+        ),
+        ({"cycles": 0, "largest": 0.0}, "", "clear"),
+    ],
+)
+def test_a_comparison_with_a_controller_that_oscillates_says_so_in_the_same_sentence(
+    evaluation, unrest, clause, sentence
+):
+    ratios = evaluation.ratios.copy()
+    for (value, low, high), lead in (
+        (WIN, f"{ODD_NAME} positions better than PID{clause}: 20 % less error.\n"),
+        (LOSS, f"{ODD_NAME} loses to PID{clause}: 25 % more error.\n"),
+        (OPEN, f"No clear difference between {ODD_NAME} and PID{clause}{',' if clause else ''} over all runs.\n"),
+    ):
+        ratios[["ratio", "low", "high"]] = value, low, high
+        text = told(at_rest(replace(evaluation, ratios=ratios), **unrest), 2)
+        assert text.startswith(lead)
+        assert sentence in text if clause else "at rest" not in text
+
+
+def test_a_card_says_how_the_most_accurate_controller_stands_and_settles(evaluation):
+    levels = evaluation.levels.copy()
+    means = {
+        "mean_error_mm": (0.3, 0.2),
+        "steady_state_error_sensor_mm": (0.05, 0.012),
+        "settling_time_s": (0.2, 0.084),
+    }
+    for metric, values in means.items():
+        for name, value in zip(evaluation.controllers, values, strict=True):
+            smallest = levels["leakage_flow_lpm"] == levels["leakage_flow_lpm"].min()
+            levels.loc[(levels["controller"] == name) & (levels["metric"] == metric) & smallest, "mean"] = value
+    quiet = at_rest(replace(evaluation, levels=levels), cycles=3, largest=45.0)
+    lead, text = told(quiet, 4).split("\n")
+    assert lead == f"{ODD_NAME}: at standstill ± 12 µm, settles in 84 ms."
+    assert text.startswith(
+        "PID: at standstill ± 50 µm, does not come to rest everywhere, settles in 200 ms. All at the"
+    )
+
+
+def test_a_policy_is_compared_with_the_controller_that_it_corrects(evaluation):
+    rows = evaluation.cases[evaluation.cases["controller"] == ODD_NAME]
+    policy = rows.assign(controller="PPO", mean_error_mm=0.9 * rows["mean_error_mm"])
+    three = pd.concat([evaluation.cases, policy], ignore_index=True)
+    content = content_of(replace(evaluation, cases=three), corrects={"PPO": ODD_NAME})
+    (found,) = against_corrected(content)
+    assert found.lead == f"PPO improves {ODD_NAME}: 10 % less error."
+    assert f"Mean error over that of {ODD_NAME} on the same runs: 0.900 (0.900 to 0.900)" in found.text
+    assert "Better in 100 % of the runs." in found.text
+    assert against_corrected(content_of(evaluation, corrects={ODD_NAME: "PID"})) == []  # that card stands anyway
+
+
+def test_a_card_shows_one_sentence_and_folds_the_numbers(evaluation, page):
+    cards = re.search(r'<ol class="findings grid">(.*?)</ol>', page, re.DOTALL)[1]
+    assert cards.count("<li>") == len(findings_of(content_of(evaluation)))
+    assert re.sub(r"<strong>.*?</strong>|<details>.*?</details>|<[^>]*>|\s", "", cards, flags=re.DOTALL) == ""
+
+
+def test_the_page_tells_who_comes_to_rest(evaluation):
+    oscillating = at_rest(evaluation, cycles=14, largest=7900.0, failures=1)
+    assert told(oscillating, 3) == (
+        "Without sensor noise PID does not come to rest at every standstill.\n"
+        "PID: limit cycle at 14 of 16 standstills, up to 7.9 mm and failure at 1 of 16 standstills; "
+        f"{ODD_NAME}: no limit cycle at 16 standstills. Ratios to PID compare with a controller in this state."
+    )
+    quiet = told(at_rest(evaluation, cycles=0, largest=0.0), 3)
+    assert quiet.startswith("Without sensor noise every controller comes to rest at every standstill.\n")
+    assert "Ratios" not in quiet
+    table = overview(content_of(oscillating))
+    assert table.header[-1] == "limit cycles at rest"
+    assert [row[-1] for row in table.rows] == ["14 of 16 (to 7.9 mm)", "0 of 16"]
+    text = Page(rendered(oscillating).html).text
+    assert "Standstills: 8 plants, each at 0.01 and 4 l/min, without sensor noise." in text
+
+
+@pytest.mark.parametrize(
+    ("value", "word"),
+    [
+        ((0.9, 0.85, 0.99), "better"),
+        ((1.1, 1.01, 1.2), "worse"),
+        ((0.9, 0.8, 1.0), "same"),
+        ((0.5, np.nan, np.nan), "same"),  # too few plants for an interval
+    ],
+)
+def test_a_verdict_needs_the_whole_interval_on_one_side(value, word):
+    assert verdict(Interval(*value)) == word
+
+
+def with_detection(evaluation, found, alarms):
+    """Detection tables with a share of found leaks from 0.3 l/min and of false alarms, 1000 episodes each."""
+    rates = evaluation.detection_rates.copy()
+    rates.loc[rates["value"] == "≥ 0.3", ["flagged_share", "low", "high"]] = (found, found - 0.02, found + 0.01)
+    rates.loc[rates["value"] == "0.1–0.2", ["flagged_share", "low", "high"]] = (0.25, 0.2, 0.3)
+    sizes = {"median_size_error_factor": [1.31, 1.42], "p90_size_error_factor": [2.5, 3.0]}
+    summary = evaluation.detection_summary.assign(false_alarm_rate=alarms, healthy_episodes=1000, auroc=0.9876, **sizes)
+    return replace(evaluation, detection_rates=rates, detection_summary=summary)
+
+
+@pytest.mark.parametrize(
+    ("found", "alarms", "lead"),
+    [
+        (0.97, 0.012, "can be flagged from one episode of ordinary motion."),
+        (0.6, 0.01, "can be flagged, but not reliably."),
+        (0.97, 0.2, "can be flagged, but not reliably."),
+        (0.05, 0.04, "cannot be distinguished from healthy seals here."),
+    ],
+)
+def test_whether_leaks_are_noticed(evaluation, found, alarms, lead):
+    text = told(with_detection(evaluation, found, alarms), 5)
+    assert text.startswith(f"Leaks from 0.3 l/min {lead}\n")
+    assert (f"clearly more under PID and {ODD_NAME}" in text) == (alarms > 0.03)
+    assert ", 25.0 % (20.0 to 30.0) of those of 0.1–0.2" in text
+    assert "of the healthy seals (false alarms); AUROC 0.988." in text
+    if alarms == 0.012:
+        assert "97.0 % (95.0 to 98.0) of the leaks from 0.3 l/min" in text
+        assert "1.2 % (0.7 to 2.1) of the healthy seals" in text
+
+
+def test_how_well_the_size_is_estimated(evaluation):
+    text = told(with_detection(evaluation, 0.97, 0.012), 6)
+    assert text.startswith("The size of a leak is estimated within a factor of 1.42 for half of the leaks.\n")
+    assert f"2.50 under PID and 3.00 under {ODD_NAME}" in text
+
+
+def test_failures_and_few_plants_are_said(evaluation):
+    assert failed_runs(content_of(evaluation)) == "No run failed (end stop or pressure limit)."
+    cases = evaluation.cases.copy()
+    cases.loc[[0, 1], "failed"] = 1.0
+    told = failed_runs(content_of(replace(evaluation, cases=cases)))
+    assert told.endswith(f"2 of 12 under PID and 0 of 12 under {ODD_NAME}.")
+    many = pd.concat([cases.assign(plant=cases["plant"] + 3 * i) for i in range(8)])
+    assert caution(content_of(replace(evaluation, cases=many))) == ""
+    assert "3 plants" in caution(content_of(evaluation))
+
+
+def test_numbers_and_names_as_a_person_writes_them():
+    assert [number(x) for x in (0.0, 1234.5, 12.345, 0.98765, 0.001234)] == ["0", "1234", "12.3", "0.988", "0.00123"]
+    assert [number(float("nan")), number(0.0000123), number(948.14, digits=4)] == ["–", "0.0000123", "948.1"]
+    values = [number(-12.3), number(-0.0004, 2), number(0.09, 2, signed=True), number(-0.0, signed=True)]
+    assert values == ["−12.3", "0.00", "+0.09", "0"]
+    assert interval_text(Interval(0.5123, 0.4, 0.6254), "mm") == "0.512 mm (0.400 to 0.625)"
+    assert interval_text(Interval(0.5, np.nan, np.nan), "mm") == "0.500 mm"
+    assert [duration(x) for x in (1.25, 75.0, 3725.0)] == ["1.2 s", "1 min 15 s", "1 h 2 min"]
+    assert correction_name("PPO", "Flow linearisation") == "PPO on flow linearisation"
+    assert correction_name("PPO", "PID mended") == "PPO on PID mended"
+    assert correction_name("PPO on flow linearisation", "Flow linearisation") == "PPO on flow linearisation"
+
+
+# Colours and figures ------------------------------------------------------------------------------------------------
+
+
+def test_controllers_keep_their_look():
+    looks = looks_of(["PID", "PPO", "MPC"])
+    assert looks_of(["PID", "PPO"])["PPO"] == looks["PPO"]
+    assert len({look.colour for look in looks.values()}) == len({look.marker for look in looks.values()}) == 3
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_lines_stand_out_from_the_page_and_from_each_other(theme):
+    paper = getattr(NEUTRALS["paper"], theme)
+    leaks = [getattr(LEAKS[leak], theme) for leak in sorted(LEAKS)]
+    series = {getattr(colour, theme) for colour in SERIES}
+    assert all(contrast(colour, paper) >= 3.0 for colour in (*leaks, *series))
+    assert all(contrast(getattr(NEUTRALS[name], theme), paper) >= 4.5 for name in ("ink", "grey"))
+    brightness = [contrast(colour, "#000000") for colour in leaks]
+    assert brightness == sorted(brightness)  # dark is tight
+    assert all(LEAK_LOOKS[a].line != LEAK_LOOKS[b].line for a, b in pairwise(sorted(LEAK_LOOKS)))
+    assert not set(leaks) & series
+
+
+def test_contrast_is_that_of_wcag():
+    assert contrast("#ffffff", "#000000") == pytest.approx(21.0)
+    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.005)  # a published example
+    assert mixed("#ff0000", "#0000ff", 50) == "#800080"
+
+
+def test_a_point_tells_its_value(page):
+    drawing = next(each for each in DRAWING.findall(page) if 'aria-label="Mean error by leak size' in each)
+    label = re.search(r"PID: 0.01 l/min (\S+) mm", drawing)[1]
+    assert f"PID\nleak 0.01 l/min at 100 bar\nerror {label} mm" in values_of(drawing)
+    assert len(values_of(drawing)) == 4  # two controllers at two leaks
+
+
+def test_bounds_come_from_the_task():
+    """With other classes the report speaks of other leaks, and of none of the usual ones."""
+    leakage = {"class_bounds": (0.05, 0.6, 2.0), "healthy_range": (0.003, 0.05), "faulty_range": (0.2, 6.0)}
+    config = TaskConfig(episode_duration=0.4, leakage=leakage)
+    settings = SETTINGS.model_copy(update={"leak_levels": (0.04, 5.0), "families": ("step",)})
+    evaluation = evaluate(config, {"PID": PID(PIDGains(), CONFIG)}, untrained_head(CONFIG), settings)
+    found = Page(rendered(evaluation, curve=False).html)
+    text = found.text + " ".join(svg.get("aria-label", "") for svg in found.all("svg"))
+    for wanted in (
+        "up to 0.05 l/min a seal counts as healthy", "Leaks from 0.6 l/min c", "leaks above 0.2 l/min",
+        "a healthy seal (0.04 l/min)", "≥ 0.6",
+    ):  # fmt: skip
+        assert wanted in text
+    for usual in (r"\b0\.03 l/min", r"\b0\.1 l/min", r"(?<!–)\b0\.3 l/min", "0.1–0.2"):
+        assert not re.search(usual, text)
+
+
+def test_a_policy_that_corrects_is_called_so(evaluation):
+    names = evaluation.controllers
+    text = Page(rendered(evaluation, [example(names)], corrects={ODD_NAME: "PID", "absent": "PID"}).html).text
+    assert f"{ODD_NAME} on PID is a policy that adds a correction to the command of PID." in text
+    assert "absent" not in text
+    assert not re.search(re.escape(ODD_NAME) + "(?! on PID)", text)
+    assert evaluation.controllers == names  # the tables keep their names
+
+
+@pytest.mark.parametrize(("jumps", "preview"), [(True, 0.04), (True, 0.0), (False, 0.04)])
+def test_the_preview_is_marked_beside_a_step(jumps, preview):
+    time = np.arange(1, 81) * 0.005
+    reference = np.where(time > 0.2, 0.01, 0.0) if jumps else 0.01 * time
+    shown = Example("steps", time, reference, {"PID": reference}, {"PID": reference}, preview=preview)
+    plot = example_plot(shown, "run", looks_of(["PID"]))
+    marked = jumps and preview > 0.0
+    assert ("40 ms ahead" in plot.note) is marked
+    assert any("preview, 40 ms ahead" in value for value in values_of(plot.svg)) is marked  # a line of its own
+
+
+def test_the_log_of_a_training_is_drawn():
+    steps = np.linspace(1e4, 1e6, 50)
+    log = pd.DataFrame(
+        {
+            "time/total_timesteps": steps,
+            "rollout/mean_reward": -1.0 - 50.0 * np.exp(-steps / 1e4),
+            "train/approx_kl": 0.01,
+            "train/explained_variance": np.linspace(0.0, 0.9, 50),
+            ERROR: np.where(np.arange(50) % 10 == 0, 0.3, np.nan),
+        }
+    )
+    plots = training_plots(log)
+    titles = ["Reward while learning", "Error on validation plants", "Updates of the policy"]
+    assert [plot.title for plot in plots] == titles
+    assert "early values beyond the scale" in plots[0].note
+    assert "explained variance of the value function from 0 to 0.900" in plots[2].alt
+    assert training_plots(log[["time/total_timesteps"]]) == training_plots(pd.DataFrame()) == []
+    two = pd.concat([log.assign(controller="PPO"), log.assign(controller="SAC")])
+    assert "of SAC" in training_plots(two)[0].alt
+
+
+def test_learning_is_told_against_the_baseline_with_a_band_over_seeds():
+    steps = np.array([1e5, 2e5, 3e5])
+    seeds = [pd.DataFrame({"steps": steps, ERROR: e, "controller": f"PPO#{n}"}) for n, e in enumerate((0.2, 0.3, 0.7))]
+    (plot,) = learning_plots(pd.concat(seeds), "PID", 0.5)
+    assert "PPO: after 100 thousand steps 0.600, after 300 thousand steps 0.600" in plot.alt  # the median seed
+    assert "median of 3 training seeds" in plot.note
+    (beside,) = learning_plots(pd.concat(seeds), "PID", 0.5, looks_of(["PID", "Flow linearisation", "PPO"]))
+    assert "var(--series-2)" in plot.svg
+    assert "var(--series-3)" in beside.svg  # as in the other figures of the page
+    assert "var(--series-2)" not in beside.svg
+    assert learning_plots(pd.concat(seeds), "PID", float("nan")) == []
+    assert len(learning_plots(seeds[0].head(1), "PID", 0.5)) == 1  # validated once
+    assert learning_plots(pd.DataFrame({"steps": steps}), "PID", 0.5) == []
+
+
+@pytest.mark.parametrize(("base", "near"), [(0.34, True), (0.1, False)])
+def test_a_small_correction_is_shown_beside_what_it_corrects(base, near):
+    curve = pd.DataFrame({"steps": [1e5, 2e5, 3e5], ERROR: [0.36, 0.33, 0.32], BASE_ERROR: base})
+    (plot,) = learning_plots(curve, "PID", 0.5)
+    assert "Dotted: the controller that is corrected." in plot.note
+    assert ("does not begin at zero" in plot.note) is near
+    (alone,) = learning_plots(curve.drop(columns=BASE_ERROR), "PID", 0.5)
+    assert "Dotted" not in alone.note
+
+
+# In a browser -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def written(evaluation, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    examples = [example(evaluation.controllers, leak=leak, preview=0.04) for leak in (0.01, 4.0)]
+    price = leak_price(CONFIG, (0.01, 4.0))
+    rendered(evaluation, examples, leak_price=price, corrects={ODD_NAME: "PID"}).write(path)
+    return path
+
+
+def test_the_page_holds_the_published_sections(written):
+    assert_published_page("study", written.read_text(encoding="utf-8").replace(escape(ODD_NAME), "PPO"))
+
+
+def test_nothing_is_cut_off_in_a_browser(browser, written):
+    assert problems_everywhere(browser, written) == []
+
+
+def test_the_slider_shows_one_leak_at_a_time_and_without_scripts_every_leak_is_shown(browser, written):
+    with open_page(browser, written) as page:
+        shown = page.locator(".chosen >> visible=true")
+        assert [shown.count(), shown.first.get_attribute("data-value")] == [1, "0.01"]
+        page.locator(".slider input").fill("1")
+        assert [shown.count(), shown.first.get_attribute("data-value")] == [1, "4"]
+        assert page.locator(".slider output").text_content() == "4"
+        assert "With any controller" in shown.first.text_content()
+    with open_page(browser, written, java_script_enabled=False) as page:
+        assert page.locator(".chosen >> visible=true").count() == 2
+        assert not page.locator(".slider").is_visible()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_page_and_figures_follow_the_reader_s_theme(browser, written, scheme):
+    with open_page(browser, written, scheme=scheme) as page:
+
+        def shown(selector, what):
+            red, green, blue = re.findall(
+                r"\d+", page.locator(selector).first.evaluate(f"element => getComputedStyle(element).{what}")
+            )[:3]
+            return f"#{int(red):02x}{int(green):02x}{int(blue):02x}"
+
+        assert shown("body", "backgroundColor") == getattr(NEUTRALS["paper"], scheme)
+        assert shown("body", "color") == getattr(NEUTRALS["ink"], scheme)
+        assert shown("figure svg g[id$='-line2d_1'] path", "stroke") in {getattr(c, scheme) for c in VARIABLES.values()}
+        assert shown("figure svg g[id*='text_'] g", "fill") == getattr(NEUTRALS["ink"], scheme)

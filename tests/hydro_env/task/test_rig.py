@@ -1,0 +1,311 @@
+"""A task on another rig: what follows from the rig, what stays, the rig's own ranges, names and files."""
+
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.folders import config_folder
+from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.task.configuration import task_config
+from hydro_env.task.randomisation import PUBLISHED_RANGES, own_value
+from hydro_env.task.settings import draws_of
+
+RIGS = sorted(file.stem for file in (config_folder() / "rigs").glob("*.yaml"))
+TASKS = sorted(file.stem for file in (config_folder() / "tasks").glob("*.yaml"))
+SMALL = {"cylinder": {"stroke": 0.1}, "supply": {"model": "constant", "pressure": 140e5}, "load": {"mass": 20.0}}
+
+
+@pytest.fixture
+def small(tmp_path):
+    """A rig of a quarter of the stroke and twice the pressure of the paper's."""
+    file = tmp_path / "small.yaml"
+    PlantParameters().replace(**SMALL).to_yaml(file)
+    return file
+
+
+def drawn(config, count=400):
+    envs = ServoHydraulicVectorEnv(count, config, info=False)
+    envs.reset(seed=0)
+    return {path: envs.axes.physical[:, number] for number, path in enumerate(PARAMETER_PATHS)}
+
+
+def test_factors_give_the_published_ranges_on_the_papers_rig():
+    rows = {PARAMETER_PATHS[row["parameter"]]: (row["low"], row["high"]) for row in draws_of(TaskConfig())}
+    for path, ends in PUBLISHED_RANGES.items():
+        assert rows.pop(path) == pytest.approx(ends, rel=1e-15)
+    assert rows == {"friction.breakaway_force": (1.2, 1.8), "leakage.external_resistance": (1e12, 1e13)}
+
+
+def test_the_papers_rig_changes_nothing():
+    assert task_config(rig="kovari_2015") == TaskConfig()
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_nothing_overwrites_the_numbers_of_a_rig(name):
+    config = task_config(rig=name)
+    assert config.plant == PlantParameters.from_yaml(config_folder() / "rigs" / f"{name}.yaml")
+    values = drawn(config)
+    for path, (low, high) in PUBLISHED_RANGES.items():
+        own = own_value(config.plant, path)
+        paper = own_value(PlantParameters(), path)
+        chosen = values[path][values[path] > 0.0] if path == "load.spring_stiffness" else values[path]
+        if own == 0.0:
+            assert (values[path] == 0.0).all()
+            continue
+        assert chosen.min() >= own * low / paper * (1 - 1e-12)
+        assert chosen.max() <= own * high / paper * (1 + 1e-12)
+        assert chosen.max() - chosen.min() > 0.9 * own * (high - low) / paper
+    excess = values["friction.breakaway_force"] / values["friction.coulomb_force"] - 1.0
+    own = config.plant.friction.breakaway_force / config.plant.friction.coulomb_force - 1.0
+    assert excess.min() >= 0.4 * own - 1e-12
+    assert excess.max() <= 1.6 * own + 1e-12
+
+
+def test_settings_follow_from_stroke_speed_and_pressure(small):
+    config, default = task_config(rig=small), TaskConfig()
+    assert config.references.largest_amplitude == pytest.approx(0.025)
+    assert config.references.step_range == pytest.approx((0.0005, 0.005))
+    assert config.reward.error_scale == pytest.approx(0.0025)
+    position = config.sensors.position
+    assert (position.low, position.high) == pytest.approx((-0.05, 0.05))
+    assert position.noise / position.high == pytest.approx(default.sensors.position.noise / 0.2)
+    for channel in ("pressure_a", "pressure_b"):
+        for name, value in getattr(default.sensors, channel):
+            if name != "fitted":
+                assert getattr(getattr(config.sensors, channel), name) == pytest.approx(2.0 * value)
+    assert config.failure.pressure_rating == pytest.approx(500e5)
+    # Twice the pressure gives √2 of the speed, but for the pressure of the tank.
+    assert config.failure.end_stop_speed / default.failure.end_stop_speed == pytest.approx(math.sqrt(2.0), rel=0.01)
+    assert config.references.acceleration_limit == pytest.approx(4.0 * math.sqrt(2.0), rel=0.01)
+    assert config.sensors.spool_position == default.sensors.spool_position
+    assert config.leakage == default.leakage
+
+
+def test_a_heavy_load_lowers_the_acceleration_of_references(small):
+    PlantParameters().replace(load={"mass": 5000.0, "spring_stiffness": 0.0}).to_yaml(small)
+    config = task_config(rig=small)
+    back = 70e5 * math.pi / 4 * (0.04**2 - 0.028**2) - 1e5 * math.pi / 4 * 0.04**2
+    assert config.references.acceleration_limit == pytest.approx(0.25 * back / 5003.0)
+
+
+def test_a_soft_oil_column_lowers_the_acceleration_of_references(small):
+    """A quarter of the stiffness halves the natural frequency."""
+    PlantParameters().replace(fluid={"bulk_modulus": 0.35e9}, load={"spring_stiffness": 0.0}).to_yaml(small)
+    assert task_config(rig=small).references.acceleration_limit == pytest.approx(2.0, rel=0.01)
+
+
+def test_a_weak_supply_makes_no_weak_cylinder(small):
+    PlantParameters().replace(supply={"model": "constant", "pressure": 35e5}).to_yaml(small)
+    assert task_config(rig=small).failure.pressure_rating == TaskConfig().failure.pressure_rating
+
+
+def test_what_the_user_set_stays(small):
+    changes = {
+        "references": {"largest_amplitude": 0.011, "preview_times": []},
+        "sensors": {"position": {"noise": 1e-4}},
+        "reward": {"effort": 0.2},
+        "control_period": 0.002,
+        "randomisation": {"load.mass": {"factor": [0.9, 1.1]}},
+    }
+    config = task_config(changes, rig=small)
+    assert config.references.largest_amplitude == 0.011
+    assert config.references.step_range == pytest.approx((0.0005, 0.005))
+    assert config.sensors.position.noise == 1e-4
+    assert config.sensors.position.high == pytest.approx(0.05)
+    assert (config.reward.effort, config.control_period, config.references.preview_times) == (0.2, 0.002, ())
+    assert list(config.randomisation) == ["load.mass"]
+    assert task_config(None, rig=small, randomisation={}).randomisation == {}
+    assert task_config({"randomisation": {}}, rig=small).randomisation == {}
+    # A keyword comes after the rig.
+    assert task_config(None, rig=small, plant={"load": {"mass": 33.0}}).plant.load.mass == 33.0
+
+
+def test_a_task_moves_there_and_back(small):
+    assert task_config(task_config(rig=small), rig="kovari_2015") == TaskConfig()
+    assert task_config(task_config(rig="symmetric_eha"), rig=small) == task_config(rig=small)
+
+
+def test_a_rig_brings_its_own_ranges(small):
+    with small.open("a") as file:
+        file.write("randomisation:\n  load.mass: {uniform: [19.0, 24.0]}\n  load.external_force: {uniform: [0, 50]}\n")
+    assert PlantParameters.from_yaml(small).load.mass == 20.0
+    config = task_config(rig=small)
+    values = drawn(config)
+    assert 19.0 <= values["load.mass"].min() < values["load.mass"].max() <= 24.0
+    assert values["load.external_force"].max() > 40.0
+    assert config.randomisation["supply.pressure"] == TaskConfig().randomisation["supply.pressure"]
+    # The task's own range comes before the rig's.
+    task = {"randomisation": {**TaskConfig().model_dump()["randomisation"], "load.mass": {"factor": [1.0, 1.0]}}}
+    assert (drawn(task_config(task, rig=small))["load.mass"] == 20.0).all()
+
+
+def test_a_task_names_its_rig(small, tmp_path):
+    task = tmp_path / "tasks" / "mine.yaml"
+    task.parent.mkdir()
+    task.write_text("plant: ../small.yaml\nreward: {effort: 0.5}\n")
+    config = TaskConfig.from_yaml(task)
+    assert config == task_config(task) == task_config(None, rig=small, reward={"effort": 0.5})
+    assert config == task_config({"plant": str(small), "reward": {"effort": 0.5}})
+    assert task_config(None, plant="symmetric_eha") == task_config(rig="symmetric_eha")
+    config.to_yaml(task)
+    assert TaskConfig.from_yaml(task) == config
+
+
+def test_environments_by_name(small):
+    made = gym.make("ServoHydraulic-v0", rig=str(small), task="no_preview")
+    assert made.unwrapped.config == task_config("no_preview", rig=small)
+    assert made.observation_space.shape == (9,)
+    spec = json.loads(made.spec.to_json())
+    assert not {"rig", "task"} & set(spec["kwargs"])
+    assert gym.make(made.spec).unwrapped.config == made.unwrapped.config
+    made = gym.make_vec("ServoHydraulic-v0", num_envs=2, rig="symmetric_eha", reward={"effort": 0.0})
+    assert made.config == task_config(rig="symmetric_eha", reward={"effort": 0.0})
+
+
+@pytest.mark.parametrize("name", ["weak_supply", "worn"])
+def test_hard_tasks_are_relative_to_the_rig_too(name):
+    """Parameters that they do not weaken are drawn as in the default task."""
+    weak = {"supply.pressure", "supply.pump_flow", "supply.accumulator_volume", "supply.precharge_pressure"}
+    default = {PARAMETER_PATHS[row["parameter"]]: row for row in draws_of(TaskConfig())}
+    for row in draws_of(task_config(name)):
+        path = PARAMETER_PATHS[row["parameter"]]
+        if path not in weak | ({"valve.underlap"} if name == "worn" else set()):
+            assert (row["low"], row["high"]) == pytest.approx(
+                (default[path]["low"], default.pop(path)["high"]), rel=1e-3
+            )
+    assert set(default) <= {"supply.pressure", "valve.underlap"}
+    pressure = drawn(task_config(name, rig="aalborg_svsdp_2017"))["supply.pressure"]
+    assert 0.55 * 150e5 <= pressure.min() < pressure.max() <= 0.9 * 150e5
+
+
+@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("task", TASKS)
+def test_every_task_can_begin_on_every_rig(task, rig):
+    envs = ServoHydraulicVectorEnv(60, task=task, rig=rig)
+    observation, _ = envs.reset(seed=0)
+    assert np.abs(observation).max() <= envs.single_observation_space.high.max()
+    assert envs.axes.column("redraws").mean() < 0.2
+    observation, reward, *_ = envs.step(np.zeros((60, 1)))
+    assert np.isfinite(observation).all()
+    assert np.isfinite(reward).all()
+
+
+WRONG = {
+    "unknown rig": (
+        {"rig": "aalborg"},
+        f"rig 'aalborg': unknown; did you mean aalborg_svsdp_2017? known: {', '.join(RIGS)}; or give the path",
+    ),
+    "unknown task": ({"task": "hard"}, f"task 'hard': unknown; known: {', '.join(TASKS)}; or give the path"),
+    "no file": ({"rig": "absent/rig.yaml"}, "absent/rig.yaml: cannot be read: No such file"),
+    "two tasks": ({"task": "default", "config": {}}, "task: 'task' and 'config' are two names of one argument"),
+    "two rigs": ({"rig": "symmetric_eha", "plant": "kovari_2015"}, "task: rig = 'symmetric_eha' and plant = "),
+    "no text": ({"rig": 3}, "task: rig = '3': must be the name or the YAML file of a rig"),
+    "another rig's range": (
+        {"config": {"randomisation": {"load.mass": {"uniform": [40, 80]}}}, "rig": "aalborg_svsdp_2017"},
+        r"aalborg_svsdp_2017.yaml: load.mass = 658: the task draws it from 40 to 80, the range of another rig; give",
+    ),
+    "factor of infinity": (
+        {"randomisation": {"leakage.external_resistance": {"factor": [0.5, 2.0]}}},
+        "task: randomisation: leakage.external_resistance: the rig's own value is infinite and has no multiples",
+    ),
+    "negative factor": (
+        {"randomisation": {"load.mass": {"factor": [-1.0, 2.0]}}},
+        "task: randomisation.load.mass: factor needs positive bounds",
+    ),
+    "factor times": (
+        {"randomisation": {"load.mass": {"factor": [1.0, 2.0], "times": "supply.pressure"}}},
+        "task: randomisation.load.mass: factor already multiplies the rig's own value: leave out 'times'",
+    ),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), WRONG.values(), ids=WRONG)
+def test_what_does_not_fit_is_answered_with_one_line(arguments, message):
+    for make in (ServoHydraulicEnv, ServoHydraulicVectorEnv):
+        with pytest.raises(ConfigurationError) as caught:
+            make(**arguments)
+        assert message in str(caught.value)
+        assert len(str(caught.value).splitlines()) == 1
+
+
+RIG_FILES = {
+    "a range of nothing": (
+        "randomisation: {load.weight: {factor: [1, 2]}}",
+        "'load.weight' is not a number of the plant",
+    ),
+    "a wrong range": ("randomisation: {load.mass: {factor: [2, 1]}}", "randomisation.load.mass: bounds = [2, 1]"),
+    "beyond a limit": (
+        "randomisation: {load.mass: {uniform: [0, 1]}}",
+        "randomisation: load.mass = 0 kg is below its limit",
+    ),
+    "cannot work": ("load: {external_force: 1e6}", "load.external_force = 1e+06 N: "),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), RIG_FILES.values(), ids=RIG_FILES)
+def test_a_wrong_rig_is_named_with_its_key(text, message, tmp_path):
+    file = tmp_path / "rig.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        task_config(rig=file)
+    assert str(caught.value).startswith(f"{file}: ")
+    assert message in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_the_rig_of_the_page_works(tmp_path):
+    page = (Path(__file__).parents[3] / "docs" / "own_rig.md").read_text(encoding="utf-8")
+    file = tmp_path / "rig.yaml"
+    for block in re.findall(r"```yaml\n(.*?)```", page, flags=re.DOTALL):
+        file.write_text(block)
+        config = task_config(rig=file)
+    values = drawn(config)  # of the last block
+    assert 118.0 <= values["load.mass"].min() < values["load.mass"].max() <= 122.0
+    assert 0.95 * 70e5 <= values["supply.pressure"].min() < values["supply.pressure"].max() <= 1.05 * 70e5
+    for name in TASKS:
+        assert f"`{name}`" in page
+
+
+def test_an_installed_package_finds_its_configurations(tmp_path):
+    """They lie inside the package then, where pyproject.toml puts them."""
+    root = Path(__file__).parents[3]
+    assert '"configs" = "hydro_env/configs"' in (root / "pyproject.toml").read_text(encoding="utf-8")
+    shutil.copytree(root / "hydro_env", tmp_path / "hydro_env", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(root / "configs", tmp_path / "hydro_env" / "configs")
+    code = "from hydro_env.folders import config_file; print(config_file('tasks', 'worn').read_text())"
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.stdout.strip() == (root / "configs" / "tasks" / "worn.yaml").read_text().strip(), answer.stderr
+
+
+def test_a_rig_says_which_sensors_it_has(small):
+    with small.open("a") as file:
+        file.write("sensors:\n  pressure_a: {high: 250 bar, noise: 0.1 bar}\n  spool_position: {fitted: false}\n")
+    config, without = task_config(rig=small), task_config(rig="kovari_2015")
+    assert (config.sensors.pressure_a.high, config.sensors.pressure_a.noise) == (250e5, 0.1e5)
+    assert not config.sensors.spool_position.fitted
+    assert "spool_position" not in ServoHydraulicEnv(config).observation_names
+    # What the file leaves out follows from stroke and supply pressure.
+    assert config.sensors.pressure_a.bias == pytest.approx(2.0 * without.sensors.pressure_a.bias)
+    assert config.sensors.position.high == pytest.approx(0.05)
+    # A number that the task sets counts more; a sensor that is absent stays absent.
+    mine = task_config({"sensors": {"pressure_a": {"noise": 3e4}}}, rig=small)
+    assert (mine.sensors.pressure_a.noise, mine.sensors.pressure_a.high) == (3e4, 250e5)
+    assert not mine.sensors.spool_position.fitted
+    assert PlantParameters.from_yaml(small).load.mass == 20.0

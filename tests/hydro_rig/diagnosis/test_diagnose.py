@@ -1,0 +1,147 @@
+"""From a recorded file to verdict, page, picture and tables."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from browser import problems_everywhere
+from command_line import assert_one_clear_line, hydro, own_lines
+from published import assert_published_page
+from recorded import CONFIG, recorded_file
+
+from hydro_agents.detection.operations import MOTIONS
+from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
+from hydro_rig.estimation.estimator import AT_REST
+
+FILES = {".hydro.json", "diagnosis.html", "diagnosis.png", "findings.csv", "leak.csv", "figures"}
+
+
+def verdict_on(folder, file, *options):
+    answer = hydro("diagnose", file, "--output", folder / "out", "--overwrite", *options)
+    line = own_lines(answer.stdout)[-1]
+    kind = next(kind for kind in Kind if line.startswith(kind.value))
+    assert answer.returncode == EXIT_CODES[kind], answer.stderr
+    return line
+
+
+def test_record_and_diagnose_from_the_command_line(tmp_path, browser):
+    file = tmp_path / "axis.csv"
+    done = hydro("record", "-o", file, "--leakage", 0.5, "--duration", 4, "--family", "sine", "--seed", 1_000_005)
+    assert done.returncode == 0
+    assert "800 rows" in done.stdout
+    assert_one_clear_line(hydro("record", "-o", file), "exists", "--overwrite")
+    answer = hydro("diagnose", file, "--output", tmp_path / "out")
+    assert own_lines(answer.stdout)[-1].startswith(("internal leak of 0.50", "internal leak of 0.49"))
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+    table = pd.read_csv(tmp_path / "out" / "leak.csv")
+    assert table["end_s"].tolist() == [2.0, 4.0]
+    assert ((table["estimator_low"] < 0.5 + 0.01) & (table["estimator_high"] > 0.5 - 0.01)).all()
+    assert [path.name for path in (tmp_path / "out" / "figures").iterdir()] == ["diagnosis.svg"]
+    assert problems_everywhere(browser, tmp_path / "out" / "diagnosis.html") == []
+    page = (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
+    assert "Internal leak of 0." in page
+    assert_published_page("diagnosis", page)
+    assert "src=" not in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert_one_clear_line(hydro("diagnose", file, "--output", tmp_path / "out"), "holds results already")
+
+
+@pytest.mark.parametrize(
+    ("faults", "leakage", "words"),
+    [
+        ({}, 0.01, "healthy"),
+        ({"valve_null_shift": 0.012}, 0.01, "something else: null shift of the valve (1."),
+        ({"pressure_a_offset": 0.03}, 0.01, "something else: offset of the pressure sensor of chamber a"),
+        ({"external_leak": 2.0}, 0.01, "something else: external leak past the rod seal (2"),
+        ({"position_dropout": 0.05}, 0.01, "something else: sensor fault: position loses readings"),
+        ({"valve_null_shift": 0.012}, 1.0, "besides, null shift of the valve"),
+    ],
+)
+def test_faults_are_told_from_leaks(tmp_path, faults, leakage, words):
+    recorded_file(tmp_path / "a.csv", leakage=leakage, faults=faults, duration=2.0)
+    verdict = verdict_on(tmp_path, tmp_path / "a.csv")
+    assert words in verdict
+    assert verdict.startswith("internal leak") == (leakage > 0.1)
+
+
+def test_a_rig_that_the_model_does_not_describe_ends_in_cannot_tell(tmp_path):
+    recorded_file(tmp_path / "a.csv", {"plant": {"cylinder": {"rod_diameter": 0.024}}}, leakage=1.0, duration=2.0)
+    assert verdict_on(tmp_path, tmp_path / "a.csv").startswith("cannot tell: the model does not describe this rig")
+
+
+def test_a_late_command_is_read_and_the_page_says_how_the_task_would_agree(tmp_path):
+    recorded_file(tmp_path / "a.csv", {"command_latency": 3e-3}, leakage=0.5, duration=2.0)
+    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out")
+    lines = own_lines(answer.stdout)
+    assert lines[-1].startswith(("internal leak of 0.50", "internal leak of 0.49"))
+    mended = yaml.safe_load(next(line for line in lines if line.startswith("command_latency:")))
+    assert mended["command_latency"] == pytest.approx(3e-3, abs=2e-4)
+    page = (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
+    assert "noise found" in page
+    assert f"command_latency: {mended['command_latency']}" in page
+
+
+def test_another_program_reads_verdict_and_exit_code(tmp_path):
+    recorded_file(tmp_path / "a.csv", leakage=0.5, duration=2.0)
+    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out", "--json")
+    found = json.loads(answer.stdout)
+    assert answer.returncode == found["exit_code"] == 10
+    assert found["verdict"] == "internal leak"
+    assert found["leak"]["low"] < 0.5 < found["leak"]["high"]
+    assert found["windows"] == 1
+
+
+def test_an_axis_at_rest_with_worn_edges_must_be_moved(tmp_path):
+    task = MOTIONS["standing still"].change(CONFIG)
+    recorded_file(tmp_path / "a.csv", task, 0.3, None, {"valve_underlap": 0.02}, seed=90_210_000, duration=2.0)
+    assert verdict_on(tmp_path, tmp_path / "a.csv") == f"cannot tell: {AT_REST}"
+
+
+def test_no_motion_and_no_window_end_in_cannot_tell(tmp_path):
+    recorded_file(tmp_path / "a.csv", duration=1.0)
+    assert verdict_on(tmp_path, tmp_path / "a.csv") == "cannot tell: the recording is shorter than one window"
+
+
+def test_a_recording_without_pressure_sensors_is_read_as_far_as_it_can_be(tmp_path):
+    recorded_file(tmp_path / "a.csv", leakage=3.0, duration=2.0)
+    (tmp_path / "map.yaml").write_text(
+        yaml.safe_dump({name: name for name in ("time", "command", "position", "spool_position")})
+    )
+    verdict = verdict_on(tmp_path, tmp_path / "a.csv", "--map", tmp_path / "map.yaml")
+    assert verdict.startswith(("internal leak", "cannot tell"))
+
+
+def test_bad_input_leaves_nothing_behind(tmp_path):
+    (tmp_path / "a.csv").write_text("a,b\n1,2\n")
+    (tmp_path / "map.yaml").write_text("time: a\n")
+    for options in ((), ("--map", tmp_path / "map.yaml"), ("--map", tmp_path / "absent.yaml"), ("--task", "absent")):
+        assert_one_clear_line(hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out", *options))
+    assert not (tmp_path / "out").exists()
+    for options in (("--fault", "x=1"), ("--fault", "external_leak=99"), ("--duration", "1e9"), ("--family", "x")):
+        assert_one_clear_line(hydro("record", "-o", tmp_path / "r.csv", *options))
+    assert not (tmp_path / "r.csv").exists()
+
+
+def test_an_alarm_follows_the_recording(tmp_path):
+    scale = {"highest_baseline": -3.0, "spread": 1.0, "shift": 2.0}
+    settings = {"interval": 0.5, "scales": dict.fromkeys(("standing", "slow", "moving"), scale)}
+    settings |= {"threshold": 1.5, "false_alarms_per_100_h": 1.0}
+    (tmp_path / "alarm.yaml").write_text(yaml.safe_dump(settings))
+    for leakage, words in ((0.01, "stayed silent"), (3.0, "rose at 2.0 s")):
+        recorded_file(tmp_path / "a.csv", leakage=leakage, duration=3.0)
+        line = ("--output", tmp_path / "out", "--overwrite", "--alarm", tmp_path / "alarm.yaml")
+        answer = hydro("diagnose", tmp_path / "a.csv", *line)
+        assert words in answer.stdout, answer.stdout + answer.stderr
+        assert words in (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
+
+
+def test_other_sampling_is_told_and_still_drawn(tmp_path):
+    recorded_file(tmp_path / "a.csv", duration=3.0)
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    (tmp_path / "b.csv").write_text("\n".join([*lines[:2], *lines[2::3]]))
+    verdict = verdict_on(tmp_path, tmp_path / "b.csv")
+    assert verdict.startswith("cannot tell: time has one row every 15 ms")
+    assert (tmp_path / "out" / "diagnosis.png").read_bytes()[:4] == b"\x89PNG"
+    assert np.genfromtxt(tmp_path / "out" / "leak.csv", delimiter=",").size <= 2

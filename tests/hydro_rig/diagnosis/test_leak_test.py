@@ -1,0 +1,171 @@
+"""The leak test: its steps, limits and bound, its header in C, and the leak that it reads."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from command_line import assert_one_clear_line, done, hydro
+
+from hydro_agents.running.seeds import LEARNING
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.task.randomisation import Distribution
+from hydro_rig.diagnosis.leak_test_page import reading_facts
+from hydro_rig.diagnosis.leak_test_plan import LeakTestSettings, plan, priors_of_test, simulated, speeds, worn_task
+from hydro_rig.diagnosis.leak_test_plan_page import commands_csv, header_code
+from hydro_rig.diagnosis.leak_test_reading import Quantity, edge_flow, read_leak_test
+from hydro_rig.diagnosis.leak_test_steps import FORMS, RAMP, Allowed, Step, commands_of
+from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
+from hydro_rig.estimation.model import Model
+from hydro_rig.export.c_files import c_compiler, compiled
+from hydro_rig.recordings.simulated import recording_csv
+
+CONFIG = TaskConfig()
+STEPS = (
+    Step(0.2, 2.5, "press against the extended stop"),
+    Step(0.04, 1.5, "press less"),
+    Step(0.0, 2.0, "valve closed"),
+    Step(-0.1, 0.5, "move off the stop"),
+    Step(0.1, 0.5, "and back"),
+    Step(0.0, 1.0, "valve closed"),
+)
+"""A test of 8 s on an axis with a spring."""
+
+
+@pytest.fixture(scope="module")
+def small_plan():
+    """A short plan of two plants."""
+    return plan(CONFIG, LeakTestSettings(duration=10.0, opening=0.2, stop="extended", plants=2))
+
+
+def test_a_step_begins_with_a_ramp():
+    openings = commands_of((Step(0.5, 1.0, ""), Step(-0.1, 0.5, "")), 0.1)
+    rising = np.minimum(RAMP * 0.1 * np.arange(10), 0.5)
+    falling = np.maximum(0.5 - RAMP * 0.1 * np.arange(5), -0.1)
+    np.testing.assert_allclose(openings, [*rising, *falling], atol=1e-12)
+
+
+def test_the_plan_keeps_the_limits_and_takes_the_lowest_bound(small_plan):
+    best, allowed = small_plan.best, small_plan.allowed
+    assert best.beyond == 0
+    assert np.abs(speeds(best.position, CONFIG.control_period)).max() <= allowed.speed == CONFIG.failure.end_stop_speed
+    assert best.mean_bound() == min(trial.mean_bound() for trial in small_plan.trials if not trial.beyond)
+    assert [trial.form for trial in small_plan.trials] == list(FORMS)
+    assert np.all(np.diff(best.bound, axis=1) <= 1e-12)  # more readings never raise it
+    assert np.abs(small_plan.commands).max() <= 0.2
+    assert len(small_plan.commands) == pytest.approx(10.0 / CONFIG.control_period, abs=20)
+
+
+def test_the_commands_stand_in_the_table_and_in_c(small_plan, tmp_path):
+    rows = np.loadtxt(commands_csv(small_plan).splitlines(), delimiter=",", skiprows=1)
+    np.testing.assert_allclose(rows[:, 1], small_plan.commands, atol=1e-6)
+    np.testing.assert_allclose(rows[:, 2], 10.0 * small_plan.commands, atol=1e-5)
+    if c_compiler() is None:
+        pytest.skip("no C compiler")
+    source = '#include "leak_test.h"\ndouble opening(double t) { return leak_test_opening(t); }\n'
+    texts = {"leak_test.h": header_code(small_plan, "hydro leak-test"), "code.c": source}
+    compiled(texts, ("-shared", "-fPIC", "-Wall", "-Wextra", "-Werror"), folder=tmp_path)
+    code = ctypes.CDLL(str(tmp_path / "out"))
+    code.opening.restype, code.opening.argtypes = ctypes.c_double, [ctypes.c_double]
+    time = rows[:, 0] + 1e-9
+    np.testing.assert_allclose([code.opening(t) for t in time], small_plan.commands, atol=1e-7)
+    assert code.opening(-1.0) == code.opening(time[-1] + 1.0) == 0.0
+
+
+def test_a_worn_task_widens_the_ranges_of_a_rig_and_keeps_wider_ones():
+    worn = worn_task(CONFIG).randomisation
+    assert worn["valve.null_shift"].uniform == (-0.02, 0.02)
+    assert worn["valve.underlap"].uniform == pytest.approx((0.005, 0.055))
+    assert worn["valve.edge_ratio"].uniform == pytest.approx((0.85, 1.18))
+    wide = CONFIG.model_copy(update={"randomisation": {"valve.rated_flow": Distribution(factor=(0.5, 1.1))}})
+    own = CONFIG.plant.valve.rated_flow
+    assert worn_task(wide).randomisation["valve.rated_flow"].uniform == pytest.approx((0.5 * own, 1.25 * own))
+
+
+def test_the_flow_through_the_edges_is_that_of_two_equal_edges_in_series():
+    task = worn_task(CONFIG)
+    priors = priors_of_test(task, np.ones(4, dtype=bool))
+    model = Model(task, priors, np.zeros((1, 2)))
+    values = np.array([prior.mean for prior in priors.values()])
+    valve = {"valve.underlap": 0.02, "valve.rated_flow": 1.5e-4, "valve.edge_ratio": 1.0, "valve.null_shift": 0.01}
+    values[model.names.index("load.spring_stiffness")] = -200.0  # the fit of an axis without a spring may end there
+    for name, value in valve.items():
+        values[model.names.index(name)] = value
+    shared = np.flatnonzero([not name.startswith("start.") for name in model.names])
+    joint = SimpleNamespace(scaled=model.scaled(values)[None], shared=shared)
+    flow, slope = edge_flow(SimpleNamespace(model=model, joint=joint), task)
+    gain = 1.5e-4 / np.sqrt(35e5)  # of an edge
+    drop = 0.5 * (CONFIG.plant.supply.pressure - CONFIG.plant.supply.tank_pressure)
+    assert flow == pytest.approx(2.0 * gain * 0.01 * np.sqrt(drop) * 6e4, rel=1e-3)  # each edge open by half of 2 %
+    names = [model.names[place] for place in shared]
+    assert slope[names.index("valve.underlap")] > 0.0
+    assert slope[names.index("fluid.bulk_modulus")] == 0.0
+
+
+def recorded(tmp_path, leak):
+    """The recording of a short test on a simulated axis with a worn valve."""
+    task = worn_task(CONFIG)
+    allowed = Allowed(8.0, 0.2, 0.1, 2e7, "extended", -np.inf, np.inf, 0.0, leak, 1)
+    axis = simulated(task, STEPS, allowed, LEARNING.take(1, 4001))
+    path = tmp_path / f"{leak:g}.csv"
+    time = CONFIG.control_period * np.arange(axis.signals.shape[2])
+    path.write_text(recording_csv(time, axis.signals[0]), encoding="utf-8")
+    return path, axis
+
+
+def test_the_reading_finds_leak_and_wear(tmp_path):
+    path, axis = recorded(tmp_path, 0.3)
+    found = read_leak_test(path, CONFIG)
+    assert found.verdict.kind is Kind.LEAK
+    assert found.seal.value == pytest.approx(0.3, abs=5.0 * found.seal.deviation)
+    assert found.seal.bound <= found.seal.deviation < 0.03
+    shift = found.quantities["valve.null_shift"]
+    assert shift.value == pytest.approx(float(axis.value("valve.null_shift")[0]), abs=5.0 * shift.deviation)
+    facts = reading_facts(found)
+    assert facts["exit_code"] == EXIT_CODES[Kind.LEAK] == 10
+    assert facts["seal_lpm"]["low"] < 0.3 < facts["seal_lpm"]["high"] or abs(found.seal.value - 0.3) < 0.02
+    json.dumps(facts)
+
+
+def test_the_interval_of_a_quantity_is_that_of_90_percent():
+    low, high = Quantity(1.0, 0.1, 0.05).leak[1:]
+    assert (low, high) == pytest.approx((1.0 - 0.1645, 1.0 + 0.1645), abs=1e-4)
+
+
+def test_the_command_writes_plan_commands_and_header(tmp_path):
+    out = tmp_path / "plan"
+    answer = done("leak-test", "--duration", 4, "--stop", "none", "--from", -60, "--to", 60, "--json", "--output", out)
+    facts = json.loads(answer.stdout)
+    assert facts["largest_speed"] <= 0.05
+    assert -0.06 <= facts["positions"][0] <= facts["positions"][1] <= 0.06
+    assert facts["bound_lpm"] < 0.02
+    assert sum(step["seconds"] for step in facts["steps"]) == pytest.approx(4.0, abs=0.2)
+    for name in ("plan.html", "commands.csv", "leak_test.h", "simulated.csv"):
+        assert (out / name).stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (("--start", 900), ("--start 900 mm", "-200 to 200 mm")),
+        (("--duration", 0), ("duration",)),
+        (("--opening", "nan"), ("opening",)),
+        (("--duration", 5), ("--duration 5 s", "raise --speed")),
+        (("--from", 10), ("--start 0 mm", "between")),
+        (("none.csv", "--speed", 20), ("--speed", "plan")),
+        (("none.csv",), ("none.csv",)),
+        (("none.csv", "--limit", -1), ("--limit",)),
+    ],
+)
+def test_leak_test_refuses_in_one_line(tmp_path, options, parts):
+    assert_one_clear_line(hydro("leak-test", *options, "--output", tmp_path / "out"), *parts)
+    assert not (tmp_path / "out").exists()
+
+
+def test_limits_that_no_test_keeps_are_said():
+    tight = LeakTestSettings(duration=8.0, opening=0.2, stop="extended", high=0.02, plants=2)
+    with pytest.raises(ConfigurationError, match="go beyond a limit in every test"):
+        plan(CONFIG, tight)

@@ -1,0 +1,142 @@
+"""The rules of the verdict, as a table."""
+
+import numpy as np
+import pytest
+
+from hydro_agents.detection.detector import NO_COMMANDS, Cause, Reading
+from hydro_env import TaskConfig
+from hydro_env.task.configuration import task_config
+from hydro_rig.diagnosis.verdict import Kind, Limits, combined, judge
+from hydro_rig.recordings.findings import NOT_RECORDED, Finding, Weight
+
+LIMITS = Limits(0.03, 0.1)
+NO_PRESSURES = [Finding(f"pressure_{chamber}", NOT_RECORDED, Weight.NOTE) for chamber in "ab"]
+NOTE = Finding("time", "has a gap of 200 ms", Weight.NOTE)
+STUCK = Finding("pressure_a", "is stuck at one value", Weight.FAULT)
+OSCILLATES = Finding("axis", "oscillates at 18 Hz", Weight.NOTE)
+WRONG = Finding("position", "reads metres", Weight.SEVERE)
+
+
+def reading(*leaks, width=0.01, cause=Cause.NONE, fault="", why=""):
+    """Windows with these leaks; the other arguments hold for all."""
+    leak, count = np.array(leaks, dtype=np.float64), len(leaks)
+    texts = {"fault": (fault,) * count, "why": (why,) * count}
+    return Reading.of(leak, np.full(count, cause), flow_lpm=leak, low_lpm=leak - width, high_lpm=leak + width, **texts)
+
+
+def misfit(count=4):
+    return reading(*[0.5] * count, cause=Cause.UNKNOWN, why="the model does not explain the readings")
+
+
+HEALTHY, LEAK = reading(0.01, 0.012, 0.011), reading(1.0, 1.02, 0.99)
+HALF_MISFIT = Reading.of(
+    [0.2, 0.2], [Cause.UNKNOWN, Cause.UNDETERMINED], fault=("", ""), why=("misfit", "more motion is needed")
+)
+CASES = {
+    "healthy": ([], HEALTHY, None, Kind.HEALTHY, "healthy: leak past the piston 0.011 [0.001, 0.021]"),
+    "leak": ([], LEAK, None, Kind.LEAK, "internal leak of 1.000 ["),
+    "no pressures, seems tight": (NO_PRESSURES, HEALTHY, None, Kind.UNKNOWN, "record one pressure"),
+    "one pressure, tight": (NO_PRESSURES[:1], HEALTHY, None, Kind.HEALTHY, "healthy"),
+    "no pressures, leak": (NO_PRESSURES, LEAK, None, Kind.LEAK, "internal leak"),
+    "severe finding of an axis that oscillates": (
+        [WRONG, OSCILLATES],
+        None,
+        None,
+        Kind.UNKNOWN,
+        "cannot tell: position reads metres; axis oscillates at 18 Hz",
+    ),
+    "model misfits an axis that oscillates": ([OSCILLATES], misfit(), None, Kind.UNKNOWN, "axis oscillates at 18 Hz"),
+    "notes change nothing": ([NOTE], LEAK, None, Kind.LEAK, ""),
+    "severe finding": ([NOTE, WRONG], LEAK, LEAK, Kind.UNKNOWN, "cannot tell: position reads metres"),
+    "several severe findings": ([WRONG, WRONG], LEAK, LEAK, Kind.UNKNOWN, "(and 1 more)"),
+    "model misfits": ([], misfit(), LEAK, Kind.UNKNOWN, "cannot tell: the model does not describe this rig"),
+    "stuck sensor, tight seal": ([STUCK], HEALTHY, None, Kind.OTHER, "something else: sensor fault: pressure_a"),
+    "stuck sensor, no reading": ([STUCK], None, None, Kind.UNKNOWN, "one window; pressure_a is stuck at one value"),
+    "stuck sensor, model misfits": ([STUCK], misfit(), LEAK, Kind.UNKNOWN, "check --rig; pressure_a is stuck"),
+    "stuck sensor, leak undetermined": (
+        [STUCK],
+        reading(0.2, cause=Cause.UNDETERMINED, why="more motion is needed"),
+        LEAK,
+        Kind.OTHER,
+        "something else: sensor fault: pressure_a",
+    ),
+    "stuck sensor and leak": ([STUCK], LEAK, None, Kind.LEAK, "besides, sensor fault: pressure_a is stuck"),
+    "worn valve": ([], reading(0.01, 0.01, fault="worn edges"), None, Kind.OTHER, "something else: worn edges;"),
+    "worn valve and leak": ([], reading(1.0, 1.0, fault="worn edges"), None, Kind.LEAK, "besides, worn edges"),
+    "nothing read": ([], None, None, Kind.UNKNOWN, "cannot tell: the recording is shorter than one window"),
+    "standstill": (
+        [],
+        reading(0.2, cause=Cause.UNDETERMINED, why="more motion is needed"),
+        None,
+        Kind.UNKNOWN,
+        "cannot tell: more motion is needed",
+    ),
+    "gaps": (
+        [],
+        reading(0.2, cause=Cause.UNDETERMINED, why=NO_COMMANDS),
+        None,
+        Kind.UNKNOWN,
+        "cannot tell: commands are missing in every window; shorter ones (--window 0.5)",
+    ),
+    "interval holds both": ([], reading(0.05, 0.05, width=0.06), None, Kind.UNKNOWN, "may be healthy or faulty"),
+    "small but sure": ([], reading(0.05, 0.05), None, Kind.LEAK, "internal leak of 0.050"),
+    "head alone": ([], None, LEAK, Kind.LEAK, "internal leak"),
+    "estimator leads": ([], HEALTHY, LEAK, Kind.HEALTHY, "healthy"),
+    "head does not lead where the estimator could not determine the leak": (
+        [],
+        reading(0.2, 0.2, cause=Cause.UNDETERMINED, why="more motion is needed"),
+        LEAK,
+        Kind.UNKNOWN,
+        "cannot tell: more motion is needed",
+    ),
+    "head does not lead where half of the windows misfit": ([], HALF_MISFIT, LEAK, Kind.UNKNOWN, "cannot tell: "),
+    "head leads where the estimator reads nothing": (
+        [],
+        reading(0.2, cause=Cause.UNDETERMINED, why=NO_COMMANDS),
+        LEAK,
+        Kind.LEAK,
+        "internal leak",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_rule(case):
+    findings, estimator, head, kind, words = CASES[case]
+    verdict = judge(findings, estimator, head, LIMITS)
+    assert verdict.kind is kind
+    assert words in verdict.line()
+    assert "\n" not in verdict.line()
+
+
+def test_the_advice_is_not_the_option_that_was_just_used():
+    gaps = reading(0.2, cause=Cause.UNDETERMINED, why=NO_COMMANDS)
+    assert "--window 0.5" in judge([], gaps, None, LIMITS, window=2.0).line()
+    assert judge([], gaps, None, LIMITS, window=0.5).line().endswith("record without gaps")
+
+
+def test_cannot_tell_gives_no_number_for_a_rig_that_the_model_does_not_describe():
+    assert judge([], misfit(), LEAK, LIMITS).leak is None
+
+
+def test_limits_grow_with_the_flow_of_the_rig_and_stay_if_the_task_gives_its_own():
+    default = TaskConfig()
+    assert Limits.of(default) == LIMITS
+    wide = default.plant.replace(valve={"rated_flow": 4.0 * default.plant.valve.rated_flow})
+    assert Limits.of(task_config(default, plant=wide)) == pytest.approx((0.12, 0.4))
+    own = {"leakage": {"class_bounds": [0.05, 0.3, 1.0]}}
+    assert Limits.of(task_config(task_config(default, **own), plant=wide)) == (0.05, 0.1)
+
+
+def test_a_leak_that_has_changed_is_that_of_the_end():
+    leak, change = combined(reading(0.01, 0.01, 0.01, 0.5, 0.51, 0.5, 0.5, 0.5, 0.5))
+    assert leak.value == 0.5
+    assert change == "it grew from 0.010 during the recording"
+    assert combined(reading(0.01, 0.012, 0.011, 0.01, 0.012, 0.011))[1] == ""
+
+
+def test_windows_that_scatter_widen_the_interval():
+    narrow, _ = combined(reading(1.0, 1.001, 0.999, 1.0))
+    wide, _ = combined(reading(0.8, 1.2, 0.9, 1.1))
+    assert narrow.high - narrow.low == pytest.approx(0.02)
+    assert wide.high - wide.low > 0.3

@@ -1,0 +1,283 @@
+"""The estimator finds what was put in, says how well it knows it, and notices what its model does not have."""
+
+import numpy as np
+import pytest
+from driven_axes import CONFIG, FEW, PLANT, driven
+
+from hydro_agents.learning.opponents import shipped
+from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.plant.states import N_STATES, State
+from hydro_env.task.sensors import SENSORS
+from hydro_rig.estimation.estimate import estimate
+from hydro_rig.estimation.known_windows import at_rest, known_windows, leak_cases
+from hydro_rig.estimation.model import Model
+from hydro_rig.estimation.replay import Commands, replay
+from hydro_rig.estimation.search import EstimationSettings
+from hydro_rig.estimation.unknowns import LEAKAGE, NAMES, Prior, default_unknowns, prior_of, priors_of
+
+QUICK = EstimationSettings(horizons=(0.2,), restarts=1)
+
+
+def replayed(config, command, durations, physical, start, latency=(1e-3,)):
+    """Readings and last states of axes, each with its own window of commands (N, T)."""
+    durations = np.broadcast_to(durations, (len(command), command.shape[1] - 1)).astype(float)
+    return replay(config, Commands(command, durations), np.arange(len(command)), physical, start, np.array(latency))
+
+
+def assert_within(found, name, truth, deviations=4.0):
+    """The values of an unknown differ from the truth by at most so many of their standard deviations."""
+    assert (np.abs(found.value(name) - truth) < deviations * found.deviation(name)).all(), name
+
+
+@pytest.fixture(scope="module")
+def moving():
+    """Windows of four plants with two leaks; they do not begin at rest."""
+    leak = np.array([0.05, 0.05, 0.5, 0.5])
+    signals, physical, start = driven(CONFIG, leak, range(1_300_000, 1_300_004), start_moving=True)
+    return leak, signals, physical, start
+
+
+@pytest.fixture(scope="module")
+def found(moving):
+    return estimate(moving[1], CONFIG)
+
+
+def exact(config=CONFIG):
+    """The task with exact sensors: no lag, no noise."""
+    return config.model_copy(update={"sensors": config.sensors.model_copy(update={"enabled": False})})
+
+
+def quiet():
+    """The task with sensors that lag, but have neither noise nor bias nor steps."""
+    silent = {name: {"noise": 0, "bias": 0, "resolution": 0} for name in SENSORS}
+    return CONFIG.model_copy(update={"sensors": type(CONFIG.sensors).model_validate(silent)})
+
+
+def test_the_replay_is_what_the_environment_does():
+    config = exact(TaskConfig(episode_duration=1.0, command_latency_range=(0.0, 4e-3)))
+    random, seen = np.random.default_rng(0), []
+
+    def command(axes, time):
+        seen[:] = axes.column("latency").copy(), axes.state.copy()  # at the last sample in the end
+        return random.uniform(-0.4, 0.4, 3)
+
+    signals, physical, start = driven(config, [2.0] * 3, [1, 2, 3], 41, command)
+    readings, last = replayed(config, signals[:, -1], config.control_period, physical, start, seen[0])
+    np.testing.assert_allclose(readings, signals[:, :-1], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(last, seen[1], rtol=1e-9)
+
+
+def test_the_sensors_lag_as_those_of_the_environment():
+    config = quiet()
+    signals, physical, start = driven(config, [0.3], [7])
+    readings, _ = replayed(config, signals[:, -1], config.control_period, physical, start, [config.command_latency])
+    inside = (signals[:, 1] > 0.0) & (signals[:, 1] < 100e5)
+    np.testing.assert_allclose(readings[:, 1][inside], signals[:, 1][inside], rtol=1e-9)
+    np.testing.assert_allclose(readings[:, 0], signals[:, 0], atol=1e-12)
+
+
+def test_a_plant_that_cannot_be_integrated_gives_nan():
+    physical = driven(CONFIG, [0.3], [7], 3)[1]
+    physical[:, PLANT("leakage.internal_resistance")] = -1.0  # the chambers would drive each other
+    start = np.zeros((1, N_STATES))
+    start[:, [State._fields.index(name) for name in ("pressure_a", "pressure_b")]] = 2e6, 3e6
+    start[:, State._fields.index("supply_pressure")], start[:, State._fields.index("gas_volume")] = 7e6, np.nan
+    readings, last = replayed(CONFIG, np.zeros((1, 9)), 5e-3, physical, start)
+    assert np.isnan(last).all()
+    assert np.isnan(readings[:, :, -1]).all()
+
+
+def test_the_truth_is_recovered_from_exact_readings():
+    config = exact()
+    signals, physical, _ = driven(config, [0.02, 0.7], [11, 12])
+    unknowns = (LEAKAGE, "valve.rated_flow", "load.mass", "load.spring_stiffness", "start.position", "start.pressure_a")
+    unknowns = (*unknowns, "start.pressure_b", "start.spool_position", "start.supply_pressure")
+    known = estimate(signals, config, unknowns, physical=physical)
+    assert known.value(LEAKAGE) == pytest.approx([0.02, 0.7], abs=2e-4)
+    for name in unknowns[1:4]:
+        np.testing.assert_allclose(known.value(name), physical[:, PLANT(name)], rtol=2e-3)
+
+
+def test_noisy_windows_of_unknown_plants_are_read_within_their_uncertainty(moving, found):
+    leak, _, physical, start = moving
+    assert found.names == default_unknowns(CONFIG)
+    assert found.holds.all()
+    assert (np.abs(found.chi2_per_sample - 1.0) < 0.2).all()
+    assert_within(found, LEAKAGE, leak, 3.5)
+    assert (found.deviation(LEAKAGE) < 0.03).all()
+    for name in ("load.mass", "valve.rated_flow", "friction.coulomb_force"):
+        assert_within(found, name, physical[:, PLANT(name)])
+    assert_within(found, "start.position", start[:, State._fields.index("position")])
+
+
+def test_interval_and_probability_follow_from_value_and_deviation(found):
+    low, high = found.interval(LEAKAGE, 0.9)
+    np.testing.assert_allclose(high - low, 2 * 1.6449 * found.deviation(LEAKAGE), rtol=1e-4)
+    np.testing.assert_allclose(found.probability_above(LEAKAGE, high[0])[0], 0.05, atol=1e-6)
+    np.testing.assert_allclose(np.sqrt(np.einsum("bii->bi", found.covariance)), found.deviations)
+
+
+def test_a_narrow_prior_is_respected_and_a_wide_one_overruled(moving):
+    leak, signals, physical, _ = moving
+    narrow = {LEAKAGE: Prior(0.2, 1e-5)}
+    held = estimate(signals[:1], CONFIG, FEW, priors=narrow, physical=physical[:1], settings=QUICK)
+    assert held.value(LEAKAGE)[0] == pytest.approx(0.2, abs=1e-3)
+    wide = {LEAKAGE: Prior(0.2, 5.0)}
+    free = estimate(signals[2:3], CONFIG, FEW, priors=wide, physical=physical[2:3], settings=QUICK)
+    assert abs(free.value(LEAKAGE)[0] - leak[2]) < 0.05
+
+
+def test_what_a_window_at_rest_cannot_tell_is_named():
+    signals, *_ = driven(CONFIG, [0.01], [5], 60, lambda axes, time: axes.column("command"), initial_position=0.01)
+    still = estimate(signals, CONFIG, settings=QUICK)
+    assert {"load.mass", "load.viscous_damping", "position_bias"} <= set(still.undetermined(0))
+    assert "start.position" not in still.undetermined(0)
+
+
+def test_missing_readings_are_left_out(moving):
+    leak, signals, *_ = moving
+    gaps = signals[2:].copy()
+    gaps[:, 3] = np.nan  # no spool sensor
+    gaps[:, :4, 50:60] = np.nan
+    gaps[:, 0, 70] = np.nan
+    partial = estimate(gaps, CONFIG)
+    assert partial.holds.all()
+    assert_within(partial, LEAKAGE, leak[2:])
+    assert (partial.deviation("spool_position_bias") > 0.99 * prior_of(CONFIG, "spool_position_bias").deviation).all()
+    blind = signals[2:3].copy()
+    blind[:, :4] = np.nan
+    nothing = estimate(blind, CONFIG, settings=QUICK)
+    assert LEAKAGE in nothing.undetermined(0)
+
+
+def test_saturated_readings_are_left_out(moving):
+    leak, signals, *_ = moving
+    limited = CONFIG.sensors.pressure_b.model_copy(update={"high": float(np.quantile(signals[2, 2], 0.8))})
+    config = CONFIG.model_copy(update={"sensors": CONFIG.sensors.model_copy(update={"pressure_b": limited})})
+    cut = signals[2:3].copy()
+    cut[:, 2] = np.minimum(cut[:, 2], limited.high)
+    answer = estimate(cut, config)
+    assert answer.holds.all()
+    assert_within(answer, LEAKAGE, leak[2])
+
+
+def test_own_time_stamps_are_followed():
+    """A control period of 10 ms for some samples, of 5 ms for others, as a recording with gaps has them."""
+    signals, physical, start = driven(exact(), [0.4], [31], 60)
+    rng = np.random.default_rng(5)
+    durations = rng.choice([3e-3, 5e-3, 9e-3], 119)
+    command = np.repeat(signals[:, -1], 2, axis=1)
+    readings, _ = replayed(CONFIG, command, durations, physical, start, [CONFIG.command_latency])
+    noise = np.array([getattr(CONFIG.sensors, name).noise for name in SENSORS])[:, None]
+    window = np.concatenate([readings + noise * rng.standard_normal(readings.shape), command[:, None]], axis=1)
+    unknowns = [name for name in FEW if "bias" not in name]
+    right = estimate(window, CONFIG, unknowns, durations=durations, physical=physical, settings=QUICK)
+    wrong = estimate(window, CONFIG, unknowns, physical=physical, settings=QUICK)
+    assert right.holds[0]
+    assert_within(right, LEAKAGE, 0.4)
+    assert not wrong.holds[0]
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [{"valve_null_shift": 0.02}, {"pressure_b_freeze": 1.0}, {"valve_hysteresis": 0.04}],
+    ids=["null shift", "frozen sensor", "hysteresis"],
+)
+def test_a_structure_that_the_model_lacks_is_flagged(faults):
+    signals, *_ = driven(CONFIG, [0.02, 0.02], [41, 42], faults=faults)
+    wrong = estimate(signals, CONFIG, settings=EstimationSettings(restarts=0))
+    assert not wrong.holds.any()
+
+
+def test_an_offset_beyond_the_sensor_is_unlikely(moving):
+    _, signals, *_ = moving
+    beside = signals[2:3].copy()
+    beside[:, 3] += 0.02
+    odd = estimate(beside, CONFIG, settings=QUICK)
+    assert "spool_position_bias" in odd.unlikely(0)
+    assert estimate(signals[2:3], CONFIG, settings=QUICK).unlikely(0) == ()
+
+
+def test_a_null_shift_that_is_unknown_is_read():
+    signals, *_ = driven(CONFIG, [0.1, 0.1], [41, 42], faults={"valve_null_shift": 0.02})
+    right = estimate(signals, CONFIG, (*default_unknowns(CONFIG), "valve.null_shift"))
+    assert right.holds.all()
+    np.testing.assert_allclose(right.value("valve.null_shift"), 0.02, atol=0.005)
+    assert_within(right, LEAKAGE, 0.1)
+
+
+def test_batches_threads_and_neighbours_change_nothing(moving, found):
+    _, signals, *_ = moving
+    alone = estimate(signals[1], CONFIG, threads=1)
+    np.testing.assert_allclose(alone.values[0], found.values[1], rtol=1e-6)
+
+
+def test_every_name_has_a_prior_and_scales_there_and_back():
+    names = [name for name in NAMES if name != "lines.wall_bulk_modulus"]
+    priors = priors_of(CONFIG, names)
+    model = Model(CONFIG, priors, np.zeros((1, 2)))
+    scaled = np.linspace(-2.0, 2.0, len(names))[None]
+    np.testing.assert_allclose(model.scaled(model.values(scaled)), scaled, atol=1e-6)
+    low, high = CONFIG.randomisation["load.mass"].bounds(60.0)
+    mass = priors["load.mass"]
+    assert low < mass.mean < high
+    assert mass.deviation == pytest.approx((high - low) / 12**0.5 / 60.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"unknowns": ["leak"]}, "'leak': unknown name"),
+        ({"unknowns": [LEAKAGE, LEAKAGE]}, "occurs twice"),
+        ({"unknowns": ["lines.wall_bulk_modulus"]}, "is infinite on this rig"),
+        ({"priors": {"load.mas": Prior(1.0, 1.0)}}, "'load.mas' is not among the unknowns"),
+        ({"first": {"valve.null_shift": 0.0}}, "'valve.null_shift' is not among the unknowns"),
+        ({"durations": np.full(3, 5e-3)}, "durations: shape"),
+        ({"durations": np.full(19, -1.0)}, "durations: -1 s"),
+        ({"signals": np.zeros((4, 20))}, "signals: shape"),
+        ({"signals": np.full((5, 20), np.inf)}, "infinite"),
+        ({"signals": np.full((5, 20), 2.0)}, "commands: window 0, sample 0 = 2"),
+        ({"signals": "text"}, "array of numbers"),
+    ],
+)
+def test_wrong_input_is_one_line(change, message):
+    arguments = {"signals": np.zeros((5, 20)), **change}
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        estimate(arguments.pop("signals"), CONFIG, **arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_faults_of_the_task_widen_its_priors():
+    faults = {
+        "valve_null_shift": {"probability": 0.5, "range": (0.01, 0.01)},
+        "valve_underlap": {"probability": 1.0, "range": (0.02, 0.04)},
+        "sensor_offset": {"probability": 1.0, "range": (0.02, 0.02), "sensors": ("position",)},
+    }
+    config = TaskConfig(faults=faults)
+    assert "valve.null_shift" in default_unknowns(config)
+    assert "valve.null_shift" not in default_unknowns(CONFIG)
+    shift = prior_of(config, "valve.null_shift")
+    assert (shift.mean, shift.deviation) == pytest.approx((0.0, np.hypot(0.01, 0.01 * 0.5**0.5)))
+    underlap, healthy = prior_of(config, "valve.underlap"), prior_of(CONFIG, "valve.underlap")
+    assert underlap.mean == pytest.approx(0.03 + healthy.mean, rel=0.1)
+    assert prior_of(config, "position_bias").deviation == pytest.approx(0.02 * 0.4, rel=0.01)
+    assert prior_of(config, "pressure_a_bias") == prior_of(CONFIG, "pressure_a_bias")
+
+
+def test_at_rest_the_search_ends_at_the_lowest_point():
+    task = at_rest(TaskConfig())
+    windows = known_windows(task, shipped("lqg", task), leak_cases(VALIDATION_SEEDS[930_000:], 8, 0.01), 1.0, 2.0)
+    read = estimate(windows.signals, task)
+    away = (read.value(LEAKAGE) - windows.leakage_flow_lpm) / read.deviation(LEAKAGE)
+    assert read.holds.all()
+    assert np.sqrt(np.mean(away**2)) < 2.0, "long differences reach across the valley: 3 to 4 then"
+    truth = {name: windows.value(name) for name in read.names}
+    from_truth = estimate(windows.signals, task, first=truth, settings=EstimationSettings(horizons=(), restarts=0))
+    np.testing.assert_array_less(-4.0, _cost(from_truth) - _cost(read), "no better explanation near the truth")
+
+
+def _cost(found):
+    """Squared residuals and squared distances from the priors' means, of windows without lost readings."""
+    readings = 4 * 401 - 2
+    return found.chi2_per_sample * readings + (found.scaled**2).sum(axis=1)

@@ -1,0 +1,131 @@
+"""A supply that moves: recorded pressures drive the model, and a recorded flow needs no valve."""
+
+import numpy as np
+import pytest
+from recorded import RAM, RAM_COLUMNS
+
+from hydro_agents.detection.detector import MeasuredColumns, Windows
+from hydro_agents.detection.disturbances import SUPPLY, Disturbances, Disturbed
+from hydro_agents.detection.monitor import load_head
+from hydro_agents.learning.opponents import shipped
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.seeds import DIAGNOSIS
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.plant.states import State
+from hydro_env.task.configuration import task_config
+from hydro_rig.diagnosis.diagnose import diagnose
+from hydro_rig.diagnosis.verdict import Kind
+from hydro_rig.estimation.estimator import EstimatorDetector
+from hydro_rig.estimation.model import Model
+from hydro_rig.estimation.unknowns import course_of, priors_of
+from hydro_rig.recordings.columns import ColumnMap
+
+CONFIG = TaskConfig(episode_duration=2.5)
+SUPPLY_PRESSURE = State._fields.index("supply_pressure")
+
+
+class Gauge(Disturbed):
+    """Notes the supply pressure of every sample."""
+
+    def begin(self, axes):
+        super().begin(axes)
+        self.seen = []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        answer = super().predict(observation, state, episode_start, deterministic)
+        self.seen.append(self._axes.state[:, SUPPLY_PRESSURE].copy())
+        return answer
+
+
+def swinging(leak, axes=2, size=0.05):
+    """Windows of 2 s under a supply that swings at 0.5 Hz, with the readings of its gauge."""
+    course = np.zeros((axes, 4, CONFIG.steps))
+    course[:, SUPPLY] = size * np.sin(np.pi * CONFIG.control_period * np.arange(CONFIG.steps))
+    gauge, measured = Gauge(shipped("pid", CONFIG), Disturbances(course, np.zeros(axes, np.bool_))), MeasuredColumns
+    seeds = np.array(DIAGNOSIS.take(axes, 9_000))
+    columns = measured.of(CONFIG)
+    cases = Cases(seeds, np.full(axes, leak), np.full(axes, "multi_sine"))
+    run = run_cases(CONFIG, gauge, cases, columns.columns, states=False)
+    beside = np.full((axes, 4, CONFIG.steps), np.nan)
+    noise = np.random.default_rng(0).normal(0.0, 0.2e5, (axes, CONFIG.steps))
+    beside[:, 0] = np.array(gauge.seen).T + noise
+    unknown, part = np.full(axes, np.nan), slice(100, 501)
+    return Windows(columns.si(run.signals)[:, :, part], unknown, unknown, beside[:, :, part])
+
+
+@pytest.mark.parametrize("leak", [0.01, 0.3])
+def test_a_recorded_supply_gives_the_leak_although_it_swings(leak):
+    windows = swinging(leak)
+    found = EstimatorDetector().read(windows, CONFIG)
+    assert found.answers.all()
+    np.testing.assert_allclose(found.flow_lpm, leak, atol=0.015)
+    assert (found.high_lpm - found.low_lpm < 0.03).all()
+
+
+def test_a_supply_that_moves_is_found_without_its_record():
+    windows = swinging(0.3)
+    found = EstimatorDetector().read(Windows(windows.signals, windows.begin, windows.end), CONFIG)
+    assert found.answers.all()
+    np.testing.assert_allclose(found.flow_lpm, 0.3, atol=0.03)
+    assert (found.low_lpm > 0.2).all()
+
+
+def test_the_course_of_a_supply_is_the_sum_of_its_steps():
+    constant = task_config(CONFIG, plant={"supply": {"model": "constant"}})
+    commands = np.full((1, 101), 0.05)
+    course = course_of(100 * CONFIG.control_period)
+    assert course == ("supply.course_1", "supply.course_2")
+    window, priors = np.zeros(1, np.int64), priors_of(constant)
+    moving = Model(constant, priors_of(constant, (*priors, *course)), commands)
+    scaled = np.zeros((1, len(moving.names)))
+    scaled[0, -2:] = 1.0
+    step = moving.values(scaled)[0, -1]
+    setting = moving.values(scaled)[0, moving.names.index("supply.pressure")]
+    time = CONFIG.control_period * np.arange(101)
+    pressure = setting + step * (np.clip(time / 0.25, 0.0, 1.0) + np.clip(time / 0.25 - 1.0, 0.0, 1.0))
+    boundary = np.stack([pressure[None], np.full((1, 101), np.nan)], axis=1)
+    known = Model(constant, priors, commands, boundary=boundary)
+    read, expected = moving.readings(scaled, window)[0], known.readings(scaled[:, :-2], window)[0]
+    # The recorded pressure is the mean over a period, the course that at its end.
+    np.testing.assert_allclose(read, expected, rtol=0.02, atol=2.0)
+
+
+def test_a_recorded_pressure_at_the_setting_of_a_constant_supply_changes_nothing():
+    constant = task_config(CONFIG, plant={"supply": {"model": "constant"}})
+    priors = priors_of(constant)
+    commands = np.tile(0.05 * np.sin(np.arange(100) / 10.0), (1, 1))
+    pressure, tank = constant.plant.supply.pressure, constant.plant.supply.tank_pressure
+    boundary = np.stack([np.full((1, 100), pressure), np.full((1, 100), tank)], axis=1)
+    scaled, window = np.zeros((1, len(priors))), np.zeros(1, np.int64)
+    plain = Model(constant, priors, commands)
+    known = Model(constant, priors, commands, boundary=boundary)
+    setting = float(plain.values(scaled)[0, plain.names.index("supply.pressure")])
+    boundary[:, 0] = setting
+    np.testing.assert_allclose(
+        known.readings(scaled, window)[0], plain.readings(scaled, window)[0], rtol=1e-6, atol=1e-3
+    )
+    boundary[:, 0] = 1.1 * setting
+    assert np.abs(known.readings(scaled, window)[0] - plain.readings(scaled, window)[0]).max() > 10.0
+    with pytest.raises(ConfigurationError, match=r"boundary: shape \(1, 2, 99\)"):
+        Model(constant, priors, commands, boundary=boundary[:, :, :99])
+
+
+def test_missing_readings_of_the_gauge_are_bridged():
+    beside = np.full((1, 4, 20), np.nan)
+    beside[0, 0] = np.where(np.arange(20) % 3 == 0, np.nan, 70e5)
+    unknown = np.full(1, np.nan)
+    boundary = Windows(np.zeros((1, 5, 20)), unknown, unknown, beside).boundary
+    np.testing.assert_allclose(boundary[0, 0], 70e5)
+    assert np.isnan(boundary[0, 1]).all()
+    assert Windows.of(np.zeros((1, 5, 20))).boundary is None
+
+
+def test_a_real_ram_with_a_pump_gets_its_verdict_from_the_flow():
+    task = TaskConfig()
+    found = diagnose(RAM, task, load_head(None, task), ColumnMap.model_validate(RAM_COLUMNS))
+    assert found.verdict.kind is Kind.LEAK
+    assert 0.18 <= found.verdict.leak.value <= 0.23
+    assert "balance of volumes" in found.verdict.line()
+    columns = {name: column for name, column in RAM_COLUMNS.items() if name != "flow"}
+    without = diagnose(RAM, task, load_head(None, task), ColumnMap.model_validate(columns))
+    assert without.verdict.kind is Kind.UNKNOWN

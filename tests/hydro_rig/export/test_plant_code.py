@@ -1,0 +1,116 @@
+"""The generated C99 plant against the compiled kernel, over drawn rigs."""
+
+import ctypes
+
+import numpy as np
+import pytest
+
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium
+from hydro_env.compiling import inline
+from hydro_env.plant.arrays import coefficient_array
+from hydro_env.plant.kernel import (
+    MAXIMUM_STEP,
+    MOST_STEPS_PER_PERIOD,
+    N_COEFFICIENTS,
+    N_PEAKS,
+    Accuracy,
+    Plants,
+    integrate,
+)
+from hydro_env.plant.parameters import from_vector, to_vector
+from hydro_env.plant.states import STATE_NAMES
+from hydro_rig.export.c_files import WARNINGS, c_compiler, compiled
+from hydro_rig.export.expressions import TranslationError
+from hydro_rig.export.plant import plant_code
+from hydro_rig.export.translator import Translator
+
+NUMBER = ctypes.c_double
+PERIOD = 5e-3
+
+
+class StateInC(ctypes.Structure):
+    _fields_ = [(name, NUMBER) for name in STATE_NAMES]
+
+    def array(self):
+        return np.array([getattr(self, name) for name in STATE_NAMES])
+
+
+class AccuracyInC(ctypes.Structure):
+    _fields_ = [("maximum_step", NUMBER), ("tolerance", NUMBER), ("most_steps", NUMBER)]
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    if c_compiler() is None:
+        pytest.skip("this machine has no C compiler")
+    folder = tmp_path_factory.mktemp("plant")
+    compiled(plant_code().files, [*WARNINGS, "-O1", "-shared", "-fPIC"], folder=folder)
+    library = ctypes.CDLL(str(folder / "out"))
+    array = np.ctypeslib.ndpointer(np.float64, flags="C")
+    library.plant_coefficients.argtypes, library.plant_coefficients.restype = [array, array], None
+    library.plant_equilibrium.argtypes = [NUMBER, array, ctypes.POINTER(StateInC), ctypes.POINTER(NUMBER)]
+    library.plant_advance.argtypes = [ctypes.POINTER(StateInC), array, NUMBER, NUMBER, ctypes.POINTER(AccuracyInC)]
+    library.plant_advance.restype = NUMBER
+    return library
+
+
+def drawn_rigs(count):
+    envs = ServoHydraulicVectorEnv(count, leakage={"faulty_range": [0.1, 8.0]})
+    envs.reset(seed=11)
+    rigs = [(envs.axes.physical[axis].copy(), envs.axes.column("position")[axis]) for axis in range(count)]
+    other = PlantParameters().replace(
+        valve={"overlap": 0.05, "knee_position": 0.4, "knee_opening": 0.2, "edge_ratio": 0.6, "null_shift": 0.01},
+        lines={"volume_a": 2e-5, "volume_b": 3e-5, "wall_bulk_modulus": 3e8},
+        friction={"model": "lugre"},
+        supply={"model": "pump"},
+    )
+    return [*rigs, (to_vector(other), 0.02)]
+
+
+def test_it_follows_the_kernel(plant):
+    generator = np.random.default_rng(3)
+    accuracy = AccuracyInC(MAXIMUM_STEP, 1e-6, MOST_STEPS_PER_PERIOD)
+    for vector, position in drawn_rigs(12):
+        parameters = from_vector(vector)
+        constants = np.zeros(N_COEFFICIENTS)
+        plant.plant_coefficients(vector, constants)
+        expected = coefficient_array(parameters)
+        np.testing.assert_allclose(constants, expected, rtol=1e-12)
+
+        state, voltage = StateInC(), NUMBER()
+        assert plant.plant_equilibrium(position, vector, ctypes.byref(state), ctypes.byref(voltage))
+        rest, holding = equilibrium(parameters, position)
+        np.testing.assert_allclose(state.array(), list(rest.values()), rtol=1e-9, atol=1e-12)
+        assert voltage.value == pytest.approx(holding, abs=1e-9)
+
+        row, other = np.array([list(rest.values())]), StateInC(*rest.values())
+        ours, theirs = [], []
+        for command in generator.uniform(-8.0, 8.0, 100):
+            arrays = [np.array([[command]]), np.array([[PERIOD]]), np.zeros((1, N_PEAKS))]
+            integrate(Plants(row, expected[None], *arrays), Accuracy(), 0, 1)
+            plant.plant_advance(ctypes.byref(other), constants, command, PERIOD, ctypes.byref(accuracy))
+            ours.append(row[0].copy())
+            theirs.append(other.array())
+        ranges = np.maximum(np.ptp(ours, axis=0), 1e-12)
+        assert (np.abs(np.subtract(ours, theirs)) / ranges).max() <= 1e-9
+
+
+def test_the_same_source_gives_the_same_code():
+    first, second = plant_code(), plant_code()
+    assert first == second
+    assert "plant_default_parameters" in first.header
+    assert plant_code(PlantParameters().replace(load={"mass": 77.0})).source != first.source
+
+
+def test_what_has_no_translation_is_refused():
+    @inline
+    def listing(x):
+        return [x, x]
+
+    @inline
+    def powers(x):
+        return math_gamma(x)  # noqa: F821
+
+    for function in (listing, powers):
+        with pytest.raises(TranslationError, match="no translation for"):
+            Translator().function(function, ["double"])

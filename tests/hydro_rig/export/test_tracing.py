@@ -1,0 +1,190 @@
+"""Traced NumPy functions against NumPy itself, in ONNX and in C; and what a trace refuses."""
+
+import ctypes
+import subprocess
+
+import numpy as np
+import pytest
+
+from hydro_rig.export.c_files import c_compiler
+from hydro_rig.export.c_writer import C_TYPES, CWriter
+from hydro_rig.export.onnx_writer import OnnxWriter
+from hydro_rig.export.tracing import TraceError, trace
+
+
+def moves(a, b, s):
+    """Slices, joins, transpositions and changes of parts of arrays."""
+    changed = a.copy()
+    changed[:, 1] = b[0]
+    changed[0, 1:] += s
+    part = changed[1]
+    part -= 2.0
+    filled = np.empty_like(a)
+    filled[...] = a[::-1]
+    filled[:, :2] = filled[:, 2:4] = a[:, [3, 0]]
+    joined = np.concatenate([changed, filled, np.ones((1, 4))], axis=0)
+    tiled = np.tile(np.stack([b, -b], axis=1), 2)
+    return {"joined": joined, "tiled": tiled, "rolled": np.roll(a.T, 1, axis=0).reshape(2, -1), "diff": np.diff(joined)}
+
+
+def products(a, b, s):
+    """Products and sums."""
+    square = a.T @ a
+    quadratic = np.einsum("ij,jk->ki", a, square)
+    return {
+        "matrix": square,
+        "vector": a @ a[0] + np.einsum("i,ij->j", b, a)[:3] * s,
+        "outer": np.outer(b, a[0]),
+        "sums": np.concatenate([a.sum(axis=0), quadratic.sum(axis=1), np.sum(a * s)[None]]),
+        "row": b @ a,
+    }
+
+
+def elements(a, b, s):
+    """Functions that work element by element, and types."""
+    single = a.astype(np.float32) * np.float32(0.1) + 0.5
+    found = np.where((a > b[:, None]) & (a < 2.0) | ~(a >= s), np.copysign(np.sqrt(np.abs(a)), -a), np.clip(a, -0.5, s))
+    return {
+        "found": found,
+        "single": np.arcsinh(single / 3.0),
+        "limited": np.maximum(np.minimum(single, 0.25), -1.0).astype(np.float64) / (np.abs(a) + 1.0),
+        "functions": np.sign(a) * np.exp(-np.abs(a)) + np.tanh(a),
+        "truth": np.logical_or(a > 0.0, b[:, None] > 0.0) != (a == 0.0),
+        "squares": a**2 + np.square(b)[:, None],
+    }
+
+
+EXAMPLE = {"a": np.arange(12.0).reshape(3, 4) - 5.5, "b": np.array([1.0, -2.0, 0.5]), "s": np.array(0.3)}
+
+
+def draws():
+    generator = np.random.default_rng(7)
+    values = [{name: generator.normal(size=np.shape(one)) for name, one in EXAMPLE.items()} for _ in range(20)]
+    values[0]["a"][0, :2] = (0.0, -0.0)
+    return values
+
+
+@pytest.mark.parametrize("function", [moves, products, elements])
+def test_the_onnx_model_computes_what_numpy_computes(function):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    graph = trace(function, EXAMPLE)
+    writer = OnnxWriter({name: (node.size, node.kind) for name, node in graph.inputs.items()}, list(graph.outputs))
+    outputs = {name: (writer.tensor(node), node.size, node.kind) for name, node in graph.outputs.items()}
+    session = onnxruntime.InferenceSession(writer.model(outputs, "test", {}).SerializeToString())
+    for values in draws():
+        expected = function(**values)
+        found = session.run(None, {name: np.ravel(value) for name, value in values.items()})
+        for name, array in zip(graph.outputs, found, strict=True):
+            assert array.dtype == expected[name].dtype
+            np.testing.assert_allclose(array, expected[name].ravel(), rtol=3e-7, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize("function", [moves, products, elements])
+def test_the_c_code_computes_what_numpy_computes(function, tmp_path):
+    compiler = c_compiler()
+    if compiler is None:
+        pytest.skip("this machine has no C compiler")
+    graph = trace(function, EXAMPLE)
+    writer = CWriter({name: name if node.size > 1 else f"{name}[0]" for name, node in graph.inputs.items()})
+    writer.reserve(*graph.inputs, *(f"to_{name}" for name in graph.outputs))
+    lines = writer.statements(graph.nodes())
+    for name, node in graph.outputs.items():
+        lines.append(f"    for (int i = 0; i < {node.size}; ++i) to_{name}[i] = {writer.element(node, 'i')};")
+    arguments = [f"const {C_TYPES[node.kind]} *{name}" for name, node in graph.inputs.items()]
+    arguments += [f"{C_TYPES[node.kind]} *to_{name}" for name, node in graph.outputs.items()]
+    text = "#include <math.h>\n" + "\n".join([*writer.helpers, *writer.tables])
+    text += f"\nvoid run({', '.join(arguments)});\nvoid run({', '.join(arguments)})\n{{\n" + "\n".join(lines) + "\n}\n"
+    (tmp_path / "f.c").write_text(text)
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC"]
+    result = subprocess.run(
+        [compiler, *flags, "-o", "f.so", "f.c", "-lm"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+    run = ctypes.CDLL(str(tmp_path / "f.so")).run
+    kinds = {"double": np.float64, "float": np.float32, "int": np.int32}
+    for values in draws():
+        expected = function(**values)
+        given = [np.ascontiguousarray(values[name]).ravel() for name in graph.inputs]
+        found = {name: np.zeros(node.size, kinds[C_TYPES[node.kind]]) for name, node in graph.outputs.items()}
+        run(*(ctypes.c_void_p(array.ctypes.data) for array in (*given, *found.values())))
+        for name, array in found.items():
+            np.testing.assert_allclose(array, expected[name].ravel(), rtol=3e-7, atol=1e-12, err_msg=name)
+
+
+def branches(a):
+    return {"x": a if a[0] > 0.0 else -a}
+
+
+def counts(a):
+    return {"x": a * len([value for value in a if value > 0])}
+
+
+def converts(a):
+    return {"x": a * float(a[0])}
+
+
+def shortcuts(a):
+    return {"x": np.zeros(3) if not a.any() else a}
+
+
+def picks(a):
+    return {"x": a[a > 0.0]}
+
+
+def sorts(a):
+    return {"x": np.sort(a)}
+
+
+def leaves_numpy(a):
+    return {"x": np.array([value**3 for value in a])}
+
+
+def writes_into_a_plain_array(a):
+    plain = np.zeros(3)
+    plain[1:] = a[1:]
+    return {"x": plain}
+
+
+def changes_what_a_view_shows(a):
+    b = a.copy()
+    view = b[1:]
+    b[2] = 0.0
+    return {"x": view}
+
+
+def accumulates(a):
+    return {"x": np.add.accumulate(a)}
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        branches,
+        counts,
+        converts,
+        shortcuts,
+        picks,
+        sorts,
+        leaves_numpy,
+        writes_into_a_plain_array,
+        changes_what_a_view_shows,
+        accumulates,
+    ],
+)
+def test_what_no_fixed_graph_can_hold_is_refused_with_its_line(function):
+    with pytest.raises(TraceError, match=r"^test_tracing\.py, line \d+: .*cannot be exported$"):
+        trace(function, {"a": np.array([1.0, 2.0, 3.0])})
+
+
+def test_only_elements_that_an_output_needs_are_used():
+    def function(a, b):
+        changed = a.copy()
+        changed[2] = 7.0
+        return {"x": changed[1:] * 2.0, "y": a @ np.ones((3, 2)), "z": np.stack([b, a[0]])[:1]}
+
+    graph = trace(function, {"a": np.zeros(3), "b": np.array(1.0)})
+    needed = {name: graph.used([node]) for name, node in graph.outputs.items()}
+    assert needed["x"]["a"].tolist() == [False, True, False]
+    assert needed["y"]["a"].tolist() == [True, True, True]
+    assert needed["z"]["a"].tolist() == [False] * 3
+    assert needed["z"]["b"].tolist() == [True]

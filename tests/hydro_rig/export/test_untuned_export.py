@@ -1,0 +1,155 @@
+"""A controller for a rig that nobody tuned: the command, its C code on that rig, and a take-over in motion."""
+
+import ctypes
+
+import numpy as np
+import pytest
+from command_line import assert_one_clear_line, hydro
+
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.learning.opponents import shipped
+from hydro_agents.rigs.new_rig import new_rig
+from hydro_agents.rigs.questions import answers_from
+from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.configuration import task_config
+from hydro_rig.export.c_files import WARNINGS, c_compiler, compiled
+from hydro_rig.export.controller import controller_graph
+from hydro_rig.export.exported import read_contract
+
+NAMEPLATES = {
+    "bore": "63 mm",
+    "rod": "36 mm",
+    "stroke": "500 mm",
+    "rated_flow": "40 l/min",
+    "bandwidth": "60 Hz",
+    "supply_pressure": "160 bar",
+    "mass": "200 kg",
+}
+TIMING = ("--period", "2ms", "--latency", "0.6ms")
+SEED = VALIDATION_SEEDS.start + 710_500
+TAKE_OVER = 250  # control periods; the axis is in motion then
+RAMP = 0.05  # m/s
+BUMP = 0.15  # V
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """The file of a rig from its nameplates."""
+    file = tmp_path_factory.mktemp("rig") / "my.yaml"
+    file.write_text(new_rig(answers_from(NAMEPLATES), NAMEPLATES, "my.yaml")[0], encoding="utf-8")
+    return file
+
+
+@pytest.fixture(scope="module")
+def task(rig):
+    """Its task with the timing of the PLC, and a ramp as reference."""
+    ramp = np.clip(RAMP * 0.002 * (np.arange(1001) - 100.0), 0.0, None)
+    changes = {"references": {"user": ramp.tolist(), "weights": {"user": 1.0}}}
+    return task_config(None, rig=rig, control_period="2 ms", command_latency="0.6 ms", **changes)
+
+
+@pytest.fixture(scope="module")
+def folder(rig):
+    """What the command wrote for the rig."""
+    out = rig.parent / "controller"
+    answer = hydro("export", "flow_linearising", "--rig", rig, *TIMING, "--output", out)
+    assert answer.returncode == 0, answer.stderr
+    assert "gains for any rig" in answer.stdout
+    assert answer.stderr == ""
+    return out
+
+
+class InC:
+    """The exported C code, called as a PLC calls it."""
+
+    def __init__(self, folder, place):
+        sources = {name: (folder / name).read_text(encoding="utf-8") for name in ("controller.c", "controller.h")}
+        compiled(sources, [*WARNINGS, "-shared", "-fPIC"], folder=place)
+        self._step = ctypes.CDLL(str(place / "out")).controller_step
+        self._step.restype = ctypes.c_double
+        self._memory = ctypes.create_string_buffer(100_000)
+
+    def __call__(self, signals, start):
+        given = np.ascontiguousarray(signals, dtype=np.float64)
+        return self._step(self._memory, given.ctypes.data_as(ctypes.c_void_p), int(start))
+
+
+@pytest.fixture
+def in_c(folder, tmp_path):
+    if c_compiler() is None:
+        pytest.skip("this machine has no C compiler")
+    return InC(folder, tmp_path)
+
+
+def test_the_contract_says_for_which_rig_and_timing_and_with_which_gains(folder, task):
+    contract = read_contract(folder)
+    assert (contract.sample_time, contract.latency) == (0.002, 0.0006)
+    assert contract.controller["settings"] == FlowLinearisingGains().model_dump()
+    assert contract.scores["failed"] == 0
+    assert shipped("flow_linearising", task).gains == FlowLinearisingGains()
+    assert shipped("flow_linearising", TaskConfig()).gains != FlowLinearisingGains()  # the paper's rig has its own
+
+
+def test_the_c_code_drives_the_rig_as_python_does(task, in_c):
+    controller = FlowLinearising(FlowLinearisingGains(), task)
+    signals = controller_graph(controller, task).signals
+    env = ServoHydraulicVectorEnv(1, task)
+    observation, _ = env.reset(seed=[SEED])
+    memory, moved = None, env.axes.column("position")[0]
+    for step in range(400):
+        voltage = in_c(signals.of_axes(env.axes)[0], step == 0)
+        action, memory = controller.predict(observation, memory)
+        assert voltage == pytest.approx(10.0 * float(action[0, 0]), abs=1e-4)
+        observation, *_ = env.step(np.array([[voltage / 10.0]], dtype=np.float32))
+    assert env.axes.column("position")[0] - moved > 0.02
+
+
+def test_in_c_it_takes_over_an_axis_in_motion(task, folder, in_c, tmp_path):
+    (tmp_path / "cold").mkdir()
+    cold = InC(folder, tmp_path / "cold")
+    driving, taking = (FlowLinearising(FlowLinearisingGains(), task) for _ in range(2))
+    signals = controller_graph(driving, task).signals
+    env = ServoHydraulicVectorEnv(1, task)
+    observation, _ = env.reset(seed=[SEED + 1])
+    memory = None
+    for _ in range(TAKE_OVER):  # the exported controller stands by
+        in_c(signals.of_axes(env.axes)[0], True)
+        action, memory = driving.predict(observation, memory)
+        observation, *_ = env.step(action)
+    assert driving.layout.si(observation, "velocity_estimate")[0] == pytest.approx(RAMP, rel=0.2)
+    before = 10.0 * float(action[0, 0])
+    taken = in_c(signals.of_axes(env.axes)[0], True)
+    without_speed = cold(signals.of_axes(env.axes)[0], True)
+    assert abs(taken - before) < BUMP < 0.2 * abs(without_speed - before)
+    own, errors = None, []
+    for _ in range(100):
+        command, own = taking.predict(observation, own)
+        assert taken == pytest.approx(10.0 * float(command[0, 0]), abs=1e-3)
+        observation, *_ = env.step(np.array([[taken / 10.0]], dtype=np.float32))
+        taken = in_c(signals.of_axes(env.axes)[0], False)
+        errors.append(driving.layout.si(observation, "tracking_error")[0])
+    print("ERR", before, without_speed, np.abs(errors).max())
+    assert np.abs(errors).max() < 3e-4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (("flow_linearising", "--rig", "none.yaml"), "none.yaml"),
+        (("flow_linearising", "--period", "2 bar"), "export flow_linearising: --period = '2 bar': unit 'bar'"),
+        (("flow_linearising", "--period", "0.5ms"), "--latency = 0.001 s must not exceed --period = 0.0005 s"),
+        (("plant", "--period", "2ms"), "export plant: takes no --period and no --latency"),
+        (("leakage_head", "--latency", "1ms"), "export leakage_head: takes no --period and no --latency"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, what, tmp_path):
+    assert_one_clear_line(hydro("export", *arguments, "--output", tmp_path / "out"), what)
+    assert not (tmp_path / "out").exists()
+
+
+def test_gains_of_another_timing_are_refused(tmp_path):
+    gains = tmp_path / "gains.yaml"
+    gains.write_text("position_gain: 0.5\n", encoding="utf-8")
+    answer = hydro("export", gains, "--period", "2ms", "--output", tmp_path / "out")
+    assert_one_clear_line(answer, "--period and --latency need --rig or --task")

@@ -1,0 +1,195 @@
+"""Intervals of an identification: scatter of the windows, limits that no motion reached, physical bounds."""
+
+import math
+
+import numpy as np
+import pytest
+from recorded import SEED, recorded_file
+
+from benchmarks.hidden_rigs import true_values
+from hydro_agents.detection.detector import Windows
+from hydro_env import PlantParameters
+from hydro_env.task.configuration import task_config
+from hydro_rig.estimation.unknowns import Prior
+from hydro_rig.identification.common_fit import Joint
+from hydro_rig.identification.fit import fit_windows
+from hydro_rig.identification.found_rig import found_timing, found_values, narrowed, shown
+from hydro_rig.identification.intervals import (
+    _rises,
+    beside_the_edge,
+    spread_of,
+    truncated_end,
+    within_bounds,
+)
+from hydro_rig.recordings.recording import read_recording
+
+WINDOWS, UNKNOWNS, READINGS = 7, 6, 40
+
+
+def linear_fit(random, jacobian, disturbed=0.0):
+    """A linear model of windows whose first unknown differs from window to window; its fit, and the truth."""
+    true = random.standard_normal(UNKNOWNS)
+    own = true + disturbed * random.standard_normal((WINDOWS, 1)) * np.eye(UNKNOWNS)[0]
+    readings = np.einsum("wpr,wp->wr", jacobian, own) + random.standard_normal((WINDOWS, READINGS))
+    information = jacobian @ jacobian.transpose(0, 2, 1)
+    towards = np.einsum("wpr,wr->wp", jacobian, readings)
+    found = np.linalg.solve(information.sum(axis=0) + np.eye(UNKNOWNS), towards.sum(axis=0))
+    score = towards - information @ found
+    rows = np.tile(found, (WINDOWS, 1))
+    none = np.empty(0, np.int64)
+    joint = Joint(
+        rows, np.arange(UNKNOWNS), information, score, np.zeros(WINDOWS), none, np.zeros((WINDOWS, 0, 0)), 0.0
+    )
+    return joint, true
+
+
+@pytest.fixture(scope="module")
+def jacobian():
+    """Derivatives of few windows, of which one tells most about the last unknown."""
+    jacobian = 0.5 * np.random.default_rng(0).standard_normal((WINDOWS, UNKNOWNS, READINGS))
+    jacobian[1:, -1] *= 0.05
+    return jacobian
+
+
+def coverage(jacobian, disturbed, runs=600):
+    random = np.random.default_rng(1)
+    inside, widening = np.zeros(UNKNOWNS), []
+    for _ in range(runs):
+        joint, true = linear_fit(random, jacobian, disturbed)
+        spread = spread_of(joint)
+        inside += np.abs(true - joint.common) <= spread.reach
+        widening.append(spread.widening)
+    return inside / runs, np.median(widening, axis=0)
+
+
+def test_intervals_hold_as_often_as_they_promise_where_noise_is_all(jacobian):
+    inside, widening = coverage(jacobian, 0.0)
+    assert (inside > 0.93).all(), inside  # a variance is never below the noise's: they hold rather more often
+    assert inside.mean() < 0.985, inside
+    assert (widening < 1.2).all()
+
+
+def test_a_direction_that_windows_contradict_widens_its_own_unknown(jacobian):
+    inside, widening = coverage(jacobian, 1.0)
+    assert inside[0] > 0.85, inside
+    assert widening[0] > 1.4
+    assert (widening[1:] < 1.25).all(), widening
+    assert (inside[1:] > 0.93).all(), inside
+
+
+class Saturating:
+    """Readings of two unknowns: the first acts only below 0.5, like a limit that the motion never reached."""
+
+    count = WINDOWS
+
+    def __init__(self, edge=0.5):
+        self.edge = edge
+        self.time = np.linspace(-1.0, 1.0, READINGS)
+
+    def readings(self, scaled, window):
+        limit, gain = np.minimum(scaled[:, 0], self.edge), scaled[:, 1]
+        return (20.0 * limit[:, None] * self.time + 20.0 * gain[:, None])[:, None], None
+
+
+def fit_at(model, limit):
+    """The fit at a value of the limit; its slope is that of differences to both sides."""
+    scaled = np.tile([limit, 0.3], (WINDOWS, 1))
+    measured, _ = model.readings(scaled, np.arange(WINDOWS))
+    slope = 0.5 * (1.0 if limit < model.edge else 0.0) + 0.5 * (1.0 if limit <= model.edge else 0.0)
+    jacobian = np.tile(20.0 * np.stack([slope * model.time, np.ones(READINGS)]), (WINDOWS, 1, 1))
+    score = np.zeros((WINDOWS, 2))
+    information = jacobian @ jacobian.transpose(0, 2, 1)
+    rest = np.zeros(WINDOWS), np.empty(0, np.int64), np.zeros((WINDOWS, 0, 2)), 0.0
+    joint = Joint(scaled, np.arange(2), information, score, *rest)
+    return model, measured, joint
+
+
+@pytest.mark.parametrize("step", [0.5, 2.0])
+def test_a_limit_that_was_never_reached_leaves_the_cost_flat_on_one_side(step):
+    fitted = fit_at(Saturating(), 0.5)
+    deviation = np.sqrt(np.diag(np.linalg.inv(fitted[2].precision)))
+    rises = _rises(*fitted, step * np.tile(deviation[:, None], 2))
+    assert rises[0, 1] < 0.25 < rises[0, 0]
+    # Where the limit acts, the rise is that of the linear model, also along its ridge.
+    rises = _rises(*fit_at(Saturating(edge=3.0), 0.5), step * np.tile(deviation[:, None], 2))
+    assert rises == pytest.approx(1.0, abs=0.01)
+
+
+def hose():
+    """The task of an axis whose dead volume and hoses compensate each other."""
+    ranges = {
+        "cylinder.dead_volume": {"log_factor": [0.25, 4.0]},
+        "lines.wall_bulk_modulus": {"log_uniform": [1e8, 2e9]},
+        "fluid.bulk_modulus": {"log_factor": [0.7, 1.3]},
+    }
+    plant = {"lines": {"volume_a": 5e-5, "volume_b": 5e-5, "wall_bulk_modulus": 4e8}}
+    return task_config(None, plant=plant, randomisation=ranges, episode_duration=4.0)
+
+
+def test_the_intervals_of_unknowns_on_a_curve_hold_their_whole_valley(tmp_path):
+    """The linear model says that a recording determines dead volume and wall; the readings allow far other pairs."""
+    config = hose()
+    recorded_file(tmp_path / "a.csv", config, 0.3, family="multi_sine", duration=4.0)
+    signals = read_recording(tmp_path / "a.csv").signals
+    fit = fit_windows(Windows.of(signals[:, :200].reshape(5, 2, 100).transpose(1, 0, 2)), config, config.randomisation)
+    true = true_values(config, SEED, 0.3)
+    place = fit.names.index("lines.wall_bulk_modulus")
+    linear = np.sqrt(np.diag(np.linalg.inv(fit.joint.precision)))[place]
+    assert fit.remaining[place] > 2.0 * linear
+    for name in config.randomisation:
+        row = fit.names.index(name)
+        assert fit.low[row] <= true[name] <= fit.high[row], name
+
+
+def test_the_value_of_an_open_interval_is_not_its_edge():
+    plant = PlantParameters()
+    prior = Prior(plant.valve.slew_limit, 0.4, True)
+    assert beside_the_edge("valve.slew_limit", prior, plant, -0.5, 1.7) == pytest.approx(0.0)  # the file's is possible
+    assert beside_the_edge("valve.slew_limit", prior, plant, 0.5, 1.7) == pytest.approx(1.1)
+
+
+def test_intervals_end_at_physical_bounds():
+    plant = PlantParameters()
+    assert within_bounds(plant, "leakage_flow_lpm", -0.2) == 0.0
+    assert within_bounds(plant, "pressure_a_bias", -2e5) == -2e5
+    assert within_bounds(plant, "load.viscous_damping", -3.0) == 0.0
+    assert within_bounds(plant, "load.mass", 50.0) == 50.0
+    assert truncated_end(0.5, 0.3, 0.7) == 0.7
+    assert 0.0 < truncated_end(-0.2, -0.4, 0.0) < 0.2  # a size below zero leaves a small one possible
+
+
+def test_a_rise_time_that_the_task_does_not_say_is_found(tmp_path):
+    """With transducers of 4 ms in the task instead of 1.5 ms the model explains no window; then it finds their time."""
+    ranges = {"load.mass": {"factor": [0.8, 1.2]}}
+    config = task_config(None, randomisation=ranges, episode_duration=4.0)
+    recorded_file(tmp_path / "a.csv", {"randomisation": ranges}, 0.3, family="multi_sine", duration=4.0)
+    signals = read_recording(tmp_path / "a.csv").signals
+    wrong = task_config(config, sensors={"pressure_rise_time": 4e-3})
+    fit = fit_windows(Windows.of(signals[:, :800].reshape(5, 4, 200).transpose(1, 0, 2)), wrong, wrong.randomisation)
+    assert fit.explained.all()
+    timing = found_timing(fit)
+    assert timing["pressure_rise_time"] == pytest.approx(config.sensors.pressure_rise_time, rel=0.1)
+    assert timing["command_latency"] == pytest.approx(config.command_latency, abs=1e-4)
+    assert fit.low[0] <= 0.3 <= fit.high[0]
+
+
+def test_a_slew_limit_above_the_spools_speed_is_bounded_from_below(tmp_path):
+    """In slow moves the spool stays far below its limit: only 'at least' is true, and the file keeps its value."""
+    ranges = {"valve.slew_limit": {"log_factor": [0.05, 2.0]}}
+    config = task_config(None, randomisation=ranges, episode_duration=5.0)
+    recorded_file(tmp_path / "a.csv", {"randomisation": ranges}, 0.3, family="multi_sine", duration=5.0)
+    signals = read_recording(tmp_path / "a.csv").signals
+    windows = signals[:, :800].reshape(5, 4, 200).transpose(1, 0, 2)
+    fit = fit_windows(Windows.of(windows), config, config.randomisation)
+    place = fit.names.index("valve.slew_limit")
+    assert fit.side[place] == 1
+    assert not fit.determined[place]
+    assert fit.determined[fit.names.index("leakage_flow_lpm")]
+    own = config.plant.valve.slew_limit
+    assert 0.05 * own < fit.low[place] < found_values(fit, config)["valve.slew_limit"] <= fit.high[place]
+    assert fit.high[place] == pytest.approx(2.0 * own)
+    kept = narrowed(fit, config, config.randomisation)["valve.slew_limit"]["log_uniform"]
+    assert kept == pytest.approx([fit.low[place], fit.high[place]], rel=1e-4)
+    words = shown("valve.slew_limit", config.plant).interval(float(fit.low[place]), float(fit.high[place]), 1)
+    assert words.startswith("at least ")
+    assert math.isclose(float(words.split(" ")[-1]), fit.low[place], rel_tol=0.02)

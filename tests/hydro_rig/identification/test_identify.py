@@ -1,0 +1,241 @@
+"""From the recording of a hidden rig to the rig that was found, and recordings that contradict the rig."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from browser import problems_everywhere
+from command_line import assert_one_clear_line, hydro, own_lines
+from published import assert_published_page
+from recorded import SEED, recorded_file
+
+from hydro_agents.detection.detector import Windows
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv
+from hydro_env.task.configuration import task_config
+from hydro_env.task.rig import read_rig
+from hydro_rig.identification.advice import advise
+from hydro_rig.identification.fit import fit_windows
+from hydro_rig.recordings.recording import read_recording
+
+RANGES = {
+    "load.mass": {"uniform": [40.0, 80.0]},
+    "valve.rated_flow": {"factor": [0.9, 1.1]},
+    "load.viscous_damping": {"factor": [0.3, 2.5]},
+    "supply.pressure": {"uniform": [6.0e6, 1.0e7]},
+}
+DURATION, LEAK = 6.0, 0.5
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A rig file with ranges, and the recording of a rig that is drawn from them."""
+    folder = tmp_path_factory.mktemp("identify")
+    (folder / "rig.yaml").write_text(yaml.safe_dump({"load": {"mass": 60.0}, "randomisation": RANGES}))
+    recorded_file(folder / "a.csv", hidden(folder), LEAK, family="multi_sine", duration=DURATION)
+    return folder
+
+
+def hidden(folder):
+    """The task of the hidden rig: what the rig file gives no range is known."""
+    return task_config(None, rig=folder / "rig.yaml", randomisation=RANGES, episode_duration=DURATION)
+
+
+def identified(folder, name, recording, *options):
+    out = folder / name
+    return out, hydro("identify", recording, "--rig", folder / "rig.yaml", "--output", out, *options)
+
+
+@pytest.fixture(scope="module")
+def done(folder):
+    return identified(folder, "out", folder / "a.csv")
+
+
+def truth(folder):
+    env = ServoHydraulicVectorEnv(1, hidden(folder), info=False)
+    env.reset(seed=[SEED], options={"leakage_flow_lpm": np.array([LEAK])})
+    plant = env.axes.parameters(0)
+    return {path: getattr(getattr(plant, path.split(".")[0]), path.split(".")[1]) for path in RANGES}
+
+
+def test_the_hidden_rig_is_found(folder, done):
+    out, answer = done
+    assert answer.returncode == 0, answer.stderr
+    assert re.search(
+        r"of the position's variance explained on the held-back part; "
+        r"root mean square error there [\d.]+ mm, [\d.]+ mm/s, [\d.]+ bar \(a\) and [\d.]+ bar \(b\)$",
+        own_lines(answer.stdout)[-1],
+    )
+    assert {path.name for path in out.iterdir()} == {
+        ".hydro.json", "figures", "identification.html", "identification.json", "rig.yaml",
+    }  # fmt: skip
+    result = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    assert result["describes"]
+    assert result["share_of_variance"]["position"] > 0.99
+    for path, value in truth(folder).items() | {("leakage_flow_lpm", LEAK)}:
+        one = result["unknowns"][path]
+        middle, half = 0.5 * (one["low"] + one["high"]), 0.5 * (one["high"] - one["low"])
+        assert one["determined"]
+        assert abs(value - middle) < 2.0 * half, path  # four standard deviations
+
+
+def test_the_new_rig_file_is_narrower_and_a_rig(folder, done):
+    rig = read_rig(done[0] / "rig.yaml")
+    before = PlantParameters()
+    for path in RANGES:
+        low, high = rig.randomisation[path].bounds(np.nan)
+        own = getattr(getattr(before, path.split(".")[0]), path.split(".")[1])
+        wide = RANGES[path].get("uniform") or [own * end for end in RANGES[path]["factor"]]
+        assert high - low < 0.5 * (wide[1] - wide[0]), path
+        assert wide[0] <= low <= high <= wide[1]
+        group, field = path.split(".")
+        assert low <= getattr(getattr(rig.plant, group), field) <= high
+    assert rig.plant.load.spring_stiffness == before.load.spring_stiffness  # given no range: known
+    assert hydro("check-rig", "--rig", done[0] / "rig.yaml").returncode == 0
+    ServoHydraulicVectorEnv(2, task_config(None, rig=done[0] / "rig.yaml")).reset(seed=0)
+
+
+def test_the_new_rig_file_is_written_for_a_person(done):
+    text = (done[0] / "rig.yaml").read_text(encoding="utf-8")
+    assert re.search(r"^  rated_flow: [\d.]+ l/min  # found$", text, re.MULTILINE)
+    assert re.search(r"^  mass: [\d.]+ kg  # found$", text, re.MULTILINE)
+    assert re.search(r"^  internal_resistance: .* Pa s/m³  # found: 0\.[45]\d* l/min at 100 bar$", text, re.MULTILINE)
+    assert re.search(r"^  valve.rated_flow: {uniform: \[[\d.]+ l/min, [\d.]+ l/min\]}$", text, re.MULTILINE)
+    assert max(map(len, text.splitlines())) < 300
+
+
+def test_the_page_stands_alone_and_nothing_is_overwritten(browser, folder, done):
+    assert problems_everywhere(browser, done[0] / "identification.html") == []
+    page = (done[0] / "identification.html").read_text(encoding="utf-8")
+    assert_published_page("identification", page)
+    assert "load: viscous damping" in page
+    assert "src=" not in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert_one_clear_line(identified(folder, "out", folder / "a.csv")[1], "holds results already")
+
+
+def test_recordings_with_their_own_sensors_share_the_unknowns(folder, tmp_path):
+    """One file has pressure a, the other pressure b under another heading; a third one tests the fit."""
+    families = {
+        "one_a": ("multi_sine", "pressure_b"),
+        "two_b": ("sine", "pressure_a"),
+        "test_a": ("ramp", "pressure_b"),
+    }
+    for name, (family, absent) in families.items():
+        recorded_file(tmp_path / f"{name}.csv", hidden(folder), LEAK, family=family, duration=DURATION)
+        table = pd.read_csv(tmp_path / f"{name}.csv", comment="#").drop(
+            columns=[f"{absent} [bar]", "spool_position [%]"]
+        )
+        table.rename(columns={"pressure_b [bar]": "PT2 [bar]"}).to_csv(tmp_path / f"{name}.csv", index=False)
+    (tmp_path / "b.yaml").write_text("{time: time, command: command, position: position, pressure_b: PT2}")
+    files = [tmp_path / f"{name}.csv" for name in families]
+    options = ["--map", f"*_b.csv={tmp_path / 'b.yaml'}", "--hold-back", "test_*", "--output", tmp_path / "out"]
+    answer = hydro("identify", *files, "--rig", folder / "rig.yaml", *options)
+    assert answer.returncode == 0, answer.stderr
+    result = json.loads((tmp_path / "out" / "identification.json").read_text(encoding="utf-8"))
+    assert [Path(part["recording"]).name for part in result["held_back"]["parts"]] == ["test_a.csv"]
+    assert result["held_back"]["parts"][0]["position_rms"] < 1e-3
+    assert result["held_back"]["parts"][0]["pressure_b_rms"] is None
+    assert {"pressure_a_bias", "pressure_b_bias"} < set(result["unknowns"])
+    true = truth(folder)
+    for path, value in true.items():
+        one = result["unknowns"][path]
+        assert one["low"] - (one["high"] - one["low"]) < value < one["high"] + (one["high"] - one["low"]), path
+        own = result["repeatability"][path]
+        assert [Path(repeat["recording"]).name for repeat in own] == ["one_a.csv", "two_b.csv"]
+        assert all(repeat["low"] <= repeat["value"] <= repeat["high"] for repeat in own)
+    assert result["repeatability"]["valve.rated_flow"][0]["determined"]
+    assert result["repeats_inside_their_intervals"] > 0.5
+    page = (tmp_path / "out" / "identification.html").read_text(encoding="utf-8")
+    assert "Repeatability" in page
+
+
+def test_lost_rows_are_bridged(folder, tmp_path):
+    table = pd.read_csv(folder / "a.csv", comment="#")
+    kept = np.random.default_rng(5).random(len(table)) > 0.05
+    table[kept].to_csv(tmp_path / "a.csv", index=False)
+    out, answer = identified(folder, "lost", tmp_path / "a.csv")
+    assert answer.returncode == 0, answer.stderr
+    result = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    assert any("filled in" in line for line in result["findings"])
+    for path, value in truth(folder).items():
+        one = result["unknowns"][path]
+        assert one["determined"], path
+        assert abs(value - one["value"]) < one["high"] - one["low"], path
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--hold-back", "*_b*"], "--hold-back *_b*: matches none of the recordings, such as a.csv"),
+        (["--hold-back", "*.csv"], "matches every recording"),
+        (["--map", "x.yaml", "--map", "y.yaml"], "several maps need patterns"),
+        (["--map", "b*=x.yaml"], "'b*' matches none of the recordings"),
+    ],
+)
+def test_patterns_that_match_nothing_are_refused(folder, tmp_path, options, words):
+    answer = identified(folder, "nothing", folder / "a.csv", *options)[1]
+    assert answer.returncode == 2
+    assert_one_clear_line(answer, words)
+    twice = hydro(
+        "identify", folder / "a.csv", folder / "a.csv", "--rig", folder / "rig.yaml", "--output", tmp_path / "o"
+    )
+    assert_one_clear_line(twice, "is given twice")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"pressure_a [bar]": "pressure_b [bar]", "pressure_b [bar]": "pressure_a [bar]"}, "chambers exchanged"),
+        (("position [mm]", -1.0), "other sign of the position"),
+        (("pressure_a [bar]", 0.1), "reads? at most|do not fit|times"),
+        (("command [V]", -1.0), "moves against the command"),
+        (("command [V]", None), "command is at its limit"),
+    ],
+)
+def test_a_recording_that_contradicts_the_rig_is_named_in_one_line(folder, tmp_path, change, words):
+    table = pd.read_csv(folder / "a.csv", comment="#")
+    if isinstance(change, dict):
+        table = table.rename(columns=change)
+    elif change[1] is None:
+        table[change[0]] = 10.0
+        table["spool_position [%]"] = 100.0 + np.sin(np.arange(len(table)))
+    else:
+        table[change[0]] *= change[1]
+        if change[0].startswith("pressure"):
+            table["pressure_b [bar]"] *= change[1]
+    table.to_csv(tmp_path / "a.csv", index=False)
+    out, answer = identified(folder, "refused", tmp_path / "a.csv")
+    assert answer.returncode == 2, answer.stdout
+    assert_one_clear_line(answer)
+    assert pd.Series(answer.stderr).str.contains(words).all(), answer.stderr
+    assert not out.exists()
+
+
+def test_another_machine_gets_a_page_and_no_rig(folder, tmp_path):
+    other = {"plant": {"valve": {"rated_flow": 4e-4}, "load": {"mass": 400.0}, "friction": {"model": "lugre"}}}
+    recorded_file(tmp_path / "b.csv", other, 0.01, family="sine", duration=4.0)
+    out, answer = identified(folder, "other", tmp_path / "b.csv")
+    assert answer.returncode == 2, answer.stdout
+    assert_one_clear_line(answer)
+    assert not (out / "rig.yaml").exists()
+
+
+def test_without_pressures_the_motion_that_would_help_is_named(folder):
+    """A window at rest tells neither mass nor flow; a motion is advised for each of them."""
+    config = hidden(folder)
+    recording = read_recording(folder / "a.csv")
+    signals = recording.signals[None, :, :300].repeat(2, axis=0)
+    signals[:, 1:4] = np.nan
+    signals[:, 0], signals[:, 4] = signals[:, 0, :1], 0.0
+    signals[:, 0] += 30e-6 * np.random.default_rng(0).standard_normal(signals[:, 0].shape)
+    fit = fit_windows(Windows.of(signals), config, config.randomisation)
+    assert not fit.determined[fit.names.index("load.mass")]
+    assert "pressure_a_bias" not in fit.names
+    advice = advise(fit, config, config.plant)
+    assert advice["valve.rated_flow"] is not None
+    assert advice["valve.rated_flow"].enough
+    assert advice["valve.rated_flow"].motion != "standing still"

@@ -1,0 +1,170 @@
+"""Recordings as Parquet, MDF4, TDMS and MAT files: written by the libraries themselves, read as the CSV file is."""
+
+import importlib
+
+import numpy as np
+import pandas as pd
+import pytest
+from optional_libraries import library
+
+from hydro_env import ConfigurationError
+from hydro_rig.recordings.columns import read_map
+from hydro_rig.recordings.recording import read_recording
+
+TIME = np.arange(200) * 0.005
+POSITION, COMMAND = 40.0 * np.sin(3.0 * TIME), np.cos(5.0 * TIME)  # mm, V
+
+
+def same_as_written(path, columns=None):
+    found = read_recording(path, columns)
+    np.testing.assert_allclose(found.time, TIME, atol=1e-9)
+    np.testing.assert_allclose(found.signals[0], 1e-3 * POSITION, rtol=1e-6)
+    np.testing.assert_allclose(found.signals[4], 0.1 * COMMAND, rtol=1e-6)
+    assert not [finding for finding in found.findings if finding.signal in ("time", "position", "command")]
+
+
+def test_parquet(tmp_path):
+    library("pyarrow")
+    table = pd.DataFrame({"time [s]": TIME, "position [mm]": POSITION, "command [V]": COMMAND})
+    table.to_parquet(tmp_path / "a.parquet")
+    same_as_written(tmp_path / "a.parquet")
+
+
+def write_mdf(path, channels):
+    asammdf = library("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        for name, unit, stamps, values in channels:
+            file.append([asammdf.Signal(values, stamps, name=name, unit=unit)])
+        file.save(path)
+
+
+def test_mdf4_with_one_time(tmp_path):
+    write_mdf(tmp_path / "a.mf4", [("position", "mm", TIME, POSITION), ("command", "V", TIME, COMMAND)])
+    same_as_written(tmp_path / "a.mf4")
+
+
+def test_channels_with_stamps_of_their_own_are_interpolated_and_told(tmp_path):
+    own = np.arange(0.0025, 0.9, 0.010)  # it begins later, ends earlier, and has a gap
+    own = own[(own < 0.4) | (own > 0.5)]
+    values = 100.0 * own  # mm; a line, which linear interpolation meets exactly
+    write_mdf(tmp_path / "a.mf4", [("position", "mm", own, values), ("command", "V", TIME, COMMAND)])
+    found = read_recording(tmp_path / "a.mf4")
+    np.testing.assert_allclose(found.time, TIME)
+    np.testing.assert_allclose(found.signals[4], 0.1 * COMMAND, rtol=1e-6)
+    position = found.signals[0]
+    known = np.isfinite(position)
+    np.testing.assert_allclose(position[known], 0.1 * TIME[known], rtol=1e-9)
+    assert not known[own[0] > TIME].any()
+    assert not known[own[-1] < TIME].any()
+    assert not known[(TIME > 0.401) & (TIME < 0.499)].any()
+    assert known[(TIME > 0.01) & (TIME < 0.39)].all()
+    assert [f.signal for f in found.findings if "its own time stamps, one every 10 ms" in f.line()] == ["position"]
+
+
+def test_tdms_waveforms_and_columns(tmp_path):
+    nptdms = library("nptdms")
+    wave = {"wf_increment": 0.005, "wf_start_offset": 0.0}
+    channels = [
+        nptdms.ChannelObject("daq", "position", POSITION, {"unit_string": "mm", **wave}),
+        nptdms.ChannelObject("daq", "command", COMMAND, {"unit_string": "V", **wave}),
+    ]
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
+        file.write_segment(channels)
+    same_as_written(tmp_path / "a.tdms")
+    plain = [("time", TIME, "s"), ("position", POSITION, "mm"), ("command", COMMAND, "V")]
+    with nptdms.TdmsWriter(tmp_path / "b.tdms") as file:
+        file.write_segment([nptdms.ChannelObject("g", name, v, {"unit_string": unit}) for name, v, unit in plain])
+    same_as_written(tmp_path / "b.tdms")
+
+
+MAP = "time: {column: t, unit: s}\nposition: {column: x, unit: mm}\ncommand: {column: u, unit: V}\n"
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_mat_files_with_a_map(tmp_path, version):
+    path = tmp_path / "a.mat"
+    content = {"t": TIME[:, None], "x": POSITION[None], "u": COMMAND[:, None]}
+    if version == "5":
+        importlib.import_module("scipy.io").savemat(path, content | {"note": "text", "gain": 3.0})
+    else:
+        with library("h5py").File(path, "w", userblock_size=512) as file:
+            for name, values in content.items():
+                file[name] = values
+        head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+        path.write_bytes(head + path.read_bytes()[len(head) :])
+    (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
+    same_as_written(path, read_map(tmp_path / "map.yaml"))
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_mat_files_with_a_struct_per_channel_and_unequal_lengths(tmp_path, version):
+    path, own = tmp_path / "a.mat", TIME[:-20:2]
+    channels = {
+        "position": {
+            "Time": own,
+            "Data": 100.0 * own,
+            "Unit": "mm",
+        },  # a line, which linear interpolation meets exactly
+        "command": {"time": TIME, "signals": {"values": COMMAND, "dimensions": 1.0}, "unit": "V"},
+    }
+    if version == "5":
+        importlib.import_module("scipy.io").savemat(path, channels | {"note": "text", "other": np.arange(7.0)})
+    else:
+        with library("h5py").File(path, "w", userblock_size=512) as file:
+            for name, content in channels.items():
+                group = file.create_group(name)
+                for key, value in content.items():
+                    if isinstance(value, str):
+                        group[key] = np.array([[ord(letter)] for letter in value], dtype=np.uint16)
+                        group[key].attrs["MATLAB_class"] = np.bytes_(b"char")
+                    elif isinstance(value, dict):
+                        group.create_group(key)["values"] = value["values"][None]
+                    else:
+                        group[key] = value[None]
+        head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+        path.write_bytes(head + path.read_bytes()[len(head) :])
+    found = read_recording(path)
+    np.testing.assert_allclose(found.time, TIME, atol=1e-12)
+    np.testing.assert_allclose(found.signals[4], 0.1 * COMMAND, rtol=1e-9)
+    known = np.isfinite(found.signals[0])
+    np.testing.assert_allclose(found.signals[0, known], 0.1 * TIME[known], rtol=1e-9)
+    assert known.sum() == np.sum(own[-1] >= TIME)
+
+
+def test_vectors_of_unequal_length_find_their_time(tmp_path):
+    path, own = tmp_path / "a.mat", TIME[:150]
+    content = {"t": TIME, "u": COMMAND, "t2": own, "x": 100.0 * own**2 - own, "gain": np.arange(5.0) % 2}
+    importlib.import_module("scipy.io").savemat(path, content)
+    (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
+    found = read_recording(path, read_map(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(found.time, TIME)
+    np.testing.assert_allclose(found.signals[0, :150], 1e-3 * content["x"], atol=1e-12)
+    assert np.isnan(found.signals[0, 150:]).all()
+    (tmp_path / "map.yaml").write_text(MAP.replace("column: x", "column: gain"), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="'gain' has 5 values, that of the command has 200"):
+        read_recording(path, read_map(tmp_path / "map.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [("parquet", "pyarrow"), ("mf4", "asammdf"), ("tdms", "nptdms"), ("mat", "scipy.io")]
+)
+def test_a_damaged_file_is_told_in_one_line(tmp_path, kind, name):
+    library(name)
+    path = tmp_path / f"a.{kind}"
+    path.write_bytes(b"no such format" * 20)
+    with pytest.raises(ConfigurationError) as error:
+        read_recording(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        read_recording(tmp_path / f"none.{kind}")
+
+
+def test_an_absent_library_is_named_with_the_way_to_install_it(tmp_path, monkeypatch):
+    def absent(name):
+        raise ImportError(name)
+
+    (tmp_path / "a.tdms").write_bytes(b"")
+    monkeypatch.setattr("hydro_rig.recordings.files.importlib.import_module", absent)
+    with pytest.raises(ConfigurationError, match=r"nptdms: pip install 'hydro_env\[recordings\]'"):
+        read_recording(tmp_path / "a.tdms")

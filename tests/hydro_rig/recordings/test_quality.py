@@ -1,0 +1,261 @@
+"""Every kind of damage to a recording is found, told with its remedy, and weighed."""
+
+import numpy as np
+import pytest
+from recorded import CONFIG, changed, healthy
+
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_rig.recordings.driving import check_driving
+from hydro_rig.recordings.findings import Weight
+from hydro_rig.recordings.quality import _flow_into_a, balance, check_recording
+from hydro_rig.recordings.recording import Recording
+from hydro_rig.recordings.sampling import bridged, cut, on_grid, sampled
+
+BAR = 1e5
+NOTE, FAULT, SEVERE = Weight
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return healthy(tmp_path_factory.mktemp("recorded"))
+
+
+def scaled(*factors):
+    return lambda r: changed(r, signals=r.signals * np.array(factors)[:, None])
+
+
+def edited(row, part, value):
+    def change(recording):
+        signals = recording.signals.copy()
+        signals[row, part] = value if not callable(value) else value(signals[row, part])
+        return changed(recording, signals=signals)
+
+    return change
+
+
+def rows(chosen):
+    return lambda r: changed(r, time=r.time[chosen(len(r.time))], signals=r.signals[:, chosen(len(r.time))])
+
+
+def restamped(stamp):
+    return lambda r: changed(r, time=stamp(r.time))
+
+
+def command_moved(by):
+    def change(recording):
+        signals = recording.signals.copy()
+        signals[4] = np.roll(signals[4], by)
+        return changed(recording, signals=signals)
+
+    return change
+
+
+def resting_encoder(recording):
+    """From 4.5 s on the axis rests: an encoder of 25 µm repeats its value while the command hunts in the dead band."""
+    signals, noise = recording.signals.copy(), np.random.default_rng(3)
+    count = signals.shape[1] - 900
+    signals[:, 900:] = signals[:, 899:900] + np.array([0.0, 5e3, 2e4, 1e-3, 0.0])[:, None] * noise.normal(size=count)
+    signals[3:, 900:] += 0.015 * np.sin(0.8 * np.arange(count)) - signals[3:, 899:900]
+    signals[0] = 25e-6 * np.round(signals[0] / 25e-6)
+    return changed(recording, signals=signals)
+
+
+CASES = {
+    "encoder at rest": (resting_encoder, []),
+    "end of the position's range": (
+        edited(0, slice(None), lambda v: np.minimum(v, np.quantile(v, 0.7))),
+        [(NOTE, " mm, the end of its readings: left out there")],
+    ),
+    "position frozen": (edited(0, slice(700, None), 0.0), [(FAULT, "position is stuck at one value")]),
+    "nothing": (lambda r: r, []),
+    "clock 1 % off": (restamped(lambda t: 1.01 * t), []),
+    "chambers exchanged": (
+        lambda r: changed(r, signals=r.signals[[0, 2, 1, 3, 4]]),
+        [(SEVERE, "with the pressures of the chambers exchanged")],
+    ),
+    "position turned": (scaled(-1, 1, 1, 1, 1), [(SEVERE, "the other sign of the position")]),
+    "spool turned": (scaled(1, 1, 1, -1, 1), [(SEVERE, "spool_position moves against the command")]),
+    "valve turned": (scaled(1, 1, 1, -1, -1), [(SEVERE, "the other sign of spool and command")]),
+    "mm as m": (scaled(1e3, 1, 1, 1, 1), [(SEVERE, "position reads")]),
+    "m as mm": (scaled(1e-3, 1, 1, 1, 1), [(SEVERE, "times as far as the valve's flow")]),
+    "psi as bar": (scaled(1, 14.5, 14.5, 1, 1), [(SEVERE, "psi instead of bar"), (SEVERE, "psi instead of bar")]),
+    "MPa as bar": (scaled(1, 0.1, 0.1, 1, 1), [(SEVERE, "MPa instead of bar")]),
+    "V as parts": (scaled(1, 1, 1, 1, 10), [(SEVERE, "command reads")]),
+    "parts as %": (scaled(1, 1, 1, 0.01, 1), [(SEVERE, "0.01 times as far as the command")]),
+    "zero at the end": (edited(0, slice(None), lambda v: v + 0.25), [(SEVERE, "an offset of -200 mm would fit")]),
+    "constant": (edited(1, slice(None), 30 * BAR), [(SEVERE, "pressure_a is constant at 30 bar")]),
+    "stuck": (edited(2, slice(400, 600), 51 * BAR), [(FAULT, "stuck at one value, first at 2.000 to 2.995 s")]),
+    "cut off": (edited(2, slice(None), lambda v: np.minimum(v, np.median(v))), [(FAULT, "pressure_b is cut off")]),
+    "lost": (edited(0, slice(7, None, 31), -0.2), [(FAULT, "position loses readings: it falls 39 times to -200 mm")]),
+    "spikes": (edited(1, slice(50, None, 100), 9e8), [(NOTE, "pressure_a has single values")]),
+    "NaN": (edited(3, slice(100, 110), np.nan), [(NOTE, "spool_position lacks readings, first at 0.500 to 0.545 s")]),
+    "many NaN": (edited(3, slice(100, 900), np.nan), [(SEVERE, "spool_position lacks readings")]),
+    "gap": (rows(lambda n: np.r_[0:400, 440:n]), [(NOTE, "time has a gap of 200 ms, first at 1.995 to 2.200 s")]),
+    "twice": (rows(lambda n: np.r_[0:400, 399:n]), [(NOTE, "time has duplicate stamps")]),
+    "backward": (restamped(lambda t: np.r_[t[:400], t[400:] - 1.0]), [(SEVERE, "runs backward 1 times, by up to")]),
+    "jitter": (
+        restamped(lambda t: t + np.random.default_rng(0).uniform(-3e-4, 3e-4, len(t))),
+        [(NOTE, "time has stamps that jitter")],
+    ),
+    "great jitter": (
+        restamped(lambda t: np.sort(t + np.random.default_rng(0).uniform(-4e-3, 4e-3, len(t)))),
+        [(SEVERE, "time has stamps that jitter"), (NOTE, "gaps")],
+    ),
+    "every second row": (rows(lambda n: slice(0, n, 2)), [(SEVERE, "the commands between the rows are unknown")]),
+    "ms as s": (restamped(lambda t: 1e3 * t), [(SEVERE, "stamps in ms instead of s would fit")]),
+    "command early": (command_moved(-1), [(NOTE, "moved; 'rows_early: 1' in the map")]),
+    "command late": (command_moved(1), [(NOTE, "moved; 'rows_early: -1' in the map")]),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_damage_is_found_and_nothing_else(recording, case):
+    damage, wanted = CASES[case]
+    found = check_recording(damage(recording), CONFIG).findings
+    assert [finding.weight for finding in found] == [weight for weight, _ in wanted], [f.line() for f in found]
+    for finding, (_, words) in zip(found, wanted, strict=True):
+        assert words in finding.line()
+
+
+@pytest.mark.parametrize("rows", [-1, 1])
+def test_a_command_in_the_wrong_row_is_moved_back(recording, rows):
+    moved = check_recording(command_moved(rows)(recording), CONFIG).samples
+    right = check_recording(recording, CONFIG).samples
+    assert np.array_equal(moved.place, right.place[:-1])
+    assert np.array_equal(moved.signals[4, 2:-2], right.signals[4, np.isin(right.time, moved.time)][2:-2])
+    assert np.isfinite(moved.signals).all()
+
+
+def test_faulty_readings_are_left_out(recording):
+    damaged = edited(0, slice(7, None, 31), -0.2)(recording)
+    samples = check_recording(damaged, CONFIG).samples
+    assert np.isnan(samples.signals[0, 7::31]).all()
+    assert np.isfinite(np.delete(samples.signals[0], np.s_[7::31])).all()
+
+
+def test_a_faster_recording_keeps_the_rows_in_which_the_controller_sampled(recording):
+    # Five rows per period; the command of sample k acts from 1 ms after it, so that row 5 k still shows the one before.
+    signals = np.repeat(recording.signals, 5, axis=1)
+    signals[4] = np.append(signals[4, 4:], np.full(4, signals[4, -1]))
+    offset = np.random.default_rng(1).normal(0.0, 3e-5, signals.shape[1])
+    offset[::5] = 0.0
+    signals[0] += offset  # only the right rows hold the readings unchanged
+    fast = changed(recording, time=1e-3 * np.arange(signals.shape[1]), signals=signals)
+    checked = check_recording(fast, CONFIG)
+    assert checked.findings == []
+    np.testing.assert_array_equal(checked.samples.signals[0], recording.signals[0])
+    np.testing.assert_array_equal(checked.samples.signals[4], recording.signals[4])
+
+
+def stepped(rows_per_second, steps, duration=1.0):
+    """A fast log of a step test in open loop: the command takes each level of ``steps`` (time in s, level)."""
+    time = np.arange(round(duration * rows_per_second)) / rows_per_second
+    command = np.zeros(len(time))
+    for begin, level in steps:
+        command[time >= begin - 1e-9] = level
+    noise = np.random.default_rng(0)
+    signals = np.full((5, len(time)), np.nan)
+    signals[0] = 0.02 * time + np.where(noise.random(len(time)) < 0.08, 0.01, 0.0)  # spikes
+    signals[4] = command
+    return changed(healthy_stub(time), time=time, signals=signals)
+
+
+def healthy_stub(time):
+    return Recording("steps", time, np.zeros((5, len(time))), {}, [])
+
+
+def test_a_fast_log_of_a_few_commands_is_taken_on_its_own_grid():
+    log = stepped(10_000, [(0.1003, 0.1), (0.5, 0.0), (0.6012, -0.1)])
+    assert check_recording(log, CONFIG).samples.time.size == 0  # a diagnosis reads windows of the control period
+    checked = check_recording(log, CONFIG, own_grid=None)
+    samples = checked.samples
+    assert samples.period == pytest.approx(1e-3)
+    assert "each sample the median of 10 rows" in checked.findings[-1].line() or any(
+        "each sample the median of 10 rows" in finding.line() for finding in checked.findings
+    )
+    np.testing.assert_allclose(samples.signals[0], 0.02 * samples.time, atol=2e-5)  # without the spikes
+    # Column k holds what acted since the sample before: a step at 0.5 s shows in the sample that follows it.
+    assert samples.time[np.flatnonzero(np.diff(samples.signals[4])) + 1] == pytest.approx(
+        [0.1013, 0.501, 0.602], abs=1e-3
+    )
+    assert on_grid(CONFIG, samples.period).control_period == samples.period
+    assert on_grid(CONFIG, samples.period).command_latency == 0.0
+    assert on_grid(CONFIG, CONFIG.control_period) is CONFIG
+
+
+def test_a_fast_log_without_a_change_of_command_has_a_grid_too():
+    log = stepped(10_000, [(0.0, 0.2)])
+    log.signals[4, 300:340] = np.nan
+    samples = check_recording(log, CONFIG, own_grid=True).samples
+    assert samples.period == pytest.approx(1e-3)
+    assert np.nanmin(samples.signals[4]) == np.nanmax(samples.signals[4]) == 0.2
+    assert 3 <= np.isnan(samples.signals[4]).sum() <= 4
+
+
+def test_a_log_that_keeps_the_control_period_is_taken_at_it(recording):
+    assert check_recording(recording, CONFIG, own_grid=None).samples.period == CONFIG.control_period
+    forced = sampled(recording, CONFIG, own_grid=True)
+    np.testing.assert_array_equal(forced.signals[4, 1:], recording.signals[4, :-1])
+    np.testing.assert_array_equal(forced.signals[0], recording.signals[0])
+
+
+def test_windows_keep_gaps_as_missing_samples(recording):
+    damaged = rows(lambda n: np.r_[0:400, 440:n])(recording)
+    windows = cut(check_recording(damaged, CONFIG).samples, 300)
+    np.testing.assert_allclose(windows.begin, [0.0, 1.5, 3.0, 4.5])
+    assert windows.commanded.tolist() == [True, False, True, True]
+    np.testing.assert_array_equal(windows.signals[0], recording.signals[:, :300])
+    assert np.isnan(windows.signals[1, :, 100:140]).all()
+    np.testing.assert_array_equal(windows.signals[1, :, 140:], recording.signals[:, 440:600])
+
+
+def test_single_lost_commands_are_filled_in_from_the_signals_around_them(recording):
+    lost = np.arange(50, 1150, 100)
+    damaged = rows(lambda n: np.delete(np.arange(n), [*lost, 1000, 1001, 1002, 1003]))(recording)
+    samples, findings = bridged(check_recording(damaged, CONFIG).samples)
+    assert [finding.weight for finding in findings] == [NOTE]
+    assert np.isin([*lost, 999, 1000], samples.place).tolist() == [True] * len(lost) + [True, False]
+    error = samples.signals[4, np.searchsorted(samples.place, lost)] - recording.signals[4, lost]
+    spread = np.std(recording.signals[4, lost] - recording.signals[4, lost - 1])
+    assert np.abs(error).max() < 0.5 * spread
+    assert np.isnan(samples.signals[:4, np.searchsorted(samples.place, lost)]).all()
+    assert cut(samples, 300).commanded.tolist() == [True, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("frequency", "volts", "words"),
+    [
+        (18.0, 3.0, ["axis oscillates at 18 Hz (command ±3 V, position ±1 mm)"]),
+        (18.0, 50.0, ["axis oscillates at 18 Hz (command ±10 V, position ±1 mm)", "command at its limit"]),
+        (2.0, 3.0, []),  # a reference may do so
+        (18.0, 0.1, []),
+    ],
+)
+def test_an_axis_that_oscillates_or_saturates_is_named(recording, frequency, volts, words):
+    time = CONFIG.control_period * np.arange(len(recording.time))
+    signals, phase = recording.signals.copy(), 2.0 * np.pi * frequency * time
+    signals[4], signals[0] = np.clip(0.1 * volts * np.sin(phase), -1.0, 1.0), 1e-3 * np.cos(phase)
+    found = check_driving(sampled(changed(recording, time=time, signals=signals), CONFIG), CONFIG)
+    assert len(found) == len(words)
+    for finding, said in zip(found, words, strict=True):
+        assert said in finding.line()
+        assert finding.weight is NOTE
+
+
+def test_stamps_too_close_for_any_rig_are_a_finding(recording):
+    for factor in (1e-300, 1e-310, 1e-9):
+        for own_grid in (False, None, True):
+            samples = sampled(changed(recording, time=factor * recording.time), CONFIG, own_grid)
+            assert not len(samples.time)
+            assert [finding.weight for finding in samples.findings] == [SEVERE]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_motion_at_one_speed_is_judged_by_its_mean(sign):
+    """The little that a steady flow changes says nothing: here it runs against the changes of the speed."""
+    signals = np.tile(np.array([[0.0], [40.0 * BAR], [60.0 * BAR], [0.2], [2.0]]), 1000)
+    time, c = CONFIG.control_period * np.arange(1000), plant_coefficients(CONFIG.plant)
+    signals[3] -= 1e-3 * np.cos(3.0 * time)
+    speed = _flow_into_a(signals, CONFIG, c).mean() / c.area_a
+    signals[0] = sign * (speed * (time - 1.0) + 2e-3 * np.sin(3.0 * time))
+    assert balance(signals, CONFIG).slope == pytest.approx(sign, rel=0.05)

@@ -1,0 +1,262 @@
+"""Reading a recording: columns, units, time stamps, and what is no recording."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import assert_one_clear_line, hydro
+from recorded import recorded_file
+
+from hydro_agents.running.tasks import named_faults
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_rig.recordings.columns import read_map
+from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
+from hydro_rig.recordings.recording import read_recording
+from hydro_rig.recordings.sampling import cut, sampled
+from hydro_rig.recordings.simulated import recording_csv
+
+TIME = np.arange(5) * 0.005
+SIGNALS = np.array([np.linspace(-0.1, 0.1, 5), np.linspace(1e6, 5e6, 5), np.full(5, 3e6), np.zeros(5), np.full(5, 0.5)])
+PLAIN = recording_csv(TIME, SIGNALS, "hydro record")
+
+
+def written(folder, text, name="a.csv"):
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    found = read_recording(written(tmp_path, PLAIN))
+    np.testing.assert_allclose(found.time, TIME)
+    np.testing.assert_allclose(found.signals, SIGNALS, rtol=1e-6)
+    assert found.findings == []
+
+
+def test_record_keeps_every_step_of_the_sensors(tmp_path):
+    done = recorded_file(tmp_path / "a.csv", duration=0.5)
+    found = read_recording(tmp_path / "a.csv")
+    assert done.rows == found.signals.shape[1] == 100
+    step = 0.4 / (65536 * 8.0 / 20.0)
+    places = (found.signals[0] + 0.2) / step
+    assert np.abs(places - np.rint(places)).max() < 0.1
+
+
+def test_columns_between_spaces_have_their_headings_in_a_comment(tmp_path):
+    rows = [line.replace(",", "   ") for line in PLAIN.splitlines() if not line.startswith("#")]
+    head = "#" + ",".join(PLAIN.splitlines()[1].split(","))
+    found = read_recording(written(tmp_path, "\n".join(["# of a test bench", head, *("  " + row for row in rows[1:])])))
+    np.testing.assert_allclose(found.signals, SIGNALS, rtol=1e-6)
+    spaced = written(tmp_path, "\n".join(["time command position", *(" ".join(row.split()[:3]) for row in rows[1:])]))
+    (tmp_path / "map.yaml").write_text(
+        "time: time\nposition: {column: command, unit: mm}\ncommand: {column: 3, unit: bar}"
+    )
+    with pytest.raises(ConfigurationError, match="bar"):
+        read_recording(spaced, read_map(tmp_path / "map.yaml"))
+
+
+def test_a_sensor_that_the_rig_lacks_has_no_column(tmp_path):
+    recorded_file(tmp_path / "a.csv", {"sensors": {"spool_position": {"fitted": False}}}, duration=0.1)
+    assert "spool" not in (tmp_path / "a.csv").read_text()
+    found = read_recording(tmp_path / "a.csv")
+    assert np.isnan(found.signals[3]).all()
+    assert [finding.line() for finding in found.findings] == ["spool_position was not recorded"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLAIN.replace(",", ";"),
+        PLAIN.replace(",", ";").replace(".", ","),
+        PLAIN.replace(",", "\t"),
+        "\n# more\n" + PLAIN,
+        "\ufeff" + PLAIN,
+        PLAIN.replace("\n", "\r\n"),
+        PLAIN.replace("time [s]", "time").replace("command [V]", "Voltage (V)"),
+    ],
+)
+def test_other_writings_hold_the_same(tmp_path, text):
+    np.testing.assert_allclose(read_recording(written(tmp_path, text)).signals, SIGNALS, rtol=1e-6)
+
+
+def test_a_logger_writes_a_head_a_line_of_units_dates_and_decimal_commas_in_its_own_encoding(tmp_path):
+    """As German measuring programs do, in Windows-1252."""
+    names = "Zeit;Weg;Druck A;Druck B;Schieber;Stellgröße"
+    head = ["Anlage;Gerüst 3", "Rate;200;Hz", "Kanäle;6", "", names, ";mm;bar;bar;%;V"]
+    scale = np.array([1e3, 1e-5, 1e-5, 100.0, 10.0])[:, None]
+    rows = [
+        ";".join([f"01.03.2026 08:00:00,{round(1e3 * t):03d}", *(f"{value:.4f}".replace(".", ",") for value in row)])
+        for t, row in zip(TIME, (scale * SIGNALS).T, strict=True)
+    ]
+    (tmp_path / "a.csv").write_bytes("\r\n".join([*head, *rows]).encode("cp1252"))
+    signals = ("time", "position", "pressure_a", "pressure_b", "spool_position", "command")
+    lines = [f"{signal}: {name}" for signal, name in zip(signals, names.split(";"), strict=True)]
+    file = written(tmp_path, "\n".join(lines), "map.yaml")
+    found = read_recording(tmp_path / "a.csv", read_map(file))
+    np.testing.assert_allclose(found.time, TIME, atol=1e-9)
+    np.testing.assert_allclose(found.signals, SIGNALS, rtol=1e-6)
+    assert found.findings == []
+
+
+def test_a_first_row_with_empty_cells_is_no_heading(tmp_path):
+    text = "time [s],position [mm],pressure_a [bar],command [V]\n0,,,0.5\n0.005,,,0.6\n0.01,1,50,0.7\n"
+    np.testing.assert_allclose(read_recording(written(tmp_path, text)).signals[4], [0.05, 0.06, 0.07])
+
+
+def test_a_map_gives_columns_units_signs_and_offsets(tmp_path):
+    rows = [
+        f"2026-11-21T10:00:00.{5 * k:03d},{200 + 1e3 * x:.4f},{-u:.3f}" for k, (x, u) in enumerate(SIGNALS[[0, 4]].T)
+    ]
+    file = written(tmp_path, "\n".join(["When,Pos,Y", *rows]))
+    columns = written(
+        tmp_path,
+        "time: When\nposition: {column: 2, unit: mm, offset: -200}\n"
+        "command: {column: Y, unit: '-', gain: -1, rows_early: 1}",
+        "map.yaml",
+    )
+    found = read_recording(file, read_map(columns))
+    np.testing.assert_allclose(found.time, TIME)
+    np.testing.assert_allclose(found.signals[0], SIGNALS[0], atol=1e-9)
+    np.testing.assert_allclose(found.signals[4], [np.nan, *SIGNALS[4, :-1]])
+    assert [finding.signal for finding in found.findings] == ["pressure_a", "pressure_b", "spool_position"]
+
+
+def test_text_becomes_a_finding_with_its_line(tmp_path):
+    lines = PLAIN.split("\n")
+    lines[3] = lines[3].replace(lines[3].split(",")[2], "Error")
+    found = read_recording(written(tmp_path, "\n".join(lines)))
+    assert np.isnan(found.signals[1, 1])
+    assert "'Error' in line 4" in found.findings[0].line()
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["holds no table"]),
+        ("time [s],command [V]\n", ["no rows"]),
+        ("time [s],command [V]\n0,1,2\n1,1,2\n", ["more columns than the line of headings"]),
+        ("a,b\n1,2\n", ["no column has the heading 'time'", "--map"]),
+        (PLAIN.replace("command", "foo"), ["'command'", "foo [V]"]),
+        (PLAIN.replace("[bar]", "[bars]", 1), ["pressure_a", "'bars'", "MPa"]),
+        (PLAIN.replace(" [mm]", ""), ["position", "no unit"]),
+        (PLAIN.replace("pressure_b", "position"), ["two columns", "'position'"]),
+        ("time [s],command [V]\nx,1\ny,2\n0.1,2\n", ["time stamp"]),
+    ],
+)
+def test_what_is_no_recording_is_told_in_one_line(tmp_path, text, parts):
+    with pytest.raises(ConfigurationError) as error:
+        read_recording(written(tmp_path, text))
+    for part in parts:
+        assert part in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("time: t", "command: is missing"),
+        ("time: t\ncommand: {column: u, unit: bar}", "'bar': must be one of V"),
+        ("time: t\ncommand: {column: absent, unit: V}", "no column has the heading 'absent'"),
+        ("time: t\ncommand: {column: 9, unit: V}", "column 9"),
+        ("time: t\ncommand: {column: u, units: V}", "unknown key; did you mean unit?"),
+    ],
+)
+def test_a_wrong_map_is_told_in_one_line(tmp_path, text, part):
+    file = written(tmp_path, "t,u\n0,1\n1,1\n2,1\n")
+    with pytest.raises(ConfigurationError, match=part.replace("?", r"\?")):
+        read_recording(file, read_map(written(tmp_path, text, "map.yaml")))
+
+
+def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("hydro_rig.recordings.files.LARGEST_RECORDING", 100)
+    with pytest.raises(ConfigurationError, match="larger than"):
+        read_recording(written(tmp_path, PLAIN))
+
+
+def test_faults_are_named():
+    assert named_faults(["valve_null_shift=-0.01"]) == {"valve_null_shift": -0.01}
+    for text in ("x=1", "valve_null_shift", "valve_null_shift=x"):
+        with pytest.raises(ConfigurationError, match="--fault"):
+            named_faults([text])
+
+
+GUESSES = {
+    "Zeit [ms],Stellgröße [V],Weg [mm],Soll-Weg [mm],Druck A [bar],Druck B [bar],Schieber [%]": {
+        "time": "Zeit [ms]", "command": "Stellgröße [V]", "position": "Weg [mm]", "pressure_a": "Druck A [bar]",
+        "pressure_b": "Druck B [bar]", "spool_position": "Schieber [%]",
+    },
+    "time (s),Cylinder Position (mm),P_A (psi),P_B (psi),Valve Command (V),Position Setpoint (mm)": {
+        "time": "time (s)", "command": "Valve Command (V)", "position": "Cylinder Position (mm)",
+        "pressure_a": "P_A (psi)", "pressure_b": "P_B (psi)",
+    },
+    "Time_s,xRef,xPiston,pCap,pRod,uValve": {
+        "time": "Time_s", "command": "uValve", "position": "xPiston", "pressure_a": "pCap", "pressure_b": "pRod",
+    },
+    "Timestamp,AO_1,PT1,PT2": {"time": "Timestamp", "command": "AO_1", "pressure_a": "PT1", "pressure_b": "PT2"},
+    "Temperature [°C],Counter,Button": {},
+}  # fmt: skip
+"""Columns that are guessed from headings."""
+
+
+@pytest.mark.parametrize("headings", GUESSES)
+def test_a_map_is_guessed_from_unknown_headings_and_can_be_saved(tmp_path, headings):
+    width = headings.count(",") + 1
+    rows = [
+        ",".join([str(5 * k)] + [f"{3.0 + 0.5 * (k % 3 + column):g}" for column in range(1, width)]) for k in range(9)
+    ]
+    path = written(tmp_path, "\n".join([headings, *rows]))
+    with pytest.raises(UnknownHeadingsError, match="a map guessed from the headings stands above") as error:
+        read_recording(path)
+    assert "\n" not in str(error.value)
+    (tmp_path / "map.yaml").write_text(error.value.guess, encoding="utf-8")
+    wanted = GUESSES[headings]
+    if not wanted:
+        assert "# command: which column? It is needed." in error.value.guess
+        with pytest.raises(ConfigurationError):
+            read_map(tmp_path / "map.yaml")
+        return
+    found = read_map(tmp_path / "map.yaml")
+    assert {signal: column.column for signal, column in found.columns().items()} == wanted
+    again = read_recording(path, found)
+    assert np.isfinite(again.signals[4]).all()
+
+
+@pytest.mark.parametrize(
+    ("signal", "values", "unit"),
+    [
+        ("time", [0.0, 5.0], "ms"), ("time", [0.0, 0.005], "s"), ("command", [-0.5, 0.9], "'-'"),
+        ("command", [0.0, 9.0], "V"), ("command", [0.0, 99.0], "'%'"),
+        ("position", [0.0, 0.4], "m"), ("pressure", [0.0, 4e6], "Pa"),
+        ("pressure", [1.0, 4.3], "MPa"), ("pressure", [1.0, 200.0], "bar"),
+    ],
+)  # fmt: skip
+def test_a_unit_that_no_heading_gives_is_assumed_from_the_values(signal, values, unit):
+    columns = {"t": [0.0, 0.1], "u": [1.0, 2.0], "x": [1.0, 2.0], "p1": [1.0, 2.0]}
+    columns[{"time": "t", "command": "u", "position": "x", "pressure": "p1"}[signal]] = values
+    guess = guessed_map(list(columns), [pd.Series(column) for column in columns.values()], "a.csv")
+    line = next(line for line in guess.splitlines() if line.startswith(signal))
+    assert f"unit: {unit}}}" in line, line
+
+
+def test_the_guess_goes_to_standard_output_and_the_error_to_the_other(tmp_path):
+    path = written(tmp_path, "Zeit [s],Ventil [V],Weg [mm]\n" + "\n".join(f"{0.005 * k:g},1,{k}" for k in range(20)))
+    for command in (["diagnose", path], ["identify", path, "--rig", "kovari_2015"]):
+        answer = hydro(*command, "--output", tmp_path / "out")
+        assert_one_clear_line(answer, "no column has the heading 'time'")
+        (tmp_path / "map.yaml").write_text(answer.stdout, encoding="utf-8")
+        assert read_map(tmp_path / "map.yaml").columns().keys() == {"time", "command", "position"}
+
+
+def test_pressures_of_the_supply_a_flow_and_a_temperature_may_stand_beside_the_signals(tmp_path):
+    file = tmp_path / "axis.csv"
+    headings = "time [s],command [V],supply_pressure [bar],flow [l/min],oil_temperature [°C],tank_pressure"
+    rows = "\n".join(f"{0.005 * k},0.0,{70 + k},6,41,9" for k in range(10))
+    file.write_text(f"{headings}\n{rows}\n", encoding="utf-8")
+    found = read_recording(file)
+    np.testing.assert_allclose(found.beside[0], 1e5 * (70 + np.arange(10)))
+    assert np.isnan(found.beside[1]).all()  # a heading without a unit is another program's column
+    np.testing.assert_allclose(found.beside[2:], [[1e-4] * 10, [41.0] * 10])
+    windows = cut(sampled(found, TaskConfig()), 5)
+    assert windows.beside.shape == (2, 4, 5)
+    assert windows.part(np.array([1])).beside[0, 0, 0] == pytest.approx(75e5)
+    file.write_text("time [s],command [V],flow [furlong]\n0,0,1\n1,0,1\n2,0,1\n", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"flow: .*furlong"):
+        read_recording(file)

@@ -1,0 +1,117 @@
+"""The files that the pages show, YAML and C: each is read, or compiled, by what it is meant for."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+import yaml
+
+from hydro_agents.evaluation.leak_protocol import LeakProtocol
+from hydro_agents.evaluation.robustness_protocol import protocol_named
+from hydro_agents.learning.opponents import opponent
+from hydro_env import ServoHydraulicEnv, TaskConfig
+from hydro_rig.export.c_files import c_compiler
+from hydro_rig.export.controller_folder import exported_files
+from hydro_rig.recordings.columns import read_map
+
+ROOT = Path(__file__).parents[2]
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+BLOCKS = [
+    (page.name, kind, body)
+    for page in sorted((ROOT / "docs").rglob("*.md"))
+    for kind, body in FENCE.findall(page.read_text(encoding="utf-8"))
+    if kind in ("yaml", "c")
+]
+
+
+def blocks(page, kind):
+    return [body for name, what, body in BLOCKS if (name, what) == (page, kind)]
+
+
+def test_every_block_has_a_test():
+    tested = {("circuit.md", "yaml")} | {  # tests/test_circuit_page.py
+        ("own_rig.md", "yaml"),
+        ("diagnose.md", "yaml"),
+        ("trend.md", "yaml"),
+        ("robustness.md", "yaml"),
+        ("results.md", "yaml"),
+        ("export.md", "c"),
+    }
+    assert {(page, kind) for page, kind, _ in BLOCKS} == tested
+
+
+@pytest.mark.parametrize("text", blocks("own_rig.md", "yaml"))
+def test_the_file_of_a_rig_makes_an_environment(text, tmp_path):
+    file = tmp_path / "rig.yaml"
+    file.write_text(text, encoding="utf-8")
+    given = yaml.safe_load(text)
+    env = ServoHydraulicEnv(rig=str(file))
+    env.reset(seed=1)
+    if "sensors" in given:
+        assert env.config.sensors.pressure_a.high == 250e5
+        assert not any("spool" in name for name in env.observation_names)
+    assert set(given.get("randomisation", {})) <= set(env.config.randomisation)
+
+
+def test_the_map_of_a_historian_reads_a_file(tmp_path):
+    file = tmp_path / "map.yaml"
+    (text,) = blocks("trend.md", "yaml")
+    file.write_text(text, encoding="utf-8")
+    names = read_map(file).columns()
+    assert (names["time"].unit, names["oil_temperature"].column) == ("ns", "oil")
+
+
+def test_the_map_of_columns_reads_a_file(tmp_path):
+    file = tmp_path / "map.yaml"
+    whole, names = blocks("diagnose.md", "yaml")
+    file.write_text(names, encoding="utf-8")
+    assert read_map(file).columns()["pressure_b"].column == "Druck B"
+    file.write_text(whole, encoding="utf-8")
+    columns = read_map(file).columns()
+    assert columns["command"].rows_early == 1
+    assert columns["position"].offset == -200.0
+    assert columns["spool_position"].gain == 0.125
+
+
+def test_the_condition_belongs_into_a_protocol(tmp_path):
+    (text,) = blocks("robustness.md", "yaml")
+    ((name, condition),) = yaml.safe_load(text).items()
+    shipped = yaml.safe_load((ROOT / "configs/protocols/robustness.yaml").read_text(encoding="utf-8"))
+    for controller, settings in condition["controllers"].items():
+        assert shipped["conditions"][name]["controllers"][controller] == settings
+    own = {"conditions": {name: condition}, "bound_conditions": []}
+    (tmp_path / "agents").symlink_to(ROOT / "configs" / "agents")
+    (tmp_path / "protocols").mkdir()
+    file = tmp_path / "protocols" / "mine.yaml"
+    file.write_text(yaml.safe_dump(shipped | own), encoding="utf-8")
+    protocol, _ = protocol_named(str(file))
+    assert protocol.conditions[name].task == condition["task"]
+
+
+def test_the_detector_belongs_into_the_leak_protocol(tmp_path):
+    (text,) = blocks("results.md", "yaml")
+    shipped = yaml.safe_load((ROOT / "configs/protocols/leakage.yaml").read_text(encoding="utf-8"))
+    shipped["detectors"] |= yaml.safe_load(text)["detectors"]
+    file = tmp_path / "my_leakage.yaml"
+    file.write_text(yaml.safe_dump(shipped), encoding="utf-8")
+    assert LeakProtocol.from_yaml(file).detectors["mine"].windows == 1000
+
+
+def test_the_lines_of_c_compile(tmp_path):
+    if c_compiler() is None:
+        pytest.skip("this machine has no C compiler")
+    task = TaskConfig()
+    files, _ = exported_files(opponent("pid", task, "PID"), task, "hydro export pid")
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    (text,) = blocks("export.md", "c")
+    include, *lines = text.splitlines()
+    program = [include, "int main(void) {", *lines, "return voltage != voltage;", "}"]
+    (tmp_path / "page.c").write_text(
+        "\n".join(program).replace("signals[CONTROLLER_SIGNALS];", "signals[CONTROLLER_SIGNALS] = {0};")
+    )
+    command = [c_compiler(), "-std=c99", "-Wall", "-Werror", "page.c", "controller.c", "-o", "page", "-lm"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert subprocess.run([tmp_path / "page"], check=False).returncode == 0
