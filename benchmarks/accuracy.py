@@ -18,15 +18,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.table import Case, Extent, Row
 from hydro_agents.running.seeds import ACCURACY
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
 from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.probe import state_ranges
-
-Array = NDArray[np.float64]
+from hydro_env.types import Floats
 
 SAMPLE_TIME = 5e-3
 """s; each voltage is held this long."""
@@ -56,11 +54,11 @@ class Run:
     """One run: plant, voltages (V), initial state by name (SI), name of the input."""
 
     parameters: PlantParameters
-    voltage: Array
+    voltage: Floats
     start: dict[str, float]
     signal: str
 
-    def states(self, **options: Any) -> Array:
+    def states(self, **options: Any) -> Floats:
         """States, shape (SAMPLES + 1, N_STATES); options as in :func:`hydro_env.simulate`."""
         return simulate(self.parameters, self.voltage, SAMPLE_TIME, self.start, **options).states
 
@@ -85,7 +83,7 @@ def random_runs(count: int, seed: int = ACCURACY.first) -> list[Run]:
     return runs
 
 
-def _voltage(signal: str, generator: np.random.Generator) -> Array:
+def _voltage(signal: str, generator: np.random.Generator) -> Floats:
     if signal == "held":
         return np.array(np.repeat(generator.uniform(-10.0, 10.0, SAMPLES // 8), 8))
     if signal == "noise":
@@ -95,12 +93,12 @@ def _voltage(signal: str, generator: np.random.Generator) -> Array:
     return np.array(np.clip(sine, -10.0, 10.0))
 
 
-def reference(run: Run) -> Array:
+def reference(run: Run) -> Floats:
     """States of a run by the reference solver; takes a second or two."""
     return run.states(method="radau")
 
 
-def errors(runs: Iterable[Run], exact: Iterable[Array], **options: Any) -> Array:
+def errors(runs: Iterable[Run], exact: Iterable[Floats], **options: Any) -> Floats:
     """Largest error of each state along each run, as a fraction of its range, shape (runs, N_STATES)."""
     return np.array(
         [
@@ -129,7 +127,7 @@ def accuracy_cases(extent: Extent) -> list[Case]:
     """Each round takes a batch of rigs: the reference first, then every setting of the integrator."""
     runs = random_runs(extent.accuracy_rigs)
     batches = [runs[first : first + BATCH] for first in range(0, len(runs), BATCH)]
-    exact: dict[int, list[Array]] = {}
+    exact: dict[int, list[Floats]] = {}
     simulated = BATCH * SAMPLES * SAMPLE_TIME
 
     def solve(batch: int) -> Sequence[float]:

@@ -23,11 +23,10 @@ from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import EVALUATION, THRESHOLDS
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution, default_randomisation
+from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.unknowns import LEAKAGE, default_unknowns
-
-Array = NDArray[np.float64]
 
 SAMPLES, LATER = 401, 300
 """Samples of a window of 2 s, and the sample at which the windows begin that do not begin at rest."""
@@ -62,10 +61,10 @@ WORN = TaskConfig(
 def record(
     config: TaskConfig,
     seeds: range,
-    leak: Array,
+    leak: Floats,
     faults: Mapping[str, float] | None = None,
     controller: str = "PID",
-) -> Array:
+) -> Floats:
     """Signals (N, 5, T), SI, of one episode per seed under a shipped controller."""
     cases = Cases(
         np.array(seeds), leak, faults={name: np.full(len(seeds), size) for name, size in (faults or {}).items()}
@@ -76,13 +75,13 @@ def record(
     return signals
 
 
-def healthy_leaks(count: int) -> Array:
+def healthy_leaks(count: int) -> Floats:
     """Leaks of healthy seals, l/min at 100 bar, as the task draws them."""
     low, high = CONFIG.leakage.healthy_range
     return np.exp(np.random.default_rng(0).uniform(np.log(low), np.log(high), count))
 
 
-def describe(name: str, found: Estimate, leak: Array, threshold: float) -> None:
+def describe(name: str, found: Estimate, leak: Floats, threshold: float) -> None:
     """One line about windows with the same leak."""
     holds = found.holds
     value, sigma = found.value(LEAKAGE), found.deviation(LEAKAGE)
@@ -102,11 +101,11 @@ def describe(name: str, found: Estimate, leak: Array, threshold: float) -> None:
     )
 
 
-def _rms(values: Array) -> float:
+def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
-def _median(values: Array) -> float:
+def _median(values: Floats) -> float:
     return float(np.median(values)) if len(values) else float("nan")
 
 

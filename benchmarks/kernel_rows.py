@@ -15,7 +15,6 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from benchmarks.environment_rows import vector_rate
@@ -24,6 +23,7 @@ from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium, sim
 from hydro_env.plant import equations, kernel
 from hydro_env.plant.arrays import coefficient_array, derivative_array
 from hydro_env.plant.states import TYPICAL_SIZE, State
+from hydro_env.types import Floats
 
 VOLTAGE = 1.0  # V; the square wave that drives the plants
 HALF_WAVE = 20  # control periods
@@ -131,6 +131,7 @@ PEAK_SIZE = 1024  # rows and columns of the matrices
 SHARE_SIZE = 4096  # plants for which the share of the peak is reported
 _PEAK_CODE = f"""
 import time, numpy as np
+from hydro_env.types import Floats
 n = {PEAK_SIZE}
 a, b = np.random.default_rng(0).random((2, n, n))
 out, best = a @ b, 1e9
@@ -196,7 +197,6 @@ def _counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}{'s' if count > 1 else ''}"
 
 
-Array = NDArray[np.float64]
 PERIOD = 5e-3  # s
 METHODS = ("LSODA", "RK45", "Radau")
 TOLERANCES = tuple(math.pow(10.0, -0.5 * half) for half in range(3, 21))  # relative, loosest first
@@ -212,13 +212,13 @@ def solver_cases(extent: Extent) -> list[Case]:
     allowed = error_of(simulate(parameters, voltage, PERIOD).states, exact)
     coefficients = coefficient_array(parameters)
 
-    def derivative(time: float, state: Array, volts: float) -> Array:
+    def derivative(time: float, state: Floats, volts: float) -> Floats:
         return np.asarray(derivative_array(state, coefficients, volts))
 
     def solver(method: str) -> Case:
         tolerances: list[float] = []  # found in the first run
 
-        def states(tolerance: float) -> Array:
+        def states(tolerance: float) -> Floats:
             states = [start]
             for value in voltage:
                 options: dict[str, Any] = {"method": method, "rtol": tolerance, "atol": tolerance * TYPICAL_SIZE}
@@ -260,19 +260,19 @@ def solver_cases(extent: Extent) -> list[Case]:
     ]
 
 
-def held_random_commands(count: int) -> Iterator[Array]:
+def held_random_commands(count: int) -> Iterator[Floats]:
     """Actions (count, 1) like the solvers' voltages: normally distributed, each held for eight control periods."""
     generator = np.random.default_rng(0)
     return cycle([held for _ in range(16) for held in [generator.normal(0.0, 0.15, (count, 1)).clip(-0.5, 0.5)] * 8])
 
 
-def error_of(states: Array, exact: Array) -> float:
+def error_of(states: Floats, exact: Floats) -> float:
     """Largest difference of any state at any sample, as a fraction of that state's range along the run."""
     spread = np.maximum(np.ptp(exact, axis=0), 1e-12)
     return float(np.max(np.abs(states - exact) / spread))
 
 
-def matching_tolerance(run: Callable[[float], Array], exact: Array, allowed: float) -> float:
+def matching_tolerance(run: Callable[[float], Floats], exact: Floats, allowed: float) -> float:
     """The loosest relative tolerance whose error is at most the allowed one.
 
     Raises:

@@ -37,16 +37,16 @@ from hydro_agents.running.text import markdown
 from hydro_agents.running.weights import load_checkpoint
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
+from hydro_env.types import Floats
 
-Array = NDArray[np.float64]
-Scores = Callable[[NDArray[np.float32]], Array]
+Scores = Callable[[NDArray[np.float32]], Floats]
 
 CONTROLLERS = ("pid", "flow_linearising", "ppo")
 SIZES = (0.03, 0.1, 0.3, 5.0)  # l/min at 100 bar; between each two of them a column
 BEGIN, LENGTH = 1.5, 2.0  # s, of the windows with a disturbance
 OUTSIDE_RATE = 0.02  # of undisturbed windows, for the comparison
 
-DISTURBANCES: dict[str, tuple[int, Callable[[Array, Array], Array]]] = {
+DISTURBANCES: dict[str, tuple[int, Callable[[Floats, Floats], Floats]]] = {
     "none": (SUPPLY, lambda time, phase: np.zeros(np.broadcast_shapes(time.shape, phase.shape))),
     "supply ± 2 % at 0.5 Hz": (SUPPLY, lambda time, phase: 0.02 * np.sin(np.pi * (time - phase))),
     "supply ± 5 % at 0.5 Hz": (SUPPLY, lambda time, phase: 0.05 * np.sin(np.pi * (time - phase))),
@@ -63,7 +63,7 @@ DISTURBANCES: dict[str, tuple[int, Callable[[Array, Array], Array]]] = {
 """The moving row and its course over time (T,) s with a phase (N, 1) s, by name."""
 
 
-def disturbed_windows(config: TaskConfig, name: str, leak: float, axes: int, direct: bool) -> Array:
+def disturbed_windows(config: TaskConfig, name: str, leak: float, axes: int, direct: bool) -> Floats:
     """Signals (N, 5, T), SI, of axes under PID; a supply moves at the valve if ``direct``, else at its setting."""
     task = task_config(config, episode_duration=BEGIN + LENGTH + config.control_period)
     if name == "LuGre friction":
@@ -105,13 +105,13 @@ def learned(head: LeakageHead, training: Windows) -> dict[str, tuple[Scores, Sco
     def inputs(features: NDArray[np.float32]) -> NDArray[np.float32]:
         return standardised(features, t["mean"], t["scale"])
 
-    def balance(features: NDArray[np.float32]) -> Array:
+    def balance(features: NDArray[np.float32]) -> Floats:
         return np.asarray(features[:, FEATURES.index("internal leak over deviation")], dtype=np.float64)
 
-    def network(features: NDArray[np.float32]) -> Array:
+    def network(features: NDArray[np.float32]) -> Floats:
         return head.outputs(inputs(features))[:, 0]
 
-    def doubt(features: NDArray[np.float32]) -> Array:
+    def doubt(features: NDArray[np.float32]) -> Floats:
         return head.outputs(inputs(features))[:, OUTSIDE]
 
     known: dict[str, tuple[Scores, Scores | None]] = {"flow balance alone: leak over its deviation": (balance, None)}

@@ -25,20 +25,19 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import TaskConfig
+from hydro_env.types import Floats
 from hydro_rig.challenge.axes import DURATION
 from hydro_rig.challenge.scores import labels_of, score, text_of
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.recordings.columns import MEASURED, factor
 from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
-Array = NDArray[np.float64]
-
 WINDOW = 2.0  # s
 LASTING = 10  # looks whose mean is the score
 HALVES = 100
 
 
-def read_axes(folder: Path, split: str, task: TaskConfig) -> tuple[NDArray[np.int64], Array]:
+def read_axes(folder: Path, split: str, task: TaskConfig) -> tuple[NDArray[np.int64], Floats]:
     """Numbers and signals (N, 5, T) of all recordings of a split, in SI units; NaN: lost, or after the end."""
     table = pd.read_parquet(folder / split)
     numbers = table["recording"].unique()
@@ -51,7 +50,7 @@ def read_axes(folder: Path, split: str, task: TaskConfig) -> tuple[NDArray[np.in
 
 
 def read_by(
-    detector: Detector, numbers: NDArray[np.int64], signals: Array, task: TaskConfig, every: float
+    detector: Detector, numbers: NDArray[np.int64], signals: Floats, task: TaskConfig, every: float
 ) -> pd.DataFrame:
     """The looks of a detector at windows of WINDOW that end every ``every`` seconds."""
     length, parts = round(WINDOW / task.control_period), []
@@ -68,13 +67,13 @@ def read_by(
     return pd.concat(parts, ignore_index=True)
 
 
-def last_sample(signals: Array) -> NDArray[np.int64]:
+def last_sample(signals: Floats) -> NDArray[np.int64]:
     """Index of the last sample of each axis, (N,)."""
     present = np.asarray(np.isfinite(signals).any(axis=1))
     return np.asarray(signals.shape[2] - 1 - present[:, ::-1].argmax(axis=1))
 
 
-def _table(reading: Reading, numbers: NDArray[np.int64], time: Array) -> pd.DataFrame:
+def _table(reading: Reading, numbers: NDArray[np.int64], time: Floats) -> pd.DataFrame:
     words = [tuple(Cause)[each].word if each < Cause.UNKNOWN else None for each in reading.cause]
     leaks = reading.answers & (reading.probability > 0.5)
     return pd.DataFrame(
@@ -98,7 +97,7 @@ def lasting(table: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def difference_of_pressures(numbers: NDArray[np.int64], signals: Array, task: TaskConfig) -> pd.DataFrame:
+def difference_of_pressures(numbers: NDArray[np.int64], signals: Floats, task: TaskConfig) -> pd.DataFrame:
     """The simplest detector: a leak lowers the difference of the pressures for the same opening of the valve."""
     a, b, spool = (signals[:, MEASURED.index(name)] for name in ("pressure_a", "pressure_b", "spool_position"))
     drop = np.abs(a - b) / (np.abs(spool) + 0.01)
@@ -112,7 +111,7 @@ def difference_of_pressures(numbers: NDArray[np.int64], signals: Array, task: Ta
     return pd.concat(parts, ignore_index=True)
 
 
-Predict = Callable[[NDArray[np.int64], Array, TaskConfig], pd.DataFrame]
+Predict = Callable[[NDArray[np.int64], Floats, TaskConfig], pd.DataFrame]
 
 OWN: dict[str, Predict] = {
     "difference of pressures": difference_of_pressures,

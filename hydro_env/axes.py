@@ -42,11 +42,11 @@ from hydro_env.task.record import (
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.settings import draws_of, settings_of
 from hydro_env.task.signals import POSITION, layout_of, observation_layout
+from hydro_env.types import Floats
 
 AXES_PER_THREAD = 256
 """Smallest number of axes per thread; with fewer, starting the thread takes longer than its work."""
 
-Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 COLUMN = {name: offset // 8 for name, (_, offset, *_) in (RECORD.fields or {}).items()}

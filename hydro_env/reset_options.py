@@ -18,12 +18,12 @@ from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.record import OPTION_NAMES, Fixed
 from hydro_env.task.reference_signals import FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
 from hydro_env.task.settings import draws_of
+from hydro_env.types import Floats
 from hydro_env.units import flow_from_resistance
 
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
 """Parameters that must exceed another one (rod, Coulomb force, precharge): their lowest draw is critical."""
 
-Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 

@@ -6,12 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, hilbert, lfilter, sosfiltfilt
 
 from hydro_env.task.sensors import Sensor
-
-Array = NDArray[np.float64]
+from hydro_env.types import Floats
 
 GRAVITY = 9.81
 ACCELEROMETER_RANGE = 3.0 * GRAVITY  # m/s²; Table 1
@@ -32,7 +30,7 @@ def accelerometer_noise() -> float:
     return ACCELEROMETER_NOISE * math.sqrt(CONVERTER_NOISE_BANDWIDTH * ACCELEROMETER_BANDWIDTH)
 
 
-def recorded(true: Array, sensor: Sensor, generator: np.random.Generator) -> Array:
+def recorded(true: Floats, sensor: Sensor, generator: np.random.Generator) -> Floats:
     """The signal that the acquisition stores: bias (drawn once), noise, range, 16-bit steps; as in the environment."""
     bias = sensor.bias * generator.uniform(-1.0, 1.0)
     value = np.clip(true + bias + sensor.noise * generator.standard_normal(true.shape), sensor.low, sensor.high)
@@ -41,7 +39,7 @@ def recorded(true: Array, sensor: Sensor, generator: np.random.Generator) -> Arr
     return np.clip(value, sensor.low, sensor.high)
 
 
-def recorded_acceleration(true: Array, sample_time: float, generator: np.random.Generator) -> Array:
+def recorded_acceleration(true: Floats, sample_time: float, generator: np.random.Generator) -> Floats:
     """The stored signal of the accelerometer: range, 400 Hz low-pass, noise, 16-bit steps; m/s²."""
     pole = math.exp(-2 * math.pi * ACCELEROMETER_BANDWIDTH * sample_time)
     start = [pole * float(true[0])]
@@ -49,21 +47,21 @@ def recorded_acceleration(true: Array, sample_time: float, generator: np.random.
     coloured = lfilter([math.sqrt(1 - pole**2)], [1, -pole], generator.standard_normal(len(true) + 50))[50:]
     value = np.clip(smooth + accelerometer_noise() * coloured, -ACCELEROMETER_RANGE, ACCELEROMETER_RANGE)
     step = ACQUISITION_STEP / ACCELEROMETER_VOLTS
-    stored: Array = step * np.round(value / step)
+    stored: Floats = step * np.round(value / step)
     return stored
 
 
-def drift(values: Array, sample_time: float, frequency: float) -> Array:
+def drift(values: Floats, sample_time: float, frequency: float) -> Floats:
     """The drift: the mean over one period of the oscillation (``frequency`` in rad/s)."""
     width = max(round(2 * np.pi / frequency / sample_time), 1)
     before = width // 2
     padded = np.pad(values, (before, width - 1 - before), mode="edge")
     sums = np.cumsum(np.concatenate([[0.0], padded]))
-    mean: Array = (sums[width:] - sums[:-width]) / width
+    mean: Floats = (sums[width:] - sums[:-width]) / width
     return mean
 
 
-def swing_envelope(time: Array, values: Array, frequency: float) -> Array:
+def swing_envelope(time: Floats, values: Floats, frequency: float) -> Floats:
     """Envelope of the oscillation in ``values`` at about ``frequency`` (rad/s), without the drift.
 
     The logarithm of |values| is interpolated between its peaks; after the last peak the envelope is constant.
@@ -72,17 +70,17 @@ def swing_envelope(time: Array, values: Array, frequency: float) -> Array:
     peaks = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])) + 1
     if len(peaks) == 0:
         return size
-    outline: Array = np.exp(np.interp(time, time[peaks], np.log(size[peaks] + 1e-12)))
+    outline: Floats = np.exp(np.interp(time, time[peaks], np.log(size[peaks] + 1e-12)))
     return outline
 
 
-def last_above(time: Array, values: Array, level: float = SETTLED) -> float:
+def last_above(time: Floats, values: Floats, level: float = SETTLED) -> float:
     """Last time at which ``values`` exceeds ``level``; 0 if it never does."""
     above = np.flatnonzero(values > level)
     return float(time[above[-1]]) if len(above) else 0.0
 
 
-def band_envelope(values: Array, sample_time: float, frequency: float, width: float = 0.3) -> Array:
+def band_envelope(values: Floats, sample_time: float, frequency: float, width: float = 0.3) -> Floats:
     """Envelope of the part of a noisy signal within ``frequency`` (rad/s) × (1 ± width).
 
     The signal passes a second-order band-pass forwards and backwards (no delay); the envelope is the magnitude of its
@@ -90,5 +88,5 @@ def band_envelope(values: Array, sample_time: float, frequency: float, width: fl
     """
     hertz = frequency / (2 * np.pi)
     band: Any = butter(2, [hertz * (1 - width), hertz * (1 + width)], "bandpass", fs=1 / sample_time, output="sos")
-    size: Array = np.abs(hilbert(sosfiltfilt(band, values)))
+    size: Floats = np.abs(hilbert(sosfiltfilt(band, values)))
     return size

@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import PlantParameters
@@ -16,9 +15,8 @@ from hydro_env.plant.parts.leakage import external_leakage, internal_leakage
 from hydro_env.plant.parts.load import piston_force
 from hydro_env.plant.simulate import Trajectory
 from hydro_env.plant.states import State
+from hydro_env.types import Floats
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
-
-Array = NDArray[np.float64]
 
 
 class ChamberVolumes(NamedTuple):
@@ -132,10 +130,10 @@ def reachable_range(parameters: PlantParameters) -> tuple[float, float]:
 class ForceRateTerms(NamedTuple):
     """The four terms of dF/dt in N/s (24), F = P_a A_a − P_b A_b; they add up to the total."""
 
-    valve: Array
-    motion: Array
-    internal_leakage: Array
-    external_leakage: Array
+    valve: Floats
+    motion: Floats
+    internal_leakage: Floats
+    external_leakage: Floats
 
 
 def force_rate_terms(trajectory: Trajectory) -> ForceRateTerms:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.compiling import SOURCES, compiled, tuple_reader, tuple_writer
 from hydro_env.errors import HydroError
@@ -21,8 +20,7 @@ from hydro_env.plant.equations import (
 from hydro_env.plant.equilibrium import equilibrium_state
 from hydro_env.plant.parameters import Physical, PlantParameters, to_vector
 from hydro_env.plant.states import N_STATES, STATE_NAMES, State
-
-Array = NDArray[np.float64]
+from hydro_env.types import Floats
 
 read_physical = tuple_reader(Physical)
 read_coefficients = tuple_reader(Coefficients)
@@ -40,9 +38,9 @@ def plant_coefficients(parameters: PlantParameters) -> Any:
     return Coefficients(*coefficient_array(parameters).tolist())
 
 
-def coefficient_array(parameters: PlantParameters) -> Array:
+def coefficient_array(parameters: PlantParameters) -> Floats:
     """The coefficients of the right-hand side, shape (N_COEFFICIENTS,)."""
-    array: Array = _coefficients_of(to_vector(parameters))
+    array: Floats = _coefficients_of(to_vector(parameters))
     return array
 
 
@@ -76,13 +74,13 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
 
 
 def _build(sources: int) -> tuple[Any, ...]:
-    def coefficients_of(vector: Array) -> Array:
+    def coefficients_of(vector: Floats) -> Floats:
         assert sources >= 0  # keys numba's cache
         out = np.empty(N_COEFFICIENTS)
         write_coefficients(out, coefficients(read_physical(vector)))
         return out
 
-    def equilibrium_of(position: float, vector: Array) -> Any:
+    def equilibrium_of(position: float, vector: Floats) -> Any:
         assert sources >= 0
         p = read_physical(vector)
         state, voltage, found = equilibrium_state(position, p, coefficients(p))
@@ -90,25 +88,25 @@ def _build(sources: int) -> tuple[Any, ...]:
         write_state(out, state)
         return out, voltage, found
 
-    def derivative_array(state: Array, coefficients: Array, voltage: float) -> Array:
+    def derivative_array(state: Floats, coefficients: Floats, voltage: float) -> Floats:
         assert sources >= 0
         out = np.empty(N_STATES)
         write_state(out, derivatives(read_state(state), read_coefficients(coefficients), voltage))
         return out
 
-    def command_changed_array(state: Array, coefficients: Array, voltage: float) -> Array:
+    def command_changed_array(state: Floats, coefficients: Floats, voltage: float) -> Floats:
         assert sources >= 0
         out = np.empty(N_STATES)
         write_state(out, command_changed(read_state(state), read_coefficients(coefficients), voltage))
         return out
 
-    def hold_limits_array(state: Array, coefficients: Array) -> Array:
+    def hold_limits_array(state: Floats, coefficients: Floats) -> Floats:
         assert sources >= 0
         out = np.empty(N_STATES)
         write_state(out, hold_limits(read_state(state), read_coefficients(coefficients)))
         return out
 
-    def derived_array(states: Array, coefficients: Array) -> Array:
+    def derived_array(states: Floats, coefficients: Floats) -> Floats:
         assert sources >= 0
         out = np.empty((states.shape[0], N_DERIVED))
         for sample in range(states.shape[0]):

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.errors import HydroError
 from hydro_env.plant.arrays import coefficient_array, command_changed_array, derivative_array, equilibrium
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import N_STATES, STATE_NAMES, STATES, TYPICAL_SIZE, State
-
-Array = NDArray[np.float64]
+from hydro_env.types import Floats
 
 AXIS_STATES = ("position", "velocity", "pressure_a", "pressure_b", "supply_pressure")
 """The states of the axis without its valve."""
@@ -43,17 +41,17 @@ class StateSpace(NamedTuple):
     Use it as ``scipy.signal.StateSpace(*space.matrices)`` or ``control.ss(*space.matrices, **space.names)``.
     """
 
-    A: Array  # (n, n)
-    B: Array  # (n, m)
-    C: Array  # (p, n)
-    D: Array  # (p, m)
+    A: Floats  # (n, n)
+    B: Floats  # (n, m)
+    C: Floats  # (p, n)
+    D: Floats  # (p, m)
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     units: dict[str, str]
 
     @property
-    def matrices(self) -> tuple[Array, Array, Array, Array]:
+    def matrices(self) -> tuple[Floats, Floats, Floats, Floats]:
         """A, B, C, D."""
         return self.A, self.B, self.C, self.D
 
@@ -75,10 +73,10 @@ class Linearisation:
         ((8, 8), ['voltage'], ['position', 'velocity'])
     """
 
-    a: Array  # (N_STATES, N_STATES), states in the order of STATE_NAMES
-    b: Array  # (N_STATES,), per V
-    force: Array  # E, (N_STATES,), per N
-    state: Array  # (N_STATES,)
+    a: Floats  # (N_STATES, N_STATES), states in the order of STATE_NAMES
+    b: Floats  # (N_STATES,), per V
+    force: Floats  # E, (N_STATES,), per N
+    state: Floats  # (N_STATES,)
     voltage: float
 
     @property
@@ -146,7 +144,7 @@ class Linearisation:
 
 def linearise(
     parameters: PlantParameters,
-    state: State | Mapping[str, float] | Array | None = None,
+    state: State | Mapping[str, float] | Floats | None = None,
     voltage: float | None = None,
     position: float = 0.0,
 ) -> Linearisation:
@@ -187,7 +185,7 @@ def linearise(
     return Linearisation(a, b, force, at, voltage)
 
 
-def _state_array(state: Any) -> Array:
+def _state_array(state: Any) -> Floats:
     if isinstance(state, Mapping):
         missing = next((name for name in STATE_NAMES if name not in state), None)
         if missing is not None:
@@ -202,18 +200,18 @@ def _state_array(state: Any) -> Array:
     return values
 
 
-def _unit(column: int) -> Array:
+def _unit(column: int) -> Floats:
     unit = np.zeros(N_STATES)
     unit[column] = 1.0
     return unit
 
 
-def _difference(function: Any, step: float) -> Array:
-    difference: Array = (function(step) - function(-step)) / (2.0 * step)
+def _difference(function: Any, step: float) -> Floats:
+    difference: Floats = (function(step) - function(-step)) / (2.0 * step)
     return difference
 
 
-def _make_ideal(a: Array, b: Array, at: Array, c: Array, voltage: float) -> None:
+def _make_ideal(a: Floats, b: Floats, at: Floats, c: Floats, voltage: float) -> None:
     """Give the states that a new command sets at once (ideal parts of the valve) a lag of 10 µs."""
     elsewhere = at + 1e-3 * TYPICAL_SIZE
     gains = _difference(lambda step: command_changed_array(at, c, voltage + step), 1e-3)
@@ -223,7 +221,7 @@ def _make_ideal(a: Array, b: Array, at: Array, c: Array, voltage: float) -> None
         b[row] = IDEAL_RATE * gains[row]
 
 
-def fastest_eigenvalue(parameters: PlantParameters, state: State | Array, voltage: float = 0.0) -> float:
+def fastest_eigenvalue(parameters: PlantParameters, state: State | Floats, voltage: float = 0.0) -> float:
     """|λ| in 1/s of the fastest eigenvalue of the linearisation at a state, without ideal parts of the valve."""
     magnitudes = np.abs(np.linalg.eigvals(linearise(parameters, state, voltage).a))
     return float(magnitudes[np.abs(magnitudes - IDEAL_RATE) > 1e-6 * IDEAL_RATE].max())

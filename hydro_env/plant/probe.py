@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.errors import InvalidStateError
 from hydro_env.plant.arrays import coefficient_array, equilibrium, plant_coefficients
 from hydro_env.plant.kernel import N_PEAKS, STEPS, TOLERANCE, Accuracy, Plants, integrate
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import EMPHASIS, STATE_NAMES
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-
-Array = NDArray[np.float64]
 
 PERIOD = 5e-3
 """s; each voltage is held for whole periods, and steps are counted per period."""
@@ -41,11 +39,11 @@ class Probe(NamedTuple):
     state: str  # the state with that error
 
 
-def state_ranges(parameters: PlantParameters, states: Array) -> Array:
+def state_ranges(parameters: PlantParameters, states: Floats) -> Floats:
     """Range of each state along a run, states (samples, N_STATES), at least 1 % of its full scale."""
     c = plant_coefficients(parameters)
     full_scale = EMPHASIS / np.array([getattr(c, f"{name}_weight") for name in STATE_NAMES])
-    ranges: Array = np.maximum(np.ptp(states, axis=0), LEAST_RANGE * full_scale)
+    ranges: Floats = np.maximum(np.ptp(states, axis=0), LEAST_RANGE * full_scale)
     return ranges
 
 
@@ -65,7 +63,7 @@ def probe(parameters: PlantParameters, position: float = 0.0, tolerance: float =
     return Probe(float(steps.mean()), int(steps.max()), float(errors[worst]), STATE_NAMES[worst])
 
 
-def _run(parameters: PlantParameters, position: float, tolerance: float) -> tuple[Array, Array]:
+def _run(parameters: PlantParameters, position: float, tolerance: float) -> tuple[Floats, Floats]:
     """Steps in each period, (periods,), and states at their ends, (periods, N_STATES)."""
     start, _ = equilibrium(parameters, position)
     plants = Plants(

@@ -18,8 +18,7 @@ from hydro_env.plant.arrays import command_changed_array, derivative_array, hold
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parts.valve import spool_pull
 from hydro_env.plant.states import STATE_NAMES, TYPICAL_SIZE, VAPOUR_PRESSURE, State
-
-Array = NDArray[np.float64]
+from hydro_env.types import Floats
 
 _PRESSURE_A, _PRESSURE_B, _SPOOL, _SPOOL_VELOCITY = (
     STATE_NAMES.index(name) for name in ("pressure_a", "pressure_b", "spool_position", "spool_velocity")
@@ -43,8 +42,8 @@ class Held(NamedTuple):
 
 
 def reference_states(
-    start: Array, coefficients: Array, inputs: Array, sample_time: float, tolerance: float = 1e-10
-) -> Array:
+    start: Floats, coefficients: Floats, inputs: Floats, sample_time: float, tolerance: float = 1e-10
+) -> Floats:
     """States after every sample of held voltages, shape (n + 1, N_STATES).
 
     Args:
@@ -91,13 +90,13 @@ def reference_states(
 class _Plant:
     """Plant whose limits the integrator switches on and off."""
 
-    def __init__(self, coefficients: Array) -> None:
+    def __init__(self, coefficients: Floats) -> None:
         self.limits = Coefficients(*coefficients)
         self.free = np.array(self.limits._replace(slew_limit=1e30))
 
-    def free_rate(self, y: Array, voltage: float) -> Array:
+    def free_rate(self, y: Floats, voltage: float) -> Floats:
         """The derivative without limits."""
-        rate: Array = derivative_array(y, self.free, voltage)
+        rate: Floats = derivative_array(y, self.free, voltage)
         if abs(y[_SPOOL]) >= 1.0:
             rate[_SPOOL] = y[_SPOOL_VELOCITY]
             rate[_SPOOL_VELOCITY] = spool_pull(State(*y), self.limits)
@@ -108,7 +107,7 @@ class _Plant:
                 rate[row] = derivative_array(above, self.free, voltage)[row]
         return rate
 
-    def held(self, y: Array, voltage: float) -> Held:
+    def held(self, y: Floats, voltage: float) -> Held:
         """The limits that hold a state: it has reached them and its rate points beyond them."""
         rate = self.free_rate(y, voltage)
         vapour = [
@@ -125,7 +124,7 @@ class _Plant:
             stroke = side if side * y[_SPOOL_VELOCITY] > 0.0 else 0
         return Held(slew, stroke, *vapour)
 
-    def rate(self, y: Array, voltage: float, held: Held) -> Array:
+    def rate(self, y: Floats, voltage: float, held: Held) -> Floats:
         """The derivative with the active limits."""
         rate = self.free_rate(y, voltage)
         if held.slew or self.limits.ideal_spool:
@@ -142,18 +141,18 @@ class _Plant:
         """Functions that fall through zero where a state meets or leaves a limit; order of :class:`Held`."""
         c = self.limits
 
-        def slew(_: float, y: Array) -> float:
+        def slew(_: float, y: Floats) -> float:
             if held.slew:
                 return float(held.slew * self.free_rate(y, voltage)[_SPOOL_VELOCITY] / c.spool_stiffness)
             return float(1.0 + c.ideal_spool - abs(y[_SPOOL_VELOCITY]) / c.slew_limit)
 
-        def stroke(_: float, y: Array) -> float:
+        def stroke(_: float, y: Floats) -> float:
             return float(
                 held.stroke * y[_SPOOL_VELOCITY] / c.slew_limit if held.stroke else 1.0 + c.ideal_spool - abs(y[_SPOOL])
             )
 
         def vapour(row: int, holds: int) -> Any:
-            def distance(_: float, y: Array) -> float:
+            def distance(_: float, y: Floats) -> float:
                 if holds:
                     return float(-self.free_rate(y, voltage)[row] / c.bulk_modulus)
                 return float((y[row] - VAPOUR_PRESSURE) / c.relief_pressure)
@@ -165,7 +164,7 @@ class _Plant:
             function.terminal, function.direction = True, -1.0
         return functions
 
-    def put_on_limit(self, y: Array, met: NDArray[np.intp], held: Held) -> Array:
+    def put_on_limit(self, y: Floats, met: NDArray[np.intp], held: Held) -> Floats:
         """The state moved exactly onto the limits that it has just met, and slightly off those that it has left."""
         y = y.copy()
         for event, row, limit in ((0, _SPOOL_VELOCITY, self.limits.slew_limit), (1, _SPOOL, 1.0)):

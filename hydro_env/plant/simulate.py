@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_type_hints
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hydro_env.errors import HydroError, InvalidStateError
 from hydro_env.mistakes import unknown
@@ -26,9 +26,8 @@ from hydro_env.plant.kernel import (
 )
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, valid_range
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-
-Array = NDArray[np.float64]
 
 DERIVED_NAMES = Derived._fields
 DERIVED_UNITS = tuple(hint.__metadata__[0] for hint in get_type_hints(Derived, include_extras=True).values())
@@ -60,22 +59,22 @@ class Trajectory:
     """
 
     parameters: PlantParameters
-    time: Array
-    voltage: Array
-    states: Array  # (n + 1, N_STATES), columns as in STATE_NAMES
-    derived: Array  # (n + 1, len(DERIVED_NAMES))
+    time: Floats
+    voltage: Floats
+    states: Floats  # (n + 1, N_STATES), columns as in STATE_NAMES
+    derived: Floats  # (n + 1, len(DERIVED_NAMES))
 
-    def __getattr__(self, name: str) -> Array:
+    def __getattr__(self, name: str) -> Floats:
         if name in STATE_NAMES:
             return self.states[:, STATE_NAMES.index(name)]
         if name in DERIVED_NAMES:
             return self.derived[:, DERIVED_NAMES.index(name)]
         raise AttributeError(f"a trajectory has no '{name}'; it has: {', '.join(TRAJECTORY_NAMES)}")
 
-    def __getitem__(self, name: str) -> Array:
+    def __getitem__(self, name: str) -> Floats:
         if name not in TRAJECTORY_NAMES:
             raise KeyError(f"no quantity '{name}'; there are: {', '.join(TRAJECTORY_NAMES)}")
-        values: Array = getattr(self, name)
+        values: Floats = getattr(self, name)
         return values
 
     def __len__(self) -> int:
@@ -169,13 +168,13 @@ def simulate(
     return Trajectory(parameters, time, acting, states, derived_array(states, coefficients[None]))
 
 
-def valid_ranges(parameters: PlantParameters) -> tuple[Array, Array]:
+def valid_ranges(parameters: PlantParameters) -> tuple[Floats, Floats]:
     """Lowest and highest value of each state for which the model is valid, shapes (N_STATES,)."""
     lowest, highest = valid_range(plant_coefficients(parameters))
     return np.array(lowest), np.array(highest)
 
 
-def _check_range(parameters: PlantParameters, time: Array, states: Array) -> None:
+def _check_range(parameters: PlantParameters, time: Floats, states: Floats) -> None:
     low, high = valid_ranges(parameters)
     bad = ~((states >= low) & (states <= high))
     if bad.any():
@@ -186,7 +185,7 @@ def _check_range(parameters: PlantParameters, time: Array, states: Array) -> Non
         )
 
 
-def _checked_input(voltage: ArrayLike) -> Array:
+def _checked_input(voltage: ArrayLike) -> Floats:
     try:
         inputs = np.asarray(voltage, dtype=np.float64)
     except (TypeError, ValueError):
@@ -213,7 +212,7 @@ def _positive(name: str, value: Any, unit: str, largest: float = 1e6) -> float:
     return number
 
 
-def _checked_start(parameters: PlantParameters, initial_state: Mapping[str, float] | None) -> Array:
+def _checked_start(parameters: PlantParameters, initial_state: Mapping[str, float] | None) -> Floats:
     if not isinstance(initial_state, Mapping | None):
         raise HydroError(f"initial_state = {initial_state!r}: must be a mapping of state names to values")
     given: dict[str, float] = {}
@@ -234,7 +233,7 @@ def _checked_start(parameters: PlantParameters, initial_state: Mapping[str, floa
     return start
 
 
-def _run(start: Array, coefficients: Array, inputs: Array, sample_time: float, accuracy: Accuracy) -> Array:
+def _run(start: Floats, coefficients: Floats, inputs: Floats, sample_time: float, accuracy: Accuracy) -> Floats:
     plants = Plants(
         start[None].copy(), coefficients[None], np.empty((1, 1)), np.full((1, 1), sample_time), np.empty((1, N_PEAKS))
     )

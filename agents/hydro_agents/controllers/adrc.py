@@ -15,8 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydro_agents.controllers.base import gain
-from hydro_agents.controllers.observer_feedback import Array, JumpGains, ObserverFeedback, sampled
+from hydro_agents.controllers.observer_feedback import JumpGains, ObserverFeedback, sampled
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.types import Floats
 
 
 class ADRCGains(JumpGains):
@@ -57,27 +58,27 @@ class ADRC(ObserverFeedback):
         shares = [[np.interp(at, middles, step) for step in np.eye(len(middles))] for at in (0.0, lead - 1.0, lead)]
         self._reference_speeds = np.array(shares).T / period
 
-    def following(self, measured: Array, command: Array, speed: Array) -> Array:
+    def following(self, measured: Floats, command: Floats, speed: Floats) -> Floats:
         """See :meth:`ObserverFeedback.following`."""
         return np.stack([measured[:, 0], speed, speed - command], axis=1)
 
-    def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
+    def speed(self, estimate: Floats, error: Floats, command: Floats, steps: Floats) -> Floats:
         """See :meth:`ObserverFeedback.speed`."""
         present, last, leading = (steps @ self._reference_speeds).T
         disturbance, k = estimate[:, self.disturbance], self.feedback
         deviation = command + disturbance - last
-        speed: Array = leading - disturbance - k[0] * error - k[1] * (estimate[:, 1] - present) - k[2] * deviation
+        speed: Floats = leading - disturbance - k[0] * error - k[1] * (estimate[:, 1] - present) - k[2] * deviation
         return speed
 
 
-def placed(a: Array, b: Array, poles: Sequence[float]) -> Array:
+def placed(a: Floats, b: Floats, poles: Sequence[float]) -> Floats:
     """Gain k, (n,), that places the poles of a − b kᵀ (Ackermann 1972)."""
     controllability = np.column_stack([np.linalg.matrix_power(a, power) @ b for power in range(len(b))])
     polynomial = np.eye(len(b))
     for pole in poles:
         polynomial = polynomial @ (a - pole * np.eye(len(b)))
     try:
-        k: Array = np.linalg.solve(controllability.T, np.eye(len(b))[-1]) @ polynomial
+        k: Floats = np.linalg.solve(controllability.T, np.eye(len(b))[-1]) @ polynomial
     except np.linalg.LinAlgError:
         raise ConfigurationError("adrc: no feedback or observer for these gains: speed_lag is too short") from None
     return k

@@ -14,7 +14,7 @@ from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.signals import observation_layout
 
-Floats = NDArray[np.floating[Any]]
+Observation = NDArray[np.floating[Any]]
 
 MOVING = 0.04
 """Estimated speed, as a fraction of full speed, from which an axis moves; below it may be noise."""
@@ -44,7 +44,7 @@ class Controller(Protocol):
 
     def predict(
         self,
-        observation: Floats,
+        observation: Observation,
         state: Any = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
@@ -103,13 +103,13 @@ class ObservationLayout:
             raise ConfigurationError(f"the observation holds no '{name}'; it holds: {', '.join(self.names)}")
         return self.names.index(name)
 
-    def si(self, observation: Floats, name: str) -> NDArray[np.float64]:
+    def si(self, observation: Observation, name: str) -> NDArray[np.float64]:
         """A signal in SI units from a batch of observations (N, n)."""
         column = self.index(name)
         values: NDArray[np.float64] = observation[:, column].astype(np.float64) * self.scale[column]
         return values
 
-    def speed_at_start(self, observation: Floats, full_speed: float) -> NDArray[np.float64]:
+    def speed_at_start(self, observation: Observation, full_speed: float) -> NDArray[np.float64]:
         """Measured speed of axes that a controller takes over, m/s, (N,); 0 for those that rest but for noise."""
         speed = self.si(observation, "velocity_estimate")
         return np.where(np.abs(speed) > MOVING * full_speed, speed, 0.0)
@@ -134,7 +134,7 @@ class ObservationLayout:
             1e-3 * float(name.removeprefix(prefix).removesuffix("ms")) for name in self.names if name.startswith(prefix)
         )
 
-    def previews(self, observation: Floats) -> NDArray[np.float64]:
+    def previews(self, observation: Observation) -> NDArray[np.float64]:
         """Future reference minus present reference, m, shape (N, previews)."""
         columns = [i for i, name in enumerate(self.names) if name.startswith("reference_preview_")]
         scale = np.array([self.scale[i] for i in columns], dtype=np.float64)
@@ -155,7 +155,7 @@ def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:
         )
 
 
-def as_batch(observation: Floats) -> tuple[Floats, bool]:
+def as_batch(observation: Observation) -> tuple[Observation, bool]:
     """The observation as a batch (N, n), and whether it was a single one."""
     array = observation if hasattr(observation, "ndim") else np.asarray(observation)
     return (array[None], True) if array.ndim == 1 else (array, False)

@@ -12,16 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
+from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch, gain, restarted
 from hydro_agents.controllers.flow_model import Flow, FlowModel
 from hydro_agents.controllers.motion_filter import FLOW_GAIN, LEAK, OFFSET, POSITION, MotionFilter
 from hydro_agents.controllers.preview import Jumps, Preview, braked, path_weights
 from hydro_env import TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
+from hydro_env.types import Floats
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
-
-Array = NDArray[np.float64]
 
 _REVERSAL = 0.3
 """Reference speed, as a fraction of the Stribeck speed, around which the friction changes its sign."""
@@ -95,14 +94,14 @@ class FlowLinearisingGains(Group):
 class FlowLinearisingState(NamedTuple):
     """Memory of the controller; the first dimension of each array is that of the N axes."""
 
-    reference: Array  # (N, samples), m, as Preview keeps it
-    supply: Array  # (N,), Pa
-    force: Array  # (N,), N, of the oil on the piston
-    slow_force: Array  # (N,), N, low-passed
-    speed: Array  # (N,), m/s, from the flow of the data sheet
-    leak: Array  # (N,), m/s per leak conductance
-    estimate: Array  # (N, 4), as MotionFilter keeps it
-    covariance: Array  # (N, 4, 4)
+    reference: Floats  # (N, samples), m, as Preview keeps it
+    supply: Floats  # (N,), Pa
+    force: Floats  # (N,), N, of the oil on the piston
+    slow_force: Floats  # (N,), N, low-passed
+    speed: Floats  # (N,), m/s, from the flow of the data sheet
+    leak: Floats  # (N,), m/s per leak conductance
+    estimate: Floats  # (N, 4), as MotionFilter keeps it
+    covariance: Floats  # (N, 4, 4)
 
 
 class FlowLinearising:
@@ -165,14 +164,14 @@ class FlowLinearising:
             period,
         )
 
-    def _reference_weights(self) -> Array:
+    def _reference_weights(self) -> Floats:
         """Weights (horizon + 1, 4) of the reference's steps: travel to the predicted position; speed, before, after."""
         period, horizon, lead = self.config.control_period, self._preview.horizon, self._lead
         width = self.gains.smoothing * self.delay
 
-        def speed(time: float) -> Array:
+        def speed(time: float) -> Floats:
             ends = [path_weights(time + side * width, horizon, period) for side in (-1.0, 1.0)]
-            weights: Array = (ends[1] - ends[0]) / (2.0 * width)
+            weights: Floats = (ends[1] - ends[0]) / (2.0 * width)
             return weights
 
         speeds = [speed(lead), speed(lead - period), speed(lead + period)]
@@ -180,7 +179,7 @@ class FlowLinearising:
 
     def predict(
         self,
-        observation: Floats,
+        observation: Observation,
         state: FlowLinearisingState | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
@@ -239,7 +238,7 @@ class FlowLinearising:
         ]
         return np.stack(columns, axis=1).astype(np.float32)
 
-    def _fresh(self, batch: Floats, position: Array, pressures: Array, spool: Array) -> FlowLinearisingState:
+    def _fresh(self, batch: Observation, position: Floats, pressures: Floats, spool: Floats) -> FlowLinearisingState:
         """Memory at the start, at rest or in motion."""
         reference = self._preview.start(batch)
         true_speed = self.layout.speed_at_start(batch, self._full_speed)
@@ -250,7 +249,7 @@ class FlowLinearising:
         return FlowLinearisingState(reference, supply, flow.force, flow.force, speed, flow.leak, estimate, covariance)
 
     def _observed(
-        self, old: FlowLinearisingState, batch: Floats, flow: Flow, position: Array, spool: Array
+        self, old: FlowLinearisingState, batch: Observation, flow: Flow, position: Floats, spool: Floats
     ) -> FlowLinearisingState:
         """Memory one period later, updated from the observations at its end."""
         half = 0.5 * self.layout.control_period
@@ -269,7 +268,7 @@ class FlowLinearising:
             reference, old.supply, flow.force, slow_force, speed, flow.leak, estimate, covariance
         )
 
-    def _wanted(self, now: FlowLinearisingState, position_ahead: Array, flow: Flow) -> tuple[Array, Array]:
+    def _wanted(self, now: FlowLinearisingState, position_ahead: Floats, flow: Flow) -> tuple[Floats, Floats]:
         """Reference speed with friction feed-forward (m/s), and error at the predicted position (m), each (N,)."""
         steps, jumps = self._jumps.split(now.reference)
         travel, speed, before, after = (steps @ self._weights).T

@@ -11,13 +11,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import PlantParameters
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
-
-Array = NDArray[np.float64]
+from hydro_env.types import Floats
 
 _LOWEST_DROP = 0.02
 """Lower limit of the pressure drop over an edge, as a fraction of the supply; below it the opening would saturate."""
@@ -29,11 +27,11 @@ _SUPPLIES = (0.8, 1.5)
 class Flow(NamedTuple):
     """Effect of the pressures of N axes on their motion, each (N,)."""
 
-    extending: Array  # speed per opening of the edges P→A and B→T, m/s
-    retracting: Array  # speed per opening of the edges A→T and P→B, m/s
-    leak: Array  # speed per leak conductance, m/s per m³/(s Pa)
-    force: Array  # of the oil on the piston, N
-    stiffness: Array  # of both oil columns, N/m
+    extending: Floats  # speed per opening of the edges P→A and B→T, m/s
+    retracting: Floats  # speed per opening of the edges A→T and P→B, m/s
+    leak: Floats  # speed per leak conductance, m/s per m³/(s Pa)
+    force: Floats  # of the oil on the piston, N
+    stiffness: Floats  # of both oil columns, N/m
 
 
 class FlowModel:
@@ -56,17 +54,17 @@ class FlowModel:
         self._supplies = _SUPPLIES[0] * c.relief_pressure, _SUPPLIES[1] * c.relief_pressure
         self._full = c.edge_gain / math.sqrt(c.area_a**3 + c.area_b**3 / c.edge_ratio**2)
 
-    def supply(self, pressures: Array, speed: Array) -> Array:
+    def supply(self, pressures: Floats, speed: Floats) -> Floats:
         """Supply pressure (Pa), (N,), of axes with pressures (2, N) in Pa and speeds in m/s, (N,).
 
         At rest the valve holds both chambers with equal openings: P_s − p_a = p_b − P_T, for any internal leak. In
         motion the data sheet tells more. It also bounds the estimate.
         """
         at_rest = np.clip(pressures.sum(axis=0) - self._c.tank_pressure, *self._supplies)
-        supply: Array = np.where(speed == 0.0, at_rest, self._c.relief_pressure)
+        supply: Floats = np.where(speed == 0.0, at_rest, self._c.relief_pressure)
         return supply
 
-    def at(self, position: Array, pressures: Array, supply: Array) -> Flow:
+    def at(self, position: Floats, pressures: Floats, supply: Floats) -> Flow:
         """:class:`Flow` at positions (N,) in m, pressures (2, N) and supply pressures (N,) in Pa."""
         c = self._c
         absolute = np.maximum(pressures, 0.0) + ATMOSPHERIC_PRESSURE
@@ -85,13 +83,13 @@ class FlowModel:
             stiffness=stiffness,
         )
 
-    def speed(self, spool: Array, flow: Flow) -> Array:
+    def speed(self, spool: Floats, flow: Flow) -> Floats:
         """Speed (m/s) at a position of the spool (−1 to 1) without leak and at constant force, (N,)."""
         forward, backward = self._edges(spool)
-        speed: Array = flow.extending * forward - flow.retracting * backward
+        speed: Floats = flow.extending * forward - flow.retracting * backward
         return speed
 
-    def _edges(self, spool: Array) -> tuple[Array, Array]:
+    def _edges(self, spool: Floats) -> tuple[Floats, Floats]:
         """Openings of the edges P→A and B→T, and of A→T and P→B, each (N,)."""
         opening = spool - self._c.null_shift
         if not self._straight:
@@ -99,16 +97,16 @@ class FlowModel:
         width = np.sqrt(opening * opening + self._c.underlap_squared)
         return 0.5 * (width + opening), 0.5 * (width - opening)
 
-    def opening(self, speed: Array, flow: Flow) -> Array:
+    def opening(self, speed: Floats, flow: Flow) -> Floats:
         """Position of the spool that gives a speed (m/s): the inverse of :meth:`speed`, (N,)."""
         root = np.sqrt(speed * speed + self._c.underlap_squared * flow.extending * flow.retracting)
         opening = 0.5 * ((speed + root) / flow.extending + (speed - root) / flow.retracting)
         if not self._straight:
             opening = _stroke_of(opening, self._c)
-        spool: Array = opening + self._c.null_shift
+        spool: Floats = opening + self._c.null_shift
         return spool
 
-    def full_speeds(self, force: Array, supply: Array) -> tuple[Array, Array]:
+    def full_speeds(self, force: Floats, supply: Floats) -> tuple[Floats, Floats]:
         """Steady speeds (m/s) at full opening against a force of the load (N), extending and retracting, each (N,)."""
         c = self._c
         out = c.area_a * supply - c.area_b * c.tank_pressure - force
@@ -117,15 +115,15 @@ class FlowModel:
         return self._full * np.sqrt(np.maximum(out, least)), self._full * np.sqrt(np.maximum(back, least))
 
 
-def _edge_opening(stroke: Array, c: Any) -> Array:
+def _edge_opening(stroke: Floats, c: Any) -> Floats:
     """Opening of an edge whose land has moved by ``stroke`` from the null; as in ``plant/parts/valve.py``."""
     beyond = (stroke - c.overlap) * c.stroke_factor
-    opening: Array = 0.5 * (np.sqrt(beyond * beyond + c.underlap_squared) + beyond)
-    bent: Array = c.slope * opening + c.slope_change * np.maximum(beyond - c.knee_position, 0.0)
+    opening: Floats = 0.5 * (np.sqrt(beyond * beyond + c.underlap_squared) + beyond)
+    bent: Floats = c.slope * opening + c.slope_change * np.maximum(beyond - c.knee_position, 0.0)
     return bent
 
 
-def _stroke_of(opening: Array, c: Any) -> Array:
+def _stroke_of(opening: Floats, c: Any) -> Floats:
     """Stroke of the spool that gives a bent, overlapped edge the opening of a straight one without overlap.
 
     The dead band is crossed gradually within the underlap; the command for zero flow therefore does not jump.
@@ -133,7 +131,7 @@ def _stroke_of(opening: Array, c: Any) -> Array:
     size = np.abs(opening)
     at_knee = c.slope * c.knee_position
     beyond = np.where(size > at_knee, c.knee_position + (size - at_knee) / (c.slope + c.slope_change), size / c.slope)
-    stroke: Array = np.sign(opening) * beyond / c.stroke_factor + c.overlap * opening / np.sqrt(
+    stroke: Floats = np.sign(opening) * beyond / c.stroke_factor + c.overlap * opening / np.sqrt(
         opening * opening + c.underlap_squared + 1e-12
     )
     return stroke

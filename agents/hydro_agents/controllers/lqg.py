@@ -15,7 +15,6 @@ from scipy.linalg import solve_discrete_are
 
 from hydro_agents.controllers.base import gain
 from hydro_agents.controllers.observer_feedback import (
-    Array,
     JumpGains,
     ObserverFeedback,
     ObserverFeedbackGains,
@@ -24,6 +23,7 @@ from hydro_agents.controllers.observer_feedback import (
 )
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.types import Floats
 
 TAIL = 400
 """Periods after which the effect of the reference on a command has died away."""
@@ -119,7 +119,7 @@ class LQG(ObserverFeedback):
         self._preview = np.append(0.0, later[:horizon])
         self._preview[-1] += later[horizon:].sum()
 
-    def following(self, measured: Array, command: Array, speed: Array) -> Array:
+    def following(self, measured: Floats, command: Floats, speed: Floats) -> Floats:
         """See :meth:`ObserverFeedback.following`."""
         estimate = np.zeros_like(measured, shape=(len(measured), 9))
         estimate[:, POSITION] = measured[:, 0]
@@ -130,24 +130,24 @@ class LQG(ObserverFeedback):
         estimate[:, SPOOL_OFFSET] = measured[:, 2] - command
         return estimate
 
-    def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
+    def speed(self, estimate: Floats, error: Floats, command: Floats, steps: Floats) -> Floats:
         """See :meth:`ObserverFeedback.speed`."""
         k, disturbance = self.feedback, estimate[:, FLOW]
         motion = error * k[POSITION] + estimate[:, [SPEED, ACCELERATION]] @ k[[SPEED, ACCELERATION]]
         motion += self.moving_valve(estimate) @ k[VALVE]
-        speed: Array = command + steps @ self._preview - motion - k[-1] * (command + disturbance)
+        speed: Floats = command + steps @ self._preview - motion - k[-1] * (command + disturbance)
         return speed
 
-    def moving_valve(self, estimate: Array) -> Array:
+    def moving_valve(self, estimate: Floats) -> Floats:
         """States of the valve as the regulator knows them, (N, 3): it has no disturbance states.
 
         It sees the valve opening that moves the axis.
         """
-        valve: Array = estimate[:, VALVE] + estimate[:, [FLOW]] * self._valve_at_rest
+        valve: Floats = estimate[:, VALVE] + estimate[:, [FLOW]] * self._valve_at_rest
         return valve
 
 
-def kalman_gain(model: SampledModel, drift: Array, noise: Array, size: Array) -> Array:
+def kalman_gain(model: SampledModel, drift: Floats, noise: Floats, size: Floats) -> Floats:
     """Stationary gain of the Kalman filter on the innovations of the measured signals, (n, m).
 
     Args:
@@ -159,7 +159,7 @@ def kalman_gain(model: SampledModel, drift: Array, noise: Array, size: Array) ->
     transition, outputs = model.transition * size / size[:, None], model.outputs * size / noise[:, None]
     covariance = solve_discrete_are(transition.T, outputs.T, np.diag((drift / size) ** 2), np.eye(len(noise)))
     innovation = outputs @ covariance @ outputs.T + np.eye(len(noise))
-    k: Array = size[:, None] * np.linalg.solve(innovation, outputs @ covariance).T / noise
+    k: Floats = size[:, None] * np.linalg.solve(innovation, outputs @ covariance).T / noise
     return k
 
 
@@ -169,14 +169,14 @@ class Problem(NamedTuple):
     z[k+1] = transition z[k] + drive · change[k]; the cost to go without reference is zᵀ cost z.
     """
 
-    size: Array  # (n + 1,), of z in its own units
-    transition: Array  # (n + 1, n + 1)
-    drive: Array  # (n + 1,)
-    position: Array  # (n + 1,), weighted position per z
-    cost: Array  # (n + 1, n + 1), solution of the Riccati equation
+    size: Floats  # (n + 1,), of z in its own units
+    transition: Floats  # (n + 1, n + 1)
+    drive: Floats  # (n + 1,)
+    position: Floats  # (n + 1,), weighted position per z
+    cost: Floats  # (n + 1, n + 1), solution of the Riccati equation
 
 
-def tracking_problem(model: SampledModel, weight: float, size: Array, full: float) -> Problem:
+def tracking_problem(model: SampledModel, weight: float, size: Floats, full: float) -> Problem:
     """The problem that :func:`regulator` solves; the arguments are the same."""
     n = len(size)
     transition = np.eye(n + 1)
@@ -191,7 +191,7 @@ def tracking_problem(model: SampledModel, weight: float, size: Array, full: floa
     return Problem(size, transition, drive, position, cost)
 
 
-def regulator(model: SampledModel, weight: float, size: Array, full: float) -> tuple[Array, Array]:
+def regulator(model: SampledModel, weight: float, size: Floats, full: float) -> tuple[Floats, Floats]:
     """Gains that minimise Σ (weight · (position − reference))² + (change of the command)².
 
     Args:

@@ -7,9 +7,8 @@ estimated as states. Gelb, *Applied Optimal Estimation* (1974), section 3.8: the
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hydro_env.types import Floats
 
 POSITION, FLOW_GAIN, LEAK, OFFSET = range(4)
 """Entries of the estimate: position (m), relative deviation of the flow gain from the data sheet, leak conductance
@@ -34,7 +33,7 @@ class MotionFilter:
         period: control period, s.
     """
 
-    def __init__(self, noise: float, spread: Array, motion: float, memory: Array, period: float) -> None:
+    def __init__(self, noise: float, spread: Floats, motion: float, memory: Floats, period: float) -> None:
         self._noise = noise**2
         self._spread = np.diag(spread**2)
         self._kept = kept = np.append(1.0, np.exp(-period / memory))
@@ -44,7 +43,7 @@ class MotionFilter:
         self._kept_pairs = kept[:, None] * kept
         self._period = period
 
-    def start(self, position: Array, speed: Array, leak: Array, unexplained: Array) -> tuple[Array, Array]:
+    def start(self, position: Floats, speed: Floats, leak: Floats, unexplained: Floats) -> tuple[Floats, Floats]:
         """Estimate and covariance at the start: those of the data sheet, given the speed that it does not explain.
 
         Args:
@@ -62,8 +61,8 @@ class MotionFilter:
         return estimate, self._spread - gain[:, :, None] * row[:, None, :]
 
     def advanced(
-        self, estimate: Array, covariance: Array, travel: Array, leak_travel: Array, other: Array, measured: Array
-    ) -> tuple[Array, Array]:
+        self, estimate: Floats, covariance: Floats, travel: Floats, leak_travel: Floats, other: Floats, measured: Floats
+    ) -> tuple[Floats, Floats]:
         """Estimate and covariance one period later.
 
         Args:

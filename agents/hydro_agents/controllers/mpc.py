@@ -26,8 +26,9 @@ from hydro_agents.controllers.lqg import (
     Problem,
     tracking_problem,
 )
-from hydro_agents.controllers.observer_feedback import Array, ObserverState
+from hydro_agents.controllers.observer_feedback import ObserverState
 from hydro_env import TaskConfig
+from hydro_env.types import Floats
 
 RELAXATION = 1.7
 """Over-relaxation of the alternating directions; 1.5 to 1.8 are usual."""
@@ -61,7 +62,7 @@ class MPC(LQG):
         problem = tracking_problem(self.model, self.weight, self.size, self.full_speed)
         self._program = condensed(problem, self.preview.horizon + self._beyond)
 
-    def wanted(self, now: ObserverState, flow: Flow, leak: Array) -> Array:
+    def wanted(self, now: ObserverState, flow: Flow, leak: Floats) -> Floats:
         """See :meth:`~hydro_agents.controllers.observer_feedback.ObserverFeedback.wanted`."""
         estimate, disturbance = now.estimate, now.estimate[:, FLOW]
         error = estimate[:, [POSITION]] - now.reference[:, [1]]
@@ -81,13 +82,13 @@ class MPC(LQG):
 class Program(NamedTuple):
     """A quadratic program in the speed commands c of the horizon: ½ (c − c*)ᵀ hessian (c − c*), low ≤ c ≤ high."""
 
-    free: Array  # (known, horizon): c* = known @ free, the commands without limits
-    hessian: Array  # (horizon, horizon)
+    free: Floats  # (known, horizon): c* = known @ free, the commands without limits
+    hessian: Floats  # (horizon, horizon)
     penalty: float
-    inverse: Array  # (horizon, horizon), of hessian + penalty
+    inverse: Floats  # (horizon, horizon), of hessian + penalty
     iterations: int
 
-    def first(self, known: Array, low: Array, high: Array) -> Array:
+    def first(self, known: Floats, low: Floats, high: Floats) -> Floats:
         """The first command of the optimum, m/s, (N,), by alternating directions.
 
         Args:
@@ -97,7 +98,7 @@ class Program(NamedTuple):
             high: upper limit, m/s, (N, 1).
         """
         free = known @ self.free
-        bounded: Array = np.clip(free, low, high)
+        bounded: Floats = np.clip(free, low, high)
         if surely_zero(free - bounded):
             return bounded[:, 0]
         pull, sums = free @ self.hessian, np.zeros_like(free)

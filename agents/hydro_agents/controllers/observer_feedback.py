@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
+from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch, gain, restarted
 from hydro_agents.controllers.flow_model import Flow, FlowModel
 from hydro_agents.controllers.preview import Jumps, Preview, braked
 from hydro_agents.controllers.sampled_loop import zero_order_hold
@@ -21,9 +21,8 @@ from hydro_env.files import Group
 from hydro_env.plant.analysis import reachable_range, speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.states import STATE_NAMES
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-
-Array = NDArray[np.float64]
 
 JUMP = 1.2
 """Reference speed, as a fraction of full speed, above which a change counts as a jump: no axis can follow."""
@@ -63,23 +62,23 @@ class JumpGains(ObserverFeedbackGains):
 class ObserverState(NamedTuple):
     """Memory of the controller."""
 
-    estimate: Array  # (N, states), of the observer
-    command_before: Array  # (N,), m/s, speed command before the last one
-    supply: Array  # (N,), Pa, at the start or the take-over
-    adapted: Array  # (N, 3), relative flow gains extending and retracting; leak at full pressure over full speed
-    reference: Array  # (N, horizon + 2), m; see Preview
+    estimate: Floats  # (N, states), of the observer
+    command_before: Floats  # (N,), m/s, speed command before the last one
+    supply: Floats  # (N,), Pa, at the start or the take-over
+    adapted: Floats  # (N, 3), relative flow gains extending and retracting; leak at full pressure over full speed
+    reference: Floats  # (N, horizon + 2), m; see Preview
 
 
 class SampledModel(NamedTuple):
     """x[n+1] = transition x[n] + input_old u[n−1] + input_new u[n], measured signals: outputs x[n]."""
 
-    transition: Array  # (n, n)
-    input_old: Array  # (n,)
-    input_new: Array  # (n,)
-    outputs: Array  # (m, n)
+    transition: Floats  # (n, n)
+    input_old: Floats  # (n,)
+    input_new: Floats  # (n,)
+    outputs: Floats  # (m, n)
 
 
-def sampled(a: Array, b: Array, outputs: Array, config: TaskConfig) -> SampledModel:
+def sampled(a: Floats, b: Floats, outputs: Floats, config: TaskConfig) -> SampledModel:
     """Sample dx/dt = a x + b u exactly; the command changes one latency after the sample.
 
     Åström & Wittenmark, *Computer-Controlled Systems* (1997), section 2.3.
@@ -114,7 +113,7 @@ class ObserverFeedback:
 
     memory = ObserverState
     model: SampledModel
-    correction: Array
+    correction: Floats
     disturbance: int
 
     def __init__(self, gains: Any, config: TaskConfig) -> None:
@@ -145,7 +144,7 @@ class ObserverFeedback:
             delay, share = gains.set_off_delay * self.delay, gains.set_off_share
             self._jumps = Jumps(self.flow, self.jump, delay, share, self.preview.times)
 
-    def following(self, measured: Array, command: Array, speed: Array) -> Array:
+    def following(self, measured: Floats, command: Floats, speed: Floats) -> Floats:
         """Estimate (N, n) of an axis at a known speed from its measured signals and its speed command.
 
         Args:
@@ -155,7 +154,7 @@ class ObserverFeedback:
         """
         raise NotImplementedError
 
-    def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
+    def speed(self, estimate: Floats, error: Floats, command: Floats, steps: Floats) -> Floats:
         """The next speed command, m/s, (N,).
 
         Args:
@@ -170,7 +169,7 @@ class ObserverFeedback:
 
     def predict(
         self,
-        observation: Floats,
+        observation: Observation,
         state: ObserverState | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
@@ -213,7 +212,7 @@ class ObserverFeedback:
         action = opening.astype(np.float32)[:, None]
         return (action[0] if single else action), new
 
-    def wanted(self, now: ObserverState, flow: Flow, leak: Array) -> Array:
+    def wanted(self, now: ObserverState, flow: Flow, leak: Floats) -> Floats:
         """The next speed command, m/s, (N,).
 
         Args:
@@ -226,15 +225,15 @@ class ObserverFeedback:
         error = braked(now.estimate[:, 0] - now.reference[:, 1] - begun, self._near)
         return self.speed(now.estimate, error, now.command_before, steps)
 
-    def _speeds(self, openings: Array, flow: Flow, adapted: Array, difference: Array) -> Array:
+    def _speeds(self, openings: Floats, flow: Flow, adapted: Floats, difference: Floats) -> Floats:
         """Speeds in m/s, (M, N), of openings (M, N) with the adapted flow gains and leak."""
         return self.flow.speed(openings, _scaled(flow, adapted)) + self._leak(adapted, difference)
 
-    def _leak(self, adapted: Array, difference: Array) -> Array:
-        leak: Array = self.full_speed * adapted[:, 2] * difference
+    def _leak(self, adapted: Floats, difference: Floats) -> Floats:
+        leak: Floats = self.full_speed * adapted[:, 2] * difference
         return leak
 
 
-def _scaled(flow: Flow, adapted: Array) -> Flow:
+def _scaled(flow: Flow, adapted: Floats) -> Flow:
     """The flow model with the adapted flow gains."""
     return flow._replace(extending=adapted[:, 0] * flow.extending, retracting=adapted[:, 1] * flow.retracting)

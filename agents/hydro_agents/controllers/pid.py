@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
+from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch, gain, restarted
 from hydro_env import TaskConfig
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.plant.analysis import speed_limits
@@ -111,7 +111,7 @@ class PID:
 
     def predict(
         self,
-        observation: Floats,
+        observation: Observation,
         state: PIDState | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,

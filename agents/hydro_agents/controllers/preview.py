@@ -8,13 +8,11 @@ the reference: it sets off before the jump, and brakes towards its end.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Floats, ObservationLayout, surely_zero
+from hydro_agents.controllers.base import Observation, ObservationLayout, surely_zero
 from hydro_agents.controllers.flow_model import FlowModel
 from hydro_env import TaskConfig
-
-Array = NDArray[np.float64]
+from hydro_env.types import Floats
 
 
 class Preview:
@@ -39,7 +37,7 @@ class Preview:
         distance = known[self._right] - known[self._right - 1]
         self._share = (ahead - known[self._right - 1]) / distance
 
-    def start(self, batch: Floats) -> Array:
+    def start(self, batch: Observation) -> Floats:
         """The memory at the start of an episode, (N, horizon + 2).
 
         The axis has been at rest; samples between those of the observation are interpolated.
@@ -49,7 +47,7 @@ class Preview:
         between = known[:, self._right - 1] * (1.0 - self._share) + known[:, self._right] * self._share
         return np.concatenate([now[:, None], now[:, None], between], axis=1)
 
-    def advanced(self, samples: Array, batch: Floats) -> Array:
+    def advanced(self, samples: Floats, batch: Observation) -> Floats:
         """The memory one period later, (N, horizon + 2), from the memory and the observations (N, n)."""
         now, ahead = self._shown(batch)
         later = np.empty_like(samples)
@@ -60,19 +58,19 @@ class Preview:
             later[:, 1 + count] = ahead[:, column]
         return later
 
-    def _shown(self, batch: Floats) -> tuple[Array, Array]:
+    def _shown(self, batch: Observation) -> tuple[Floats, Floats]:
         """The reference now, (N,), and the future samples shown, (N, counts), m."""
         now = self._layout.si(batch, "reference")
         return now, now[:, None] + self._layout.previews(batch)[:, self._columns]
 
 
-def path_weights(time: float, horizon: int, period: float) -> Array:
+def path_weights(time: float, horizon: int, period: float) -> Floats:
     """Weights (horizon + 1,) of the reference's steps that give its travel from now to ``time`` (s) ahead.
 
     ``steps = np.diff(samples, axis=1)``: the step before now comes first. Outside the samples the reference is
     extrapolated at the speed of its last or first step.
     """
-    weights: Array = np.clip(time / period - np.arange(-1.0, horizon), 0.0, 1.0)
+    weights: Floats = np.clip(time / period - np.arange(-1.0, horizon), 0.0, 1.0)
     weights[0] = min(time / period, 0.0)
     weights[-1] += max(time / period - horizon, 0.0)
     return weights
@@ -92,17 +90,17 @@ class Jumps:
         times: s from now to each future sample of the reference, (horizon,).
     """
 
-    def __init__(self, model: FlowModel, largest: float, delay: float, share: float, times: Array) -> None:
+    def __init__(self, model: FlowModel, largest: float, delay: float, share: float, times: Floats) -> None:
         self._model, self._largest = model, largest
         self._delay, self._half_share, self._times = delay, 0.5 * share, times
 
-    def split(self, reference: Array) -> tuple[Array, Array]:
+    def split(self, reference: Floats) -> tuple[Floats, Floats]:
         """Steps without jumps, and the jumps alone, of a reference (N, horizon + 2) in m, each (N, horizon + 1)."""
         steps = np.diff(reference, axis=1)
         jumps = np.where(np.abs(steps) > self._largest, steps, 0.0)
         return steps - jumps, jumps
 
-    def begun(self, jumps: Array, force: Array, supply: Array) -> Array:
+    def begun(self, jumps: Floats, force: Floats, supply: Floats) -> Floats:
         """Sum of the jumps ahead for which the axis moves already, m, (N,).
 
         Args:
@@ -116,11 +114,11 @@ class Jumps:
         out, back = self._model.full_speeds(force, supply)
         full = np.where(ahead > 0.0, out[:, None], back[:, None])
         early = self._half_share * np.abs(ahead) / full + self._delay
-        total: Array = np.where(early >= self._times, ahead, 0.0).sum(axis=1)
+        total: Floats = np.where(early >= self._times, ahead, 0.0).sum(axis=1)
         return total
 
 
-def braked(error: Array, near: float) -> Array:
+def braked(error: Floats, near: float) -> Floats:
     """The error if it is small; beyond ``near`` its square root, because an axis brakes at constant deceleration.
 
     The reduced error and its slope are continuous at ``near`` (m).

@@ -14,9 +14,8 @@ from hydro_env.plant.analysis import reachable_range
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import STATE_NAMES, TYPICAL_SIZE
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-
-Array = NDArray[np.float64]
 
 CONTROL_PERIOD = 5e-3  # s
 
@@ -40,12 +39,12 @@ class SampledLoop:
     x[n+1] = Φ x[n] + Γ_old u[n−1] + Γ_new u[n] is exact for the linear plant. States are scaled by their typical size.
     """
 
-    transition: Array  # Φ, (n, n)
-    input_old: Array  # Γ_old, (n,), per command
-    input_new: Array  # Γ_new, (n,), per command
-    a: Array  # of the continuous plant, (n, n), 1/s
-    b: Array  # (n,), per command
-    force: Array  # (n,), per newton of external force
+    transition: Floats  # Φ, (n, n)
+    input_old: Floats  # Γ_old, (n,), per command
+    input_new: Floats  # Γ_new, (n,), per command
+    a: Floats  # of the continuous plant, (n, n), 1/s
+    b: Floats  # (n,), per command
+    force: Floats  # (n,), per newton of external force
     position_size: float  # m
     control_period: float = CONTROL_PERIOD  # s
 
@@ -100,7 +99,7 @@ class SampledLoop:
         first = self._first_unstable(gain * np.exp(-1j * np.radians(angles)))
         return float("inf") if first is None else float(angles[max(first - 1, 0)])
 
-    def response(self, gain: float, frequencies: Array) -> NDArray[np.complex128]:
+    def response(self, gain: float, frequencies: Floats) -> NDArray[np.complex128]:
         """Reference to position of the closed loop at frequencies in Hz, shape (n,), complex, m per m.
 
         Exact at the sampling instants, up to half the sampling frequency: T = g P(z) / (1 + g P(z)) with
@@ -114,7 +113,7 @@ class SampledLoop:
         closed = opened / (1.0 + opened)
         return np.asarray(closed, dtype=np.complex128)
 
-    def step_response(self, gain: float, periods: int) -> Array:
+    def step_response(self, gain: float, periods: int) -> Floats:
         """Position after a unit step of the reference, at each sampling instant, shape (periods + 1,), m per m."""
         n = len(self.input_new)
         state, command, out = np.zeros(n), 0.0, np.zeros(periods + 1)
@@ -194,7 +193,7 @@ def speed_per_command(parameters: PlantParameters, position: float = 0.0) -> flo
     return float(np.linalg.solve(plant.a[np.ix_(rows, rows)], -FULL_VOLTAGE * plant.b[rows])[0])
 
 
-def zero_order_hold(a: Array, b: Array, duration: float) -> tuple[Array, Array]:
+def zero_order_hold(a: Floats, b: Floats, duration: float) -> tuple[Floats, Floats]:
     """exp(A t) and ∫₀ᵗ exp(A s) ds B from one matrix exponential (Van Loan 1978)."""
     n = len(b)
     block = np.zeros((n + 1, n + 1))

@@ -26,10 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hydro_agents.detection.detector import Cause, Floats, Reading
+from hydro_agents.detection.detector import Cause, Reading
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
+from hydro_env.types import Floats
 
 Flags = NDArray[np.bool_]
 

@@ -30,8 +30,7 @@ from hydro_agents.detection.features import SIGNALS
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_env import TaskConfig
 from hydro_env.task.faults import KIND_OF_FAULT
-
-Floats = NDArray[np.float64]
+from hydro_env.types import Floats
 
 HALF_WIDTH = 1.645  # half width of a 90 % interval, in standard deviations
 

@@ -18,8 +18,8 @@ from hydro_agents.running.cases import TrueStateController
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.states import State
+from hydro_env.types import Floats
 
-Array = NDArray[np.float64]
 Span = tuple[float, float]
 
 SUPPLY, TANK, PRESSURE_A, PRESSURE_B = range(4)
@@ -37,23 +37,23 @@ class Kind(NamedTuple):
     """A kind of disturbance: its shape over time, with a size and a time that are log-uniform."""
 
     row: int
-    shape: Callable[[Array, float, float], Array]  # from time (T,), s; start, s; time of the kind, s
+    shape: Callable[[Floats, float, float], Floats]  # from time (T,), s; start, s; time of the kind, s
     size: Span
     time: Span  # s: period, duration, or time constant
     signed: bool = False
 
 
-def swing(time: Array, start: float, period: float) -> Array:
+def swing(time: Floats, start: float, period: float) -> Floats:
     """A sine; ``start`` is its phase."""
     return np.sin(2.0 * np.pi * (time - start) / period)
 
 
-def ramp(time: Array, start: float, duration: float) -> Array:
+def ramp(time: Floats, start: float, duration: float) -> Floats:
     """0, then a linear rise to 1 within ``duration``."""
     return np.clip((time - start) / duration, 0.0, 1.0)
 
 
-def step(time: Array, start: float, constant: float) -> Array:
+def step(time: Floats, start: float, constant: float) -> Floats:
     """0, then an exponential approach to 1."""
     return np.where(time < start, 0.0, 1.0 - np.exp(-np.maximum(time - start, 0.0) / constant))
 
@@ -73,10 +73,10 @@ KINDS = {
 class Disturbances(NamedTuple):
     """One disturbance of each of N axes over T control periods."""
 
-    course: Array  # (N, 4, T)
+    course: Floats  # (N, 4, T)
     direct: NDArray[np.bool_]  # (N,), the pressure at the valve follows at once; else the setting of the relief valve
 
-    def felt(self, begins: NDArray[Any], samples: int) -> Array:
+    def felt(self, begins: NDArray[Any], samples: int) -> Floats:
         """Ranges of the courses in one window of each axis, over :data:`NOTICEABLE`, the largest; (N,)."""
         parts = [course[:, first : first + samples] for course, first in zip(self.course, begins, strict=True)]
         ranges = np.array([np.ptp(part, axis=1) for part in parts]).reshape(-1, len(NOTICEABLE))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch
+from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch
 from hydro_agents.detection.damaged_signals import stuck_sensors
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SIGNALS, SPREAD, STILL, features_of
 from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals, quantiles
@@ -186,7 +186,7 @@ class LeakageHead:
 
     def predict(
         self,
-        observation: Floats,
+        observation: Observation,
         state: HeadState | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
@@ -208,7 +208,7 @@ class LeakageHead:
         return (state.answer[0] if single else state.answer), state
 
     def remember(
-        self, observation: Floats, state: HeadState | None, episode_start: NDArray[np.bool_] | None = None
+        self, observation: Observation, state: HeadState | None, episode_start: NDArray[np.bool_] | None = None
     ) -> HeadState:
         """Add observations (N, n) to the memory without reading an estimate."""
         if state is None:
@@ -233,7 +233,7 @@ class LeakageHead:
         signals = np.concatenate(state.history).reshape(self.settings.window, len(axes), len(SIGNALS))
         return self.estimate_signals(signals[:, axes].transpose(1, 2, 0))
 
-    def estimate(self, history: Floats) -> LeakageEstimate:
+    def estimate(self, history: Observation) -> LeakageEstimate:
         """Estimate from windows of observations.
 
         Args:

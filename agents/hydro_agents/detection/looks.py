@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.detector import Cause, Detector, Floats, Reading, Windows
+from hydro_agents.detection.detector import Cause, Detector, Reading, Windows
 from hydro_agents.detection.features import SIGNALS
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.types import Floats
 
 STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3
 """Travel per second in m/s: below the first value the axis stands, from the second on it moves."""

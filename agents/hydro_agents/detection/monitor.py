@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, Floats, as_batch, check_layout
+from hydro_agents.controllers.base import Controller, Observation, as_batch, check_layout
 from hydro_agents.detection.detector import Cause, Reading, Windows, logit
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, HeadState, LeakageEstimate, LeakageHead
@@ -106,7 +106,7 @@ class MonitoredController:
 
     def predict(
         self,
-        observation: Floats,
+        observation: Observation,
         state: MonitorState | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,

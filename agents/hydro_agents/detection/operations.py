@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, Floats, ObservationLayout, as_batch
+from hydro_agents.controllers.base import Controller, Observation, ObservationLayout, as_batch
 from hydro_agents.learning.opponents import shipped
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
+from hydro_env.types import Floats
 
-Array = NDArray[np.float64]
 Span = tuple[float, float]
 Change = Callable[[TaskConfig], TaskConfig]
 Make = Callable[[TaskConfig, int, int], Controller]
@@ -66,11 +66,11 @@ class _Operator:
 
     def predict(
         self,
-        observation: Floats,
-        state: tuple[Array, Any] | None = None,
+        observation: Observation,
+        state: tuple[Floats, Any] | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[Array, Any]]:
+    ) -> tuple[NDArray[np.float32], tuple[Floats, Any]]:
         """Commands (N, 1) of one control period; the arguments are those of a controller."""
         del episode_start, deterministic
         batch, _ = as_batch(observation)
@@ -81,11 +81,11 @@ class _Operator:
         command, memory = self.act(error, holding, memory)
         return np.clip(command, -1.0, 1.0).astype(np.float32)[:, None], (holding, memory)
 
-    def at_start(self, error: Array) -> Any:
+    def at_start(self, error: Floats) -> Any:
         """The memory at the start of an episode; ``error`` (N,) in strokes."""
         raise NotImplementedError
 
-    def act(self, error: Array, holding: Array, memory: Any) -> tuple[Array, Any]:
+    def act(self, error: Floats, holding: Floats, memory: Any) -> tuple[Floats, Any]:
         """Commands (N,), and the memory for the next call."""
         raise NotImplementedError
 
@@ -94,9 +94,9 @@ class _Decided(NamedTuple):
     """Memory of :class:`Operation`."""
 
     time: int  # control periods since the start
-    command: Array  # (N,), of the last decision
-    level: Array  # (N,), of the noise
-    errors: Array  # (longest delay, N)
+    command: Floats  # (N,), of the last decision
+    level: Floats  # (N,), of the noise
+    errors: Floats  # (longest delay, N)
 
 
 class Operation(_Operator):
@@ -113,7 +113,7 @@ class Operation(_Operator):
         super().__init__(config)
         self.generator = np.random.default_rng(seed)
 
-        def drawn(span: Span) -> Array:
+        def drawn(span: Span) -> Floats:
             return np.exp(self.generator.uniform(np.log(span[0]), np.log(span[1]), count))
 
         self.gain, self.amplitude, self.relay = drawn(manner.gain), drawn(manner.amplitude), drawn(manner.relay)
@@ -124,11 +124,11 @@ class Operation(_Operator):
         self.wave = self.generator.integers(0, len(manner.waves), count)
         self.wave = np.array([WAVES.index(name) for name in manner.waves])[self.wave]
 
-    def at_start(self, error: Array) -> _Decided:
+    def at_start(self, error: Floats) -> _Decided:
         """The memory at the start of an episode."""
         return _Decided(0, np.zeros_like(error), np.zeros_like(error), np.repeat(error[None], int(self.delay.max()), 0))
 
-    def act(self, error: Array, holding: Array, memory: _Decided) -> tuple[Array, _Decided]:
+    def act(self, error: Floats, holding: Floats, memory: _Decided) -> tuple[Floats, _Decided]:
         """Commands (N,): of the last decision, and a wave."""
         time, axes = memory.time, np.arange(len(error))
         errors = np.concatenate([memory.errors[1:], error[None]])
@@ -145,8 +145,8 @@ class Operation(_Operator):
 
 class _Memory(NamedTuple):
     time: int  # control periods since the start
-    error: Array  # (N,), of the previous sample
-    command: Array  # (N,), relative to the holding command
+    error: Floats  # (N,), of the previous sample
+    command: Floats  # (N,), relative to the holding command
 
 
 class _Unseen(_Operator):
@@ -155,34 +155,34 @@ class _Unseen(_Operator):
     A law gives the commands (N,) relative to the holding command from this object, the memory and the error in strokes.
     """
 
-    def __init__(self, law: Callable[[_Unseen, _Memory, Array], Array], config: TaskConfig, count: int, seed: int):
+    def __init__(self, law: Callable[[_Unseen, _Memory, Floats], Floats], config: TaskConfig, count: int, seed: int):
         super().__init__(config)
         self.law = law
         self.numbers = np.random.default_rng([seed, 7]).random((4, count))
 
-    def at_start(self, error: Array) -> _Memory:
+    def at_start(self, error: Floats) -> _Memory:
         return _Memory(0, error, np.zeros_like(error))
 
-    def act(self, error: Array, holding: Array, memory: _Memory) -> tuple[Array, _Memory]:
+    def act(self, error: Floats, holding: Floats, memory: _Memory) -> tuple[Floats, _Memory]:
         command = self.law(self, memory, error)
         return holding + command, _Memory(memory.time + 1, error, command)
 
 
-def _sliding_mode(axes: _Unseen, memory: _Memory, error: Array) -> Array:
+def _sliding_mode(axes: _Unseen, memory: _Memory, error: Floats) -> Floats:
     """A switching surface of error and speed of the error, with a boundary layer (Slotine and Li, 1991, chapter 7)."""
     lead, layer, size, _ = axes.numbers
     surface = error + (0.005 + 0.02 * lead) * (error - memory.error) / axes.control_period
     return np.asarray((0.1 + 0.5 * size) * np.tanh(surface / (0.002 + 0.01 * layer)))
 
 
-def _three_step(axes: _Unseen, memory: _Memory, error: Array) -> Array:
+def _three_step(axes: _Unseen, memory: _Memory, error: Floats) -> Floats:
     """A switch with a dead band (out, hold, in), like a simple control with proximity switches."""
     band, size = 0.003 + 0.01 * axes.numbers[0], 0.05 + 0.3 * axes.numbers[1]
     keep = (memory.command != 0.0) & (np.abs(error) > 0.3 * band) & (np.sign(error) == np.sign(memory.command))
     return np.where((np.abs(error) > band) | keep, size * np.sign(error), 0.0)
 
 
-def _swept_sine(axes: _Unseen, memory: _Memory, error: Array) -> Array:
+def _swept_sine(axes: _Unseen, memory: _Memory, error: Floats) -> Floats:
     """A sine of rising frequency in open loop, like in a measurement of the frequency response."""
     time, rate = memory.time * axes.control_period, 1.0 + 4.0 * axes.numbers[1]
     size = 0.03 + 0.2 * axes.numbers[0]

@@ -34,8 +34,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.files import Group, validate
 from hydro_env.task.signals import POSITION
-
-Array = NDArray[np.float64]
+from hydro_env.types import Floats
 
 Told = Literal["truth", "nominal"]
 Continuation = Literal["hold", "speed", "acceleration"]
@@ -147,8 +146,8 @@ class BestFound:
         self._target = axes.reference - np.reshape(offset, (-1, 1))
         self._plan = np.repeat(axes.column("command")[:, None], settings.horizon, axis=1)
         self._generator = np.random.default_rng(settings.seed)
-        self._drift: Array | None = None
-        self._expected: Array | None = None
+        self._drift: Floats | None = None
+        self._expected: Floats | None = None
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
@@ -183,7 +182,7 @@ class BestFound:
         if self._prediction is not None:
             self._prediction.close()
 
-    def _candidates(self, now: Array, before: Array, plan: Array, target: Array, step: int) -> Array:
+    def _candidates(self, now: Floats, before: Floats, plan: Floats, target: Floats, step: int) -> Floats:
         """Candidate sequences of commands, (N, M, H); the first is the present plan."""
         settings = self.settings
         assert self._prediction is not None
@@ -199,7 +198,7 @@ class BestFound:
         random = np.clip(plan[:, None, :] + changes, -1.0, 1.0)
         return np.concatenate([np.stack(tried, axis=1), random], axis=1)
 
-    def _correct(self, now: Array) -> None:
+    def _correct(self, now: Floats) -> None:
         """Update the model error of the nominal plant per period; it acts like the integral of other controllers."""
         if self._expected is None:
             self._drift = np.zeros_like(now)

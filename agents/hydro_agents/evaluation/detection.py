@@ -19,6 +19,7 @@ from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import DETECTION, EVALUATION
 from hydro_agents.running.statistics import share_interval
 from hydro_env import LEAKAGE_CLASSES, TaskConfig
+from hydro_env.types import Floats
 
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from hydro_agents.evaluation.evaluate import StudyProtocol
     from hydro_agents.evaluation.participants import Participants
 
-Floats = NDArray[np.float64]
 
 FALSE_ALARM_RATE = 0.01
 RANGE_EDGES = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)

@@ -19,13 +19,14 @@ from hydro_agents.evaluation.leak_price import full_force, full_speed, working_p
 from hydro_agents.evaluation.limit_cycles import limit_cycles
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.evaluation.sweeps import Array, Experiment, Run, sine_fit
+from hydro_agents.evaluation.sweeps import Experiment, Run, sine_fit
 from hydro_agents.running.cases import Rollout
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import reachable_range
 from hydro_env.task.configuration import task_config
+from hydro_env.types import Floats
 
 # Frequency response ---------------------------------------------------------------------------------------------------
 
@@ -69,7 +70,7 @@ def sine_references(
             yield Run((task,), partial(_response, preview, frequency, size, first), hidden_preview=not preview)
 
 
-def _samples(frequency: float, period: float) -> tuple[Array, int]:
+def _samples(frequency: float, period: float) -> tuple[Floats, int]:
     """Times of all samples in s, and the first sample of the fit; the fit covers whole cycles."""
     settling = max(SETTLING, 2.0 / frequency)
     cycles = max(int(np.ceil(WATCHED * frequency)), 3)
@@ -121,7 +122,7 @@ def bandwidths(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def crossing(frequency: Array, values: NDArray[np.floating], level: float) -> float:
+def crossing(frequency: Floats, values: NDArray[np.floating], level: float) -> float:
     """First frequency at which values fall below a level, interpolated over log f; infinity if they never do."""
     below = np.flatnonzero(np.asarray(values) < level)
     if len(below) == 0:

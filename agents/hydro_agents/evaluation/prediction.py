@@ -29,9 +29,8 @@ from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.fault_effects import FAULT_COLUMNS
 from hydro_env.task.schedules import LEAK_COLUMNS, follow_schedules
 from hydro_env.task.settings import settings_of
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-
-Array = NDArray[np.float64]
 
 SCHEDULED = (
     *LEAK_COLUMNS,
@@ -60,7 +59,7 @@ class Prediction:
     """
 
     def __init__(
-        self, config: TaskConfig, coefficients: Array, latency: Array, schedule: Array, threads: int | None = None
+        self, config: TaskConfig, coefficients: Floats, latency: Floats, schedule: Floats, threads: int | None = None
     ) -> None:
         self.count = len(coefficients)
         self._failure = config.failure
@@ -72,7 +71,9 @@ class Prediction:
         self._threads = threads if threads is not None else (os.cpu_count() or 1)
         self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="bound") if self._threads > 1 else None
 
-    def positions(self, state: Array, before: Array, commands: Array, step: int, drift: Array | None = None) -> Array:
+    def positions(
+        self, state: Floats, before: Floats, commands: Floats, step: int, drift: Floats | None = None
+    ) -> Floats:
         """Positions (N, M, H), m, at the end of each period; infinite from a failure on.
 
         Args:
@@ -105,8 +106,8 @@ class Prediction:
         return positions
 
     def sensitivities(
-        self, state: Array, before: Array, commands: Array, step: int, drift: Array | None = None
-    ) -> tuple[Array, Array]:
+        self, state: Floats, before: Floats, commands: Floats, step: int, drift: Floats | None = None
+    ) -> tuple[Floats, Floats]:
         """Positions (N, H) of one sequence of commands (N, H), and their change per change of each command (N, H, H).
 
         Entry [n, i, j] is the change of the position at the end of period i, m per 1 of command j. The differences are
@@ -136,12 +137,12 @@ class Prediction:
         differences = (positions[:, 1:] - positions[:, :1]) / changes.T
         return np.ascontiguousarray(positions[:, 0].T), np.ascontiguousarray(differences.transpose(2, 0, 1))
 
-    def next_state(self, state: Array, before: Array, command: Array, step: int) -> Array:
+    def next_state(self, state: Floats, before: Floats, command: Floats, step: int) -> Floats:
         """State (N, states) after one period with one command (N,) for each axis."""
         states = state[None].copy()
         voltage = FULL_VOLTAGE * np.stack([before, command], axis=1)[None]
         self._advance(states, voltage, np.zeros((1, self.count, N_PEAKS)), step)
-        after: Array = states[0]
+        after: Floats = states[0]
         return after
 
     def close(self) -> None:
@@ -150,7 +151,7 @@ class Prediction:
             self._pool.shutdown()
             self._pool = None
 
-    def _advance(self, states: Array, voltage: Array, peaks: Array, step: int) -> None:
+    def _advance(self, states: Floats, voltage: Floats, peaks: Floats, step: int) -> None:
         """Advance copies of the plants, (copies, N, …) each, by one control period, in place."""
         copies = len(states)
         rows = copies * self.count
@@ -171,20 +172,20 @@ class Prediction:
             work.result()
 
 
-def true_schedule(config: TaskConfig, axes: Axes, periods: int) -> Array:
+def true_schedule(config: TaskConfig, axes: Axes, periods: int) -> Floats:
     """The coefficients :data:`SCHEDULED` of the true plants in each control period, (periods, N, S)."""
     schedule = np.empty((periods, axes.count, len(SCHEDULED)))
     _follow(settings_of(config), axes.record.copy(), axes.coefficient.copy(), np.array(SCHEDULED), schedule)
     return schedule
 
 
-def nominal_plants(config: TaskConfig, count: int) -> Array:
+def nominal_plants(config: TaskConfig, count: int) -> Floats:
     """The coefficients of the task's nominal plant, once for each axis, (N, coefficients)."""
     return np.tile(coefficient_array(config.plant), (count, 1))
 
 
 def _build(sources: int) -> Any:
-    def follow(task: Any, record: Any, coefficient: Array, columns: Sequence[int], schedule: Array) -> None:
+    def follow(task: Any, record: Any, coefficient: Floats, columns: Sequence[int], schedule: Floats) -> None:
         assert sources >= 0  # keys numba's cache
         settings = task[0]
         for axis in range(record.shape[0]):
@@ -205,8 +206,8 @@ NEWTON_STEPS = 6  # steps of the projected Newton method; each decides which com
 
 
 def bounded_least_squares(
-    jacobian: Array, error: Array, weight: Array, commands: Array, before: Array, effort: float
-) -> Array:
+    jacobian: Floats, error: Floats, weight: Floats, commands: Floats, before: Floats, effort: float
+) -> Floats:
     """Commands that minimise Σ weight · (error − jacobian · change)² + effort · Σ (change of command)² within ±1.
 
     The projected Newton method (Bertsekas 1982): commands at a limit whose gradient points outwards stay there; the
@@ -243,21 +244,21 @@ def bounded_least_squares(
     return best
 
 
-def random_changes(generator: np.random.Generator, count: int, horizon: int, sizes: Any) -> Array:
+def random_changes(generator: np.random.Generator, count: int, horizon: int, sizes: Any) -> Floats:
     """Changes of a sequence of commands, (count, horizon): each constant on a random stretch, of random size."""
     first = generator.integers(0, horizon, count)
     last = first + 1 + generator.integers(0, horizon, count)
     period = np.arange(horizon)
     inside = (period >= first[:, None]) & (period < last[:, None])
     size = np.resize(np.asarray(sizes, dtype=np.float64), count) * generator.uniform(-1.0, 1.0, count)
-    changes: Array = inside * size[:, None]
+    changes: Floats = inside * size[:, None]
     return changes
 
 
 BENDING = 5  # periods for which the reference beyond the preview keeps its acceleration; then it keeps its speed
 
 
-def continued(reference: Array, step: int, known: int, horizon: int, order: int) -> Array:
+def continued(reference: Floats, step: int, known: int, horizon: int, order: int) -> Floats:
     """The reference at the next ``horizon`` samples (N, H), as known at a step and extrapolated beyond the preview.
 
     Args:
@@ -271,7 +272,7 @@ def continued(reference: Array, step: int, known: int, horizon: int, order: int)
     samples = reference.shape[1] - 1
     times = step + 1 + np.arange(horizon)
     end = step + known
-    ahead: Array = reference[:, np.minimum(np.minimum(times, end), samples)]
+    ahead: Floats = reference[:, np.minimum(np.minimum(times, end), samples)]
     if order == 0 or step + horizon <= end:
         return ahead
     last = np.clip(end - np.arange(4), 0, samples)
@@ -286,12 +287,12 @@ def continued(reference: Array, step: int, known: int, horizon: int, order: int)
     return ahead
 
 
-def _agreed(a: Array, b: Array) -> Array:
+def _agreed(a: Floats, b: Floats) -> Floats:
     """The smaller of two numbers of the same sign, else 0."""
     return np.where(a * b > 0.0, np.where(np.abs(a) < np.abs(b), a, b), 0.0)
 
 
-def _bent(beyond: NDArray[np.int64]) -> Array:
+def _bent(beyond: NDArray[np.int64]) -> Floats:
     """Displacement after ``beyond`` periods of a unit of acceleration that lasts BENDING periods."""
     acting = np.minimum(beyond, BENDING)
     return np.asarray(0.5 * acting * (acting + 1) + BENDING * (beyond - acting), dtype=np.float64)

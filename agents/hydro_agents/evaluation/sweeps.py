@@ -9,13 +9,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, Floats
+from hydro_agents.controllers.base import Controller, Observation
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_env import TaskConfig
 from hydro_env.task.signals import observation_layout
-
-Array = NDArray[np.float64]
+from hydro_env.types import Floats
 
 LEAKS = (0.01, 1.0, 4.0)  # l/min at 100 bar: a tight seal, the bound between moderate and severe, a severe leak
 
@@ -75,7 +74,7 @@ class Experiment(NamedTuple):
         return table if self.finish is None else self.finish(table)
 
 
-def sine_fit(values: Floats, time: Array, frequency: float) -> tuple[NDArray[np.complex128], Array]:
+def sine_fit(values: Observation, time: Floats, frequency: float) -> tuple[NDArray[np.complex128], Floats]:
     """Least-squares fit of offset + drift · t + Re(amplitude · exp(j 2π f t)) to rows of samples.
 
     Args:
@@ -90,7 +89,7 @@ def sine_fit(values: Floats, time: Array, frequency: float) -> tuple[NDArray[np.
     basis = np.stack([np.cos(angle), np.sin(angle), np.ones_like(time), time - time.mean()], axis=1)
     rows = np.asarray(values, dtype=np.float64)
     fit, *_ = np.linalg.lstsq(basis, rows.T, rcond=None)
-    rest: Array = np.sqrt(np.mean((rows - (basis @ fit).T) ** 2, axis=1))
+    rest: Floats = np.sqrt(np.mean((rows - (basis @ fit).T) ** 2, axis=1))
     return fit[0] - 1j * fit[1], rest
 
 
@@ -103,7 +102,7 @@ class HiddenPreview:
         self.columns = [column for column, name in enumerate(names) if name.startswith("reference_preview_")]
 
     def predict(
-        self, observation: Floats, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self, observation: Observation, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:
         """Commands of the controller; see :class:`~hydro_agents.controllers.base.Controller`."""
         shown = np.array(observation)

@@ -12,17 +12,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, Floats
+from hydro_agents.controllers.base import Controller, Observation
 from hydro_agents.evaluation.conditions import Cell, columns_of
 from hydro_agents.evaluation.leak_price import full_speed
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.evaluation.sweeps import Array, Experiment, Run
+from hydro_agents.evaluation.sweeps import Experiment, Run
 from hydro_agents.running.cases import Rollout
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.tasks import own_reference, steady
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
+from hydro_env.types import Floats
 
 # A move after a pause -------------------------------------------------------------------------------------------------
 
@@ -64,7 +65,7 @@ def _after_pause(pause: float, rollout: Rollout) -> dict[str, Any]:
     }
 
 
-def _error_um(rollout: Rollout) -> Array:
+def _error_um(rollout: Rollout) -> Floats:
     """Size of the error in the frame of the position sensor, (N, T), µm."""
     reading = rollout.position.astype(np.float64) + rollout.position_bias[:, None]
     return 1e6 * np.abs(rollout.reference - reading)
@@ -89,7 +90,7 @@ class TakesOver:
         self.first, self.second, self.periods = first, second, periods
 
     def predict(
-        self, observation: Floats, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self, observation: Observation, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], _Memory]:
         """Commands; see :class:`~hydro_agents.controllers.base.Controller`."""
         started = np.ones(len(observation), np.bool_) if state is None else np.asarray(episode_start, np.bool_)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import ClassicalController, Floats, ObservationLayout, rows
+from hydro_agents.controllers.base import ClassicalController, Observation, ObservationLayout, rows
 from hydro_agents.controllers.flow_linearising import pace
 from hydro_agents.controllers.preview import Preview
 from hydro_agents.controllers.registry import kind_of
@@ -181,7 +181,7 @@ class PolicyFeatures:
         self.size = len(layout.names) + own + rebuilt + len(self.history) * len(self.lags)
 
     def __call__(
-        self, observation: Floats, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
+        self, observation: Observation, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
     ) -> tuple[NDArray[np.float32], FeatureState]:
         """Inputs (N, size) for a batch of observations (N, n), and the new memory.
 
@@ -234,7 +234,7 @@ class PolicyFeatures:
         plain = self._with(None)
         generator = np.random.default_rng(0)
 
-        def act(observation: Floats, memory: Any, step: int) -> tuple[NDArray[Any], NDArray[Any], Any]:
+        def act(observation: Observation, memory: Any, step: int) -> tuple[NDArray[Any], NDArray[Any], Any]:
             started = np.full(len(observation), step == 0)
             inputs, memory = plain(observation, memory, started)
             spread = 0.0 if self.base is not None else 0.2
@@ -251,7 +251,7 @@ class PolicyFeatures:
         """The slow average of the correction after a period with ``correction``, (N, 1)."""
         return state.lasting + self._blend * (correction - state.lasting)
 
-    def command(self, output: Floats, state: FeatureState) -> NDArray[np.float32]:
+    def command(self, output: Observation, state: FeatureState) -> NDArray[np.float32]:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""
         bounded = np.clip(output.astype(np.float32, copy=False), -1.0, 1.0)
         if self.base is None:

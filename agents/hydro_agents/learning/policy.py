@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from hydro_agents.controllers.base import Floats, as_batch
+from hydro_agents.controllers.base import Observation, as_batch
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.learning.features import FEATURE_LIMIT, FeatureState, Normalisation, PolicyFeatures
 from hydro_agents.learning.lstm import LSTM
@@ -109,7 +109,7 @@ class PolicyController:
 
     def predict(
         self,
-        observation: Floats,
+        observation: Observation,
         state: FeatureState | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,

@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.sensors import CHANNELS
-
-Floats = NDArray[np.float64]
+from hydro_env.types import Floats
 
 LEAK_LEVELS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
 """l/min at 100 bar; every candidate runs with each leak in each family."""

@@ -21,7 +21,6 @@ from typing import Any, Literal
 import numpy as np
 from cmaes import CMA
 from joblib import effective_n_jobs
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
@@ -31,8 +30,8 @@ from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_text, validate, write_text
 from hydro_env.mistakes import unknown
 from hydro_env.task.configuration import task_config
+from hydro_env.types import Floats
 
-Floats = NDArray[np.float64]
 Objective = Literal["mean", "equal"]
 
 POPULATION = 14  # number of candidates per generation

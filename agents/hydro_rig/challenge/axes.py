@@ -27,10 +27,9 @@ from hydro_env.axes import Axes
 from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import SIGNED_KINDS, faults_of
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.recordings.columns import MEASURED, factor
 from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
-
-Floats = NDArray[np.float64]
 
 VERSION = 1
 """Of the recordings: whatever changes one of them is a new version."""

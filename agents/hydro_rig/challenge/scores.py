@@ -21,11 +21,10 @@ from hydro_agents.running.statistics import Interval, interval, plant_weights, s
 from hydro_agents.running.text import markdown, number
 from hydro_env import ConfigurationError
 from hydro_env.files import read_json
+from hydro_env.types import Floats
 from hydro_rig.challenge.axes import SPLITS
 from hydro_rig.challenge.files import MANIFEST, digest_of_labels, read_labels, read_table
 from hydro_rig.monitoring.alarm_calibration import poisson_interval
-
-Floats = NDArray[np.float64]
 
 BUDGETS = (1.0, 2.0, 5.0, 10.0, 20.0)
 """False alarms per hour of the ranked figure."""

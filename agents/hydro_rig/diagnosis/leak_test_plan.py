@@ -26,6 +26,7 @@ from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.diagnosis.leak_test_steps import (
     AROUND,
     FORMS,
@@ -43,7 +44,6 @@ from hydro_rig.estimation.replay import Commands, replay
 from hydro_rig.estimation.unknowns import Prior, priors_of
 from hydro_rig.identification.fit import unknowns_of
 
-Floats = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 WEAR = {

@@ -19,6 +19,7 @@ from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import PARAMETER_PATHS, from_vector, to_vector
 from hydro_env.plant.parts.valve import edge_openings, smooth_root
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis.leak_test_plan import Progress, priors_of_test, worn_task
 from hydro_rig.diagnosis.verdict import Leak, Limits, Verdict, judge
@@ -33,8 +34,6 @@ from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import Sampled, bridged, cut
-
-Floats = NDArray[np.float64]
 
 WINDOW = 4.0  # s; the windows share all unknowns but their start
 MOST_WINDOWS = 30  # a longer recording is read from the first change of the command on

@@ -6,12 +6,10 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import PlantParameters
 from hydro_env.plant.analysis import speed_limits
-
-Floats = NDArray[np.float64]
+from hydro_env.types import Floats
 
 MOVE = 0.5  # s, of each part of a short move
 RAMP = 2.0  # full strokes per second with which the opening changes: a sudden change makes the axis swing

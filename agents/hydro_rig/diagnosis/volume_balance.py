@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from hydro_env.types import Floats
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
-
-Floats = NDArray[np.float64]
 
 BLOCK = 0.5  # s, over which flow, speed and pressures are averaged
 QUARTERS = 4  # of a block, whose speeds show whether it is steady

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from hydro_env.compiling import SOURCES, compiled
+from hydro_env.types import Floats
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MEMORIES = np.array([2.0, 6.0, 20.0, 60.0, 200.0])  # samples; candidates of the slow error's correlation time
@@ -35,9 +35,9 @@ _NEIGHBOURS = 5
 class Errors(NamedTuple):
     """Errors of the channels of B windows, over the noise of the data sheet; each (B, channels)."""
 
-    white: Array  # standard deviation of the white noise
-    slow: Array  # standard deviation of the slow error; 0: none
-    memory: Array  # its correlation time, samples
+    white: Floats  # standard deviation of the white noise
+    slow: Floats  # standard deviation of the slow error; 0: none
+    memory: Floats  # its correlation time, samples
 
     @classmethod
     def of_data_sheet(cls, windows: int, channels: int) -> Errors:
@@ -49,7 +49,7 @@ class Errors(NamedTuple):
         return Errors(*(values[chosen] for values in self))
 
 
-def errors_of(residual: Array, known: Mask) -> tuple[Errors, Array]:
+def errors_of(residual: Floats, known: Mask) -> tuple[Errors, Floats]:
     """The most likely errors of residuals (B, channels, T), and twice their negative log-likelihood, (B,).
 
     Args:
@@ -70,7 +70,7 @@ def errors_of(residual: Array, known: Mask) -> tuple[Errors, Array]:
     return errors, likelihood
 
 
-def whitened(values: Array, known: Mask, errors: Errors) -> Array:
+def whitened(values: Floats, known: Mask, errors: Errors) -> Floats:
     """Independent values of unit variance, (B, …, channels, T), from values with these errors; 0 if not ``known``.
 
     The filter is linear: it serves residuals and derivatives alike.
@@ -82,7 +82,7 @@ def whitened(values: Array, known: Mask, errors: Errors) -> Array:
     return result.reshape(shape)
 
 
-def spikes_of(residual: Array, known: Mask) -> Mask:
+def spikes_of(residual: Floats, known: Mask) -> Mask:
     """Single readings that stand out from their neighbours, (B, channels, T)."""
     filled = np.where(known, residual, 0.0)
     away = np.abs(filled - median_filter(filled, size=(1, 1, _NEIGHBOURS), mode="nearest"))
@@ -95,7 +95,9 @@ def spikes_of(residual: Array, known: Mask) -> Mask:
 
 
 def _build(sources: int) -> tuple[Any, Any]:
-    def most_likely(residual: Array, known: Mask, memories: Array, ratios: Array) -> tuple[float, float, float, float]:
+    def most_likely(
+        residual: Floats, known: Mask, memories: Floats, ratios: Floats
+    ) -> tuple[float, float, float, float]:
         assert sources >= 0  # keys numba's cache
         best = (1.0, 0.0, 1.0, np.inf)
         for ratio in ratios:
@@ -121,7 +123,7 @@ def _build(sources: int) -> tuple[Any, Any]:
                     break
         return best
 
-    def whiten(values: Array, known: Mask, white: Array, slow: Array, memory: Array, result: Array) -> None:
+    def whiten(values: Floats, known: Mask, white: Floats, slow: Floats, memory: Floats, result: Floats) -> None:
         assert sources >= 0
         for window in range(values.shape[0]):
             for channel in range(values.shape[2]):

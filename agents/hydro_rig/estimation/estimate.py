@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.estimation.first_guess import first_values
 from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.result import Estimate, join
@@ -17,24 +17,22 @@ from hydro_rig.estimation.search import EstimationSettings, search
 from hydro_rig.estimation.solver import prior_belief
 from hydro_rig.estimation.unknowns import Prior, priors_of
 
-Array = NDArray[np.float64]
-
 SAMPLES_PER_BATCH = 25_600  # largest number of samples, over all windows, in one fit; more would only need more memory
 
 
 def estimate(
-    signals: Array,
+    signals: Floats,
     config: TaskConfig,
     unknowns: Sequence[str] | None = None,
     *,
     priors: Mapping[str, Prior] | None = None,
-    durations: Array | None = None,
-    physical: Array | None = None,
-    first: Mapping[str, Array | float] | None = None,
+    durations: Floats | None = None,
+    physical: Floats | None = None,
+    first: Mapping[str, Floats | float] | None = None,
     settings: EstimationSettings | None = None,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
-    boundary: Array | None = None,
+    boundary: Floats | None = None,
 ) -> Estimate:
     """Estimate the unknowns of measured windows: maximum a posteriori, with the simulator as model.
 
@@ -96,7 +94,7 @@ def estimate(
     return join(parts)
 
 
-def checked_signals(signals: Any) -> Array:
+def checked_signals(signals: Any) -> Floats:
     """Signals as (B, 5, T).
 
     Raises:
@@ -120,7 +118,7 @@ def checked_signals(signals: Any) -> Array:
     return windows
 
 
-def usable_readings(signals: Array, config: TaskConfig, model: Model) -> Array:
+def usable_readings(signals: Floats, config: TaskConfig, model: Model) -> Floats:
     """Readings over their noise (B, channels, T); NaN if a reading is missing or useless.
 
     Useless are readings within three standard deviations of the noise from an end of the sensor's range, where they

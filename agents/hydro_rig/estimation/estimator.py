@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows
+from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Reading, Windows
 from hydro_agents.running.text import number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
+from hydro_env.types import Floats
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.result import Estimate

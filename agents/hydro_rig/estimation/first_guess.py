@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.estimation.unknowns import STARTS, Prior
-
-Array = NDArray[np.float64]
 
 _FIRST_SAMPLES = 6  # number of samples for the straight line that gives each start value
 
 
-def first_values(signals: Array, durations: Array, config: TaskConfig, priors: Mapping[str, Prior]) -> Array:
+def first_values(signals: Floats, durations: Floats, config: TaskConfig, priors: Mapping[str, Prior]) -> Floats:
     """First values (B, P) of the unknowns of B windows; the prior's mean where the signals give no information.
 
     Args:
@@ -48,7 +46,7 @@ def first_values(signals: Array, durations: Array, config: TaskConfig, priors: M
     return first
 
 
-def _near(values: Array, prior: Prior) -> Array:
+def _near(values: Floats, prior: Prior) -> Floats:
     """Values limited to three standard deviations from the mean of the prior."""
     if prior.logarithmic:
         factor = np.exp(3.0 * prior.deviation)
@@ -56,7 +54,7 @@ def _near(values: Array, prior: Prior) -> Array:
     return np.clip(values, prior.mean - 3.0 * prior.deviation, prior.mean + 3.0 * prior.deviation)
 
 
-def _starts(signals: Array, durations: Array) -> tuple[Array, Array]:
+def _starts(signals: Floats, durations: Floats) -> tuple[Floats, Floats]:
     """Value and slope of each channel at the first sample, (B, channels) each, from a line through a few samples."""
     time = np.concatenate([np.zeros((len(signals), 1)), np.cumsum(durations, axis=1)], axis=1)[:, None, :_FIRST_SAMPLES]
     near = signals[:, :, :_FIRST_SAMPLES]
@@ -71,7 +69,7 @@ def _starts(signals: Array, durations: Array) -> tuple[Array, Array]:
         return np.where(total >= 2, mean - slope * middle, mean), slope
 
 
-def supply_pressure(signals: Array, config: TaskConfig) -> Array:
+def supply_pressure(signals: Floats, config: TaskConfig) -> Floats:
     """Supply pressure (B,), Pa: with equal edges and without flow through the valve, it equals p_a + p_b − p_T."""
     sums = signals[:, SENSORS.index("pressure_a")] + signals[:, SENSORS.index("pressure_b")]
     opening = np.abs(signals[:, SENSORS.index("spool_position")])
@@ -84,7 +82,9 @@ def supply_pressure(signals: Array, config: TaskConfig) -> Array:
     return result - config.plant.supply.tank_pressure
 
 
-def _spring_and_force(signals: Array, durations: Array, config: TaskConfig, with_force: bool) -> tuple[Array, Array]:
+def _spring_and_force(
+    signals: Floats, durations: Floats, config: TaskConfig, with_force: bool
+) -> tuple[Floats, Floats]:
     """Spring stiffness (N/m) and external force (N), (B,) each, by least squares on the balance of forces.
 
     p_a A_a − p_b A_b = k x + F + (friction with the sign of the speed) + c v + m dv/dt.

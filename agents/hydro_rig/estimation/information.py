@@ -17,12 +17,12 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.mistakes import one_of
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import usable_readings
 from hydro_rig.estimation.known_windows import KnownWindows
 from hydro_rig.estimation.model import Model
@@ -36,8 +36,6 @@ from hydro_rig.estimation.unknowns import (
     prior_of,
     priors_of,
 )
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-8  # tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %
 
@@ -73,8 +71,8 @@ class Information(NamedTuple):
 
     names: tuple[str, ...]  # of the unknowns
     lengths: tuple[float, ...]  # s, rising
-    matrix: Array  # (B, lengths, channels, P, P), of the readings from the start to that length
-    unit: Array  # (B, P), change of each unknown, in its unit, per scaled one
+    matrix: Floats  # (B, lengths, channels, P, P), of the readings from the start to that length
+    unit: Floats  # (B, P), change of each unknown, in its unit, per scaled one
 
 
 def information(
@@ -118,7 +116,7 @@ def information(
 
 def true_model(
     config: TaskConfig, windows: KnownWindows, priors: Mapping[str, Prior], threads: int | None = None
-) -> tuple[Model, Array]:
+) -> tuple[Model, Floats]:
     """The model of known windows with a strict integrator, and the true scaled unknowns (B, P)."""
     strict = task_config(config, tolerance=min(config.tolerance, TOLERANCE))
     physical, start = windows.physical, windows.start
@@ -126,7 +124,7 @@ def true_model(
     return model, model.scaled(np.stack([windows.value(name) for name in priors], axis=1))
 
 
-def jacobian_at(model: Model, scaled: Array) -> Array:
+def jacobian_at(model: Model, scaled: Floats) -> Floats:
     """Derivatives of the readings over their noise, (B, P, channels, T), by central differences.
 
     A first, coarse derivative gives the steps: each changes the readings by about :data:`RESPONSE`.
@@ -143,7 +141,7 @@ def covariance(
     unknowns: Sequence[str] | None = None,
     sensors: Sequence[str] = SENSORS,
     widths: Mapping[str, float] | None = None,
-) -> Array:
+) -> Floats:
     """Smallest covariance of some unknowns, (B, lengths, p, p), each in its unit; the others are known exactly.
 
     Args:
@@ -169,7 +167,7 @@ def covariance(
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", matrix), 1e-300))
     inverse = np.linalg.inv(matrix * scale[..., :, None] * scale[..., None, :])
     unit = known.unit[:, None, place] * scale
-    result: Array = inverse * unit[..., :, None] * unit[..., None, :]
+    result: Floats = inverse * unit[..., :, None] * unit[..., None, :]
     return result
 
 
@@ -179,12 +177,12 @@ def sigma(
     unknowns: Sequence[str] | None = None,
     sensors: Sequence[str] = SENSORS,
     widths: Mapping[str, float] | None = None,
-) -> Array:
+) -> Floats:
     """The bound of one unknown: its smallest standard deviation, (B, lengths), in its unit; see :func:`covariance`."""
     names = known.names if unknowns is None else tuple(unknowns)
     spread = covariance(known, names, sensors, widths)
     place = names.index(name)
-    result: Array = np.sqrt(spread[..., place, place])
+    result: Floats = np.sqrt(spread[..., place, place])
     return result
 
 
@@ -199,7 +197,7 @@ class Ratio(NamedTuple):
     median_ratio: float  # median of the absolute errors over the median for an estimate at the bound
 
 
-def ratios_to_bound(level: Array, estimate: Array, bound: Array) -> list[Ratio]:
+def ratios_to_bound(level: Floats, estimate: Floats, bound: Floats) -> list[Ratio]:
     """Errors of any detector relative to the bound, by level of the leak; 1 is the physical limit.
 
     The ratio of root mean squares includes outliers; the ratio of medians is robust against them.

@@ -20,6 +20,7 @@ from hydro_env.plant.parts.leakage import ROD_SEAL
 from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS
 from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
+from hydro_env.types import Floats
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -30,8 +31,6 @@ from hydro_rig.estimation.unknowns import (
     STARTS,
 )
 
-Array = NDArray[np.float64]
-
 SLOWER = 16.0  # factor of the slow motion
 
 
@@ -39,13 +38,13 @@ SLOWER = 16.0  # factor of the slow motion
 class KnownWindows:
     """B windows of T samples."""
 
-    signals: Array  # (B, 5, T), SI: the measured signals (NaN without sensor) and the command that acts at each sample
-    leakage_flow_lpm: Array  # (B,), l/min at 100 bar
-    physical: Array  # (B, parameters), the true plants with their faults, in the order of PARAMETER_PATHS
-    start: Array  # (B, N_STATES), true state at the first sample
-    latency: Array  # (B,), s
-    gain: Array  # (B, channels), reading over true value; 1 for a sound sensor
-    bias: Array  # (B, channels), SI; a fault's offset included
+    signals: Floats  # (B, 5, T), SI: the measured signals (NaN without sensor) and the command that acts at each sample
+    leakage_flow_lpm: Floats  # (B,), l/min at 100 bar
+    physical: Floats  # (B, parameters), the true plants with their faults, in the order of PARAMETER_PATHS
+    start: Floats  # (B, N_STATES), true state at the first sample
+    latency: Floats  # (B,), s
+    gain: Floats  # (B, channels), reading over true value; 1 for a sound sensor
+    bias: Floats  # (B, channels), SI; a fault's offset included
     case: NDArray[np.int64]  # (B,), index of the case; failed cases are left out
 
     @property
@@ -57,12 +56,12 @@ class KnownWindows:
         """The windows from ``first`` to before ``last``."""
         return KnownWindows(**{name: values[first:last] for name, values in vars(self).items()})
 
-    def value(self, name: str) -> Array:
+    def value(self, name: str) -> Floats:
         """True values (B,) of an unknown of :mod:`hydro_rig.estimation.unknowns`, in its unit."""
         if name == LEAKAGE:
             return self.leakage_flow_lpm
         if name == EXTERNAL_LEAKAGE:
-            flow: Array = ROD_SEAL.flow(self.physical[:, PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)])
+            flow: Floats = ROD_SEAL.flow(self.physical[:, PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)])
             return flow
         if name == LATENCY:
             return self.latency
@@ -118,8 +117,8 @@ class _Watcher:
 
     def __init__(self, controller: Controller, first: int, samples: int) -> None:
         self.controller, self.first, self.last = controller, first, first + samples
-        self.columns: list[Array] = []
-        self.truth: dict[str, Array] = {}
+        self.columns: list[Floats] = []
+        self.truth: dict[str, Floats] = {}
         self._step = 0
 
     def begin(self, axes: Axes) -> None:
@@ -144,14 +143,14 @@ class _Watcher:
         return self.controller.predict(observation, state, episode_start, deterministic)
 
 
-def _physical(axes: Axes, axis: int) -> Array:
+def _physical(axes: Axes, axis: int) -> Floats:
     """Present parameters of an axis; its external force includes the constant part that the task adds."""
     vector = to_vector(axes.parameters(axis))
     vector[PARAMETER_PATHS.index("load.external_force")] = axes.external_force(axis)
     return vector
 
 
-def _sensors(axes: Axes) -> dict[str, Array]:
+def _sensors(axes: Axes) -> dict[str, Floats]:
     """Gain and bias of the sensors of all axes now, (N, sensors) each, faults included."""
     faults = axes.column("fault")
     gain, offset = (faults[:, [FAULTS.index(f"{name}_{what}") for name in SENSORS]] for what in ("gain", "offset"))

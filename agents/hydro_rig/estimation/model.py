@@ -13,6 +13,7 @@ from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.estimation.replay import RISE, Commands, replay, time_constant
 from hydro_rig.estimation.unknowns import (
     BIASES,
@@ -28,7 +29,6 @@ from hydro_rig.estimation.unknowns import (
     Prior,
 )
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 LONG_STEP, SHORT_STEP = 2.0, 0.05
@@ -55,13 +55,13 @@ _EXTERNAL = PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)
 class Linearised(NamedTuple):
     """Readings of B windows and their derivatives, both over the noise of each channel."""
 
-    readings: Array  # (B, channels, T)
-    jacobian: Array  # (B, P, channels, T), per standard deviation of each unknown's prior
-    last_state: Array  # (B, N_STATES), at the last sample
-    last_jacobian: Array  # (B, P, N_STATES), per standard deviation of each unknown's prior
+    readings: Floats  # (B, channels, T)
+    jacobian: Floats  # (B, P, channels, T), per standard deviation of each unknown's prior
+    last_state: Floats  # (B, N_STATES), at the last sample
+    last_jacobian: Floats  # (B, P, N_STATES), per standard deviation of each unknown's prior
 
 
-def noise_of(config: TaskConfig) -> Array:
+def noise_of(config: TaskConfig) -> Floats:
     """Standard deviation of each channel's white noise, (channels,): noise and steps of the acquisition.
 
     For exact sensors it is a millionth of their range, about the integrator's error.
@@ -98,12 +98,12 @@ class Model:
         self,
         config: TaskConfig,
         priors: Mapping[str, Prior],
-        commands: Array,
-        durations: Array | None = None,
-        physical: Array | None = None,
-        start: Array | None = None,
+        commands: Floats,
+        durations: Floats | None = None,
+        physical: Floats | None = None,
+        start: Floats | None = None,
         threads: int | None = None,
-        boundary: Array | None = None,
+        boundary: Floats | None = None,
     ) -> None:
         self.config, self.names, self.threads = config, tuple(priors), threads
         self.noise = noise_of(config)
@@ -161,26 +161,26 @@ class Model:
             None if self.commands.boundary is None else self.commands.boundary[window],
         )
 
-    def values(self, scaled: Array) -> Array:
+    def values(self, scaled: Floats) -> Floats:
         """Scaled values to values in their units, both (…, P)."""
         with np.errstate(over="ignore"):
             logarithmic = self._mean * np.exp(np.where(self._logarithmic, self._deviation * scaled, 0.0))
-        values: Array = np.where(self._logarithmic, logarithmic, self._mean + self._deviation * scaled)
+        values: Floats = np.where(self._logarithmic, logarithmic, self._mean + self._deviation * scaled)
         return values
 
-    def scaled(self, values: Array) -> Array:
+    def scaled(self, values: Floats) -> Floats:
         """The inverse of :meth:`values`."""
         ratio = np.where(self._logarithmic, values / np.where(self._logarithmic, self._mean, 1.0), 1.0)
         linear = (values - self._mean) / self._deviation
-        scaled: Array = np.where(self._logarithmic, np.log(ratio) / self._deviation, linear)
+        scaled: Floats = np.where(self._logarithmic, np.log(ratio) / self._deviation, linear)
         return scaled
 
-    def derivative(self, scaled: Array) -> Array:
+    def derivative(self, scaled: Floats) -> Floats:
         """Change of each value per change of its scaled value, (…, P)."""
-        slope: Array = np.where(self._logarithmic, self.values(scaled), 1.0) * self._deviation
+        slope: Floats = np.where(self._logarithmic, self.values(scaled), 1.0) * self._deviation
         return slope
 
-    def readings(self, scaled: Array, window: Indices, samples: int | None = None) -> tuple[Array, Array]:
+    def readings(self, scaled: Floats, window: Indices, samples: int | None = None) -> tuple[Floats, Floats]:
         """Readings over their noise (R, channels, T) and last states (R, N_STATES) of R rows.
 
         Args:
@@ -193,7 +193,7 @@ class Model:
         lag = np.full(len(window), time_constant(self.config))
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         commands = self.commands.beginning(samples or self.samples)
-        course: Array | None = None
+        course: Floats | None = None
         for name, value in zip(self.names, self.values(scaled).T, strict=True):
             if name.startswith(COURSE):
                 time = np.pad(np.cumsum(commands.durations[window], axis=1), ((0, 0), (1, 0)))
@@ -226,9 +226,9 @@ class Model:
 
     def linearise(
         self,
-        scaled: Array,
+        scaled: Floats,
         window: Indices | None = None,
-        directions: Array | None = None,
+        directions: Floats | None = None,
         samples: int | None = None,
         central: bool = False,
     ) -> Linearised:
@@ -256,7 +256,7 @@ class Model:
         read, last = self.readings(rows.reshape(-1, unknowns), np.repeat(window, rows.shape[1]), samples)
         read, last = read.reshape(count, rows.shape[1], len(SENSORS), -1), last.reshape(count, -1, N_STATES)
 
-        def change(values: Array) -> Array:
+        def change(values: Floats) -> Floats:
             """Change by each step, (B, S, …); 0 without a derivative: one of the plants of the difference failed."""
             with np.errstate(invalid="ignore", over="ignore"):
                 if central:
@@ -276,7 +276,7 @@ class Model:
             jacobian[:, place, channel] = self._deviation[place] / self.noise[channel]
         return Linearised(read[:, 0], jacobian, last[:, 0], last_jacobian)
 
-    def directions(self, precision: Array, length: float) -> Array:
+    def directions(self, precision: Floats, length: float) -> Floats:
         """Steps (B, S, S), one per column, along the axes of the uncertainty with this precision (B, P, P).
 
         Each step is ``length`` standard deviations long. It changes the readings by about their noise: far more than
@@ -285,5 +285,5 @@ class Model:
         """
         own = precision[:, self.simulated[:, None], self.simulated]
         values, vectors = np.linalg.eigh(own)
-        steps: Array = vectors * (length / np.sqrt(np.clip(values, 1e-12, 1e12)))[:, None]  # beyond: rounding alone
+        steps: Floats = vectors * (length / np.sqrt(np.clip(values, 1e-12, 1e12)))[:, None]  # beyond: rounding alone
         return steps

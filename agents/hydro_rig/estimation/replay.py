@@ -20,9 +20,8 @@ from hydro_env.plant.states import State
 from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import lagged
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-
-Array = NDArray[np.float64]
 
 ROWS_PER_THREAD = 64  # smallest number of rows per thread; with fewer, starting the thread takes longer than its work
 
@@ -55,9 +54,9 @@ class Lag(NamedTuple):
 class Commands(NamedTuple):
     """The commands of B recorded windows of T samples; see docs/estimation.md for the format."""
 
-    command: Array  # (B, T), −1 to 1; column k acts until one latency after sample k
-    durations: Array  # (B, T − 1), s, from each sample to the next
-    boundary: Array | None = None  # (B, 2, T), recorded supply and tank pressure, Pa; NaN, None: those of the plant
+    command: Floats  # (B, T), −1 to 1; column k acts until one latency after sample k
+    durations: Floats  # (B, T − 1), s, from each sample to the next
+    boundary: Floats | None = None  # (B, 2, T), recorded supply and tank pressure, Pa; NaN, None: those of the plant
 
     def beginning(self, samples: int) -> Commands:
         """The first samples."""
@@ -75,13 +74,13 @@ def replay(
     config: TaskConfig,
     commands: Commands,
     window: NDArray[np.int64],
-    physical: Array,
-    start: Array,
-    latency: Array,
+    physical: Floats,
+    start: Floats,
+    latency: Floats,
     threads: int | None = None,
-    lag: Array | None = None,
-    course: Array | None = None,
-) -> tuple[Array, Array]:
+    lag: Floats | None = None,
+    course: Floats | None = None,
+) -> tuple[Floats, Floats]:
     """Readings of R plants, without noise and bias, and their states at the last sample.
 
     Args:
@@ -135,17 +134,17 @@ def replay(
 
 def _build(sources: int) -> Any:
     def run(
-        command: Array,
-        durations: Array,
-        boundary: Array,
+        command: Floats,
+        durations: Floats,
+        boundary: Floats,
         window: Any,
-        physical: Array,
-        latency: Array,
-        time_constants: Array,
-        course: Array,
+        physical: Floats,
+        latency: Floats,
+        time_constants: Floats,
+        course: Floats,
         accuracy: Any,
-        state: Array,
-        readings: Array,
+        state: Floats,
+        readings: Floats,
         first: int,
         last: int,
     ) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError
+from hydro_env.types import Floats
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 UNLIKELY = 4.0  # standard deviations of the prior beyond which a value contradicts it
@@ -31,42 +31,42 @@ class Estimate:
     """
 
     names: tuple[str, ...]
-    values: Array  # (B, P), most probable values
-    deviations: Array  # (B, P), standard deviations
-    covariance: Array  # (B, P, P)
-    remaining: Array  # (B, P), standard deviation over the prior's, both of the scaled unknown
-    chi2_per_sample: Array  # (B,), about 1 if readings and model differ only by noise
-    misfit: Array  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
+    values: Floats  # (B, P), most probable values
+    deviations: Floats  # (B, P), standard deviations
+    covariance: Floats  # (B, P, P)
+    remaining: Floats  # (B, P), standard deviation over the prior's, both of the scaled unknown
+    chi2_per_sample: Floats  # (B,), about 1 if readings and model differ only by noise
+    misfit: Floats  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
     holds: NDArray[np.bool_]  # (B,), whether the model explains the readings
     iterations: Indices  # (B,), of the last fit
     searches: Indices  # (B,), 1 if the first search gave the result
-    scaled: Array  # (B, P), the values in standard deviations of the prior from its mean
-    precision: Array  # (B, P, P), inverse covariance of the scaled unknowns
-    white: Array  # (B, channels), standard deviation of the white noise, over that of the data sheet
-    slow: Array  # (B, channels), the same of the slow error of the model and the sensors
-    memory: Array  # (B, channels), correlation time of the slow error, samples
-    spikes: Array  # (B, channels), share of the readings that are spikes, and were left out
-    latency: Array  # (B,), of the command, s
-    rise_time: Array  # (B,), of the pressure transducers, s
-    unlikelihood: Array  # (B,), twice the negative log-likelihood of the readings with their errors; chi2 without
+    scaled: Floats  # (B, P), the values in standard deviations of the prior from its mean
+    precision: Floats  # (B, P, P), inverse covariance of the scaled unknowns
+    white: Floats  # (B, channels), standard deviation of the white noise, over that of the data sheet
+    slow: Floats  # (B, channels), the same of the slow error of the model and the sensors
+    memory: Floats  # (B, channels), correlation time of the slow error, samples
+    spikes: Floats  # (B, channels), share of the readings that are spikes, and were left out
+    latency: Floats  # (B,), of the command, s
+    rise_time: Floats  # (B,), of the pressure transducers, s
+    unlikelihood: Floats  # (B,), twice the negative log-likelihood of the readings with their errors; chi2 without
 
     def __len__(self) -> int:
         return len(self.values)
 
-    def value(self, name: str) -> Array:
+    def value(self, name: str) -> Floats:
         """Values of one unknown, (B,)."""
         return self.values[:, self._place(name)]
 
-    def deviation(self, name: str) -> Array:
+    def deviation(self, name: str) -> Floats:
         """Standard deviations of one unknown, (B,)."""
         return self.deviations[:, self._place(name)]
 
-    def interval(self, name: str, coverage: float = 0.9) -> tuple[Array, Array]:
+    def interval(self, name: str, coverage: float = 0.9) -> tuple[Floats, Floats]:
         """Lower and upper end, (B,) each, of the interval that covers the true value with probability ``coverage``."""
         reach = NormalDist().inv_cdf(0.5 + 0.5 * coverage) * self.deviation(name)
         return self.value(name) - reach, self.value(name) + reach
 
-    def probability_above(self, name: str, limit: float) -> Array:
+    def probability_above(self, name: str, limit: float) -> Floats:
         """Probability, (B,), that an unknown is above a limit."""
         normal = NormalDist()
         return np.array([normal.cdf(x) for x in (self.value(name) - limit) / self.deviation(name)])
@@ -85,7 +85,7 @@ class Estimate:
         """Windows (B,) where one channel scatters far more than the others: perhaps the search ended too early."""
         return np.asarray(self.white.max(axis=1) > UNEVEN * np.median(self.white, axis=1))
 
-    def widen(self, scaled: Array, scale: Array) -> None:
+    def widen(self, scaled: Floats, scale: Floats) -> None:
         """Add a difference of scaled values, (B, P), to the uncertainty; ``scale``: value per scaled value, (B, P)."""
         square = scaled[:, :, None] * scaled[:, None]
         self.precision[:] = np.linalg.inv(np.linalg.inv(self.precision) + square)

@@ -12,6 +12,7 @@ from pydantic import Field
 from hydro_env import TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_env.units import Number
 from hydro_rig.estimation.errors import Errors, errors_of, spikes_of
 from hydro_rig.estimation.model import SHORT_STEP, Model
@@ -19,7 +20,6 @@ from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.solver import Belief, fit, masked, misfit_of
 from hydro_rig.estimation.unknowns import LATENCY, LEAKAGE, RISE_TIME, STARTS, Prior, prior_of
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 SHORTEST_FIT = 10  # samples; shorter fits carry no information
@@ -57,11 +57,11 @@ class EstimationSettings(Group):
 
 def search(
     model: Model,
-    measured: Array,
-    first: Array,
+    measured: Floats,
+    first: Floats,
     belief: Belief,
     settings: EstimationSettings,
-    directions: Array | None = None,
+    directions: Floats | None = None,
 ) -> Estimate:
     """Search the most probable values from a first guess, (B, P) scaled.
 
@@ -96,9 +96,9 @@ def search(
 
 def _fit_errors(
     model: Model,
-    measured: Array,
+    measured: Floats,
     window: Indices,
-    first: Array,
+    first: Floats,
     found: Estimate,
     belief: Belief,
     settings: EstimationSettings,
@@ -152,7 +152,7 @@ def _fit_errors(
     found.take(odd, again)
 
 
-def _row_of_the_command(model: Model, measured: Array, scaled: Array) -> tuple[Array, Indices]:
+def _row_of_the_command(model: Model, measured: Floats, scaled: Floats) -> tuple[Floats, Indices]:
     """Scaled latency, (B,), and by how many rows the command is late, (B,): by the spool, which follows it."""
     place, spool = model.names.index(LATENCY), SENSORS.index("spool_position")
     rows = np.array([0, -1, 1])
@@ -180,12 +180,12 @@ def _between(horizons: Sequence[float]) -> tuple[float, ...]:
 
 def _descend(
     model: Model,
-    measured: Array,
+    measured: Floats,
     window: Indices,
-    first: Array,
+    first: Floats,
     belief: Belief,
     settings: EstimationSettings,
-    directions: Array | None,
+    directions: Floats | None,
     searches: int = 1,
 ) -> Estimate:
     """Fit short and then longer beginnings of some windows roughly, then the whole windows to the lowest cost."""
@@ -196,8 +196,8 @@ def _descend(
 
 
 def _approach(
-    model: Model, measured: Array, window: Indices, first: Array, belief: Belief, settings: EstimationSettings
-) -> Array:
+    model: Model, measured: Floats, window: Indices, first: Floats, belief: Belief, settings: EstimationSettings
+) -> Floats:
     """Fit short and then longer beginnings of some windows roughly; returns the scaled unknowns, (B, P)."""
     scaled = first
     interval = float(np.median(model.commands.durations))
@@ -211,13 +211,13 @@ def _approach(
 
 def assess(
     model: Model,
-    measured: Array,
+    measured: Floats,
     window: Indices,
-    scaled: Array,
+    scaled: Floats,
     belief: Belief,
     settings: EstimationSettings,
     iterations: Indices,
-    directions: Array,
+    directions: Floats,
     searches: int | Indices = 1,
     errors: Errors | None = None,
 ) -> Estimate:

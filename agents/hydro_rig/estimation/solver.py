@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.types import Floats
 from hydro_rig.estimation.errors import Errors, whitened
 from hydro_rig.estimation.model import LONG_STEP, Linearised, Model
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])
@@ -33,30 +33,30 @@ NONE_SHARED: Indices = np.empty(0, np.int64)
 class Belief(NamedTuple):
     """A normal distribution of the scaled unknowns of B windows."""
 
-    mean: Array  # (B, P)
-    precision: Array  # (B, P, P), the inverse of the covariance
+    mean: Floats  # (B, P)
+    precision: Floats  # (B, P, P), the inverse of the covariance
 
 
 class Fit(NamedTuple):
     """Result of the search in B windows."""
 
-    scaled: Array  # (B, P)
+    scaled: Floats  # (B, P)
     iterations: Indices  # (B,)
-    directions: Array  # (B, S, S), steps along the axes of the uncertainty
+    directions: Floats  # (B, S, S), steps along the axes of the uncertainty
 
 
 class Equations(NamedTuple):
     """Normal equations of B windows with P unknowns, of which p are shared."""
 
-    curvature: Array  # (B, P, P), of the readings, and of the prior of the unknowns that are not shared
-    gradient: Array  # (B, P)
-    information: Array  # (B, p, p), of each window about the shared unknowns, with the others unknown
-    score: Array  # (B, p), derivative of each window's log-likelihood to the shared unknowns
+    curvature: Floats  # (B, P, P), of the readings, and of the prior of the unknowns that are not shared
+    gradient: Floats  # (B, P)
+    information: Floats  # (B, p, p), of each window about the shared unknowns, with the others unknown
+    score: Floats  # (B, p), derivative of each window's log-likelihood to the shared unknowns
     shared: Indices  # (p,), indices of the shared unknowns
     own: Indices  # (P − p,), indices of the others
 
     @property
-    def precision(self) -> Array:
+    def precision(self) -> Floats:
         """Precision of all unknowns of each window, (B, P, P), given the other windows and the prior of the shared."""
         precision = self.curvature.copy()
         others = self.information.sum(axis=0) - self.information
@@ -70,7 +70,7 @@ def prior_belief(model: Model, count: int) -> Belief:
     return Belief(np.zeros((count, unknowns)), np.tile(np.eye(unknowns), (count, 1, 1)))
 
 
-def without(precision: Array, shared: Indices) -> Array:
+def without(precision: Floats, shared: Indices) -> Floats:
     """The precision of a prior, (B, P, P), with 0 for the shared unknowns: they have one prior, not one per window."""
     own = precision.copy()
     own[:, shared] = own[:, :, shared] = 0.0
@@ -79,14 +79,14 @@ def without(precision: Array, shared: Indices) -> Array:
 
 def fit(
     model: Model,
-    measured: Array,
+    measured: Floats,
     window: Indices,
-    first: Array,
+    first: Floats,
     belief: Belief,
     samples: int,
     iterations: int,
     tolerance: float,
-    directions: Array | None = None,
+    directions: Floats | None = None,
     thorough: bool = True,
     step: float = LONG_STEP,
     give_up: float = 1e4,
@@ -162,7 +162,7 @@ def fit(
 
 
 def equations_of(
-    residual: Array, jacobian: Array, weight: Array, away: Array, precision: Array, shared: Indices
+    residual: Floats, jacobian: Floats, weight: Floats, away: Floats, precision: Floats, shared: Indices
 ) -> Equations:
     """Normal equations of each window, and those of the shared unknowns after its others are eliminated.
 
@@ -187,7 +187,7 @@ def equations_of(
     return Equations(curvature, gradient, information, score, shared, own)
 
 
-def _damped_steps(equations: Equations, scaled: Array, level: Array) -> Array:
+def _damped_steps(equations: Equations, scaled: Floats, level: Floats) -> Floats:
     """Levenberg–Marquardt steps (B, dampings, P); each damping enlarges the diagonal."""
     curvature, gradient, _, _, shared, own = equations
     diagonal = np.einsum("bii->bi", curvature)
@@ -207,17 +207,17 @@ def _damped_steps(equations: Equations, scaled: Array, level: Array) -> Array:
     return steps
 
 
-def _cost(weight: Array, square: Array, scaled: Array, mean: Array, precision: Array, shared: Indices) -> Array:
+def _cost(weight: Floats, square: Floats, scaled: Floats, mean: Floats, precision: Floats, shared: Indices) -> Floats:
     """Cost of each window and trial, (B, …): weighted squares and prior; the sum of all windows if they share."""
     away = scaled - mean
     pull = (precision @ away[:, :, None])[:, :, 0] if away.ndim == 2 else away @ precision
-    costs: Array = (weight * square).sum(axis=-1) + (away * pull).sum(axis=-1)
+    costs: Floats = (weight * square).sum(axis=-1) + (away * pull).sum(axis=-1)
     if len(shared):
         costs = np.broadcast_to(costs.sum(axis=0) + (scaled[0][..., shared] ** 2).sum(axis=-1), costs.shape)
     return costs
 
 
-def channel_weights(residual: Array, known: NDArray[np.bool_]) -> Array:
+def channel_weights(residual: Floats, known: NDArray[np.bool_]) -> Floats:
     """Weight of each reading, (B, readings): 1 over the mean square of its channel's residuals, at most 1."""
     shape = known.shape
     square = (residual.reshape(shape) ** 2).sum(axis=2) / np.maximum(known.sum(axis=2), 1)
@@ -226,8 +226,8 @@ def channel_weights(residual: Array, known: NDArray[np.bool_]) -> Array:
 
 
 def masked(
-    linear: Linearised, data: Array, known: NDArray[np.bool_], errors: Errors | None = None
-) -> tuple[Array, Array]:
+    linear: Linearised, data: Floats, known: NDArray[np.bool_], errors: Errors | None = None
+) -> tuple[Floats, Floats]:
     """Residuals (B, readings) and their derivatives (B, P, readings); 0 where a reading is missing.
 
     With ``errors`` of the readings, both are whitened.
@@ -239,7 +239,7 @@ def masked(
     return residual.reshape(len(data), -1), jacobian.reshape(len(data), jacobian.shape[1], -1)
 
 
-def misfit_of(residual: Any, jacobian: Any, covariance: Any, known: NDArray[np.bool_]) -> Array:
+def misfit_of(residual: Any, jacobian: Any, covariance: Any, known: NDArray[np.bool_]) -> Floats:
     """Excess of the residuals over their expectation from noise after a fit, in standard deviations, (B,).
 
     The excess is infinite if it is not a number. Two sums of squares are tested, and the larger excess counts: of all
@@ -267,7 +267,7 @@ def misfit_of(residual: Any, jacobian: Any, covariance: Any, known: NDArray[np.b
     )
 
 
-def _excess(residual: Any, jacobian: Any, covariance: Any, number: NDArray[np.int64]) -> Array:
+def _excess(residual: Any, jacobian: Any, covariance: Any, number: NDArray[np.int64]) -> Floats:
     """Excess of one sum of squares of ``number`` residuals.
 
     The sum has a chi-square distribution, whose cube root is nearly normal (Wilson and Hilferty 1931).

@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.detector import HALF_WIDTH, Cause, Floats, Reading, Windows
+from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Windows
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import Activity, activity_of
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import TaskConfig
+from hydro_env.types import Floats
 from hydro_rig.estimation.estimator import EstimatorDetector
 
 RATION = 60.0  # s; the estimator reads no window of an axis before this time has passed since the last one

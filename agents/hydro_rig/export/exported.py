@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from hydro_agents.controllers.base import Floats, as_batch
+from hydro_agents.controllers.base import Observation, as_batch
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_json, read_yaml, validate
 from hydro_env.units import FULL_VOLTAGE, Number
@@ -200,7 +200,7 @@ class ExportedController:
 
     def predict(
         self,
-        observation: Floats,
+        observation: Observation,
         state: NDArray[np.float64] | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,

@@ -18,11 +18,11 @@ from hydro_env.axes import Axes
 from hydro_env.task.sensors import CHANNEL_UNITS, CHANNELS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import observation_layout
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.origin import SCALED
 from hydro_rig.export.tracing import named
 
-Array = NDArray[np.float64]
 COMPUTED = ("velocity_estimate", "tracking_error", "error_integral")
 """Entries of the observation that follow from measured signals."""
 
@@ -90,7 +90,7 @@ class MeasuredSignals:
         sensor = getattr(self.config.sensors, name)
         return Signal(name, CHANNEL_UNITS[name], sensor.low, sensor.high, limit, SENSOR_MEANINGS.get(name, "measured"))
 
-    def of_observation(self, observation: NDArray[Any]) -> Array:
+    def of_observation(self, observation: NDArray[Any]) -> Floats:
         """Signals (N, signals) for observations (N, n), with the readings as rounded by the environment.
 
         Readings of the position are whole steps of the sensor. The tracking error gives the reference with a finer
@@ -108,7 +108,7 @@ class MeasuredSignals:
         si["reference"] = np.clip(si["position"] + si["tracking_error"], low * scale, high * scale)
         return self._stacked(si, {name: si["reference"] + si[name] for name in self.previews})
 
-    def of_axes(self, axes: Axes) -> Array:
+    def of_axes(self, axes: Axes) -> Floats:
         """Signals (N, signals) of simulated axes, exactly as their sensors read."""
         now = np.asarray(axes.column("step"), dtype=np.int64)
         row = np.arange(axes.count)
@@ -118,7 +118,7 @@ class MeasuredSignals:
         counts = dict(zip(shown, self.config.preview_samples, strict=True))
         return self._stacked(si, {name: axes.reference[row, now + counts[name]] for name in self.previews})
 
-    def _stacked(self, si: dict[str, Array], ahead: dict[str, Array]) -> Array:
+    def _stacked(self, si: dict[str, Floats], ahead: dict[str, Floats]) -> Floats:
         values = si | {ahead_name(name): reference for name, reference in ahead.items()}
         values["previous_voltage"] = FULL_VOLTAGE * si["previous_command"]
         return np.stack([values[signal.name] for signal in self.signals], axis=1)
@@ -132,9 +132,9 @@ def ahead_name(name: str) -> str:
 class MeasuredMemory(NamedTuple):
     """Memory of a controller from one sample to the next."""
 
-    last: Array  # (signals,), the last valid samples
+    last: Floats  # (signals,), the last valid samples
     waiting: NDArray[np.bool_]  # (), it starts at the next sample: none was complete, or the command was not a number
-    computed: dict[str, Array]
+    computed: dict[str, Floats]
     """If the controller reads them: velocity_estimate (), m/s, and error_integral (), m s. With them standby (),
     whether the last call was a start with a complete sample."""
     controller: Any
@@ -144,7 +144,7 @@ class Step(NamedTuple):
     """Both continuations of a sample, a start and a continuation, and which of them is valid."""
 
     begins: Any  # (), whether the controller starts here
-    lost: Array  # (), number of lost signals
+    lost: Floats  # (), number of lost signals
     common: dict[str, Any]  # memory that is the same in both cases, by name
     started: dict[str, Any]  # voltage, and the other parts of the memory
     continued: dict[str, Any]
@@ -163,7 +163,7 @@ class MeasuredController:
 
     # One sample ---------------------------------------------------------------------------------------------------
 
-    def step(self, signals: Array, start: Any, memory: MeasuredMemory) -> Step:
+    def step(self, signals: Floats, start: Any, memory: MeasuredMemory) -> Step:
         """Both continuations of one sample.
 
         Args:
@@ -229,7 +229,7 @@ class MeasuredController:
         """Memory before the first call: the right shapes, no content."""
         s = self.signals
         rest = np.array([0.5 * (one.low + one.high) for one in s.signals])
-        computed: dict[str, Array] = {
+        computed: dict[str, Floats] = {
             name: np.zeros(()) for name in ("velocity_estimate", "error_integral") if name in s.used
         }
         if computed:
@@ -241,7 +241,7 @@ class MeasuredController:
         return plain._replace(controller=aligned((None, memory))[1])
 
     def __call__(
-        self, signals: Array, memory: MeasuredMemory | None, start: bool = False
+        self, signals: Floats, memory: MeasuredMemory | None, start: bool = False
     ) -> tuple[float, MeasuredMemory]:
         """Voltage, V, for a sample, and the memory for the next one; ``None`` starts."""
         start = start or memory is None

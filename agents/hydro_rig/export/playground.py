@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import ClassicalController, Floats, search_space
+from hydro_agents.controllers.base import ClassicalController, Observation, search_space
 from hydro_agents.detection.head import LeakageEstimate, LeakageHead
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.report.palette import LEAK_LOOKS, css_rules
@@ -94,7 +94,7 @@ class Tunable:
 
     def predict(
         self,
-        observation: Floats,
+        observation: Observation,
         state: TunableMemory | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,

@@ -10,19 +10,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import HydroError, PlantParameters, TaskConfig
 from hydro_env.plant.analysis import reachable_range, speed_limits
 from hydro_env.plant.arrays import equilibrium
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import usable_readings
 from hydro_rig.estimation.model import LONG_STEP, Model
 from hydro_rig.estimation.solver import equations_of, prior_belief, without
 from hydro_rig.estimation.unknowns import priors_of, starts_of
 from hydro_rig.identification.fit import DETERMINED, Fit
-
-Array = NDArray[np.float64]
 
 DURATION = 8.0  # s, of each candidate motion
 
@@ -47,10 +45,10 @@ class _Travel(NamedTuple):
     hold: float  # command that holds the middle position
 
 
-def _commands(time: Array, can: _Travel) -> dict[str, Array]:
+def _commands(time: Floats, can: _Travel) -> dict[str, Floats]:
     """Commands (T,) of each candidate by name; each returns to its start."""
 
-    def moves(share: float, travel: float, rest: float) -> Array:
+    def moves(share: float, travel: float, rest: float) -> Floats:
         """Out and back at a share of the speed, with a rest at either end."""
         slowest = min(can.out, can.back)
         duration = travel * can.reach / (share * slowest)
@@ -100,12 +98,12 @@ def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Ad
     return advice
 
 
-def _widened(information: Array, fit: Fit) -> Array:
+def _widened(information: Floats, fit: Fit) -> Floats:
     """Information, (…, p, p), less by the widening of the intervals."""
     return np.asarray(information / (fit.widening[:, None] * fit.widening))
 
 
-def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str, float]) -> Array:
+def _information(commands: Floats, fit: Fit, config: TaskConfig, state: dict[str, float]) -> Floats:
     """Information of each candidate about the unknowns, (motions, p, p), with an unknown start."""
     starts = starts_of(config)
     priors = fit.priors | priors_of(config, starts)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
+from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import estimate, usable_readings
 from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_rig.estimation.result import Estimate
@@ -31,7 +32,6 @@ from hydro_rig.estimation.solver import (
 )
 from hydro_rig.estimation.unknowns import LATENCY, STARTS, Prior
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Report = Callable[[str, int, int], None]
 
@@ -71,25 +71,25 @@ PROMISING = (
 class Joint(NamedTuple):
     """A common fit of B windows with P unknowns, of which p are shared; all unknowns are scaled by their priors."""
 
-    scaled: Array  # (B, P), most probable values; the shared ones are the same in each row
+    scaled: Floats  # (B, P), most probable values; the shared ones are the same in each row
     shared: Indices  # (p,), indices of the shared unknowns
-    information: Array  # (B, p, p), of each window about the shared unknowns, with an unknown start
-    score: Array  # (B, p), derivative of each window's log-likelihood to the shared unknowns
-    misfit: Array  # (B,), as in hydro_rig.estimation.result.Estimate
+    information: Floats  # (B, p, p), of each window about the shared unknowns, with an unknown start
+    score: Floats  # (B, p), derivative of each window's log-likelihood to the shared unknowns
+    misfit: Floats  # (B,), as in hydro_rig.estimation.result.Estimate
     own: Indices  # (P − p,), indices of the start states
-    response: Array  # (B, P − p, p), change of the most probable start states per change of the shared unknowns
+    response: Floats  # (B, P − p, p), change of the most probable start states per change of the shared unknowns
     cost: float  # weighted squares of the residuals, and of the scaled unknowns
 
     @property
-    def precision(self) -> Array:
+    def precision(self) -> Floats:
         """Inverse covariance of the shared unknowns, (p, p), including the priors."""
-        total: Array = self.information.sum(axis=0) + np.eye(len(self.shared))
+        total: Floats = self.information.sum(axis=0) + np.eye(len(self.shared))
         return total
 
     @property
-    def common(self) -> Array:
+    def common(self) -> Floats:
         """The shared values, (p,), scaled."""
-        values: Array = self.scaled[0, self.shared]
+        values: Floats = self.scaled[0, self.shared]
         return values
 
 
@@ -97,9 +97,9 @@ class Common(NamedTuple):
     """The best common fit of the windows of a recording."""
 
     model: Model  # of the windows that were used
-    readings: Array  # of these, over their noise
+    readings: Floats  # of these, over their noise
     joint: Joint
-    misfit: Array  # (B,), of all windows; infinite for one that was left out
+    misfit: Floats  # (B,), of all windows; infinite for one that was left out
     second: Joint | None  # another minimum that explains the readings as well
 
     @property
@@ -110,8 +110,8 @@ class Common(NamedTuple):
 
 def fit_together(
     model: Model,
-    measured: Array,
-    first: Array,
+    measured: Floats,
+    first: Floats,
     progress: Callable[[int, int], None] | None = None,
     iterations: int = LAST_ITERATIONS,
 ) -> Joint:
@@ -148,14 +148,14 @@ def shared_and_own(model: Model) -> tuple[Indices, Indices]:
 
 def descend(
     model: Model,
-    measured: Array,
-    first: Array,
+    measured: Floats,
+    first: Floats,
     shared: Indices,
     progress: Callable[[int, int], None] | None,
     tolerance: float,
     step: float,
     iterations: int = ITERATIONS,
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Unknowns at the end of a search, (B, P) scaled, and the directions of its differences."""
     belief = prior_belief(model, model.count)
     found = fit(
@@ -175,7 +175,7 @@ def descend(
     return found.scaled, found.directions
 
 
-def _cost(residual: Array, known: NDArray[np.bool_], scaled: Array, shared: Indices, own: Indices) -> float:
+def _cost(residual: Floats, known: NDArray[np.bool_], scaled: Floats, shared: Indices, own: Indices) -> float:
     """Twice the negative logarithm of the posterior: of residuals (B, channels, T) over their noise, and the priors.
 
     A channel of a window that scatters more than its noise counts as if it had that noise, as in the search.
@@ -256,13 +256,13 @@ def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], se
     return estimate(windows.signals, config, list(priors), settings=settings, boundary=windows.boundary)
 
 
-def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> tuple[Model, Array]:
+def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> tuple[Model, Floats]:
     """The model of some windows, and their readings over their noise."""
     model = Model(config, priors, windows.signals[:, -1], boundary=windows.boundary)
     return model, usable_readings(windows.signals, config, model)
 
 
-def _nearby(windows: Windows, config: TaskConfig, found: Common, first: Array) -> Estimate:
+def _nearby(windows: Windows, config: TaskConfig, found: Common, first: Floats) -> Estimate:
     """Windows that common values do not explain, fitted near these values; ``first``: where they ended, scaled."""
     joint, (model, measured) = found.joint, replayed(windows, config, found.model.priors)
     unknowns = len(model.names)
@@ -309,13 +309,13 @@ def _common_fit(
     return Common(model, readings, joint, misfit, second)
 
 
-def _far(common: Array, joint: Joint) -> bool:
+def _far(common: Floats, joint: Joint) -> bool:
     """Whether shared values, (p,) scaled, lie outside the uncertainty of a fit."""
     away = common - joint.common
     return float(away @ joint.precision @ away) > APART**2 + len(away)
 
 
-def costs_of(model: Model, readings: Array, trials: list[Array]) -> list[float]:
+def costs_of(model: Model, readings: Floats, trials: list[Floats]) -> list[float]:
     """The cost of each trial, (B, P) scaled."""
     known, window = np.isfinite(readings), np.arange(model.count)
     return [
@@ -324,13 +324,13 @@ def costs_of(model: Model, readings: Array, trials: list[Array]) -> list[float]:
     ]
 
 
-def without_outliers(misfit: Array) -> Indices:
+def without_outliers(misfit: Floats) -> Indices:
     """Indices of the windows that are explained, or whose misfit is not much larger than that of most others."""
     finite = np.where(np.isfinite(misfit), misfit, 1e9)
     return np.flatnonzero(finite <= max(WELL_FITTED, OUTLIER * float(np.median(finite))))
 
 
-def _first_values(model: Model, readings: Array, alone: Estimate, kept: Indices) -> list[Array]:
+def _first_values(model: Model, readings: Floats, alone: Estimate, kept: Indices) -> list[Floats]:
     """Starts of the common fit, each (B, P) scaled: shared values of one window, or their median; own start states."""
     shared = shared_and_own(model)[0]
     scaled = alone.scaled[kept]

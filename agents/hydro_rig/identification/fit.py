@@ -18,6 +18,7 @@ from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -40,7 +41,6 @@ from hydro_rig.identification.intervals import (
 )
 from hydro_rig.identification.profiles import pinned, ridge
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
@@ -53,13 +53,13 @@ class Fit(NamedTuple):
 
     names: tuple[str, ...]  # (p,)
     priors: dict[str, Prior]  # of these
-    values: Array  # (p,), most probable
-    low: Array  # (p,), ends of the 95 % interval, in the unknown's unit
-    high: Array  # (p,)
-    remaining: Array  # (p,), standard deviation as a share of that of the range
-    widening: Array  # (p,), factor on the standard deviations of a fit to white noise
-    information: Array  # (p, p), of the readings, for unknowns scaled by their ranges
-    misfit: Array  # (B,), of each window; infinite for a window that was left out
+    values: Floats  # (p,), most probable
+    low: Floats  # (p,), ends of the 95 % interval, in the unknown's unit
+    high: Floats  # (p,)
+    remaining: Floats  # (p,), standard deviation as a share of that of the range
+    widening: Floats  # (p,), factor on the standard deviations of a fit to white noise
+    information: Floats  # (p, p), of the readings, for unknowns scaled by their ranges
+    misfit: Floats  # (B,), of each window; infinite for a window that was left out
     joint: Joint | None = None  # the common fit of the other windows
     open: NDArray[np.int64] | None = None  # (p,), 1: only the lower end is known, −1: only the upper one; None: both
     second: Mapping[str, float] = MappingProxyType({})  # values of another minimum that explains the readings as well
@@ -121,7 +121,7 @@ def fit_windows(
     return _summary(common_fit(windows, config, priors, report), config, ranges)
 
 
-def _beside_edges(common: Common, config: TaskConfig, ends: Array) -> tuple[Joint, Spread, Sides]:
+def _beside_edges(common: Common, config: TaskConfig, ends: Floats) -> tuple[Joint, Spread, Sides]:
     """Interval ends on one side only: their unknowns move away from the found edge, and the others are fitted again."""
     joint, model = common.joint, common.model
     spread = spread_of(joint)
@@ -146,7 +146,7 @@ def _beside_edges(common: Common, config: TaskConfig, ends: Array) -> tuple[Join
     return again, spread_of(again), sides
 
 
-def _known_end(values: Array, sides: Sides) -> Array:
+def _known_end(values: Floats, sides: Sides) -> Floats:
     """The known end of each interval with one open side, (p,) scaled."""
     return np.where(sides.open > 0, values - sides.reach[:, 0], values + sides.reach[:, 1])
 
@@ -188,7 +188,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
     )
 
 
-def _apart(names: tuple[str, ...], priors: Mapping[str, Prior], other: Array, scaled: Array) -> dict[str, float]:
+def _apart(names: tuple[str, ...], priors: Mapping[str, Prior], other: Floats, scaled: Floats) -> dict[str, float]:
     """Values of another minimum that lie outside the intervals, (p, 2) scaled."""
     away = (other < scaled[:, 0]) | (other > scaled[:, 1])
     return {names[row]: float(priors[names[row]].value(other[row])) for row in np.flatnonzero(away).tolist()}

@@ -25,12 +25,11 @@ from scipy import stats
 
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution, own_value
+from hydro_env.types import Floats
 from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE, PATHS, Prior
 from hydro_rig.identification.common_fit import Joint
 from hydro_rig.identification.profiles import ALIKE, FARTHEST, MOST_PROFILES, follow
-
-Array = NDArray[np.float64]
 
 TAIL = 0.025  # of the 95 % interval, to each side
 MODERATION = 4.0  # degrees of freedom of the common ratio; seven windows, the usual number in 20 s, have six
@@ -52,9 +51,9 @@ MOST_WIDER = 2.0  # largest factor by which a small rise of the cost lengthens o
 class Spread(NamedTuple):
     """Uncertainty of the p common unknowns, scaled by their ranges."""
 
-    deviation: Array  # (p,), standard deviations of the model: noise alone
-    widening: Array  # (p,), factor on them, from the scatter of the windows
-    reach: Array  # (p,), half of the 95 % interval
+    deviation: Floats  # (p,), standard deviations of the model: noise alone
+    widening: Floats  # (p,), factor on them, from the scatter of the windows
+    reach: Floats  # (p,), half of the 95 % interval
 
 
 def spread_of(joint: Joint) -> Spread:
@@ -83,11 +82,11 @@ def spread_of(joint: Joint) -> Spread:
 class Sides(NamedTuple):
     """What lies to both sides of the p common unknowns."""
 
-    reach: Array  # (p, 2), length of the interval below and above the value, scaled
+    reach: Floats  # (p, 2), length of the interval below and above the value, scaled
     open: NDArray[np.int64]  # (p,), 1: only a lower end is known, −1: only an upper one, 0: both or none
 
 
-def sides_of(model: Model, readings: Array, joint: Joint, spread: Spread, ends: Array, follows: bool) -> Sides:
+def sides_of(model: Model, readings: Floats, joint: Joint, spread: Spread, ends: Floats, follows: bool) -> Sides:
     """Intervals below and above each value; where the cost rises otherwise than expected, from a profile.
 
     Args:
@@ -133,7 +132,7 @@ def sides_of(model: Model, readings: Array, joint: Joint, spread: Spread, ends: 
     return Sides(reach, found)
 
 
-def _rises(model: Model, readings: Array, joint: Joint, lengths: Array) -> Array:
+def _rises(model: Model, readings: Floats, joint: Joint, lengths: Floats) -> Floats:
     """Rise of the cost over that of the linear model after steps of these lengths below and above each value, (p, 2).
 
     The steps lead along the ridge of the linear model; one that the end of a range makes short shows nothing: 1.
@@ -160,7 +159,7 @@ def _rises(model: Model, readings: Array, joint: Joint, lengths: Array) -> Array
 
 def range_ends(
     config: TaskConfig, ranges: Mapping[str, Distribution], priors: Mapping[str, Prior], names: tuple[str, ...]
-) -> Array:
+) -> Floats:
     """Ends of the ranges of some unknowns, (p, 2), scaled by their priors; infinite without a range of its own."""
     ends = np.tile([-np.inf, np.inf], (len(names), 1))
     for place, name in enumerate(names):

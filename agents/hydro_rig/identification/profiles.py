@@ -11,14 +11,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hydro_env.types import Floats
 from hydro_rig.estimation.model import SHORT_STEP, Model
 from hydro_rig.estimation.solver import fit, prior_belief
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification.common_fit import MOST_DAMPING, Joint, costs_of
-
-Array = NDArray[np.float64]
 
 PINNED = 1e-6  # standard deviation of an unknown that a fit keeps, in standard deviations of its range
 ALIKE = 0.8  # correlation with a profiled unknown from which an unknown needs no profile of its own
@@ -33,8 +31,8 @@ range."""
 class Path(NamedTuple):
     """One side of the profile of an unknown, K places from the fit on."""
 
-    scaled: Array  # (K, p), the common unknowns
-    rise: Array  # (K,), of the cost
+    scaled: Floats  # (K, p), the common unknowns
+    rise: Floats  # (K,), of the cost
     endless: bool  # whether the cost had not risen enough where the range of the unknown ends
 
 
@@ -48,7 +46,7 @@ def pinned(model: Model, values: dict[int, float]) -> Model:
     return Model(model.config, priors, commands.command, commands.durations, boundary=commands.boundary)
 
 
-def ridge(joint: Joint, unknown: int) -> Array:
+def ridge(joint: Joint, unknown: int) -> Floats:
     """Change of all unknowns, (B, P) scaled, per change of one common unknown, by the linear model of a fit."""
     covariance = np.linalg.inv(joint.precision)
     tangent = covariance[unknown] / covariance[unknown, unknown]
@@ -58,7 +56,7 @@ def ridge(joint: Joint, unknown: int) -> Array:
     return slope
 
 
-def follow(model: Model, readings: Array, joint: Joint, unknown: int, reach: float, target: float, end: float) -> Path:
+def follow(model: Model, readings: Floats, joint: Joint, unknown: int, reach: float, target: float, end: float) -> Path:
     """Move one common unknown from a fit, and fit the others again, until the cost has risen by ``target``.
 
     Args:

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.types import Floats
 from hydro_rig.identification.fit import COVERAGE, DETERMINED, Fit
-
-Array = NDArray[np.float64]
 
 FARTHEST = 3.0  # standard deviations of the range; a single step of a linear model reaches no further
 
@@ -19,9 +18,9 @@ class Repeat(NamedTuple):
 
     name: str
     recordings: NDArray[np.int64]  # (R,), their numbers
-    values: Array  # (R,), from each recording alone
-    low: Array  # (R,), ends of the 95 % intervals
-    high: Array  # (R,)
+    values: Floats  # (R,), from each recording alone
+    low: Floats  # (R,), ends of the 95 % intervals
+    high: Floats  # (R,)
     determined: NDArray[np.bool_]  # (R,), whether the recording alone determines it
     inside: NDArray[np.bool_]  # (R,), whether the interval of the recording holds the value of the common fit
 

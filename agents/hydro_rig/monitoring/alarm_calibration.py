@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, genpareto, norm
 
 from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm, Scale
-from hydro_agents.detection.detector import Floats
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.running.statistics import CONFIDENCE, Interval, mean_interval
 from hydro_env import ConfigurationError
+from hydro_env.types import Floats
 
 LEAST_AXES = 6  # with two answers, for a scale
 SHIFT_HOURS = 8.0

@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import t as student
 
 from hydro_agents.running.statistics import Interval
+from hydro_env.types import Floats
 
 INSIDE = 0.9  # probability of the intervals
 EARLIEST = 0.01  # probability that the limit is reached before "not before"
@@ -35,8 +36,6 @@ NEIGHBOURS, FAR, MOST_USUAL = 4, 4.0, 0.7
 """Readings on either side with which one is compared; largest distance in standard deviations; least share inside."""
 NEGLIGIBLE = 1e-4  # weight relative to the largest one
 LEAST_ERROR = 0.01  # decades, standard deviation that no reading beats
-
-Floats = NDArray[np.float64]
 
 
 class Growth(NamedTuple):

@@ -13,11 +13,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hydro_agents.detection.detector import HALF_WIDTH, Reading
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
+from hydro_env.types import Floats
 
 REFERENCE = 40.0  # °C, to which leaks are referred
 UNKNOWN_TEMPERATURE = (20.0, 60.0)  # °C, of an oil without a thermometer
@@ -31,8 +32,6 @@ GRADES = {10: 2.66, 15: 3.41, 22: 4.29, 32: 5.36, 46: 6.76, 68: 8.73, 100: 11.4,
 """mm²/s at 100 °C by ISO VG grade, of a mineral oil of viscosity index 100 (ASTM D2270, column H)."""
 
 USUAL_GRADE = 46
-
-Floats = NDArray[np.float64]
 
 
 class Oil(NamedTuple):

@@ -11,11 +11,11 @@ from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.sensors import Sensor
+from hydro_env.types import Floats
 from hydro_rig.recordings.columns import COMMAND, MEASURED, UNITS
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.sampling import Sampled
 
-Floats = NDArray[np.float64]
 Found = tuple[NDArray[np.bool_], str, Weight]
 
 MOST_MISSING = 0.2  # share of a channel

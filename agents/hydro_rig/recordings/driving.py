@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import closed_port_natural_frequency
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.recordings.channels import OVERRANGE
 from hydro_rig.recordings.columns import COMMAND, POSITION
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
 from hydro_rig.recordings.sampling import Sampled, cut
-
-Floats = NDArray[np.float64]
 
 AXIS = "axis"  # what findings about the manner of operation are about
 STRETCH = 1.0  # s, in which an oscillation is looked for

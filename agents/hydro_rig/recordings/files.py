@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
+from hydro_env.types import Floats
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.mat_files import Channel, read_mat
 from hydro_rig.recordings.mdf_files import mdf_pieces, read_mdf
@@ -41,8 +41,6 @@ PIECE = 200_000  # rows that are in memory at once
 BEGINNING = 200_000  # bytes of a text file, in which its headings stand
 
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
-
-Floats = NDArray[np.float64]
 
 
 class Columns(NamedTuple):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from hydro_agents.detection.looks import MOVING_FROM
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
+from hydro_env.types import Floats
 from hydro_rig.recordings.columns import COMMAND, MEASURED
 from hydro_rig.recordings.findings import NOT_RECORDED, Finding, Weight
 from hydro_rig.recordings.recording import Recording
@@ -29,7 +30,6 @@ UNUSABLE = -1e3  # added to the score of a window that lacks commands
 
 _POSITION = MEASURED.index("position")
 
-Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 

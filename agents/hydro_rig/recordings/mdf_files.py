@@ -6,13 +6,11 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hydro_env.types import Floats
 from hydro_rig.recordings.mat_files import Channel
 
 PIECE = 8_000_000  # bytes of a group that are in memory at once
-
-Floats = NDArray[np.float64]
 
 
 def read_mdf(file: Any) -> list[Channel]:

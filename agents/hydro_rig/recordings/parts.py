@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from hydro_agents.detection.detector import Windows
 from hydro_env import ConfigurationError
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.recordings.columns import COMMAND, POSITION
 from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.sampling import Sampled, bridged, cut
-
-Floats = NDArray[np.float64]
 
 WINDOW, FEWEST_WINDOWS = 2.0, 5  # s
 """Length of a window, and number of windows; recordings that are too short for five windows have shorter ones."""

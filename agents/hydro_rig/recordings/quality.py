@@ -24,6 +24,7 @@ from hydro_env.plant.parts.chambers import chamber_volumes
 from hydro_env.plant.parts.valve import edge_flows
 from hydro_env.plant.simulate import LONGEST_PERIOD
 from hydro_env.plant.states import State
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.recordings.channels import check_channels
 from hydro_rig.recordings.columns import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
@@ -31,8 +32,6 @@ from hydro_rig.recordings.driving import check_driving
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, on_grid, sampled
-
-Floats = NDArray[np.float64]
 
 INTERVAL = 0.02
 """s, approximate averaging time; it makes the noise of the position sensor small compared with the motion."""

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError
+from hydro_env.types import Floats
 from hydro_rig.recordings.columns import BESIDE, COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, read_columns, together
 from hydro_rig.recordings.findings import NOT_RECORDED, Finding, severe_if
@@ -17,8 +17,6 @@ from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
 FEWEST_ROWS = 3
-
-Floats = NDArray[np.float64]
 
 
 class Recording(NamedTuple):

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
+from hydro_env.types import Floats
 from hydro_rig.recordings.columns import COMMAND, UNITS
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.recording import Recording
-
-Floats = NDArray[np.float64]
 
 LARGEST_DEVIATION = 0.02
 """Largest relative deviation of the row distance from a whole fraction of the control period; clocks differ less."""

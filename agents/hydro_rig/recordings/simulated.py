@@ -10,16 +10,14 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.running.cases import Cases
 from hydro_env import ConfigurationError, TaskConfig, __version__
 from hydro_env.files import write_text
+from hydro_env.types import Floats
 from hydro_rig.recordings.columns import MEASURED, factor
-
-Floats = NDArray[np.float64]
 
 WRITTEN_UNITS = {"time": "s", "position": "mm", "pressure_a": "bar", "pressure_b": "bar", "spool_position": "%"} | {
     "command": "V"
