@@ -59,8 +59,8 @@ def bound(
             display.say(f"left out: {reason}")
         frame = compare(config, controllers, settings, display.update)
         parts = [frame_markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
-        price = "Valve travel, full strokes per second:"
-        text = "\n\n".join(["Mean |error|, mm:", *parts, price, frame_markdown(means_by(frame, "valve_travel_per_s"), 2)])
+        travel = frame_markdown(means_by(frame, "valve_travel_per_s"), 2)
+        text = "\n\n".join(["Mean |error|, mm:", *parts, "Valve travel, full strokes per second:", travel])
         return text, {"bound.csv": frame.to_csv(index=False), "bound.md": f"`{command_line()}`\n\n{text}\n"}
 
     write_results(output, "bound", ["bound.md", "bound.csv"], compared, overwrite=overwrite)

@@ -20,7 +20,7 @@ import pandas as pd
 from pydantic import Field, StringConstraints, model_validator
 
 from hydro_agents.running.jobs import Columns, Job
-from hydro_agents.running.tasks import Surroundings, read_task
+from hydro_agents.running.tasks import Surroundings, mappings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file
@@ -145,10 +145,9 @@ class Protocol(Group, Generic[AnyCondition]):
             if "task" in values:
                 values["task"] = read_task(values.pop("task"), file)
         cls.prepare(values, file, errors)
-        conditions = values.get("conditions")
-        for condition in conditions.values() if isinstance(conditions, dict) else ():
+        for condition in mappings(values.get("conditions")).values():
             with kept(errors):
-                if isinstance(condition, dict) and isinstance(condition.get("rig"), str):
+                if isinstance(condition.get("rig"), str):
                     condition["rig"] = str(config_file("rigs", condition.pop("rig"), file.parent))
         with kept(errors):
             protocol = validate(cls, values, str(path))

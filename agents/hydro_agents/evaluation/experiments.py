@@ -5,7 +5,7 @@ Each is a list of runs (:mod:`hydro_agents.evaluation.sweeps`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -49,36 +49,23 @@ SETTLING, WATCHED = 0.5, 0.5
 """s: time until the response is steady (and two cycles), and length of the fit (at least three cycles)."""
 
 
-def sine_references(
-    config: TaskConfig,
-    frequencies: Sequence[float] = FREQUENCIES,
-    amplitude: float | None = None,
-    place: float | None = None,
-) -> Iterator[Run]:
-    """Sines of the reference, with the preview and with the preview hidden.
+def sine_references(config: TaskConfig) -> Iterator[Run]:
+    """Sines of the reference about the working position, with the preview and with the preview hidden.
 
     Columns: preview (whether the controller sees it), frequency_hz, amplitude_mm, gain (1), phase_deg, rest (root mean
-    square of the residual, as a share of the amplitude).
-
-    Args:
-        config: the task.
-        frequencies: Hz.
-        amplitude: m, of the reference; default: a share of the range, smaller if the speed would be too high.
-        place: m, centre of the sines; default :func:`~hydro_agents.evaluation.leak_price.working_place`.
+    square of the residual, as a share of the amplitude). The amplitude is smaller where the speed would be too high.
     """
-    centre = _place(config, place)
+    centre = working_place(config.plant)
     low, high = reachable_range(config.plant)
-    for frequency in [f for f in frequencies if 3.0 * f * config.control_period <= 1.0]:
+    for frequency in FREQUENCIES:
+        if 3.0 * frequency * config.control_period > 1.0:
+            continue
         largest = SPEED_SHARE * full_speed(config.plant, centre) / (2.0 * np.pi * frequency)
-        size = min(AMPLITUDE_SHARE * (high - low), largest) if amplitude is None else amplitude
+        size = min(AMPLITUDE_SHARE * (high - low), largest)
         time, first = _samples(frequency, config.control_period)
         task = own_reference(config, centre + size * np.sin(2.0 * np.pi * frequency * time))
         for preview in (True, False) if config.references.preview_times else (False,):
             yield Run((task,), partial(_response, preview, frequency, size, first), hidden_preview=not preview)
-
-
-def _place(config: TaskConfig, place: float | None) -> float:
-    return working_place(config.plant) if place is None else place
 
 
 def _samples(frequency: float, period: float) -> tuple[Floats, int]:
@@ -155,20 +142,15 @@ SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)  # Hz; force sines
 SINE_SETTLING, SINE_WATCHED = 0.5, 1.0  # s (and two cycles each)
 
 
-def sudden_force(config: TaskConfig, force: float | None = None, place: float | None = None) -> Iterator[Run]:
-    """A sudden external force on an axis at rest, without sensor noise, which would hide the recovery.
+def sudden_force(config: TaskConfig) -> Iterator[Run]:
+    """A sudden external force of drawn sign on an axis at rest, without sensor noise, which would hide the recovery.
 
     Columns: force_n, peak_mm (largest deviation), recovery_s (until the deviation stays within a tenth of the peak
     about its final value; NaN if not by the end, as in a limit cycle), remaining_mm (deviation at the end, absolute),
     static_mm_per_kn and dynamic_mm_per_kn (remaining and largest deviation per force).
-
-    Args:
-        config: the task.
-        force: N; default: a fifth of the force of the supply. Its sign is drawn.
-        place: m, where the axis is held; default :func:`~hydro_agents.evaluation.leak_price.working_place`.
     """
-    newtons, begin = _newtons(config, force), BEFORE / (BEFORE + AFTER)
-    task = _with_force(noiseless(config), place, newtons, BEFORE + AFTER, kind="step", start_range=(begin, begin))
+    newtons, begin = FORCE_SHARE * full_force(config.plant), BEFORE / (BEFORE + AFTER)
+    task = _with_force(noiseless(config), newtons, BEFORE + AFTER, kind="step", start_range=(begin, begin))
     yield Run((task,), partial(_recovery, config, newtons))
 
 
@@ -192,22 +174,17 @@ def _recovery(config: TaskConfig, newtons: float, rollout: Rollout) -> dict[str,
     }
 
 
-def sine_forces(
-    config: TaskConfig,
-    frequencies: Sequence[float] = SINE_FREQUENCIES,
-    force: float | None = None,
-    place: float | None = None,
-) -> Iterator[Run]:
+def sine_forces(config: TaskConfig) -> Iterator[Run]:
     """Sines of the external force: amplitude of the position per amplitude of the force.
 
-    Columns: frequency_hz, force_n, compliance_mm_per_kn. Arguments as for :func:`sudden_force`; frequencies in Hz.
+    Columns: frequency_hz, force_n, compliance_mm_per_kn.
     """
-    newtons = _newtons(config, force)
-    for frequency in frequencies:
+    newtons = FORCE_SHARE * full_force(config.plant)
+    for frequency in SINE_FREQUENCIES:
         settling = max(SINE_SETTLING, 2.0 / frequency)
         cycles = max(round(SINE_WATCHED * frequency), 2)
         sine = {"kind": "sine", "start_range": (0.0, 0.0), "frequency_range": (frequency, frequency)}
-        task = _with_force(config, place, newtons, settling + cycles / frequency, **sine)
+        task = _with_force(config, newtons, settling + cycles / frequency, **sine)
         yield Run((task,), partial(_compliance, frequency, newtons, round(settling / config.control_period)))
 
 
@@ -216,15 +193,9 @@ def _compliance(frequency: float, newtons: float, first: int, rollout: Rollout) 
     return {"frequency_hz": frequency, "force_n": newtons, "compliance_mm_per_kn": 1e6 * np.abs(answer) / newtons}
 
 
-def _newtons(config: TaskConfig, force: float | None) -> float:
-    return FORCE_SHARE * full_force(config.plant) if force is None else force
-
-
-def _with_force(
-    config: TaskConfig, place: float | None, newtons: float, duration: float, **disturbance: Any
-) -> TaskConfig:
-    """The task of holding one position (m) for some time (s) against an external force (N)."""
-    held = np.full(round(duration / config.control_period) + 1, _place(config, place))
+def _with_force(config: TaskConfig, newtons: float, duration: float, **disturbance: Any) -> TaskConfig:
+    """The task of holding the working position for some time (s) against an external force (N)."""
+    held = np.full(round(duration / config.control_period) + 1, working_place(config.plant))
     force = {"force_range": (newtons, newtons), "force_share": (0.0, 0.0), **disturbance}
     return task_config(own_reference(config, held), disturbance=force)
 

@@ -45,21 +45,20 @@ def full_speed(plant: PlantParameters, position: float) -> float:
     return min(speed_limits(plant, plant.load.spring_stiffness * position + plant.load.external_force))
 
 
-def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS, place: float | None = None) -> pd.DataFrame:
+def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS) -> pd.DataFrame:
     """Cost of a leak on the nominal rig of a task, with the leakage law of the task.
 
     Args:
         config: the task.
         leaks: l/min at 100 bar.
-        place: m, where the axis is held; default :func:`working_place`.
 
     Returns:
-        Per leak: leakage_flow_lpm, place_mm, holding_power_w (flow through the valve times supply pressure),
-        holding_command (1 = 10 V); speed_out_mm_s and speed_back_mm_s (steady speed at full command against the spring
-        at this place), force_out_n and force_back_n (largest load that the axis can still hold at full command). NaN if
-        the leak is too large to hold the place.
+        Per leak: leakage_flow_lpm, place_mm (:func:`working_place`), holding_power_w (flow through the valve times
+        supply pressure), holding_command (1 = 10 V); speed_out_mm_s and speed_back_mm_s (steady speed at full command
+        against the spring at this place), force_out_n and force_back_n (largest load that the axis can still hold at
+        full command). NaN if the leak is too large to hold the place.
     """
-    position = working_place(config.plant) if place is None else place
+    position = working_place(config.plant)
     load = config.plant.load.spring_stiffness * position + config.plant.load.external_force
     rows = []
     for leak in leaks:

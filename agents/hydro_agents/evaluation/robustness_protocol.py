@@ -16,7 +16,7 @@ from hydro_agents.evaluation.conditions import Condition, Name, Protocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
-from hydro_agents.running.tasks import Factor, read_settings
+from hydro_agents.running.tasks import Factor, mappings, read_settings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 from hydro_env.mistakes import kept, known_name
@@ -226,14 +226,14 @@ class RobustnessProtocol(PairedProtocol):
             if twice is not None:
                 raise ConfigurationError(f"{file}: conditions.{twice}: is also in sweep")
             values["conditions"] = conditions = {**conditions, **swept}
-        for condition in conditions.values() if isinstance(conditions, dict) else ():
-            chosen = condition.get("controllers") if isinstance(condition, dict) else None
+        for condition in mappings(conditions).values():
+            chosen = condition.get("controllers")
             with kept(errors):
                 read_settings(chosen, file)
-            for choice in chosen.values() if isinstance(chosen, dict) else ():
-                if isinstance(choice, dict) and isinstance(choice.get("weights"), str):
-                    shipped = pretrained_folder() / choice["weights"]
-                    own = file.parent / choice["weights"]
+            for choice in mappings(chosen).values():
+                if isinstance(weights := choice.get("weights"), str):
+                    shipped = pretrained_folder() / weights
+                    own = file.parent / weights
                     choice["weights"] = str(shipped if shipped.with_suffix(".safetensors").exists() else own)
 
     def standstill_levels(self, name: str) -> Sequence[float]:

@@ -73,16 +73,10 @@ class Results:
             write_whole(folder / f"{name}.csv", table.to_csv(index=False).encode())
 
     @property
-    def working(self) -> set[str]:
-        """Names, with training seeds, of the participants that failed nowhere."""
-        names = self.status[self.protocol.who]
-        return set(names) - set(names[self.status["status"] == FAILED])
-
-    @property
     def errors(self) -> list[str]:
         """One line per failure."""
-        failed = self.status[self.status["status"] == FAILED]
-        return [f"{row[self.protocol.who]} under {row['condition']}: {row['message']}" for _, row in failed.iterrows()]
+        failed = self.status[self.status["status"] == FAILED].to_dict("records")
+        return [f"{row[self.protocol.who]} under {row['condition']}: {row['message']}" for row in failed]
 
 
 TableFunction = Callable[[Results], pd.DataFrame]

@@ -30,18 +30,17 @@ class Run(NamedTuple):
 class Experiment(NamedTuple):
     """An experiment with a controller in the loop: a list of runs, as rows of one table."""
 
-    runs: Callable[..., Iterable[Run]]  # from the task and further arguments
+    runs: Callable[[TaskConfig], Iterable[Run]]
     leaks: Sequence[float] = LEAKS  # l/min at 100 bar
     plants: int = 4
     finish: Callable[[pd.DataFrame], pd.DataFrame] = lambda table: table  # completes the table
 
-    def __call__(self, config: TaskConfig, controller: Controller, **options: Any) -> pd.DataFrame:
+    def __call__(self, config: TaskConfig, controller: Controller) -> pd.DataFrame:
         """Run the controller on the same plants at every leak.
 
         Args:
             config: the task, for its plants, sensors and timing.
             controller: the controller.
-            options: further arguments of ``runs``.
 
         Returns:
             One row per run, leak and plant: leakage_flow_lpm, seed, and the columns of the experiment.
@@ -52,7 +51,7 @@ class Experiment(NamedTuple):
         seeds, leaks = EXPERIMENT_AXES.take(self.plants), np.repeat(self.leaks, self.plants)
         cases = Cases(np.tile(seeds, len(self.leaks)), leaks)
         tables = []
-        for run in self.runs(config, **options):
+        for run in self.runs(config):
             acting = HiddenPreview(controller, config) if run.hidden_preview else controller
             columns = run.measure(*(run_cases(task, acting, cases) for task in run.tasks))
             tables.append(pd.DataFrame({"leakage_flow_lpm": leaks, "seed": cases.seeds, **columns}))

@@ -5,7 +5,7 @@ The errors are in the frame of the position sensor.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -42,7 +42,7 @@ KICK, KICK_SHARE = 0.5, 0.01  # s, and size of a step of the reference as a shar
 REST, HELD = 1.5, 6.0  # s from the start to the evaluation besides, and length of the evaluation
 
 
-def standstills(config: TaskConfig, places: Sequence[float] = PLACES) -> Iterator[Run]:
+def standstills(config: TaskConfig) -> Iterator[Run]:
     """A held position, once without and once with the noise of the sensors.
 
     With sensor noise every stiff loop moves a little, and its response to noise looks like a limit cycle. Without
@@ -52,13 +52,9 @@ def standstills(config: TaskConfig, places: Sequence[float] = PLACES) -> Iterato
     Columns: place_mm, limit_cycle (an oscillation that lasts without noise and exceeds one step of the position
     sensor), amplitude_um and frequency_hz (without noise), unrest_um (root mean square of the position's motion under
     noise), offset_um (mean of |reference − reading|, frame of the sensor), valve_travel_per_s (full strokes), failed.
-
-    Args:
-        config: the task.
-        places: shares of the range that the supply of the nominal rig can hold.
     """
     duration, step = KICK + REST + HELD, KICK_SHARE * abs(working_place(config.plant, 1.0))
-    for place in places:
+    for place in PLACES:
         position = working_place(config.plant, place)
         resting = kicked(config, position, step, KICK, duration)
         noisy = own_reference(config, np.full(round(duration / config.control_period) + 1, position))
@@ -85,18 +81,14 @@ MOVE, MOVE_SPEED = 0.4, 0.75  # s, and largest speed of the move as a share of t
 STARTED, RESTED = 0.3, 1.0  # s: the start of the move whose largest error counts; the end of the pause
 
 
-def moves_after_pauses(config: TaskConfig, pauses: Sequence[float] = PAUSES) -> Iterator[Run]:
+def moves_after_pauses(config: TaskConfig) -> Iterator[Run]:
     """One smooth move (quintic) outwards from the middle after pauses of several lengths, with sensor noise.
 
     Columns: pause_s, peak_um (largest error in the first 0.3 s of the move), mean_um (over the move), rest_um (mean
     error in the last second of the pause), valve_travel_per_s (full strokes, in that second).
-
-    Args:
-        config: the task.
-        pauses: s.
     """
     period, distance = config.control_period, MOVE_SPEED * full_speed(config.plant, 0.0) * MOVE / 1.875
-    for pause in pauses:
+    for pause in PAUSES:
         share = np.clip((np.arange(round((pause + MOVE) / period) + 1) * period - pause) / MOVE, 0.0, 1.0)
         path = distance * share**3 * (10.0 + share * (6.0 * share - 15.0))
         yield Run((own_reference(config, path),), partial(_after_pause, pause))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import socket
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -20,6 +21,11 @@ BACKENDS = {"loky": "", "dask": "dask[distributed]", "ray": "ray"}
 
 SECONDS = 30
 """A cluster must answer and have a worker within this time."""
+
+_TRIALS = {
+    "dask": f"from distributed import Client; Client(sys.argv[1], timeout={SECONDS}).close()",
+    "ray": "import ray; ray.init(sys.argv[1], log_to_driver=False)",
+}
 
 
 @contextmanager
@@ -45,7 +51,7 @@ def workers(jobs: int | None = None, backend: str = "loky", address: str | None 
             begin = {"dask": _dask, "ray": _ray}[backend]
             package = _package(backend)
             if address is not None:
-                _reach(address)
+                _reach(address, backend)
             try:
                 options = begin(package, jobs, address, stack)
             except ConfigurationError:
@@ -94,8 +100,8 @@ def _package(backend: str) -> Any:
         raise ConfigurationError(f"--backend {backend}: is not installed: pip install '{needs}'") from None
 
 
-def _reach(address: str) -> None:
-    """Connect and leave: the clients of clusters try for minutes where nobody listens, or end the process.
+def _reach(address: str, backend: str) -> None:
+    """Connect and leave, in a process of its own: the clients of clusters try for minutes, or end the process.
 
     Raises:
         ConfigurationError: the address has no port, or nobody answers there.
@@ -107,5 +113,10 @@ def _reach(address: str) -> None:
         )
     try:
         socket.create_connection((host.strip("[]"), int(port)), SECONDS).close()
+        line = [sys.executable, "-c", f"import sys; {_TRIALS[backend]}", address]
+        subprocess.run(line, capture_output=True, text=True, timeout=SECONDS, check=True)
+    except subprocess.SubprocessError as error:
+        reason = (getattr(error, "stderr", "") or f"not within {SECONDS} s").strip().splitlines()[-1]
+        raise ConfigurationError(f"--address {address}: does not answer as {backend}: {reason}") from None
     except (OSError, OverflowError, UnicodeError) as error:
         raise ConfigurationError(f"--address {address}: does not answer: {error}") from None

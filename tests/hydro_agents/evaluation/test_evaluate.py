@@ -9,9 +9,9 @@ from untrained import untrained_head
 import hydro_agents
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.evaluation.detection import detection_cases
-from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
+from hydro_agents.evaluation.evaluate import ProtocolSettings, StudyProtocol, evaluate
 from hydro_agents.running.cases import ControllerError, run_cases
-from hydro_agents.running.seeds import EVALUATION, TEST_SEEDS
+from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
@@ -21,9 +21,13 @@ SETTINGS = ProtocolSettings(plants=3, leak_levels=(0.01, 4.0), families=("step",
 STRONG, WEAK = PID(PIDGains(proportional=200.0), CONFIG), PID(PIDGains(proportional=40.0), CONFIG)
 
 
+def cases_of(**settings):
+    """The cases of an evaluation, and their table."""
+    return StudyProtocol(conditions={"task": {}}, **settings).cases_in("task")
+
+
 def test_levels_share_plants_and_families_do_not():
-    settings = ProtocolSettings(plants=4, leak_levels=(0.01, 1.0, 4.0), families=("sine", "step"))
-    cases, table = settings.cases(EVALUATION)
+    cases, table = cases_of(plants=4, leak_levels=(0.01, 1.0, 4.0), families=("sine", "step"))
     assert len(cases) == len(table) == 3 * 2 * 4
     seeds = {}
     for seed, leak, family, row in zip(
@@ -31,21 +35,21 @@ def test_levels_share_plants_and_families_do_not():
     ):
         assert (leak, family) == (row.leakage_flow_lpm, row.family)
         seeds.setdefault((leak, str(family)), []).append(int(seed))
-    for family in settings.families:
+    for family in ("sine", "step"):
         assert seeds[0.01, family] == seeds[1.0, family] == seeds[4.0, family]
         assert len(set(seeds[0.01, family])) == 4
     assert not set(seeds[0.01, "sine"]) & set(seeds[0.01, "step"])
 
 
 def test_seeds_of_the_protocol_do_not_move():
-    cases, table = ProtocolSettings(plants=3).cases(EVALUATION)
+    cases, table = cases_of(plants=3)
     assert len(cases) == 7 * 6 * 3
     assert cases.seeds.dtype == np.int64
     for row, seed in zip(table.itertuples(), cases.seeds, strict=True):
         assert seed == 2_000_000 + 10_000 * REFERENCE_FAMILIES.index(row.family) + row.plant
     assert list(table["plant"][:3]) == [0, 1, 2]
     assert list(dict.fromkeys(table["family"])) == list(MOVING_FAMILIES)
-    largest, _ = ProtocolSettings(plants=10_000, leak_levels=(1.0,)).cases(EVALUATION)
+    largest, _ = cases_of(plants=10_000, leak_levels=(1.0,))
     assert len(set(largest.seeds)) == 60_000
     watched = detection_cases(CONFIG, 200_000).seeds
     assert watched[0] == 2_500_000
@@ -89,7 +93,7 @@ def test_impossible_settings_are_refused(values, message):
     ProtocolSettings(leak_levels=(20.0,), plants=3, detection_episodes=100)
 
 
-@pytest.fixture  # one for each test: mutmut would count a shared one for the first alone
+@pytest.fixture(scope="module")
 def evaluation():
     head = untrained_head(CONFIG)
     phases = []
@@ -99,7 +103,7 @@ def evaluation():
 
 def test_every_case_is_in_the_table_with_its_own_error(evaluation):
     result, _, _ = evaluation
-    cases, table = SETTINGS.cases(EVALUATION)
+    cases, table = cases_of(**SETTINGS.model_dump())
     for name, controller in (("strong", STRONG), ("weak", WEAK)):
         own = result.cases[result.cases["controller"] == name]
         np.testing.assert_array_equal(own["seed"], cases.seeds)
@@ -243,5 +247,3 @@ def test_a_task_may_be_given_in_any_form(tmp_path):
         evaluate("nowhere.yaml", {"PID": "pid"})
     with pytest.raises(AttributeError, match="no attribute 'assess'"):
         _ = hydro_agents.assess
-    named = evaluate("default", {"PID": "pid", "PPO": "ppo"}, settings=settings)
-    assert set(named.cases["controller"]) == {"PID", "PPO"}
