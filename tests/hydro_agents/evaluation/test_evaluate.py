@@ -1,15 +1,18 @@
 """The protocol: which cases are run, who is compared with whom, and what a failing controller costs."""
 
+import math
 import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
 from untrained import untrained_head
 
 import hydro_agents
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.evaluation.detection import detection_cases
-from hydro_agents.evaluation.evaluate import ProtocolSettings, StudyProtocol, evaluate
+from hydro_agents.evaluation.evaluate import ProtocolSettings, StudyProtocol, evaluate, ratio_table, summary_table
+from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.running.cases import ControllerError, run_cases
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
@@ -247,3 +250,93 @@ def test_a_task_may_be_given_in_any_form(tmp_path):
         evaluate("nowhere.yaml", {"PID": "pid"})
     with pytest.raises(AttributeError, match="no attribute 'assess'"):
         _ = hydro_agents.assess
+
+
+# Tables, against figures worked out by hand -----------------------------------------------------------------
+
+PLANTS = 4
+
+
+def tracking_table():
+    """Two controllers on two levels, two families and four plants; every metric is a number of its own."""
+    rows = []
+    for controller, factor in (("base", 1.0), ("other", 0.5)):
+        for level in (0.01, 4.0):
+            for family in ("step", "sine"):
+                for plant in range(PLANTS):
+                    error = factor * (1.0 + plant) * (10.0 if family == "step" else 1.0) * (1.0 + 0.1 * level)
+                    if (controller, level, family) == ("other", 4.0, "sine"):
+                        error *= 3.0  # worse than the base there
+                    rows.append(
+                        {"controller": controller, "leakage_flow_lpm": level, "family": family, "plant": plant}
+                        | {name: error + index for index, name in enumerate(METRICS)}
+                    )
+    return pd.DataFrame(rows)
+
+
+CASES = tracking_table()
+
+
+def errors(controller, **chosen):
+    frame = CASES[CASES["controller"] == controller]
+    for column, value in chosen.items():
+        frame = frame[frame[column] == value]
+    return np.array([frame[frame["plant"] == plant]["mean_error_mm"].mean() for plant in range(PLANTS)])
+
+
+@pytest.mark.parametrize("by", ["leakage_flow_lpm", "family"])
+def test_summary_of_every_metric(by):
+    table = summary_table(CASES, by)
+    assert len(table) == 2 * 2 * len(METRICS)
+    for row in table.to_dict("records"):
+        own = CASES[(CASES["controller"] == row["controller"]) & (CASES[by] == row[by])]
+        values = own[row["metric"]].to_numpy()
+        assert row["mean"] == pytest.approx(values.mean())
+        assert row["low"] < row["mean"] < row["high"]
+        assert row["worst"] == values.max()
+        assert row["cvar_5_percent"] == values.max()  # one in twenty of eight is one
+        assert row["cases"] == 2 * PLANTS
+        assert row["unit"] == METRICS[row["metric"]].unit
+
+
+def test_ratios_overall_per_level_and_per_family():
+    table = ratio_table(CASES, ["base", "other"])
+    assert set(table["controller"]) == {"other"}
+    assert set(table["against"]) == {"base"}
+    assert list(table["group"]) == ["all", "level", "level", "family", "family", "equal_weight"]
+    chosen = {
+        ("all", ""): {},
+        ("level", "0.01"): {"leakage_flow_lpm": 0.01},
+        ("level", "4.0"): {"leakage_flow_lpm": 4.0},
+        ("family", "step"): {"family": "step"},
+        ("family", "sine"): {"family": "sine"},
+    }
+    better = {"": 0.75, "0.01": 1.0, "4.0": 0.5, "step": 1.0, "sine": 0.5}
+    for row in table.to_dict("records")[:-1]:
+        mine, theirs = (errors(name, **chosen[row["group"], row["value"]]) for name in ("other", "base"))
+        assert row["low"] <= row["ratio"] <= row["high"]
+        assert row["ratio"] == pytest.approx(mine.mean() / theirs.mean())
+        assert row["share_of_cases_better"] == better[row["value"]]
+
+
+def test_with_equal_weights_every_family_counts_the_same():
+    row = ratio_table(CASES, ["base", "other"]).iloc[-1]
+    mine, theirs = (
+        np.array([errors(name, family=family) for family in ("step", "sine")]) for name in ("other", "base")
+    )
+    ratios = mine.mean(axis=1) / theirs.mean(axis=1)
+    assert row["ratio"] == pytest.approx(math.sqrt(ratios[0] * ratios[1]))
+    assert row["low"] <= row["ratio"] <= row["high"]
+    assert math.isnan(row["share_of_cases_better"])
+    assert row["value"] == "geometric mean of the families' ratios"
+    assert (row["controller"], row["against"]) == ("other", "base")
+
+
+def test_an_equal_controller_is_not_better():
+    same = pd.concat([CASES[CASES["controller"] == "base"].assign(controller=name) for name in ("base", "twin")])
+    table = ratio_table(same, ["base", "twin"])
+    assert np.all(table[["ratio", "low", "high"]] == 1.0)
+    assert np.nanmax(table["share_of_cases_better"]) == 0.0
+    assert ratio_table(same, ["base"]).empty
+    three = pd.concat([same, CASES[CASES["controller"] == "other"]])
+    assert list(ratio_table(three, ["base", "twin", "other"])["controller"].unique()) == ["twin", "other"]
