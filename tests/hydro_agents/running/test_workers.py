@@ -86,7 +86,7 @@ def test_all_cores_are_the_default(monkeypatch):
     ("options", "words"),
     [
         (("--backend", "slurm"), "--backend 'slurm': must be one of loky, dask, ray"),
-        (("--address", "head:1"), "--address head:1: needs --backend dask or ray"),
+        (("--backend", "loky=head:1"), "--backend loky=head:1: takes no address; dask and ray do"),
         (("--jobs", "0"), "--jobs"),
     ],
 )
@@ -110,13 +110,16 @@ def test_what_is_not_installed_is_named(backend, monkeypatch):
 @pytest.mark.parametrize("backend", ["dask", "ray"])
 def test_an_address_that_does_not_answer_ends_the_command(backend, monkeypatch):
     pytest.importorskip(PACKAGES[backend])
-    line = ("evaluate", "--backend", backend, "--address")
-    assert_one_clear_line(hydro(*line, "scheduler"), "--address 'scheduler': must be HOST:PORT")
+    line = ("evaluate", "--backend")
+    assert_one_clear_line(hydro(*line, f"{backend}=scheduler"), f"--backend {backend}=scheduler: must be HOST:PORT")
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"127.0.0.1:{silent.getsockname()[1]}"
         monkeypatch.setattr(places, "SECONDS", 4)
-        assert_one_clear_line(hydro(*line, address), f"--address {address}: does not answer as {backend} within 4 s")
-    assert_one_clear_line(hydro(*line, address), f"--address {address}: does not answer")
+        assert_one_clear_line(
+            hydro(*line, f"{backend}={address}"),
+            f"--backend {backend}={address}: does not answer as {backend} within 4 s",
+        )
+    assert_one_clear_line(hydro(*line, f"{backend}={address}"), f"--backend {backend}={address}: does not answer")
 
 
 def test_a_running_cluster_is_used_and_stays(tmp_path):
