@@ -170,7 +170,7 @@ CHARTS = {
 
 
 def data_mark(chart: str) -> str:
-    """A comment at the end of a chart that names its numbers; tests/test_site.py compares it with the file."""
+    """A comment at the end of a chart that names its numbers; tests/site/test_site.py compares it with the file."""
     text = (DOCS / CHARTS[chart]).read_text(encoding="utf-8")
     rows = [line.split("|")[1:4] for line in text.splitlines() if line.count("|") > 3]  # name, unit, value
     numbers = "".join(map("|".join, rows)) or text
