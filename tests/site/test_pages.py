@@ -160,7 +160,11 @@ def test_a_notebook_says_how_it_runs_in_colab(page):
     (extra,) = re.findall(re.escape(line) + r'"hydro_env\[(\w+)\]"`\.$', text, flags=re.MULTILINE)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = [*project["dependencies"], *project["optional-dependencies"][extra]]
-    brought = {re.split(r"[\[<>=]", one)[0].replace("-", "_") for one in wanted} | {"hydro_env", "hydro_agents", "hydro_rig"}
+    brought = {re.split(r"[\[<>=]", one)[0].replace("-", "_") for one in wanted} | {
+        "hydro_env",
+        "hydro_agents",
+        "hydro_rig",
+    }
     cells = "\n".join(re.findall(r"^```\{code-cell\} ipython3\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL))
     needed = set(re.findall(r"^(?:import|from) (\w+)", cells, flags=re.MULTILINE)) - sys.stdlib_module_names
     assert len(needed) > 1

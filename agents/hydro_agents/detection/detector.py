@@ -217,17 +217,24 @@ class Reading(NamedTuple):
 
         Args:
             score: (N,), NaN: no answer.
-            cause: (N,); default: ``NONE``, or ``UNDETERMINED`` without a score.
-            known: other fields by name.
+            cause: (N,), or one for all; default: ``NONE``, or ``UNDETERMINED`` without a score.
+            known: other fields by name, each (N,), or one value for all.
+
+        Raises:
+            ValueError: a field has another length.
         """
         score = np.asarray(score, dtype=np.float64)
         if cause is None:
             cause = np.where(np.isnan(score), Cause.UNDETERMINED, Cause.NONE)
-        unknown, no_text = np.full(len(score), np.nan), ("",) * len(score)
-        values: dict[str, Any] = {
-            name: no_text if name in ("fault", "why") else known.get(name, unknown) for name in cls._fields
-        }
-        return cls(**(values | known | {"score": score, "cause": np.asarray(cause, dtype=np.int8)}))
+        given: dict[str, Any] = {"fault": "", "why": ""} | known | {"score": score, "cause": cause}
+
+        def every(name: str) -> Any:
+            text = name in ("fault", "why")
+            kind = object if text else np.int8 if name == "cause" else np.float64
+            values = np.broadcast_to(np.asarray(given.get(name, np.nan), dtype=kind), score.shape)
+            return tuple(values.tolist()) if text else values.copy()
+
+        return cls(*(every(name) for name in cls._fields))
 
     @property
     def answers(self) -> NDArray[np.bool_]:

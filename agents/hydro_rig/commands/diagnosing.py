@@ -72,7 +72,8 @@ def diagnose(
     settings = AlarmSettings.load(alarm) if alarm is not None else None
     with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
         progress = display.update if display is not None else None
-        found = diagnose_recording(recording, config, weights, mapped, window, settings, progress)
+        named = {"weights": str(head)} if head is not None else {}
+        found = diagnose_recording(recording, config, weights, mapped, window, settings, progress, **named)
     lines = diagnose_to_folder(output, found, overwrite, command_line())
     say(*([json.dumps(in_json(found), indent=1, ensure_ascii=False)] if as_json else lines))
     raise typer.Exit(EXIT_CODES[found.verdict.kind])

@@ -9,24 +9,24 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from hydro_agents.controllers.registry import imported
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.detector import NO_COMMANDS, Cause, Detector, Reading, Windows
+from hydro_agents.detection.detectors import KINDS, DetectorChoice, make_detector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import looks_at, window_of
-from hydro_agents.detection.monitor import HeadDetector
-from hydro_env import TaskConfig
-from hydro_rig.diagnosis.verdict import EXIT_CODES, UNREAD, Limits, Verdict, by_volume, judge
-from hydro_rig.diagnosis.volume_balance import VolumeLeak, leak_by_volume
+from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
+from hydro_rig.diagnosis.verdict import EXIT_CODES, UNREAD, Limits, Verdict
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.result import Estimate, join
-from hydro_rig.estimation.two_stage import TwoStageDetector
-from hydro_rig.identification.data_sheet import contradictions, worst_signal
 from hydro_rig.recordings.columns import BESIDE, ColumnMap
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.parts import lively
 from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
-from hydro_rig.recordings.sampling import Sampled, bridged, cut
+from hydro_rig.recordings.sampling import Sampled, cut
 
 Progress = Callable[[str, int, int], None]
 
@@ -53,7 +53,11 @@ class Watched(NamedTuple):
 
 
 def watch(samples: Sampled, detector: Detector, task: TaskConfig, settings: AlarmSettings) -> Watched:
-    """Run an alarm over a recording, as if the axis had been switched on at its start."""
+    """Run an alarm over a recording, as if the axis had been switched on at its start.
+
+    Raises:
+        ConfigurationError: the detector cannot read the task.
+    """
     rate, count = settings.false_alarms_per_100_h, int(samples.place[-1]) + 1 if len(samples.place) else 0
     if count < window_of(detector, task):
         return Watched(None, rate, "the recording is shorter than a window of the detector")
@@ -64,6 +68,38 @@ def watch(samples: Sampled, detector: Detector, task: TaskConfig, settings: Alar
     looks = looks_at(signals, task, detector, settings.interval)
     raised = LeakAlarm(settings).follow(looks)[0].alarm[0]
     return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate, "")
+
+
+def detector_of(settings: AlarmSettings, given: LeakageHead | Detector, weights: str = HEAD_FILE) -> Detector:
+    """The detector that an alarm was set for, from the one that is given; the estimator is always there.
+
+    Raises:
+        ConfigurationError: it was set for another detector.
+    """
+    kind, _, file = settings.detector.partition(" ")
+    if kind == "estimator":
+        return make_detector(DetectorChoice(kind=kind))
+    if isinstance(given, LeakageHead):
+        name = f"head {Path(weights).name}"
+        if kind in ("", *KINDS) and Path(file or weights).stem == Path(weights).stem:
+            return make_detector(DetectorChoice(kind=kind or "head"), given)
+    else:
+        name = f"{type(given).__module__}:{type(given).__qualname__}"
+        if not kind or (":" in kind and imported(kind) in (given, type(given))):
+            return given
+    raise ConfigurationError(f"it was set for the detector '{settings.detector}', and '{name}' is given")
+
+
+def _watched(
+    checked: Checked, given: LeakageHead | Detector, weights: str, task: TaskConfig, settings: AlarmSettings
+) -> Watched:
+    """The result of an alarm, or why it did not watch."""
+    try:
+        if checked.severe:
+            raise ConfigurationError(checked.severe[0].line())
+        return watch(checked.samples, detector_of(settings, given, weights), task, settings)
+    except ConfigurationError as error:
+        return Watched(None, settings.false_alarms_per_100_h, str(error).removeprefix("alarm: "))
 
 
 class Diagnosis(NamedTuple):
@@ -90,6 +126,7 @@ def diagnose(
     window: float = 2.0,
     alarm: AlarmSettings | None = None,
     progress: Progress | None = None,
+    weights: str = HEAD_FILE,
 ) -> Diagnosis:
     """Read a recording, check it, let both detectors read it, and judge.
 
@@ -101,6 +138,7 @@ def diagnose(
         window: s, of the windows that the estimator reads; the head has its own.
         alarm: settings of an alarm that watches the recording.
         progress: called with phase, done, total.
+        weights: file of the head, by which an alarm names it.
 
     Raises:
         ConfigurationError: the recording cannot be read at all.
@@ -121,36 +159,32 @@ def diagnose(
     second = HeadDetector(head) if isinstance(head, LeakageHead) else head
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
-    whole, filled = bridged(checked.samples)
-    balance = volume_leak(recording)
-    checked = Checked(whole, [*checked.findings, *filled, *_about_beside(recording, balance)])
-    windows = cut(whole, max(round(window / config.control_period), 2))
-    limits = Limits.of(config)
-    estimator, fitted, reading, watched = None, None, None, None
-    note = second.refuses(config, windows.samples)
-    if not checked.severe and len(windows):
-        fits = 2 * int(windows.commanded.sum())
+    checked = Checked(checked.samples, [*checked.findings, *_about_beside(recording)])
+    length = max(round(window / config.control_period), 2)
+    note, limits = second.refuses(config, length), Limits.of(config)
+
+    def read(windows: Windows) -> Read:
+        chosen = np.flatnonzero(windows.commanded)
+        fits = 2 * len(chosen)
 
         def done(finished: int) -> None:
             if progress is not None and fits:
                 progress("estimator", finished, fits)
 
+        if not len(windows):
+            return Read()
         done(0)
         estimator, fitted = read_windows(windows, config, done)
-        if fitted is not None:
-            checked = Checked(whole, [*checked.findings, *contradictions(fitted, config)])
-        if not note:
-            chosen = np.flatnonzero(windows.commanded)
-            reading = second.read(windows.part(chosen), config).among(chosen, len(windows), NO_COMMANDS)
-        if alarm is not None and not note:
-            asked: Detector = second
-            if isinstance(head, LeakageHead) and alarm.detector.startswith("two_stage"):
-                asked = TwoStageDetector(head)
-            watched = watch(checked.samples, asked, config, alarm)
-    residual = worst_signal(fitted, config) if fitted is not None else ""
-    verdict = judge(checked.findings, estimator, reading, limits, window, residual)
-    if balance is not None:
-        verdict = by_volume(verdict, balance, limits)
+        if note:
+            return Read(estimator, None, fitted)
+        reading = second.read(windows.part(chosen), config).among(chosen, len(windows), NO_COMMANDS)
+        return Read(estimator, reading, fitted)
+
+    balance = volume_leak(flow_blocks(recording))
+    found = judged(checked, config, lambda samples: cut(samples, length), read, limits, window, balance, [recording])
+    watched = None if alarm is None else _watched(found.checked, head, weights, config, alarm)
+    estimator, reading, fitted, _ = found.read
+    checked, windows, verdict = found.checked, found.windows, found.verdict
     return Diagnosis(recording, config, checked, windows, estimator, reading, limits, verdict, watched, note, fitted)
 
 
@@ -172,7 +206,7 @@ def read_windows(
     if not len(others):
         return reading, fitted
     if fitted is None or not fitted.holds.any():
-        unread = Reading.of(np.full(len(others), np.nan), Cause.UNKNOWN, why=(UNREAD,) * len(others))
+        unread = Reading.of(np.full(len(others), np.nan), Cause.UNKNOWN, why=UNREAD)
         return reading.followed_by(unread).among(np.concatenate([first, others]), count, ""), fitted
     later = None if progress is None else lambda done: progress(2 * len(first) + done)
     rest, more = detector.read_and_fit(windows.part(others), config, later)
@@ -180,22 +214,8 @@ def read_windows(
     return whole, fitted if more is None else join([fitted, more])
 
 
-def volume_leak(recording: Recording) -> VolumeLeak | None:
-    """The leak by the balance of volumes; ``None`` without a flow, the position or one of the pressures."""
-    if recording.beside is None:
-        return None
-    signals = (*recording.signals[:3], recording.beside[BESIDE.index("flow")])
-    step = float(np.median(np.diff(recording.time)))
-    if not all(np.isfinite(values).any() for values in signals) or step <= 0.0:
-        return None
-    time = np.arange(recording.time[0], recording.time[-1], step)
-    # A missing reading stays NaN.
-    position, pressure_a, pressure_b, flow = (np.interp(time, recording.time, values) for values in signals)
-    return leak_by_volume(position, pressure_a, pressure_b, flow, step)
-
-
-def _about_beside(recording: Recording, balance: VolumeLeak | None) -> list[Finding]:
-    """What the further signals of a recording say."""
+def _about_beside(recording: Recording) -> list[Finding]:
+    """What the further signals of a recording say, but for the flow."""
     found: list[Finding] = []
     if recording.beside is None:
         return found
@@ -205,9 +225,6 @@ def _about_beside(recording: Recording, balance: VolumeLeak | None) -> list[Find
             low, high = size * np.nanquantile(values, [0.01, 0.99])
             more = "a leak past the seal grows as the oil thins" if unit == "°C" else "the model follows it"
             found.append(Finding(name, f"is {low:.4g} to {high:.4g} {unit}; {more}", Weight.NOTE))
-    if balance is not None:
-        what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
-        found.append(Finding("flow", what, Weight.NOTE))
     return found
 
 

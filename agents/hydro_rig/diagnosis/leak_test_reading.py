@@ -7,7 +7,7 @@ All windows of the recording share leak, plant and wear; each has its own start.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,8 @@ from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis.leak_test_plan import Progress, priors_of_test, worn_task
-from hydro_rig.diagnosis.verdict import Leak, Limits, Verdict, judge
+from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
+from hydro_rig.diagnosis.verdict import Leak, Limits, Verdict
 from hydro_rig.estimation.estimator import MISFIT, SURE, WEAR, healthy_range
 from hydro_rig.estimation.unknowns import LEAKAGE
 from hydro_rig.identification.common_fit import WELL_FITTED, Common, common_fit
@@ -30,10 +31,10 @@ from hydro_rig.identification.fit import COVERAGE
 from hydro_rig.identification.intervals import spread_of
 from hydro_rig.identification.quick_fit import quick_fit
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.findings import Finding, Weight
-from hydro_rig.recordings.quality import Checked, check_recording
+from hydro_rig.recordings.findings import Finding
+from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
-from hydro_rig.recordings.sampling import Sampled, bridged, cut
+from hydro_rig.recordings.sampling import Sampled, cut
 
 WINDOW = 4.0  # s; the windows share all unknowns but their start
 MOST_WINDOWS = 30  # a longer recording is read from the first change of the command on
@@ -109,25 +110,30 @@ def read_leak_test(
         ConfigurationError: the recording cannot be read at all.
     """
     recording = read_recording(path, columns)
-    checked = check_recording(recording, config)
-    whole, filled = bridged(checked.samples)
-    findings = [*checked.findings, *filled]
-    windows = _windows(whole, config)
     limits = Limits.of(config) if limit is None else Limits(limit, limit)
-    common = None
-    if len(windows) < 2 and not checked.severe:
-        findings.append(Finding("time", f"holds fewer than 2 windows of {WINDOW:g} s with all commands", Weight.SEVERE))
-    task = worn_task(config)
-    if not Checked(whole, findings).severe:
-        measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
-        common = _fit(windows, task, measured, progress or (lambda phase, done, total: None))
+    task, common = worn_task(config), None
     quantities: dict[str, Quantity] = {}
     seal = edges = both = None
-    reading = None
-    if common is not None:
-        quantities, seal, edges, both = _quantities(common, task)
-        reading = _reading(common, quantities, seal, config)
-    verdict = judge(findings, reading, None, limits, WINDOW)
+
+    def read(windows: Windows) -> Read:
+        nonlocal common, quantities, seal, edges, both
+        if len(windows) < 2:
+            few = f"the recording holds fewer than 2 windows of {WINDOW:g} s with all commands"
+            return Read(Reading.of([np.nan], why=few))
+        measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
+        fitted = _fit(windows, task, measured, progress or (lambda phase, done, total: None))
+        quantities, seal, edges, both = _quantities(fitted, task)
+        common = fitted
+        return Read(_reading(fitted, quantities, seal, config))
+
+    balance = volume_leak(flow_blocks(recording))
+    checked = check_recording(recording, config)
+
+    def choose(samples: Sampled) -> Windows:
+        return _windows(samples, config)
+
+    found = judged(checked, config, choose, read, limits, WINDOW, balance, [recording])
+    findings, windows, verdict = found.checked.findings, found.windows, found.verdict
     return LeakTest(recording, config, findings, windows, common, quantities, seal, edges, both, limits, verdict)
 
 
@@ -218,16 +224,13 @@ def _reading(common: Common, quantities: dict[str, Quantity], seal: Quantity, co
     count, holds = len(common.misfit), common.misfit < WELL_FITTED
     leak = seal.leak
 
-    def every(value: Any) -> NDArray[Any]:
-        return np.full(count, value)
-
     return Reading.of(
-        every(seal.value / seal.deviation),
+        np.full(count, seal.value / seal.deviation),
         np.where(holds, causes[0] if causes else Cause.NONE, Cause.UNKNOWN),
-        flow_lpm=every(leak.value),
-        low_lpm=every(leak.low),
-        high_lpm=every(leak.high),
-        fault=(" and ".join(faults),) * count,
+        flow_lpm=leak.value,
+        low_lpm=leak.low,
+        high_lpm=leak.high,
+        fault=" and ".join(faults),
         why=tuple("" if held else MISFIT for held in holds),
     )
 

@@ -26,6 +26,8 @@ SHORT = 0.5  # s; the shortest window that is recommended
 SHORTER = f"shorter ones (--window {SHORT:g}) may fit between the gaps, and read the leak less exactly"
 
 
+BALANCE = "balance of volumes"  # as the detector that decided
+
 UNREAD = "not read: the model does not explain the liveliest windows"
 
 
@@ -163,17 +165,23 @@ def judge(
 
 
 def by_volume(verdict: Verdict, balance: VolumeLeak, limits: Limits) -> Verdict:
-    """The verdict with a measured flow: where the detectors cannot tell, the balance of volumes decides alone."""
-    if verdict.kind is not Kind.UNKNOWN or balance.why:
+    """The verdict with a measured flow: where the detectors cannot tell, the balance of volumes decides alone.
+
+    The caller makes sure that no severe finding speaks against the signals of the balance, and that it belongs to the
+    piston of the rig (:meth:`~hydro_rig.diagnosis.volume_balance.VolumeLeak.on`).
+    """
+    if verdict.kind is not Kind.UNKNOWN:
         return verdict
+    if balance.why:
+        return verdict._replace(why=f"{verdict.why}; flow {balance.why}")
     leak = Leak(balance.value, balance.low, balance.high)
     why = f"by a balance of volumes over {balance.moves} steady moves, which needs no valve"
     if leak.low > limits.healthy:
-        return Verdict(Kind.LEAK, why, leak, "balance of volumes")
+        return Verdict(Kind.LEAK, why, leak, BALANCE)
     if leak.high < limits.fault:
-        return Verdict(Kind.HEALTHY, why, leak, "balance of volumes")
+        return Verdict(Kind.HEALTHY, why, leak, BALANCE)
     why = f"the leak past the piston is {leak.text()} {why}; it may be healthy or faulty"
-    return Verdict(Kind.UNKNOWN, why, leak, "balance of volumes")
+    return Verdict(Kind.UNKNOWN, why, leak, BALANCE)
 
 
 def _without_pressures(findings: Sequence[Finding]) -> bool:

@@ -26,10 +26,10 @@ from hydro_env.plant.simulate import LONGEST_PERIOD
 from hydro_env.plant.states import State
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.recordings.channels import check_channels
+from hydro_rig.recordings.channels import OVERRANGE, check_channels
 from hydro_rig.recordings.columns import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_rig.recordings.driving import check_driving
-from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.findings import Finding, Weight, finding_of
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, on_grid, sampled
 
@@ -54,6 +54,8 @@ On the three shipped rigs it is 0 to 0.6, and 0.6 to 1.0 with exchanged chambers
 
 SLOPES = (0.15, 6.0)
 """Valid range of the slopes of the flow balance and of spool against command, including wear and noise."""
+
+ROUNDING = 1e-4  # of full scale, by which a command at its limit may exceed it without a word
 
 LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
 
@@ -91,6 +93,8 @@ def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig
     checked = Checked(samples, findings)
     if not len(samples.time):
         return checked
+    samples, beyond = _within_full_scale(samples)
+    findings += beyond
     findings += check_driving(samples, config)
     channels = check_channels(samples, config)
     findings += channels.findings
@@ -104,6 +108,22 @@ def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig
             findings.append(Finding("command", what, Weight.NOTE))
         findings += check_wiring(samples, config)
     return Checked(samples, findings)
+
+
+def _within_full_scale(samples: Sampled) -> tuple[Sampled, list[Finding]]:
+    """The samples with commands of up to OVERRANGE of full scale taken as full scale; a valve opens no farther."""
+    size = np.abs(samples.signals[COMMAND])
+    beyond = (size > 1.0) & (size <= OVERRANGE)
+    if not beyond.any() or (size > OVERRANGE).any():  # the unit is wrong: check_channels says so
+        return samples, []
+    signals = samples.signals.copy()
+    signals[COMMAND, beyond] = np.sign(signals[COMMAND, beyond])
+    most = float(size[beyond].max())
+    if most < 1.0 + ROUNDING:
+        return samples._replace(signals=signals), []
+    what = f"is up to {100.0 * most:.4g} % of full scale ({FULL_VOLTAGE * most:.4g} V): taken as full scale"
+    finding = finding_of(beyond, samples.time, "command", what, Weight.NOTE)
+    return samples._replace(signals=signals), [finding]
 
 
 def row_of_command(samples: Sampled, config: TaskConfig) -> int:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from recorded import RAM, RAM_COLUMNS
+from recorded import RAM, RAM_COLUMNS, RAM_RIG
 
 from hydro_agents.detection.detector import MeasuredColumns, Windows
 from hydro_agents.detection.disturbances import SUPPLY, Disturbances, Disturbed
@@ -121,11 +121,13 @@ def test_missing_readings_of_the_gauge_are_bridged():
 
 
 def test_a_real_ram_with_a_pump_gets_its_verdict_from_the_flow():
-    task = TaskConfig()
-    found = diagnose(RAM, task, load_head(None, task), ColumnMap.model_validate(RAM_COLUMNS))
+    task = task_config(None, rig=RAM_RIG)
+    found = diagnose(RAM, task, load_head(None, TaskConfig()), ColumnMap.model_validate(RAM_COLUMNS))
     assert found.verdict.kind is Kind.LEAK
     assert 0.18 <= found.verdict.leak.value <= 0.23
     assert "balance of volumes" in found.verdict.line()
     columns = {name: column for name, column in RAM_COLUMNS.items() if name != "flow"}
-    without = diagnose(RAM, task, load_head(None, task), ColumnMap.model_validate(columns))
+    other = diagnose(RAM, TaskConfig(), load_head(None, TaskConfig()), ColumnMap.model_validate(RAM_COLUMNS))
+    assert other.verdict.kind is Kind.UNKNOWN
+    without = diagnose(RAM, task, load_head(None, TaskConfig()), ColumnMap.model_validate(columns))
     assert without.verdict.kind is Kind.UNKNOWN

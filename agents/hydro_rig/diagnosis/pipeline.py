@@ -1,0 +1,124 @@
+"""The one way from a checked recording to its verdict, for ``hydro diagnose``, ``trend`` and ``leak-test``.
+
+The commands differ in the windows that they choose and in what reads them; all else is the same: what makes one of them
+refuse makes all refuse, and a measured flow serves all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hydro_agents.detection.detector import Reading, Windows
+from hydro_env import HydroError, TaskConfig
+from hydro_env.errors import reason
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_rig.diagnosis.verdict import Limits, Verdict, by_volume, judge
+from hydro_rig.diagnosis.volume_balance import BLOCK, Blocks, VolumeLeak, blocks_of, leak_of_blocks
+from hydro_rig.estimation.result import Estimate
+from hydro_rig.identification.data_sheet import contradictions, worst_signal
+from hydro_rig.recordings.columns import BESIDE
+from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.quality import Checked, check_recording
+from hydro_rig.recordings.recording import Recording
+from hydro_rig.recordings.sampling import Sampled, bridged
+
+LONGEST_STEP = 3.0  # of the usual distance of rows: a longer one ends a part of a recording, as one beyond BLOCK
+
+
+class Read(NamedTuple):
+    """What was read in the windows of a recording."""
+
+    estimator: Reading | None = None  # or the common fit of a leak test
+    head: Reading | None = None
+    fitted: Estimate | None = None
+    findings: Sequence[Finding] = ()
+
+
+class Judged(NamedTuple):
+    """A recording with its verdict."""
+
+    checked: Checked  # short gaps of the command are filled; all findings
+    windows: Windows
+    read: Read
+    verdict: Verdict
+
+
+def judged(
+    checked: Checked,
+    config: TaskConfig,
+    choose: Callable[[Sampled], Windows],
+    read: Callable[[Windows], Read],
+    limits: Limits,
+    window: float,
+    balance: VolumeLeak | None,
+    rows: Sequence[Recording],
+) -> Judged:
+    """Fill gaps, choose windows, read them unless a finding is severe, and judge.
+
+    Args:
+        checked: the samples and what was found about them.
+        config: the task whose rig was recorded.
+        choose: the windows of the samples.
+        read: reads them.
+        limits: of leaks.
+        window: s, their length, for the reasons.
+        balance: the leak from a measured flow; ``None``: no flow was recorded.
+        rows: what was recorded, for the balance.
+    """
+    samples, filled = bridged(checked.samples)
+    balance = None if balance is None else balance.on(plant_coefficients(config.plant).area_a)
+    checked = Checked(samples, [*checked.findings, *filled, *_about(balance)])
+    usable, windows, found = not checked.severe, choose(samples), Read()
+    if usable:
+        try:
+            found = read(windows)
+        except (ValueError, ArithmeticError, LookupError) as error:
+            what = f"cannot be read: {error if isinstance(error, HydroError) else reason(error)}"
+            found = Read(findings=[Finding("windows", " ".join(what.split()), Weight.SEVERE)])
+        told = [] if found.fitted is None else contradictions(found.fitted, config)
+        checked = Checked(samples, [*checked.findings, *found.findings, *told])
+    residual = "" if found.fitted is None else worst_signal(found.fitted, config)
+    verdict = judge(checked.findings, found.estimator, found.head, limits, window, residual)
+    if balance is not None and (not checked.severe if usable else _balance_may_decide(rows, config)):
+        verdict = by_volume(verdict, balance, limits)
+    return Judged(checked, windows, found, verdict)
+
+
+def _balance_may_decide(rows: Sequence[Recording], config: TaskConfig) -> bool:
+    """Whether no severe finding is left once the rows need not fit the control period: a balance has no commands."""
+    return not any(check_recording(one, config, own_grid=True).severe for one in rows)
+
+
+def _about(balance: VolumeLeak | None) -> list[Finding]:
+    if balance is None:
+        return []
+    what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
+    return [Finding("flow", what, Weight.NOTE)]
+
+
+def volume_leak(blocks: Iterable[Blocks]) -> VolumeLeak | None:
+    """The leak by the balance of volumes; ``None`` if nothing was recorded that gives one."""
+    parts = list(blocks)
+    return leak_of_blocks(parts) if parts else None
+
+
+def flow_blocks(recording: Recording) -> Iterator[Blocks]:
+    """The blocks of a balance of volumes; none without a flow, the position or one of the pressures."""
+    if recording.beside is None or len(recording.time) < 2:
+        return
+    signals = np.concatenate([recording.signals[:3], recording.beside[[BESIDE.index("flow")]]])
+    steps = np.diff(recording.time)
+    step = float(np.median(steps))
+    if not np.isfinite(signals).any(axis=1).all() or step <= 0.0:
+        return
+    ends = np.flatnonzero((steps < 0.0) | (steps > max(BLOCK, LONGEST_STEP * step))) + 1
+    for part in np.split(np.arange(len(recording.time)), ends):
+        stamps = recording.time[part]
+        time = np.arange(stamps[0], stamps[-1], step)
+        # A missing reading stays NaN.
+        position, pressure_a, pressure_b, flow = (np.interp(time, stamps, values[part]) for values in signals)
+        if len(time) > 1:
+            yield blocks_of(position, pressure_a, pressure_b, flow, step)
