@@ -12,10 +12,10 @@ from recorded import CONFIG, recorded_file
 from hydro_agents.detection.detector import Cause, Reading
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import load_head
-from hydro_agents.rigs import diagnose as diagnosing
 from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.units import LITRE_PER_MINUTE
+from hydro_rig.diagnosis import diagnose as diagnosing
 from hydro_rig.diagnosis.diagnose import detector_of, diagnose
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind, Limits, Verdict, by_volume
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
