@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-GROUND = ("errors", "version", "types", "compiling", "mistakes", "units", "folders", "files")
+GROUND = ("errors", "version", "types", "compiling", "mistakes", "units", "field_mistakes", "folders", "files")
 ROOMS = (
     *(f"hydro_env/{name}" for name in GROUND),
     "hydro_env/plant/",

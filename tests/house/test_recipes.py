@@ -162,7 +162,7 @@ def try_leak_law() -> None:
     from hydro_env.plant.parts.leakage import LEAK_LAWS
 
     assert "turbulent" in LEAK_LAWS
-    tests, known = str(Path(__file__).with_name("test_leak_laws.py")), "not laminar and not orifice"
+    tests, known = str(ROOT / "tests/hydro_env/test_leak_laws.py"), "not laminar and not orifice"
     assert pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-k", known, tests]) == 0
 
 

@@ -57,7 +57,7 @@ class Part(NamedTuple):
     """
 
     table: str  # name of the table of its rows
-    cells: str  # module:function of this package that yields its cells
+    cells: str  # module:function that yields its cells; without a dot the module is of this package
     kinds: tuple[str, ...] = ("robustness",)  # of protocols that may have it
 
 
@@ -73,7 +73,7 @@ PARTS = {
     "pause": Part("pauses", "transitions:pause"),
     "take_over": Part("take_over", "transitions:take_over"),
     "windows": Part("windows", "leak_protocol:windows", ("leakage",)),
-    "leak_bound": Part("bound", "leak_bound:leak_bound", ("leakage",)),
+    "leak_bound": Part("bound", "hydro_rig.estimation.leak_bound:leak_bound", ("leakage",)),
     "leak_price": Part("leak_price", "leak_price:price"),
 }
 """Every part by its name. Its module is imported when a protocol has the part."""
@@ -82,8 +82,9 @@ PARTS = {
 def cells_of(part: str) -> Callable[[Any, Any], Iterator[Cell]]:
     """The function that yields the cells of a part from a protocol and its participants."""
     module, _, name = PARTS[part].cells.partition(":")
-    found: Callable[[Any, Any], Iterator[Cell]] = getattr(import_module(f"hydro_agents.evaluation.{module}"), name)
-    return found
+    place = module if "." in module else f"hydro_agents.evaluation.{module}"
+    cells: Callable[[Any, Any], Iterator[Cell]] = getattr(import_module(place), name)
+    return cells
 
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]

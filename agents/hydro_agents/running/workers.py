@@ -47,7 +47,7 @@ def workers(jobs: int | None = None, backend: str = "loky", address: str | None 
     if backend not in BACKENDS:
         raise ConfigurationError(f"--backend '{backend}': must be one of {', '.join(BACKENDS)}")
     if address is not None and not BACKENDS[backend]:
-        raise ConfigurationError(f"--address {address}: needs --backend dask or ray")
+        raise ConfigurationError(f"--backend {backend}={address}: takes no address; dask and ray do")
     with ExitStack() as stack:
         begin = {"loky": _loky, "dask": _dask, "ray": _ray}[backend]
         options = begin(jobs, address, stack)
@@ -77,9 +77,11 @@ def _dask(jobs: int | None, address: str | None, stack: ExitStack) -> dict[str, 
         client = stack.enter_context(distributed.Client(address, timeout=SECONDS))
         client.wait_for_workers(1, timeout=SECONDS)
     except TimeoutError:
-        raise ConfigurationError(f"--address {address}: the Dask cluster has no worker after {SECONDS} s") from None
+        raise ConfigurationError(
+            f"--backend dask={address}: the Dask cluster has no worker after {SECONDS} s"
+        ) from None
     except (OSError, ValueError) as error:
-        raise ConfigurationError(f"--address {address}: is no Dask scheduler: {_first_line(error)}") from None
+        raise ConfigurationError(f"--backend dask={address}: is no Dask scheduler: {_first_line(error)}") from None
     return {"client": client, "n_jobs": jobs or -1}
 
 
@@ -101,7 +103,7 @@ def _ray(jobs: int | None, address: str | None, stack: ExitStack) -> dict[str, A
         else:
             ray.init(address, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:
-        where = f"--address {address}" if address is not None else "--backend ray"
+        where = f"--backend ray={address}" if address is not None else "--backend ray"
         raise ConfigurationError(f"{where}: Ray did not begin: {_first_line(error)}") from None
     stack.callback(ray.shutdown)
     import_module("ray.util.joblib").register_ray()
@@ -125,22 +127,20 @@ def _reach(address: str, backend: str) -> None:
     Raises:
         ConfigurationError: the address has no port, or nobody answers there.
     """
-    found = _PORT.fullmatch(address)
+    place, found = f"--backend {backend}={address}", _PORT.fullmatch(address)
     if found is None:
-        raise ConfigurationError(
-            f"--address '{address}': must be HOST:PORT, such as scheduler:8786 or ray://head:10001"
-        )
+        raise ConfigurationError(f"{place}: must be HOST:PORT, such as scheduler:8786 or ray://head:10001")
     try:
         socket.create_connection((found["host"].strip("[]"), int(found["port"])), SECONDS).close()
         line = [sys.executable, "-c", f"import sys; {_TRIALS[backend]}", address]
         trial = subprocess.run(line, capture_output=True, text=True, timeout=SECONDS, check=False)
     except (OSError, OverflowError, UnicodeError) as error:
-        raise ConfigurationError(f"--address {address}: does not answer: {_first_line(error)}") from None
+        raise ConfigurationError(f"{place}: does not answer: {_first_line(error)}") from None
     except subprocess.TimeoutExpired:
-        raise ConfigurationError(f"--address {address}: does not answer as {backend} within {SECONDS} s") from None
+        raise ConfigurationError(f"{place}: does not answer as {backend} within {SECONDS} s") from None
     if trial.returncode:
         reason = (trial.stderr.strip() or "no reason given").splitlines()[-1]
-        raise ConfigurationError(f"--address {address}: does not answer as {backend}: {reason}")
+        raise ConfigurationError(f"{place}: does not answer as {backend}: {reason}")
 
 
 def _first_line(error: BaseException) -> str:
