@@ -6,7 +6,7 @@ rig can measure the true state.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.prediction import (
@@ -27,15 +28,18 @@ from hydro_agents.evaluation.prediction import (
     random_changes,
     true_schedule,
 )
-from hydro_agents.evaluation.robustness_protocol import PairedCondition, RobustnessProtocol
+from hydro_agents.evaluation.robustness_protocol import PairedCondition, PairedProtocol, RobustnessProtocol
 from hydro_agents.evaluation.runner import run
+from hydro_agents.evaluation.tracking import begun, cell_of, metrics_of
 from hydro_agents.running.cases import Cases, Rollout, run_cases
+from hydro_agents.running.jobs import Columns
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.files import Group, validate
 from hydro_env.task.signals import POSITION
 from hydro_env.types import Floats
 
+BEST_FOUND = "best found"
 Told = Literal["truth", "nominal"]
 Continuation = Literal["hold", "speed", "acceleration"]
 
@@ -72,6 +76,22 @@ EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)
 
 STEP_LENGTHS = (1.0, 0.4)  # fractions of each Gauss–Newton step that are tried
 CHANGE_SIZES = (2.0, 0.5, 0.1, 0.02)  # largest random changes of the plan, as a fraction of 10 V
+
+
+def best(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
+    """Searches for the best commands, on some cases of the conditions that the protocol names."""
+    # One thread: as many jobs as cores run side by side.
+    searches = chosen.searches or {BEST_FOUND: partial(best_found, settings={"threads": 1})}
+    for condition in protocol.bound_conditions:
+        cases, table = protocol.bound_cases_in(condition)
+        for name, search in searches.items():
+            arguments = (protocol.task_in(condition), cases, table)
+            yield cell_of(protocol, name, condition, search, *arguments, work=searched)
+
+
+def searched(search: Callable[..., Rollout], config: TaskConfig, cases: Cases, families: NDArray[np.str_]) -> Columns:
+    """The metrics of cases under the best commands that a search finds."""
+    return metrics_of(begun(search, config, cases), config, families)
 
 
 def best_found(

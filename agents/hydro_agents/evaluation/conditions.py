@@ -65,7 +65,7 @@ PARTS = {
     "tracking": Part("cases", "tracking:tracking", ("robustness", "study")),
     "episodes": Part("detection", "detection:episodes", ("study",)),
     "standstill": Part("limit_cycles", "limit_cycles:standstill", ("robustness", "study")),
-    "best_found": Part("bound", "tracking:best", ("robustness", "study")),
+    "best_found": Part("bound", "best_found:best", ("robustness", "study")),
     "frequency": Part("frequency", "experiments:frequency"),
     "force_step": Part("force_step", "experiments:force_step"),
     "force_sine": Part("force_sine", "experiments:force_sine"),

@@ -1,9 +1,8 @@
-"""Parts that run controllers, and the search for the best commands, on paired cases."""
+"""The part that runs controllers on paired cases."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,28 +18,11 @@ from hydro_agents.running.cases import Cases, ControllerError, Rollout, run_case
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_env import ConfigurationError, TaskConfig
 
-BEST_FOUND = "best found"
-
-BestFound = Callable[[TaskConfig, Cases], Rollout]  # runs cases under the best commands that a search finds
-
 
 def tracking(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller on the cases of every condition."""
     for condition in protocol.conditions:
         yield from paired_cells(protocol, chosen, condition, protocol.task_in(condition), *protocol.cases_in(condition))
-
-
-def best(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
-    """Searches for the best commands, on some cases of the conditions that the protocol names."""
-    from hydro_agents.evaluation.best_found import best_found
-
-    # One thread: as many jobs as cores run side by side.
-    searches = chosen.searches or {BEST_FOUND: partial(best_found, settings={"threads": 1})}
-    for condition in protocol.bound_conditions:
-        cases, table = protocol.bound_cases_in(condition)
-        for name, search in searches.items():
-            arguments = (protocol.task_in(condition), cases, table)
-            yield _cell(protocol, name, condition, search, *arguments, work=searched)
 
 
 def paired_cells(
@@ -58,10 +40,10 @@ def paired_cells(
         if isinstance(controller, str):
             yield Cell(name, condition, refused=controller)
         else:
-            yield _cell(protocol, name, condition, controller, task, cases, table, work or tracked)
+            yield cell_of(protocol, name, condition, controller, task, cases, table, work or tracked)
 
 
-def _cell(
+def cell_of(
     protocol: PairedProtocol,
     name: str,
     condition: str,
@@ -96,12 +78,7 @@ def tracked(controller: Controller, config: TaskConfig, cases: Cases, families: 
         ControllerError: the controller failed.
         ConfigurationError: an episode cannot begin.
     """
-    return _metrics(begun(run_cases, config, controller, cases), config, families)
-
-
-def searched(search: BestFound, config: TaskConfig, cases: Cases, families: NDArray[np.str_]) -> Columns:
-    """The same under the best commands that a search finds."""
-    return _metrics(begun(search, config, cases), config, families)
+    return metrics_of(begun(run_cases, config, controller, cases), config, families)
 
 
 def begun(run: Callable[..., Rollout], *arguments: Any) -> Rollout:
@@ -114,7 +91,8 @@ def begun(run: Callable[..., Rollout], *arguments: Any) -> Rollout:
         raise ConfigurationError(f"the condition cannot begin: {error}") from None
 
 
-def _metrics(rollout: Rollout, config: TaskConfig, families: NDArray[np.str_]) -> Columns:
+def metrics_of(rollout: Rollout, config: TaskConfig, families: NDArray[np.str_]) -> Columns:
+    """The metrics of cases that have run."""
     preview = max(config.references.preview_times, default=0.0)
     found = rollout_metrics(rollout, families, config.control_period, preview)
     return {name: values.astype(np.float64) for name, values in found.items()}
