@@ -83,6 +83,7 @@ Columns = Annotated[
     Path | None,
     typer.Option("--map", metavar="FILE", help="YAML: the signal of each column, with unit, gain and offset."),
 ]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")]
 Recording = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="Measured signals: CSV, Parquet, MDF4, TDMS or MAT.")
 ]

@@ -12,6 +12,7 @@ import typer
 
 from hydro_agents.commands.options import (
     Columns,
+    Json,
     Output,
     Overwrite,
     OwnTask,
@@ -23,7 +24,6 @@ from hydro_agents.commands.options import (
 )
 from hydro_rig.commands.guesses import guesses_shown
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")]
 Oil = Annotated[
     str,
     typer.Option(

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydro_agents.commands.options import Columns, Overwrite, OwnTask, Rig, command_line, say
-from hydro_rig.commands.diagnosing import Json
+from hydro_agents.commands.options import Columns, Json, Overwrite, OwnTask, Rig, command_line, say
 from hydro_rig.commands.guesses import guesses_shown
 
 if TYPE_CHECKING:
