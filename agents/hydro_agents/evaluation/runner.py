@@ -10,12 +10,12 @@ The rows of each part are a table too (:data:`~hydro_agents.evaluation.condition
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -23,7 +23,7 @@ import pandas as pd
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.conditions import PARTS, Cell, Protocol, cells_of
 from hydro_agents.running.cases import ControllerError
-from hydro_agents.running.jobs import Job, Report, run_jobs
+from hydro_agents.running.jobs import JobResult, Report, run_jobs
 from hydro_env.files import write_whole
 
 DONE, NOT_APPLICABLE, FAILED = "done", "not applicable", "failed"
@@ -149,38 +149,66 @@ def run(
         ControllerError: every participant failed in every condition.
         ConfigurationError: a file cannot be written.
     """
-    cells = [(part, cell) for part in protocol.measured for cell in cells_of(part)(protocol, chosen)]
+    plan = _plan(protocol, chosen)
     # Equal jobs run once: conditions that differ only in their references share the search for limit cycles.
-    keys = {id(job): key for key, job in _keys(cells)}
-    listed = {keys[id(job)]: job for _, cell in cells for job in cell.jobs}
-    results, reused = run_jobs(listed, folder, jobs, progress)
+    todo = {key: job for planned in plan for key, job in zip(planned.keys, planned.cell.jobs, strict=True)}
+    results, reused = run_jobs(todo, folder, jobs, progress)
     frames: dict[str, list[pd.DataFrame]] = {}
-    refused = [(cell.participant, cell.condition, NOT_APPLICABLE, cell.refused) for _, cell in cells if cell.refused]
-    ran = []
-    for part, cell in cells:
-        answers = [results[keys[id(job)]] for job in cell.jobs]
+    outcomes = [planned.refusal for planned in plan if planned.cell.refused]
+    for planned in plan:
+        answers = [results[key] for key in planned.keys]
+        if not answers:
+            continue
         error = next((answer.error for answer in answers if answer.error), "")
-        if cell.condition or error:
-            ran += [(cell.participant, cell.condition or part, FAILED if error else DONE, error)] if answers else []
-        if answers and not error:
-            columns = {name: np.concatenate([each.metrics[name] for each in answers]) for name in answers[0].metrics}
-            frames.setdefault(part, []).append(pd.DataFrame({**cell.known, **columns}))
-    statuses = _statuses(protocol.who, [*refused, *ran])
+        if planned.cell.condition or error:
+            outcomes.append(planned.outcome(error))
+        if not error:
+            frames.setdefault(planned.part, []).append(planned.rows(answers))
+    statuses = _statuses(protocol.who, outcomes)
     if protocol.measured[0] not in frames:
         reasons = statuses[statuses["message"] != ""].drop_duplicates(protocol.who)
-        told = "; ".join(f"{row[protocol.who]}: {row['message']}" for row in reasons.to_dict("records"))
-        raise ControllerError(f"no {protocol.who} ran under any condition; {told}")
+        lines = "; ".join(f"{row[protocol.who]}: {row['message']}" for row in reasons.to_dict("records"))
+        raise ControllerError(f"no {protocol.who} ran under any condition; {lines}")
     rows = {part: pd.concat(each, ignore_index=True) for part, each in frames.items()}
     return Results(protocol, chosen, rows, statuses, reused, facts)
 
 
-def _keys(cells: Sequence[tuple[str, Cell]]) -> Iterator[tuple[str, Job]]:
-    for place, (part, cell) in enumerate(cells):
-        for number, job in enumerate(cell.jobs):
-            yield (job.file if job.digest else f"{part}|{place}|{number}"), job
+Outcome = tuple[str, str, str, str]  # participant, condition, status, message
 
 
-def _statuses(who: str, rows: Sequence[tuple[str, str, str, str]]) -> pd.DataFrame:
+class _Planned(NamedTuple):
+    """One participant in one part and condition, and the names of its jobs."""
+
+    part: str
+    cell: Cell
+    keys: tuple[str, ...]
+
+    @property
+    def refusal(self) -> Outcome:
+        return self.cell.participant, self.cell.condition, NOT_APPLICABLE, self.cell.refused
+
+    def outcome(self, error: str) -> Outcome:
+        return self.cell.participant, self.cell.condition or self.part, FAILED if error else DONE, error
+
+    def rows(self, answers: Sequence[JobResult]) -> pd.DataFrame:
+        """The columns that its jobs gave, one below the other, beside what is known of the cell."""
+        names = answers[0].metrics
+        columns = {name: np.concatenate([answer.metrics[name] for answer in answers]) for name in names}
+        return pd.DataFrame({**self.cell.known, **columns})
+
+
+def _plan(protocol: Protocol[Any], chosen: Any) -> list[_Planned]:
+    """All cells; a job has the name of its file, or one of its own if its results are not kept."""
+    plan: list[_Planned] = []
+    for part in protocol.measured:
+        for cell in cells_of(part)(protocol, chosen):
+            own = f"{part}|{len(plan)}"
+            keys = (job.file if job.digest else f"{own}|{number}" for number, job in enumerate(cell.jobs))
+            plan.append(_Planned(part, cell, tuple(keys)))
+    return plan
+
+
+def _statuses(who: str, rows: Sequence[Outcome]) -> pd.DataFrame:
     """One row per participant and condition: the first failure if any part failed."""
     table = pd.DataFrame(rows, columns=[who, "condition", "status", "message"])
     table = table.sort_values("message", key=lambda messages: messages == "", kind="stable")
