@@ -35,15 +35,13 @@ class Nothing:
         return np.full((len(observation), 1), self.command, dtype=np.float32), None
 
 
-def test_the_search_improves_and_repeats():
+def test_the_search_improves_what_it_is_asked_for():
     seen = []
     best = tune("pid", SHORT, evaluations=30, progress=seen.append, **OPTIONS)
     assert [one.evaluations for one in seen] == [6, 12, 18, 24, 30]
     assert seen[-1].score.equal < seen[0].score.equal
     assert (seen[-1].gains, seen[-1].score) == (best.gains, best.score)
-    again = tune("pid", SHORT, evaluations=30, **OPTIONS)
-    assert (again.gains, again.score) == (best.gains, best.score)
-    equal, mean = (tune("pid", SHORT, objective, evaluations=90, **OPTIONS).score for objective in ("equal", "mean"))
+    equal, mean = (tune("pid", SHORT, objective, evaluations=60, **OPTIONS).score for objective in ("equal", "mean"))
     assert mean.mean < equal.mean
     assert mean.equal > equal.equal
 

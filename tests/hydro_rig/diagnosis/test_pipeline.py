@@ -116,7 +116,7 @@ def wrong_rig(tmp_path_factory):
     return path.read_text().splitlines(keepends=True)
 
 
-@pytest.mark.parametrize("seconds", [4, 6, 10, 30])
+@pytest.mark.parametrize("seconds", [6, *(pytest.param(longer, marks=pytest.mark.slow) for longer in (4, 10, 30))])
 def test_another_rig_ends_in_cannot_tell_after_any_duration(wrong_rig, tmp_path, seconds):
     (tmp_path / "a.csv").write_text("".join(wrong_rig[: 2 + 200 * seconds]))
     answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out")
