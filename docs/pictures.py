@@ -147,7 +147,7 @@ def performance() -> None:
 
     def training(figure: Figure) -> None:
         axes = figure.subplots()
-        axes.barh(range(len(parts)), list(parts.values()), color=COLOURS[0])
+        axes.barh(range(len(parts)), list(parts.values()), color=COLOURS["blue"])
         row_axis(axes, list(parts))
         axes.set(xlabel="ms per iteration (256 axes × 64 steps)")
 
