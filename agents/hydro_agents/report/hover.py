@@ -81,7 +81,7 @@ def _points(axes: Axes, line: Line2D) -> list[tuple[float, float]]:
 
 def thinned_rows(count: int, most: int) -> NDArray[np.int64]:
     """Numbers of at most ``most`` rows, evenly from the first to the last."""
-    return np.linspace(0, count - 1, min(count, most)).astype(np.int64)
+    return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)
 
 
 def _value(axes: Axes, which: str, value: float) -> str:

@@ -1,6 +1,7 @@
 """The page of the robustness protocol: what it says, what it colours, and what it leaves out."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
