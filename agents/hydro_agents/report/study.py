@@ -139,10 +139,9 @@ def positioning(content: Content) -> list[Block]:
         *score_plot(content, scores),
         *tracking_plots(content),
         Text(tails, "soft"),
-        Fold("Mean errors with intervals", [metric_table(content, by, "mean_error_mm") for by in BY]),
         *([Fold("Ratios of errors, with verdicts", [Text(wins), *ratios])] if ratios else []),
-        Fold("All other metrics by leak size", [Text(settled), *metric_tables(content, "levels")]),
-        Fold("All other metrics by kind of reference", metric_tables(content, "families")),
+        Fold("All metrics by leak size", [Text(settled), *metric_tables(content, "levels")]),
+        Fold("All metrics by kind of reference", metric_tables(content, "families")),
     ]
 
 
@@ -180,7 +179,7 @@ def study_method(content: Content) -> list[Block]:
             "Detection, on other plants: leak sizes are log-uniform, kinds of reference are drawn at random. The "
             "network reads the signals of one whole episode."
         )
-    return [Points(sentences), extent_table(content), definitions(), terms(content)]
+    return [Points(sentences), extent_table(content), terms(content)]
 
 
 # Tables -------------------------------------------------------------------------------------------------------------
@@ -189,24 +188,30 @@ def study_method(content: Content) -> list[Block]:
 def extent_table(content: Content) -> Table:
     """What was run: numbers of runs, plants, leaks, seeds."""
     cases, still, detection = (content.table(name) for name in ("cases", "limit_cycles", "detection"))
-    rows = [
-        ("Runs of each controller", str(len(cases.drop_duplicates(["leakage_flow_lpm", "family", "plant"])))),
-        ("Kinds of reference", ", ".join(map(family_name, cases["family"].unique()))),
-        ("Plants for each kind", str(cases["plant"].nunique())),
-        ("Leaks of each plant, l/min at 100 bar", _leaks(cases)),
-    ]
     trainings = cases.groupby("controller", sort=False)["training_seed"].nunique()
-    rows += [(f"Training seeds of {name}", str(count)) for name, count in trainings.items() if count > 1]
+    rows = {
+        "Runs of each controller": len(cases.drop_duplicates(["leakage_flow_lpm", "family", "plant"])),
+        "Kinds of reference": ", ".join(map(family_name, cases["family"].unique())),
+        "Plants for each kind": cases["plant"].nunique(),
+        "Leaks of each plant, l/min at 100 bar": _leaks(cases),
+        "Training seeds of each controller": ", ".join(f"{name} {count}" for name, count in trainings.items()),
+        "Seeds of tracking": _seeds(cases["seed"]),
+        "Seeds of training, not used here": _seeds(TRAINING_SEEDS),
+        "Seeds of validation, not used here": _seeds(VALIDATION_SEEDS),
+    }
     if len(still):
-        rows += [("Standstills: plants", str(still["plant"].nunique())), ("Standstills: leaks", _leaks(still))]
+        rows |= {"Standstills: plants": still["plant"].nunique(), "Standstills: leaks, l/min": _leaks(still)}
     if content.has("detection_summary"):
         row = content.table("detection_summary").iloc[0]
-        rows.append(("Healthy episodes of the detection", str(int(row["healthy_episodes"]))))
-        rows.append(("Leaking episodes of the detection", str(int(row["leaking_episodes"]))))
-    seeds = {"tracking": cases["seed"], **({"detection": detection["seed"]} if len(detection) else {})}
-    used = {**seeds, "training, not used here": TRAINING_SEEDS, "validation, not used here": VALIDATION_SEEDS}
-    rows += [(f"Seeds of {what}", span(min(own), max(own))) for what, own in used.items()]
-    return Table("What was run", ("", "Number"), rows, style="words", folded=False)
+        rows["Detection: healthy and leaking episodes"] = f"{row['healthy_episodes']} and {row['leaking_episodes']}"
+        rows["Seeds of detection"] = _seeds(detection["seed"])
+    return Table(
+        "What was run", ("", "Number"), [(what, str(n)) for what, n in rows.items()], style="words", folded=False
+    )
+
+
+def _seeds(seeds: pd.Series | range) -> str:
+    return span(min(seeds), max(seeds))
 
 
 def _leaks(table: pd.DataFrame) -> str:
@@ -297,10 +302,10 @@ def metric_table(content: Content, by: str, metric: str) -> Table:
 
 
 def metric_tables(content: Content, by: str) -> list[Table]:
-    """All other metrics that have a value, and the failures if there are any."""
+    """All metrics that have a value, and the failures if there are any."""
     table = content.table(by)
     has_value = table["mean"].notna() & ((table["metric"] != "failed") | (table["mean"] > 0.0))
-    valued = set(table[has_value]["metric"]) - {"mean_error_mm"}
+    valued = set(table[has_value]["metric"])
     return [metric_table(content, by, metric) for metric in METRICS if metric in valued]
 
 
@@ -322,32 +327,25 @@ def ratio_tables(content: Content) -> list[Table]:
     return tables
 
 
-def definitions() -> Table:
-    """Definitions of the metrics."""
+def terms(content: Content) -> Table:
+    """What the words of the page mean: metrics of a run, and others."""
     rows = []
     for metric in METRICS.values():
-        meaning = metric.meaning if metric.unit == "1" else f"{metric.meaning}; {metric.unit}"
-        rows.append((metric.word, meaning, metric.name))
-    return Table("Metrics of a run", ("Name", "meaning", "in the CSV files"), rows, style="words")
-
-
-def terms(content: Content) -> Table:
-    """What the words of the page mean."""
-    rows = [
-        ("Ratio", "mean error of one controller divided by that of another, on the same runs; below 1 is better"),
-        ("Worst 5 %", "conditional value at risk (CVaR): mean over the worst 5 % of the runs"),
-    ]
+        unit = "" if metric.unit == "1" else f"; {metric.unit}"
+        rows.append((metric.word, f"{metric.meaning}{unit}", metric.name))
+    meanings = {
+        "Ratio": "mean error of one controller divided by that of another, on the same runs; below 1 is better",
+        "Worst 5 %": "conditional value at risk (CVaR): mean over the worst 5 % of the runs",
+    }
     if content.has("detection_summary"):
         healthy = setting(content.bounds.healthy_up_to)
-        rows += [
-            ("False alarm", f"an episode with a healthy seal (up to {healthy} l/min) that is flagged"),
-            ("Detection rate", "share of leaking episodes that are flagged; also called recall"),
-            ("Precision", "share of flagged episodes that leak; depends on how common leaks are"),
-            (
-                "ROC, area under it",
-                "detection rate over false-alarm rate for all thresholds; the area (AUROC) is the probability that a "
-                "leaking episode gets a higher score than a healthy one: 1 is perfect, 0.5 is chance",
-            ),
-            ("Average precision", "precision averaged over recall; chance gives the share of leaking episodes"),
-        ]
-    return Table("Terms", ("Term", "Meaning"), rows, style="words")
+        meanings |= {
+            "False alarm": f"an episode with a healthy seal (up to {healthy} l/min) that is flagged",
+            "Detection rate": "share of leaking episodes that are flagged; also called recall",
+            "Precision": "share of flagged episodes that leak; depends on how common leaks are",
+            "ROC, area under it": "detection rate over false-alarm rate for all thresholds; the area (AUROC) is the "
+            "probability that a leaking episode gets a higher score than a healthy one: 1 is perfect, 0.5 is chance",
+            "Average precision": "precision averaged over recall; chance gives the share of leaking episodes",
+        }
+    rows += [(term, meaning, "") for term, meaning in meanings.items()]
+    return Table("Metrics of a run, and terms", ("Name", "meaning", "in the CSV files"), rows, style="words")

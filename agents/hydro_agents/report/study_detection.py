@@ -1,11 +1,10 @@
-"""The section of a study about the leakage head: detection rate, ROC, precision and recall, estimated size."""
+"""The section of a study about the leakage head: detection rate, ROC, estimated size."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.report.canvas import GREY, INK, PALE, PAPER, Plot, curve_plot, one_panel, ticks
@@ -56,7 +55,9 @@ def detection(content: Content) -> list[Block]:
             "spool position, command) and estimates the probability of a leak and its size. A leak is flagged if the "
             "probability reaches the threshold. The head never reads the leak itself."
         ),
-        *(_rates(content), _roc(content), _size(content), _precision_recall(content)),
+        _rates(content),
+        _roc(content),
+        _size(content),
         Fold("Detection in numbers", tables),
     ]
 
@@ -104,15 +105,6 @@ def _rates(content: Content) -> Plot:
     return curve_plot(*named, parts, content.looks, " %", finish, apart=0.16, drawn="points")
 
 
-def _curves(content: Content, name: str) -> dict[str, pd.Series[Any]]:
-    """A curve of each controller in percent, y over x."""
-    curves = {}
-    for controller in content.looks:
-        part = 100.0 * content.rows("curves", controller=controller, curve=name)[["x", "y"]]
-        curves[controller] = part.set_index("x")["y"]
-    return curves
-
-
 def _operating_point(content: Content, controller: str) -> tuple[float, float]:
     """False-alarm rate and detection rate of all leaks at the head's threshold, percent."""
     part, bounds = content.rows("detection", controller=controller), content.bounds
@@ -127,9 +119,10 @@ def _from_summary(content: Content, column: str, decimals: int) -> str:
 
 
 def _roc(content: Content) -> Plot:
-    curves = _curves(content, "roc")
-    for curve in curves.values():
-        curve.index = curve.index.to_series().clip(lower=FEWEST_FALSE_ALARMS)
+    curves = {}
+    for name in content.looks:
+        roc = 100.0 * content.rows("curves", controller=name, curve="roc")[["x", "y"]]
+        curves[name] = roc.set_index(roc["x"].clip(lower=FEWEST_FALSE_ALARMS))["y"]
 
     def finish(axes: Axes) -> None:
         axes.axvline(1.0, color=GREY, linewidth=0.9, linestyle="--")
@@ -151,24 +144,6 @@ def _roc(content: Content) -> Plot:
     )
     title = "Leaks flagged against false alarms"
     return curve_plot("roc", title, note, curves, content.looks, " %", finish, " %", drawn="steps")
-
-
-def _precision_recall(content: Content) -> Plot:
-    row = content.table("detection_summary").iloc[0]
-    share = 100.0 * row["leaking_episodes"] / (row["leaking_episodes"] + row["healthy_episodes"])
-
-    def finish(axes: Axes) -> None:
-        axes.axhline(share, color=GREY, linewidth=0.8, linestyle=":", label="chance")
-        axes.set(xlabel="recall: leaks flagged, %", ylabel="precision: correct flags, %")
-        axes.set(xlim=(0.0, 101.0), ylim=(0.0, 102.0))
-
-    note = (
-        f"Precision against recall. Here {share:.0f} % of the episodes leak; with rarer leaks fewer flags are correct. "
-        f"Average precision: {_from_summary(content, 'average_precision', 3)}."
-    )
-    title, curves = "How many flags are correct", _curves(content, "precision_recall")
-    curves = {name: curve.iloc[thinned_rows(len(curve), 400)] for name, curve in curves.items()}
-    return curve_plot("precision", title, note, curves, content.looks, " %", finish, " %", drawn="plain")
 
 
 def _size(content: Content) -> Plot:
