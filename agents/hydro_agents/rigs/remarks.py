@@ -72,8 +72,8 @@ PLAUSIBLE = (
 
 def stability_note(rows: Sequence[Row]) -> str:
     """Why the textbook's gain and the largest stable one differ; empty if they hardly do."""
-    textbook = next(row for row in rows if row.quantity.startswith("gain 2 ζ ω / speed"))
-    largest = next(row for row in rows if row.quantity.startswith("largest stable gain ("))
+    figures = {row.key: row for row in rows}
+    textbook, largest = figures["rule of thumb"], figures["gain here"]
     if isinstance(textbook.value, str) or isinstance(largest.value, str):
         return ""
     ratio = largest.value / textbook.value if textbook.value > 0.0 else 0.0

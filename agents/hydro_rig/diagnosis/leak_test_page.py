@@ -7,22 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from hydro_agents.detection.detector import HALF_WIDTH
-from hydro_agents.report.canvas import GREY, WIDE, Plot, make_plot, thinned
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
-from hydro_agents.report.palette import COLOURS, looks_of
+from hydro_agents.report.recorded import Line, Mark, Signal, course_plot, recording_tables
 from hydro_agents.report.sections import Block, Points, Text, render_page, section
-from hydro_agents.report.shared import findings_frame
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, capitalised, number
 from hydro_env.files import write_text
-from hydro_rig.diagnosis.diagnosis_page import ADVICE, STYLES, rig_line
+from hydro_rig.diagnosis.diagnosis_page import ADVICE, STYLES
 from hydro_rig.diagnosis.leak_test_plan import FIND
 from hydro_rig.diagnosis.leak_test_reading import WINDOW, LeakTest, Quantity
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Leak
@@ -100,16 +96,9 @@ def reading_facts(test: LeakTest) -> dict[str, Any]:
 def render_reading(test: LeakTest, origin: Origin) -> Page:
     """The page of a reading."""
     explained = 0 if test.common is None else test.common.explained
-    facts = {
-        "Recording": test.recording.source,
-        "Rig assumed": rig_line(test.task.plant),
-        "Duration": f"{number(float(test.recording.time[-1]), 2)} s, {len(test.recording.time)} rows",
-        "Windows": f"{len(test.windows)} of {WINDOW:g} s, {explained} explained by the model",
-    }
-    tables = {
-        "protocol": pd.DataFrame(facts.items(), columns=["key", "value"]),
-        "findings": findings_frame(test.findings),
-    }
+    windows = f"{len(test.windows)} of {WINDOW:g} s, {explained} explained by the model"
+    recording = test.recording
+    tables = recording_tables(recording.source, test.task.plant, recording.time, test.findings, Windows=windows)
     content = Content(tables, test.task, others={"leak_test": test})
     sources = Markup("Numbers: <code>leak_test.json</code> beside this page.")
     return render_page("Leak test of the axis", READING_SECTIONS, content, origin, sources)
@@ -167,49 +156,36 @@ def test_course(content: Content) -> list[Block]:
     test = content.part("leak_test", LeakTest)
     if test.common is None:
         return []
-    return [_reading_plot(test)]
-
-
-def _reading_plot(test: LeakTest) -> Plot:
     note = (
-        "Lines: the recording. Dots: the fitted model, in windows that share all unknowns but their start. Shaded: "
+        "Bold: the recording. Thin: the fitted model, in windows that share all unknowns but their start. Shaded: "
         "windows that the model does not explain within the noise."
     )
     alt = f"Opening, position and pressures, measured and simulated. {test.verdict.line()}"
-    return make_plot("leak_test", "The recording", note, alt, lambda figure: paint_reading(figure, test), 7.5, WIDE)
+    return [course_plot("leak_test", "The recording", note, alt, signals_of(test))]
 
 
-def paint_reading(figure: Figure, test: LeakTest) -> None:
-    """Draw command, position and pressures, and the fitted model over them."""
+def signals_of(test: LeakTest) -> list[Signal]:
+    """Command, position and pressures, with the fitted model."""
     assert test.common is not None
-    axes = figure.subplots(3, 1, sharex=True)
-    recording, windows, simulated = test.recording, test.windows, test.simulated()
-    looks = list(looks_of(range(2)).values())
-    axes[0].plot(*thinned(recording.time, 100 * recording.signals[-1]), color=COLOURS[1], linewidth=1.2)
-    axes[0].set_ylabel("command, %")
-    used = np.flatnonzero(np.isfinite(test.common.misfit))
-    explained = test.common.misfit < WELL_FITTED
-    panels = (
-        (axes[1], "position, mm", [(0, 1e3, "position")]),
-        (axes[2], "pressure, bar", [(1, 1e-5, "a (bore)"), (2, 1e-5, "b (rod)")]),
-    )
-    for axis, label, channels in panels:
-        for (channel, size, name), look in zip(channels, looks, strict=False):
-            axis.plot(
-                *thinned(recording.time, size * recording.signals[channel]), label=name, linewidth=1.0, **look.stroke
-            )
-            for row, window in enumerate(used):
-                count = simulated.shape[2]
-                time = windows.begin[window] + (windows.end[window] - windows.begin[window]) * np.arange(count) / count
-                chosen = slice(max(count // 32, 1), None, max(count // 16, 1))
-                axis.plot(time[chosen], size * simulated[row, channel, chosen], ".", color=GREY, markersize=3)
-        axis.set_ylabel(label)
-        for window in np.flatnonzero(~explained):
-            axis.axvspan(windows.begin[window], windows.end[window], color=GREY, alpha=0.15, linewidth=0)
-    axes[2].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, frameon=False, fontsize=8)
-    axes[-1].set_xlabel("time, s")
-    for axis in axes:
-        axis.margins(x=0.01)
+    time, (position, pressure_a, pressure_b, _, command) = test.recording.time, test.recording.signals
+    simulated, windows, misfit = test.simulated(), test.windows, test.common.misfit
+    used = np.flatnonzero(np.isfinite(misfit))
+    unexplained = np.flatnonzero(~(misfit < WELL_FITTED))
+    marks = [Mark(windows.begin[window], windows.end[window]) for window in unexplained]
+    steps = np.arange(simulated.shape[2]) / simulated.shape[2]
+
+    def fitted(channel: int, factor: float) -> list[Line]:
+        return [
+            Line(windows.begin[w] + (windows.end[w] - windows.begin[w]) * steps, factor * simulated[row, channel])
+            for row, w in enumerate(used)
+        ]
+
+    pressures = {"a (bore)": Line(time, 1e-5 * pressure_a), "b (rod)": Line(time, 1e-5 * pressure_b)}
+    return [
+        Signal("command, %", {"command": Line(time, 100 * command)}),
+        Signal("position, mm", {"position": Line(time, 1e3 * position)}, fitted(0, 1e3), marks),
+        Signal("pressure, bar", pressures, [*fitted(1, 1e-5), *fitted(2, 1e-5)], marks),
+    ]
 
 
 @section("How it was judged", needs=("leak_test",))

@@ -170,7 +170,7 @@ def paint_plan(figure: Figure, plan: Plan) -> None:
     best, period = plan.best, plan.task.control_period
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1, 1, 1.2])
     openings = plan.commands
-    axes[0].plot(period * np.arange(len(openings)), 100 * openings, color=COLOURS[1], linewidth=1.2)
+    axes[0].plot(period * np.arange(len(openings)), 100 * openings, color=COLOURS["orange"], linewidth=1.2)
     axes[0].set_ylabel("opening, %")
     time = period * np.arange(best.position.shape[1])
     for values in best.position:
@@ -184,7 +184,7 @@ def paint_plan(figure: Figure, plan: Plan) -> None:
     axes[2].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, frameon=False, fontsize=8)
     for values in best.bound:
         axes[3].plot(best.lengths, values, color=GREY, linewidth=0.8, alpha=0.7)
-    axes[3].plot(best.lengths, np.median(best.bound, axis=0), color=COLOURS[0], label="median")
+    axes[3].plot(best.lengths, np.median(best.bound, axis=0), color=COLOURS["blue"], label="median")
     axes[3].set(yscale="log", ylabel="bound, l/min", xlabel="time, s")
     axes[3].legend(frameon=False, fontsize=8)
     for axis in axes:

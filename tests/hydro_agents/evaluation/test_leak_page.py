@@ -11,8 +11,7 @@ from small_leaks import made_up_run, made_up_tables
 
 from hydro_agents.detection.detector import VERDICTS
 from hydro_agents.report.content import Content
-from hydro_agents.report.leak_findings import findings_of
-from hydro_agents.report.leakage import LEAKAGE, confusion_tables, right_verdicts
+from hydro_agents.report.leakage import LEAKAGE, confusion_tables, findings_table, leak_findings, right_verdicts
 from hydro_agents.report.sections import render_page
 
 
@@ -31,28 +30,20 @@ def page(content):
     return render_page("Leaks", LEAKAGE, content).html
 
 
-def plain(text):
-    return text.replace("\u00a0", " ")
-
-
-def test_the_findings_say_how_small_how_surely_and_when_nothing_can_be_said(content):
-    small, sure, confused, silent = ((plain(item.lead), plain(item.text)) for item in findings_of(content))
-    assert small[0] == "A leak of 0.2 l/min is found within 2 s of ordinary motion."
-    assert sure[0] == "The head alone raises 18 false alarms per hour: let an alarm sum up its windows."
-    assert "head 1.0 % (0.2 to 5.4), which is 18 per hour" in sure[1]
-    assert "Under the worst motion or controller: head 4.0 % (1.6 to 9.8), ADRC" in sure[1]
-    assert confused[0] == "Some other faults look like a worn seal."
-    assert "head: valve null −1 % 60 %" in confused[1]
-    assert "estimator: none" in confused[1]
-    assert "estimator: valve null −1 %" in silent[1]
+def test_findings_say_how_small_how_surely_and_when_nothing_can_be_said(content):
+    assert leak_findings(content)[0].sentences == ["A leak of 0.2 l/min is found within 2 s of ordinary motion."]
+    head, estimator = (row[1:] for row in findings_table(content).rows)
+    assert head[:3] == ("0.2", "1.0 (0.2 to 5.4)", "18")
+    assert head[3].startswith("4.0 (1.6 to 9.8), ADRC")
+    assert head[4] == "valve null −1 % 60 %"
+    assert estimator[4:] == ("none", "valve null −1 %")
 
 
 def test_without_confusions_and_silence_the_findings_say_so():
     made = made_up_tables()
     made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"]}
-    leads = [item.lead for item in findings_of(Content(made, others={"base": "plain"}))]
-    assert "No other fault looks like a worn seal." in leads
-    assert "No detector stays silent." in leads
+    rows = findings_table(Content(made, others={"base": "plain"})).rows
+    assert [row[4:] for row in rows] == [("–", "none", "none")] * 2
 
 
 def rows_of(table):
