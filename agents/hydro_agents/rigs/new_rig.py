@@ -39,11 +39,11 @@ def new_rig(answers: Answers, texts: Mapping[str, str], source: str) -> tuple[st
         ConfigurationError: the figures contradict each other, or the rig cannot work.
     """
     if "accumulator" in answers and "pump_flow" not in answers:
-        raise ConfigurationError("--accumulator: needs --pump-flow; without a pump the supply counts as constant")
+        raise ConfigurationError("accumulator: needs pump-flow; without a pump the supply counts as constant")
     if ("line_length" in answers) != ("line_diameter" in answers):
-        raise ConfigurationError("--line-length and --line-diameter: give both, or none")
+        raise ConfigurationError("line-length and line-diameter: give both, or none")
     if "pressure_accuracy" in answers and "pressure_range" not in answers:
-        raise ConfigurationError("--pressure-accuracy: needs --pressure-range, of which it is a share")
+        raise ConfigurationError("pressure-accuracy: needs pressure-range, of which it is a share")
     texts = {key: text.strip() for key, text in texts.items()}
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters["unit"] = _in_unit

@@ -20,7 +20,7 @@ DIVISORS = ("rated_drop", "step_time", "full_signal")  # optional answers that m
 class Question(NamedTuple):
     """One figure of a rig."""
 
-    name: str  # of the option, without the dashes
+    name: str  # as the user writes it
     group: str  # heading of the question
     unit: str  # SI; empty: text
     example: str
@@ -51,7 +51,7 @@ QUESTIONS = (
     Question("supply-pressure", "supply", "Pa", "160 bar", "Supply pressure at the valve.", required=True),
     Question("tank-pressure", "supply", "Pa", "2 bar", "Pressure in the return line at the valve."),
     Question("pump-flow", "supply", "m³/s", "30 l/min", "Flow of the pump; without it the supply counts as constant."),
-    Question("accumulator", "supply", "m³", "4 l", "Volume of the accumulator; needs --pump-flow."),
+    Question("accumulator", "supply", "m³", "4 l", "Volume of the accumulator; needs pump-flow."),
     Question("precharge", "supply", "Pa", "130 bar", "Gas pressure of the empty accumulator."),
     Question("mass", "load", "kg", "200 kg", "Moved mass without piston and rod.", required=True),
     Question("external-force", "load", "N", "2 kN", "Constant force on the rod, positive against extension (weight)."),
@@ -76,7 +76,7 @@ def parsed(question: Question, text: str) -> float | str:
     Raises:
         ConfigurationError: number or unit is missing, the unit belongs to another quantity, or a word is unknown.
     """
-    place, known = f"--{question.name} '{text.strip()[:40]}'", _known_words(question)
+    place, known = f"{question.name} '{text.strip()[:40]}'", _known_words(question)
     if known:
         words = [word.strip() for word in text.split(",")]
         if unknown := [word for word in words if word not in known]:
@@ -122,7 +122,7 @@ def answers_from(texts: Mapping[str, str]) -> dict[str, float | str]:
     Raises:
         ConfigurationError: a required answer is missing, or one is impossible.
     """
-    missing = [f"--{question.name}" for question in QUESTIONS if question.required and question.key not in texts]
+    missing = [question.name for question in QUESTIONS if question.required and question.key not in texts]
     if missing:
         raise ConfigurationError(f"new-rig: {', '.join(missing)}: must be given; on a terminal the command asks")
     return {question.key: parsed(question, texts[question.key]) for question in QUESTIONS if question.key in texts}

@@ -34,8 +34,8 @@ def made(**more):
     return new_rig(answers_from(texts), texts, "rig.yaml")
 
 
-def as_options(texts):
-    return [part for key, text in texts.items() for part in (f"--{key.replace('_', '-')}", text)]
+def words(texts):
+    return [f"{key.replace('_', '-')}={text}" for key, text in texts.items()]
 
 
 def test_figures_that_were_given_stand_in_the_rig():
@@ -165,47 +165,47 @@ def test_plants_can_be_drawn_from_the_ranges(tmp_path):
 
 def test_the_command_writes_a_file_that_check_rig_reads(tmp_path):
     file = tmp_path / "mine.yaml"
-    answer = hydro("new-rig", *as_options(LEAST), "--output", file)
+    answer = hydro("new-rig", *words(LEAST), "--output", file)
     assert answer.returncode == 0, answer.stderr
     assert answer.stdout.splitlines()[0].startswith(f"{file}: 6 values given")
     checked = hydro("check-rig", "--rig", file)
     assert checked.returncode == 0, checked.stderr
     assert "63/36 x 500 mm" in checked.stdout
-    assert_one_clear_line(hydro("new-rig", *as_options(LEAST), "--output", file), "exists; --overwrite replaces it")
-    assert hydro("new-rig", *as_options(LEAST), "--output", file, "--overwrite").returncode == 0
+    assert_one_clear_line(hydro("new-rig", *words(LEAST), "--output", file), "exists; --overwrite replaces it")
+    assert hydro("new-rig", *words(LEAST), "--output", file, "--overwrite").returncode == 0
 
 
 WRONG = {
     "decimal comma": ({"bore": "63,5 mm"}, "such as 63 mm; decimals need a point"),
     "too much pressure": ({"supply_pressure": "120 MPa"}, "within 0.1 to 100 MPa; 120 bar meant?"),
-    "missing": ({"bore": None}, "--bore: must be given"),
-    "another quantity": ({"bore": "63 bar"}, "--bore '63 bar': unit 'bar': must be one of mm, m, cm"),
-    "no unit": ({"rod": "36"}, "--rod '36': needs a unit, such as 36 mm"),
-    "no number": ({"mass": "heavy"}, "--mass 'heavy': must be a number with its unit, such as 200 kg"),
-    "a comma": ({"mass": "1,5 t"}, "--mass '1,5 t': must be a number with its unit"),
-    "negative": ({"stroke": "-1 m"}, "--stroke '-1 m': must not be negative"),
-    "zero": ({"step_time": "0 ms"}, "--step-time '0 ms': must be above 0"),
+    "missing": ({"bore": None}, "bore: must be given"),
+    "another quantity": ({"bore": "63 bar"}, "bore '63 bar': unit 'bar': must be one of mm, m, cm"),
+    "no unit": ({"rod": "36"}, "rod '36': needs a unit, such as 36 mm"),
+    "no number": ({"mass": "heavy"}, "mass 'heavy': must be a number with its unit, such as 200 kg"),
+    "a comma": ({"mass": "1,5 t"}, "mass '1,5 t': must be a number with its unit"),
+    "negative": ({"stroke": "-1 m"}, "stroke '-1 m': must not be negative"),
+    "zero": ({"step_time": "0 ms"}, "step-time '0 ms': must be above 0"),
     "a rod too thick": ({"rod": "70 mm"}, "cylinder: rod_diameter = 70 mm does not fit"),
     "too strong a force": ({"external_force": "90 kN"}, "load.external_force = 90000 N"),
-    "no pump": ({"accumulator": "4 l"}, "--accumulator: needs --pump-flow"),
-    "half a line": ({"line_length": "2 m"}, "--line-length and --line-diameter: give both, or none"),
-    "a share without a unit": ({"overlap": "20"}, "--overlap '20': needs a unit, such as 10 %"),
-    "more than everything": ({"overlap": "120 %"}, "--overlap '120 %': must be below 100 %"),
+    "no pump": ({"accumulator": "4 l"}, "accumulator: needs pump-flow"),
+    "half a line": ({"line_length": "2 m"}, "line-length and line-diameter: give both, or none"),
+    "a share without a unit": ({"overlap": "20"}, "overlap '20': needs a unit, such as 10 %"),
+    "more than everything": ({"overlap": "120 %"}, "overlap '120 %': must be below 100 %"),
     "an accuracy beyond the stroke": (
         {"position_accuracy": "120 %"},
-        "--position-accuracy '120 %': must be below 100 %",
+        "position-accuracy '120 %': must be below 100 %",
     ),
-    "an accuracy in mm": ({"position_accuracy": "1 mm"}, "--position-accuracy '1 mm': unit 'mm': must be one of %"),
-    "an accuracy of nothing": ({"pressure_accuracy": "0.5 %"}, "--pressure-accuracy: needs --pressure-range"),
-    "an unknown sensor": ({"absent": "position"}, "--absent 'position': 'position': must be one of pressure_a"),
-    "an unknown line": ({"line_kind": "wire"}, "--line-kind 'wire': 'wire': must be one of pipe, hose"),
+    "an accuracy in mm": ({"position_accuracy": "1 mm"}, "position-accuracy '1 mm': unit 'mm': must be one of %"),
+    "an accuracy of nothing": ({"pressure_accuracy": "0.5 %"}, "pressure-accuracy: needs pressure-range"),
+    "an unknown sensor": ({"absent": "position"}, "absent 'position': 'position': must be one of pressure_a"),
+    "an unknown line": ({"line_kind": "wire"}, "line-kind 'wire': 'wire': must be one of pipe, hose"),
 }
 
 
 @pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)
 def test_wrong_figures_get_one_line_and_leave_no_file(changes, message, tmp_path):
     texts = {key: text for key, text in (LEAST | changes).items() if text is not None}
-    answer = hydro("new-rig", *as_options(texts), "--output", tmp_path / "rig.yaml")
+    answer = hydro("new-rig", *words(texts), "--output", tmp_path / "rig.yaml")
     assert_one_clear_line(answer, message)
     assert not list(tmp_path.iterdir())
     with pytest.raises(ConfigurationError):
@@ -218,7 +218,7 @@ def test_without_standard_input_the_missing_figures_are_named(tmp_path):
     ended = subprocess.run(
         ["sh", "-c", 'exec "$@" <&-', "sh", *line], capture_output=True, text=True, env=environment()
     )
-    assert_one_clear_line(ended, "--bore, --rod", "must be given; on a terminal the command asks")
+    assert_one_clear_line(ended, "bore, rod", "must be given; on a terminal the command asks")
 
 
 NEEDS_A_TERMINAL = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
@@ -252,8 +252,8 @@ def test_answers_on_a_terminal_are_not_lost_when_they_contradict_each_other(tmp_
     )
     assert code == 2
     assert not list(tmp_path.iterdir())
-    options = " ".join(f'--{question.name} "{typed[question.key]}"' for question in QUESTIONS if question.key in typed)
-    assert f"Your answers as options, to go on with: {options}" in errors
+    again = " ".join(f'{question.name}="{typed[question.key]}"' for question in QUESTIONS if question.key in typed)
+    assert f"Your answers, to go on with: hydro new-rig {again}" in errors
     assert "precharge_pressure" in errors.splitlines()[-1]
 
 
@@ -266,7 +266,7 @@ def test_on_a_terminal_it_asks_again_until_it_can_read_the_answer(tmp_path):
     code, shown, _ = typed_on_a_terminal(["63", answers[0], "50 mm", "<", *answers[1:]], file)
     assert code == 0
     assert read_rig(file).plant.cylinder.rod_diameter == 0.036
-    assert "--bore '63': needs a unit, such as 63 mm" in shown
+    assert "bore '63': needs a unit, such as 63 mm" in shown
     assert shown.count("Diameter of the bore. (required, such as 63 mm)") == 2
     assert read_rig(file).plant.cylinder.bore_diameter == 0.063
     assert read_rig(file).sensors == {"sensors.spool_position.fitted": False}
