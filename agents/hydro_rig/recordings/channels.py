@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import speed_limits
-from hydro_env.task.sensors import Sensor
+from hydro_env.task.sensors import COMMAND, PRESSURE_A, PRESSURE_B, SPOOL, Sensor
 from hydro_env.types import Floats
-from hydro_rig.recordings.columns import COMMAND, MEASURED, UNITS
+from hydro_rig.recordings.columns import MEASURED, UNITS
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.sampling import Sampled
 
@@ -32,9 +32,6 @@ FEWEST_DROPS = 3  # smallest number of falls of a broken loop; a chamber may cav
 LOWEST_PRESSURE = -1.2e5  # Pa; lowest gauge pressure: vacuum minus the error of a transducer
 LEAST_SHARE = 0.05  # smallest used fraction of a signal's range
 LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the two chambers reaches
-
-PRESSURES = (MEASURED.index("pressure_a"), MEASURED.index("pressure_b"))
-SPOOL = MEASURED.index("spool_position")
 
 OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
@@ -107,7 +104,9 @@ def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float)
 def _too_low_pressures(samples: Sampled, config: TaskConfig) -> list[Finding]:
     """Both pressures are far below the supply: the unit is wrong."""
     highest = [
-        np.nanquantile(samples.signals[row], 0.995) for row in PRESSURES if np.isfinite(samples.signals[row]).any()
+        np.nanquantile(samples.signals[row], 0.995)
+        for row in (PRESSURE_A, PRESSURE_B)
+        if np.isfinite(samples.signals[row]).any()
     ]
     supply = config.plant.supply.pressure
     least = LEAST_PRESSURE * supply
@@ -209,7 +208,7 @@ def _must_change(during: Floats, signal: str, samples: Sampled, config: TaskConf
             return False
         travel = np.cumsum(spool - spool.mean()) * samples.period * np.mean(speed_limits(config.plant))
         return bool(np.ptp(travel) > max(LEAST_TRAVEL, FEWEST_STEPS * config.sensors.position.resolution))
-    other = PRESSURES[0] if signal == "pressure_b" else PRESSURES[1]
+    other = PRESSURE_A if signal == "pressure_b" else PRESSURE_B
     known = during[other][np.isfinite(during[other])]
     if len(known) < 2:
         return bool(swing > ACTIVE_COMMAND)

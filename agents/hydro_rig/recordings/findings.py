@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import Enum, StrEnum, auto
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.running.text import number
-
-NOT_RECORDED = "was not recorded"  # what is found about a signal without a column
 
 
 class Weight(StrEnum):
@@ -19,6 +17,13 @@ class Weight(StrEnum):
     NOTE = "note"  # no effect
     FAULT = "fault"  # a sensor of the rig is faulty
     SEVERE = "severe"  # no verdict is possible
+
+
+class Code(Enum):
+    """The findings on which code decides; the words of a finding are for people."""
+
+    OTHER = auto()
+    NOT_RECORDED = auto()
 
 
 class Finding(NamedTuple):
@@ -30,6 +35,7 @@ class Finding(NamedTuple):
     begin: float = np.nan  # s, first place; NaN for the whole recording
     end: float = np.nan  # s, end of the first place
     share: float = np.nan  # of the recording, 0 to 1
+    code: Code = Code.OTHER
 
     def line(self) -> str:
         """The finding in one line."""

@@ -24,10 +24,10 @@ from hydro_env.plant.parts.chambers import chamber_volumes
 from hydro_env.plant.parts.valve import edge_flows
 from hydro_env.plant.simulate import LONGEST_PERIOD
 from hydro_env.plant.states import State
+from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.recordings.channels import OVERRANGE, check_channels
-from hydro_rig.recordings.columns import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_rig.recordings.driving import check_driving
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
 from hydro_rig.recordings.recording import Recording
@@ -147,9 +147,12 @@ def _with_command_moved(samples: Sampled, early: int) -> Sampled:
     known = (other == inside) & (samples.place[inside] == samples.place - early)
     signals[COMMAND] = np.where(known, samples.signals[COMMAND, inside], np.nan)
     kept = slice(*(np.flatnonzero(known)[[0, -1]] + [0, 1]).tolist())
-    beside = None if samples.beside is None else samples.beside[:, kept]
-    place = samples.place[kept] - samples.place[kept.start]
-    return samples._replace(place=place, time=samples.time[kept], signals=signals[:, kept], beside=beside)
+    return samples._replace(
+        place=samples.place[kept] - samples.place[kept.start],
+        time=samples.time[kept],
+        signals=signals[:, kept],
+        auxiliary={name: values[kept] for name, values in samples.auxiliary.items()},
+    )
 
 
 class Balance(NamedTuple):

@@ -19,9 +19,15 @@ from hydro_env.files import write_text
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import MEASURED, factor
 
-WRITTEN_UNITS = {"time": "s", "position": "mm", "pressure_a": "bar", "pressure_b": "bar", "spool_position": "%"} | {
-    "command": "V"
+WRITTEN_UNITS = {
+    "time": "s",
+    "position": "mm",
+    "pressure_a": "bar",
+    "pressure_b": "bar",
+    "spool_position": "%",
+    "command": "V",
 }
+ENVIRONMENT = "hydro_env:ServoHydraulic-v0"
 
 _FORMAT = "%.7g"  # digits for the 16-bit steps of every sensor
 LONGEST_RECORDING = 3600.0  # s
@@ -165,46 +171,24 @@ def record_dataset(
     """
     check_dataset(name)
     import minari
-    from minari.data_collector import EpisodeBuffer
 
     if not 1 <= episodes <= MOST_EPISODES:
-        raise ConfigurationError(f"--episodes = {episodes}: must be within 1 to {MOST_EPISODES}")
-    buffers = []
-    with gym.make("hydro_env:ServoHydraulic-v0", config=config.model_dump(mode="json"), info="flat") as env:
+        raise ConfigurationError(f"--count {episodes}: must be within 1 to {MOST_EPISODES}")
+    task = config.model_dump(mode="json")
+    with minari.DataCollector(gym.make(ENVIRONMENT, config=task, info="flat"), record_infos=True) as env:
         for number in range(episodes):
-            seed = first_seed + number
-            observation, info = env.reset(seed=seed, options=dict(options))
-            observations, infos, memory = [observation], [info], None
-            actions: list[Any] = []
-            rewards: list[float] = []
-            failed: list[bool] = []
-            ended: list[bool] = []
-            while not (failed and (failed[-1] or ended[-1])):
+            observation, _ = env.reset(seed=first_seed + number, options=dict(options))
+            memory, over = None, False
+            while not over:
                 action, memory = controller.predict(observation, memory)
-                observation, reward, terminated, truncated, info = env.step(action)
-                rows: tuple[list[Any], ...] = (observations, actions, rewards, failed, ended, infos)
-                for row, value in zip(rows, (observation, action, reward, terminated, truncated, info), strict=True):
-                    row.append(value)
-            buffers.append(
-                EpisodeBuffer(
-                    id=number,
-                    seed=seed,
-                    observations=np.stack(observations),
-                    actions=np.stack(actions),
-                    rewards=rewards,
-                    terminations=failed,
-                    truncations=ended,
-                    infos={key: np.array([one[key] for one in infos]) for key in infos[0]},
-                )
-            )
+                observation, _, terminated, truncated, _ = env.step(action)
+                over = terminated or truncated
             if progress is not None:
                 progress(number + 1)
         with warnings.catch_warnings():  # the user adds author and code link
             warnings.simplefilter("ignore")
-            dataset = minari.create_dataset_from_buffers(
+            dataset = env.create_dataset(
                 name,
-                buffers,
-                env=env,
                 algorithm_name=algorithm,
                 description=note,
                 requirements=[f"hydro_env=={__version__}"],

@@ -11,9 +11,9 @@ from command_line import assert_one_clear_line, hydro, own_lines
 from published import assert_published_page
 from recorded import CONFIG, recorded_file
 
+from hydro_agents.detection.detector import Why
 from hydro_agents.detection.operations import MOTIONS
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
-from hydro_rig.estimation.estimator import AT_REST
 
 FILES = {".hydro.json", "diagnosis.html", "diagnosis.png", "findings.csv", "leak.csv", "figures"}
 
@@ -96,7 +96,7 @@ def test_another_program_reads_verdict_and_exit_code(tmp_path):
 def test_an_axis_at_rest_with_worn_edges_must_be_moved(tmp_path):
     task = MOTIONS["standing still"].change(CONFIG)
     recorded_file(tmp_path / "a.csv", task, 0.3, None, {"valve_underlap": 0.02}, seed=90_210_000, duration=2.0)
-    assert verdict_on(tmp_path, tmp_path / "a.csv") == f"cannot tell: {AT_REST}"
+    assert verdict_on(tmp_path, tmp_path / "a.csv") == f"cannot tell: {Why.AT_REST.words}"
 
 
 def test_no_motion_and_no_window_end_in_cannot_tell(tmp_path):

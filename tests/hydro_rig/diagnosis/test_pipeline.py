@@ -9,14 +9,13 @@ import yaml
 from command_line import hydro, own_lines
 from recorded import CONFIG, recorded_file
 
-from hydro_agents.detection.detector import Cause, Reading
-from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.detector import Cause, Reading, Why
 from hydro_agents.detection.monitor import load_head
 from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis import diagnose as diagnosing
-from hydro_rig.diagnosis.diagnose import detector_of, diagnose
+from hydro_rig.diagnosis.diagnose import Companion, detector_of, diagnose
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind, Limits, Verdict, by_volume
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
 
@@ -134,10 +133,10 @@ def test_another_rig_ends_in_cannot_tell_after_ten_minutes(tmp_path):
 
 
 def test_one_value_of_a_reading_holds_for_all_windows():
-    one = Reading.of([0.1, np.nan], Cause.UNKNOWN, flow_lpm=0.3, why="noise")
+    one = Reading.of([0.1, np.nan], Cause.UNKNOWN, flow_lpm=0.3, why=Why.MISFIT)
     assert [len(values) for values in one] == [2] * len(Reading._fields)
     assert one.followed_by(one).cause.tolist() == [Cause.UNKNOWN] * 4
-    assert one.why == ("noise", "noise")
+    assert one.remarks == [Why.MISFIT.words] * 2
     assert one.flow_lpm.tolist() == [0.3, 0.3]
     with pytest.raises(ValueError, match="shape"):
         Reading.of([0.1, 0.2], flow_lpm=[1.0, 2.0, 3.0])
@@ -211,8 +210,8 @@ SETTINGS = {"interval": 0.5, "scales": dict.fromkeys(("standing", "slow", "movin
 )
 def test_an_alarm_runs_on_the_detector_that_it_was_set_for(detector, given, watches):
     settings = diagnosing.AlarmSettings(**SETTINGS, detector=detector)
-    available = load_head(None, CONFIG) if given == "head" else Own()
-    assert isinstance(available, LeakageHead) == (given == "head")
+    available = Companion.of(load_head(None, CONFIG) if given == "head" else Own())
+    assert available.own == (given == "own")
     if watches:
         assert type(detector_of(settings, available)).__name__ == watches
         return

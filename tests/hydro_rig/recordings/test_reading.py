@@ -251,12 +251,15 @@ def test_pressures_of_the_supply_a_flow_and_a_temperature_may_stand_beside_the_s
     rows = "\n".join(f"{0.005 * k},0.0,{70 + k},6,41,9" for k in range(10))
     file.write_text(f"{headings}\n{rows}\n", encoding="utf-8")
     found = read_recording(file)
-    np.testing.assert_allclose(found.beside[0], 1e5 * (70 + np.arange(10)))
-    assert np.isnan(found.beside[1]).all()  # a heading without a unit is another program's column
-    np.testing.assert_allclose(found.beside[2:], [[1e-4] * 10, [41.0] * 10])
+    np.testing.assert_allclose(found.auxiliary["supply_pressure"], 1e5 * (70 + np.arange(10)))
+    assert "tank_pressure" not in found.auxiliary  # a heading without a unit is another program's column
+    np.testing.assert_allclose(found.auxiliary["flow"], 1e-4)
+    np.testing.assert_allclose(found.auxiliary["oil_temperature"], 41.0)
     windows = cut(sampled(found, TaskConfig()), 5)
-    assert windows.beside.shape == (2, 4, 5)
-    assert windows.part(np.array([1])).beside[0, 0, 0] == pytest.approx(75e5)
+    assert set(windows.auxiliary) == {"supply_pressure", "flow", "oil_temperature"}
+    np.testing.assert_allclose(windows.auxiliary_signal("flow"), np.full((2, 5), 1e-4))
+    assert np.isnan(windows.auxiliary_signal("tank_pressure")).all()
+    assert windows.part(np.array([1])).auxiliary_signal("supply_pressure")[0, 0] == pytest.approx(75e5)
     file.write_text("time [s],command [V],flow [furlong]\n0,0,1\n1,0,1\n2,0,1\n", encoding="utf-8")
     with pytest.raises(ConfigurationError, match=r"flow: .*furlong"):
         read_recording(file)
