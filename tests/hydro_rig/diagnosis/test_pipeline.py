@@ -115,21 +115,13 @@ def wrong_rig(tmp_path_factory):
     return path.read_text().splitlines(keepends=True)
 
 
-@pytest.mark.parametrize("seconds", [4, 6, 10, 30])
+@pytest.mark.parametrize("seconds", [2, 30])  # one window; far more than are tried
 def test_another_rig_ends_in_cannot_tell_after_any_duration(wrong_rig, tmp_path, seconds):
     (tmp_path / "a.csv").write_text("".join(wrong_rig[: 2 + 200 * seconds]))
     answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out")
     assert answer.returncode == UNKNOWN, answer.stderr
     assert own_lines(answer.stdout)[-1].startswith("cannot tell: the model does not describe this rig")
     assert len(pd.read_csv(tmp_path / "out" / "leak.csv")) == seconds // 2
-
-
-@pytest.mark.slow
-def test_another_rig_ends_in_cannot_tell_after_ten_minutes(tmp_path):
-    recorded_file(tmp_path / "a.csv", OTHER_ROD, leakage=1.0, duration=600.0)
-    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out")
-    assert answer.returncode == UNKNOWN, answer.stderr
-    assert own_lines(answer.stdout)[-1].startswith("cannot tell: ")
 
 
 def test_one_value_of_a_reading_holds_for_all_windows():
