@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
@@ -197,29 +196,6 @@ def price_sentence(table: pd.DataFrame, leak: float) -> str:
 
 
 # Recordings ---------------------------------------------------------------------------------------------------------
-
-MEANING = {"severe": "rules out a verdict", "fault": "a sensor is faulty", "note": "does not matter much"}
-"""What the weight of a finding about a recording means."""
-
-
-@section("The recording", needs=("protocol",))
-def recording(content: Content) -> list[Block]:
-    """What is wrong with a recording, and facts about it."""
-    blocks: list[Block] = [Text("Nothing is wrong with time stamps, units, signs, chambers and sensors.")]
-    if content.has("findings"):
-        table = content.table("findings")
-        blocks = [
-            Text("Checks before any verdict: time stamps, units, signs, chambers, and each sensor."),
-            Table("", tuple(table.columns), list(table.itertuples(index=False, name=None)), style="words"),
-        ]
-    return [*blocks, Table("", ("Fact", "Value"), list(content.facts.items()), style="words")]
-
-
-def findings_frame(findings: Iterable[Any]) -> pd.DataFrame:
-    """Findings about a recording (:class:`hydro_rig.recordings.findings.Finding`) as texts."""
-    rows = [(each.signal, each.line().removeprefix(f"{each.signal} "), MEANING[each.weight]) for each in findings]
-    return pd.DataFrame(rows, columns=["Signal", "Finding", "For the verdict"])
-
 
 # Method -------------------------------------------------------------------------------------------------------------
 

@@ -17,16 +17,16 @@ from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot, 
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import MEANINGS, Look, looks_of
+from hydro_agents.report.recorded import paint_course, recording_tables
 from hydro_agents.report.sections import Block, Code, Fold, Text, render_page, section
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, capitalised, number, setting
 from hydro_env.files import write_text, write_whole
 from hydro_rig.diagnosis.diagnose import Diagnosis, NamedReading, findings_table, leak_table
-from hydro_rig.diagnosis.recording_page import content_of, draw_signals
+from hydro_rig.diagnosis.recording_page import signals_of
 from hydro_rig.diagnosis.verdict import Kind, combined, named_fault
 from hydro_rig.identification.data_sheet import lines_to_paste, residual_table
-from hydro_rig.recordings.findings import Finding, Weight
 
 PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv", "findings.csv", "diagnosis.png"
 FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
@@ -54,7 +54,6 @@ MEND = "These lines in the file of the task (--task) make its data sheet agree w
 
 MOST_ROWS = 200  # largest number of windows in the table of the page; the CSV file holds all
 GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
-COLOUR = {Weight.SEVERE: WORSE, Weight.FAULT: WORSE, Weight.NOTE: GREY}
 LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
 
 
@@ -78,19 +77,17 @@ def render_diagnosis(diagnosis: Diagnosis, origin: Origin) -> Page:
     """The page."""
     samples, companion = diagnosis.checked.samples, diagnosis.companion
     read = [f"{int(each.reading.answers.sum())} read by the {each.name}" for each in diagnosis.readings]
-    facts = {
-        "Control period": f"{1e3 * samples.period:g} ms, {len(samples.time)} samples",
-        "Windows": ", ".join([f"{len(diagnosis.windows)} windows", *read]),
-    }
-    content = content_of(
-        diagnosis.recording,
-        diagnosis.task,
-        diagnosis.verdict,
+    tables = recording_tables(
+        diagnosis.recording.source,
+        diagnosis.task.plant,
+        diagnosis.recording.time,
         diagnosis.checked.findings,
-        facts,
-        [ESTIMATOR, OWN.format(companion.name) if companion.own else HEAD, *JUDGING],
-        diagnosis=diagnosis,
+        Control_period=f"{1e3 * samples.period:g} ms, {len(samples.time)} samples",
+        Windows=", ".join([f"{len(diagnosis.windows)} windows", *read]),
     )
+    method = (ESTIMATOR, OWN.format(companion.name) if companion.own else HEAD, *JUDGING)
+    parts = {"diagnosis": diagnosis, "verdict": diagnosis.verdict, "judging": method}
+    content = Content(tables, diagnosis.task, others=parts)
     return render_page("Diagnosis of the axis", DIAGNOSIS, content, origin, SOURCES)
 
 
@@ -192,12 +189,7 @@ def paint(figure: Figure, diagnosis: Diagnosis) -> None:
     """Draw leak, position, pressures, spool and command over time."""
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[1.7, 1, 1, 1])
     paint_leak(axes[0], diagnosis)
-    panel_of = draw_signals(axes[1:], diagnosis.recording)
-    for finding in diagnosis.checked.findings:
-        panel = panel_of.get("position" if finding.signal == "time" else finding.signal)
-        if panel is not None:
-            _mark(panel, finding, float(diagnosis.recording.time[-1]))
-    axes[-1].set_xlabel("time, s")
+    paint_course(axes[1:], signals_of(diagnosis.recording, diagnosis.checked.findings))
     figure.suptitle(_title(diagnosis), fontsize=10, fontweight="bold", x=0.01, ha="left")
     axes[0].margins(x=0.01)
 
@@ -245,21 +237,6 @@ def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, look: Look
                 place[chosen], value, yerr=[value - low, high - value], fmt=look.marker, color=look.colour,
                 markersize=4.5, capsize=2, linewidth=1.2, label=label, **options,
             )  # fmt: skip
-
-
-def _mark(axes: Axes, finding: Finding, last: float) -> None:
-    """Shade the first place of a finding, and name it."""
-    if not np.isfinite(finding.begin):
-        return
-    width = max(finding.end - finding.begin, 0.003 * last)
-    axes.axvspan(finding.begin, finding.begin + width, color=COLOUR[finding.weight], alpha=0.35, linewidth=0)
-    words = finding.what.split(",")[0].split(":")[0].split(";")[0]
-    right = finding.begin > 0.6 * last
-    axes.annotate(
-        words[:60], (finding.begin + (0 if right else width), 0.97), xycoords=("data", "axes fraction"),
-        xytext=(-3 if right else 3, 0), textcoords="offset points", ha="right" if right else "left", va="top",
-        fontsize=8, color=INK,
-    )  # fmt: skip
 
 
 def _title(diagnosis: Diagnosis) -> str:

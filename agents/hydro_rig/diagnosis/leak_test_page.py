@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from hydro_agents.detection.detector import HALF_WIDTH
-from hydro_agents.report.canvas import GREY, WIDE, make_plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
+from hydro_agents.report.recorded import Line, Mark, Signal, course_plot, recording_tables
 from hydro_agents.report.sections import Block, Text, render_page, section
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
@@ -22,7 +21,7 @@ from hydro_env.files import write_text
 from hydro_env.task.sensors import SENSORS
 from hydro_rig.diagnosis.leak_test_plan import FIND
 from hydro_rig.diagnosis.leak_test_reading import WINDOW, LeakTest, Quantity
-from hydro_rig.diagnosis.recording_page import content_of, draw_signals, size_of
+from hydro_rig.diagnosis.recording_page import signals_of
 from hydro_rig.diagnosis.verdict import EXIT_CODES
 from hydro_rig.estimation.estimator import WEAR, healthy_range
 from hydro_rig.estimation.unknowns import LEAKAGE
@@ -94,17 +93,11 @@ def reading_facts(test: LeakTest) -> dict[str, Any]:
 def render_reading(test: LeakTest, origin: Origin) -> Page:
     """The page of a reading."""
     explained = test.fit.common.explained if test.fit else 0
-    facts = {"Windows": f"{len(test.windows)} of {WINDOW:g} s, {explained} explained by the model"}
-    content = content_of(
-        test.recording,
-        test.task,
-        test.verdict,
-        test.findings,
-        facts,
-        JUDGING,
-        leak_test=test,
-        flows=tuple(flow_lines(test)),
-    )
+    windows = f"{len(test.windows)} of {WINDOW:g} s, {explained} explained by the model"
+    recording = test.recording
+    tables = recording_tables(recording.source, test.task.plant, recording.time, test.findings, Windows=windows)
+    parts = {"leak_test": test, "verdict": test.verdict, "judging": JUDGING, "flows": tuple(flow_lines(test))}
+    content = Content(tables, test.task, others=parts)
     sources = Markup("Numbers: <code>leak_test.json</code> beside this page.")
     return render_page("Leak test of the axis", READING_SECTIONS, content, origin, sources)
 
@@ -149,28 +142,32 @@ def test_course(content: Content) -> list[Block]:
     if test.fit is None:
         return []
     note = (
-        "Lines: the recording. Dots: the fitted model, in windows that share all unknowns but their start. Shaded: "
+        "Bold: the recording. Thin: the fitted model, in windows that share all unknowns but their start. Shaded: "
         "windows that the model does not explain within the noise."
     )
     alt = f"Position, pressures and valve, measured and simulated. {test.verdict.line()}"
-    return [make_plot("leak_test", "The recording", note, alt, lambda figure: paint_reading(figure, test), 7.5, WIDE)]
+    return [course_plot("leak_test", "The recording", note, alt, fitted_signals(test))]
 
 
-def paint_reading(figure: Figure, test: LeakTest) -> None:
-    """Draw the signals, and the readings of the fitted model over them."""
+def fitted_signals(test: LeakTest) -> list[Signal]:
+    """The measured signals, with those of the fitted model."""
     assert test.fit is not None
-    panels = figure.subplots(3, 1, sharex=True)
-    panel_of = draw_signals(panels, test.recording)
-    panels[-1].set_xlabel("time, s")
     windows, misfit, simulated = test.windows, test.fit.common.misfit, test.fit.simulated()
-    count = simulated.shape[2]
-    dots = slice(max(count // 32, 1), None, max(count // 16, 1))
-    for row, window in enumerate(np.flatnonzero(np.isfinite(misfit))):
-        begin, end = windows.begin[window], windows.end[window]
-        time = (begin + (end - begin) * np.arange(count) / count)[dots]
-        for name in ("position", "pressure_a", "pressure_b"):
-            values = size_of(name) * simulated[row, SENSORS.index(name), dots]
-            panel_of[name].plot(time, values, ".", color=GREY, markersize=3)
-    for window in np.flatnonzero(~(misfit < WELL_FITTED)):
-        for axes in panels:
-            axes.axvspan(windows.begin[window], windows.end[window], color=GREY, alpha=0.15, linewidth=0)
+    used, unexplained = np.flatnonzero(np.isfinite(misfit)), np.flatnonzero(~(misfit < WELL_FITTED))
+    marks = [Mark(windows.begin[window], windows.end[window]) for window in unexplained]
+    steps = np.arange(simulated.shape[2]) / simulated.shape[2]
+
+    def fitted(name: str, size: float) -> list[Line]:
+        values = size * simulated[:, SENSORS.index(name)]
+        return [
+            Line(windows.begin[window] + (windows.end[window] - windows.begin[window]) * steps, values[row])
+            for row, window in enumerate(used)
+        ]
+
+    position, pressures, valve = signals_of(test.recording)
+    lines = [*fitted("pressure_a", 1e-5), *fitted("pressure_b", 1e-5)]
+    return [
+        position._replace(simulated=fitted("position", 1e3), marks=marks),
+        pressures._replace(simulated=lines, marks=marks),
+        valve._replace(marks=marks),
+    ]

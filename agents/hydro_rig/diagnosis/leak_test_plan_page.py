@@ -11,20 +11,21 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from hydro_agents.detection.detector import HALF_WIDTH
-from hydro_agents.report.canvas import GREY, WIDE, make_plot, thinned
+from hydro_agents.report.canvas import GREY, WIDE, make_plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import COLOURS
+from hydro_agents.report.recorded import Line, Signal, paint_course, rig_line
 from hydro_agents.report.sections import Block, Points, Text, render_page, section
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, capitalised, number
 from hydro_env import __version__
 from hydro_env.files import write_text
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.diagnosis.leak_test_plan import SIMULATED_LEAK, Plan, speeds
 from hydro_rig.diagnosis.leak_test_steps import RAMP
-from hydro_rig.diagnosis.recording_page import draw_lines, rig_line
 from hydro_rig.export.c_files import render as render_code
 from hydro_rig.recordings.simulated import recording_csv
 
@@ -157,7 +158,7 @@ def plan_course(content: Content) -> list[Block]:
     """Commands, positions, pressures, and how the bound falls."""
     plan = content.part("plan", Plan)
     note = (
-        f"Grey: {len(plan.best.position)} simulated axes, with worn valves and a leak of {plan.allowed.leak:g} l/min. "
+        f"{len(plan.best.position)} simulated axes, with worn valves and a leak of {plan.allowed.leak:g} l/min. "
         "The bound is the smallest standard deviation that any method can reach with the readings up to that time."
     )
     alt = f"Opening, position, pressures and bound over time. {plan_line(plan)}"
@@ -170,22 +171,25 @@ def paint_plan(figure: Figure, plan: Plan) -> None:
     """Draw opening, positions, pressures of one axis, and the bound over time."""
     best, period = plan.best, plan.task.control_period
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1, 1, 1.2])
-    openings = plan.commands
-    axes[0].plot(period * np.arange(len(openings)), 100 * openings, color=COLOURS[1], linewidth=1.2)
-    axes[0].set_ylabel("opening, %")
-    time = period * np.arange(best.position.shape[1])
-    for values in best.position:
-        axes[1].plot(*thinned(time, 1e3 * values), color=GREY, linewidth=0.8, alpha=0.7)
-    axes[1].set_ylabel("position, mm")
-    chambers = ("a (bore), first axis", "b (rod), first axis")
-    draw_lines(axes[2], time, dict(zip(chambers, 1e-5 * best.pressures[0], strict=True)), "pressure, bar")
+    time = period * np.arange(max(len(plan.commands), best.position.shape[1]))
+
+    def line(values: Floats) -> Line:
+        return Line(time[: len(values)], values)
+
+    pressures = {"a (bore), first axis": best.pressures[0, 0], "b (rod), first axis": best.pressures[0, 1]}
+    rows = [
+        Signal("opening, %", {"opening": line(100 * plan.commands)}),
+        Signal("position, mm", {}, [line(1e3 * values) for values in best.position]),
+        Signal("pressure, bar", {name: line(1e-5 * values) for name, values in pressures.items()}),
+    ]
+    paint_course(axes[:3], rows)
+    axes[2].set_xlabel("")
     for values in best.bound:
         axes[3].plot(best.lengths, values, color=GREY, linewidth=0.8, alpha=0.7)
     axes[3].plot(best.lengths, np.median(best.bound, axis=0), color=COLOURS[0], label="median")
     axes[3].set(yscale="log", ylabel="bound, l/min", xlabel="time, s")
     axes[3].legend(frameon=False, fontsize=8)
-    for axis in axes:
-        axis.margins(x=0.01)
+    axes[3].margins(x=0.01)
 
 
 @section("Steps", needs=("plan",))

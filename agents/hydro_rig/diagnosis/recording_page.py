@@ -1,24 +1,18 @@
-"""What the pages of a recording share: verdict, facts, method, and the figure of the measured signals."""
+"""What the pages of a recording share: verdict, method, and the measured signals of the figure."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-import pandas as pd
-from matplotlib.axes import Axes
-
-from hydro_agents.report.canvas import thinned, with_gaps
+from hydro_agents.report.canvas import GREY
 from hydro_agents.report.content import Content
-from hydro_agents.report.palette import Look, looks_of
+from hydro_agents.report.palette import MEANINGS
+from hydro_agents.report.recorded import Line, Mark, Signal
 from hydro_agents.report.sections import Block, Points, Text, section
-from hydro_agents.report.shared import findings_frame
-from hydro_agents.running.text import capitalised, number
-from hydro_env import PlantParameters, TaskConfig
-from hydro_env.types import Floats
-from hydro_env.units import UNITS
+from hydro_agents.running.text import capitalised
 from hydro_rig.diagnosis.verdict import Kind, Verdict
 from hydro_rig.recordings.columns import MEASURED
-from hydro_rig.recordings.findings import Finding
+from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.recording import Recording
 
 ADVICE = {
@@ -39,46 +33,10 @@ PANELS = {
     "pressure, bar": (1e-5, ("pressure_a", "pressure_b")),
     "valve, %": (100.0, ("spool_position", "command")),
 }
-"""Displayed units per SI unit, and signals, of each panel of the figure."""
+"""Displayed units per SI unit, and signals, of each row of the figure."""
 
-
-def content_of(
-    recording: Recording,
-    task: TaskConfig,
-    verdict: Verdict,
-    findings: Sequence[Finding],
-    facts: Mapping[str, str],
-    judging: Sequence[str],
-    **parts: object,
-) -> Content:
-    """The content of a page of a recording.
-
-    Args:
-        recording: the rows.
-        task: that was assumed.
-        verdict: on the recording.
-        findings: about it.
-        facts: in addition to source, rig and duration.
-        judging: how the verdict came about.
-        parts: what other sections show.
-    """
-    common = {
-        "Recording": recording.source,
-        "Rig assumed": rig_line(task.plant),
-        "Duration": f"{number(float(recording.time[-1]), 2)} s, {len(recording.time)} rows",
-    }
-    protocol = pd.DataFrame([*common.items(), *facts.items()], columns=["key", "value"])
-    tables = {"protocol": protocol, "findings": findings_frame(findings)}
-    return Content(tables, task, others={"verdict": verdict, "judging": tuple(judging), **parts})
-
-
-def rig_line(plant: PlantParameters) -> str:
-    """The nameplate of a rig in one line, by which a person sees whether it is the recorded one."""
-    cylinder, supply = plant.cylinder, plant.supply.pressure / UNITS["Pa"]["bar"]
-    return (
-        f"bore {1e3 * cylinder.bore_diameter:g} mm, rod {1e3 * cylinder.rod_diameter:g} mm, "
-        f"stroke {1e3 * cylinder.stroke:g} mm, supply {supply:g} bar"
-    )
+COLOURS = {Weight.SEVERE: MEANINGS["worse"].light, Weight.FAULT: MEANINGS["worse"].light, Weight.NOTE: GREY}
+LEAST_WIDTH = 0.003  # of a mark, as a share of the recording
 
 
 @section("", needs=("verdict",))
@@ -96,29 +54,22 @@ def judging(content: Content) -> list[Block]:
     return [Points(content.part("judging", tuple))]
 
 
-def draw_signals(panels: Sequence[Axes], recording: Recording) -> dict[str, Axes]:
-    """Draw position, pressures, and spool with command over time; returns the panel of each signal."""
-    panel_of: dict[str, Axes] = {}
-    for axes, (label, (size, names)) in zip(panels, PANELS.items(), strict=True):
-        lines = {name: size * recording.signals[MEASURED.index(name)] for name in names}
-        draw_lines(axes, recording.time, lines, label)
-        panel_of |= dict.fromkeys(names, axes)
-    return panel_of
+def signals_of(recording: Recording, findings: Sequence[Finding] = ()) -> list[Signal]:
+    """Position, pressures, and spool with command over time; the first place of each finding is marked and named."""
+    last, rows = float(recording.time[-1]), []
+    for label, (size, names) in PANELS.items():
+        lines = {
+            name.replace("_", " "): Line(recording.time, size * recording.signals[MEASURED.index(name)])
+            for name in names
+        }
+        about = {*names, "time"} if "position" in names else set(names)
+        marks = [mark_of(finding, last) for finding in findings if finding.signal in about and finding.begin >= 0.0]
+        rows.append(Signal(label, lines, marks=marks))
+    return rows
 
 
-def size_of(signal: str) -> float:
-    """Displayed units per SI unit of a signal in the figure."""
-    return next(size for size, names in PANELS.values() if signal in names)
-
-
-def draw_lines(axes: Axes, time: Floats, lines: Mapping[str, Floats], label: str) -> None:
-    """Draw lines over time in one panel, with a legend for more than one."""
-    for (name, values), look in zip(lines.items(), _LOOKS, strict=False):
-        axes.plot(*with_gaps(*thinned(time, values)), label=name.replace("_", " "), linewidth=1.0, **look.stroke)
-    axes.set_ylabel(label)
-    axes.margins(x=0.01)  # room for short labels
-    if len(lines) > 1:
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, frameon=False, fontsize=8)
-
-
-_LOOKS: list[Look] = list(looks_of(range(2)).values())
+def mark_of(finding: Finding, last: float) -> Mark:
+    """The first place of a finding with its words, of a recording that ends at ``last`` s."""
+    words = finding.what.split(",")[0].split(":")[0].split(";")[0]
+    width = max(finding.end - finding.begin, LEAST_WIDTH * last)
+    return Mark(finding.begin, finding.begin + width, words[:60], COLOURS[finding.weight], 0.35)

@@ -16,8 +16,8 @@ from hydro_agents.report.canvas import GREY, WIDE, make_plot, row_axis, thinned
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import COLOURS
+from hydro_agents.report.recorded import findings_frame
 from hydro_agents.report.sections import Block, Text, render_page, section
-from hydro_agents.report.shared import findings_frame
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised, listed, number

@@ -123,7 +123,8 @@ def with_rows(table: pd.DataFrame, file: File, found: Mapping[str, NDArray[Any]]
         oil=f"{oil.at_40:g}/{oil.at_100:g}",
         repaired="",
     )
-    fresh[list(SIZES)] = fresh[list(SIZES)].astype(np.float64).round(DECIMALS)
+    numbers = [*SIZES, "clock_back"]
+    fresh[numbers] = fresh[numbers].astype(np.float64).round(DECIMALS)
     old = table[table["file"] == file.name]
     marks = dict(zip(old["time"], old["repaired"], strict=True))
     fresh["repaired"] = [marks.get(when, "") for when in fresh["time"]]

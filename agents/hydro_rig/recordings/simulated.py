@@ -27,7 +27,6 @@ WRITTEN_UNITS = {
     "spool_position": "%",
     "command": "V",
 }
-ENVIRONMENT = "hydro_env:ServoHydraulic-v0"
 
 _FORMAT = "%.7g"  # digits for the 16-bit steps of every sensor
 LONGEST_RECORDING = 3600.0  # s
@@ -174,23 +173,47 @@ def record_dataset(
 
     if not 1 <= episodes <= MOST_EPISODES:
         raise ConfigurationError(f"--count {episodes}: must be within 1 to {MOST_EPISODES}")
-    task = config.model_dump(mode="json")
-    with minari.DataCollector(gym.make(ENVIRONMENT, config=task, info="flat"), record_infos=True) as env:
+    buffers = []
+    with gym.make("hydro_env:ServoHydraulic-v0", config=config.model_dump(mode="json"), info="flat") as env:
         for number in range(episodes):
-            observation, _ = env.reset(seed=first_seed + number, options=dict(options))
-            memory, over = None, False
-            while not over:
-                action, memory = controller.predict(observation, memory)
-                observation, _, terminated, truncated, _ = env.step(action)
-                over = terminated or truncated
+            buffers.append(_episode(env, controller, number, first_seed + number, options))
             if progress is not None:
                 progress(number + 1)
         with warnings.catch_warnings():  # the user adds author and code link
             warnings.simplefilter("ignore")
-            dataset = env.create_dataset(
+            dataset = minari.create_dataset_from_buffers(
                 name,
+                buffers,
+                env=env,
                 algorithm_name=algorithm,
                 description=note,
                 requirements=[f"hydro_env=={__version__}"],
             )
     return DatasetSummary(episodes, int(dataset.total_steps), str(dataset.storage.data_path.parent))
+
+
+def _episode(env: Any, controller: Controller, number: int, seed: int, options: Mapping[str, Any]) -> Any:
+    """One episode; Minari's own collector would need JAX."""
+    from minari.data_collector import EpisodeBuffer
+
+    observation, info = env.reset(seed=seed, options=dict(options))
+    observations, infos, steps = [observation], [info], []
+    memory, over = None, False
+    while not over:
+        action, memory = controller.predict(observation, memory)
+        observation, reward, terminated, truncated, info = env.step(action)
+        observations.append(observation)
+        infos.append(info)
+        steps.append((action, reward, terminated, truncated))
+        over = terminated or truncated
+    actions, rewards, terminations, truncations = zip(*steps, strict=True)
+    return EpisodeBuffer(
+        id=number,
+        seed=seed,
+        observations=np.stack(observations),
+        actions=np.stack(actions),
+        rewards=list(rewards),
+        terminations=list(terminations),
+        truncations=list(truncations),
+        infos={key: np.array([each[key] for each in infos]) for key in info},
+    )
