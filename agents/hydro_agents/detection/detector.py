@@ -72,13 +72,13 @@ class Why(IntEnum):
 
     words: str
 
-    def __new__(cls, number: int, words: str) -> Why:
+    def __new__(cls, number: int, words: str = "") -> Why:
         """A reason with its words."""
         why = int.__new__(cls, number)
         why._value_, why.words = number, words
         return why
 
-    ANSWERED = 0, ""
+    ANSWERED = 0
     NO_COMMANDS = 1, "commands are missing in the window"
     NOT_READ = 2, "not read: the model does not explain the liveliest windows"
     MISFIT = 3, "the model does not explain the readings"

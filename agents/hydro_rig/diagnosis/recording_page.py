@@ -44,8 +44,9 @@ def diagnosed(content: Content) -> list[Block]:
     """The verdict, and what to do next."""
     verdict = content.part("verdict", Verdict)
     style = f"verdict {STYLES[verdict.kind]}".strip()
-    flows = [Text(capitalised(line) + ".") for line in content.other("flows", ())]
-    return [Text(capitalised(verdict.line()), style), *flows, Text(ADVICE[verdict.kind])]
+    flows: tuple[str, ...] = content.other("flows", ())
+    lines = [Text(capitalised(line) + ".") for line in flows]
+    return [Text(capitalised(verdict.line()), style), *lines, Text(ADVICE[verdict.kind])]
 
 
 @section("How it was judged", needs=("judging",))
@@ -56,7 +57,8 @@ def judging(content: Content) -> list[Block]:
 
 def signals_of(recording: Recording, findings: Sequence[Finding] = ()) -> list[Signal]:
     """Position, pressures, and spool with command over time; the first place of each finding is marked and named."""
-    last, rows = float(recording.time[-1]), []
+    last = float(recording.time[-1])
+    rows: list[Signal] = []
     for label, (size, names) in PANELS.items():
         lines = {
             name.replace("_", " "): Line(recording.time, size * recording.signals[MEASURED.index(name)])

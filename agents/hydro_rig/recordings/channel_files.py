@@ -49,9 +49,13 @@ class Channel(NamedTuple):
 # MDF4 ---------------------------------------------------------------------------------------------------------------
 
 
-def read_mdf(file: Any) -> list[Channel]:
-    """All numeric channels of an open file."""
-    return [channel for number in range(len(file.groups)) for channel in _group(file, number)]
+def read_mdf(path: Path, asammdf: Any) -> list[Channel]:
+    """All numeric channels."""
+    channels: list[Channel] = []
+    with asammdf.MDF(path) as file:
+        for number in range(len(file.groups)):
+            channels += _group(file, number)
+    return channels
 
 
 def mdf_pieces(file: Any) -> Iterator[list[Channel]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
 from hydro_env import TaskConfig
@@ -13,10 +12,10 @@ from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.sensors import COMMAND, PRESSURE_A, PRESSURE_B, SPOOL, Sensor
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import MEASURED, UNITS
-from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
+from hydro_rig.recordings.findings import Finding, Mask, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.sampling import Sampled
 
-Found = tuple[NDArray[np.bool_], str, Weight]
+Found = tuple[Mask, str, Weight]
 
 MOST_MISSING = 0.2  # share of a channel
 MOST_SATURATED = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
@@ -40,7 +39,7 @@ class Channels(NamedTuple):
     """Results of the checks of single channels."""
 
     findings: list[Finding]
-    bad: NDArray[np.bool_]  # (5, T), invalid readings: stuck, lost, saturated, impossible
+    bad: Mask  # (5, T), invalid readings: stuck, lost, saturated, impossible
 
 
 def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
@@ -48,7 +47,7 @@ def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
     findings: list[Finding] = []
     bad = np.zeros(samples.signals.shape, dtype=np.bool_)
 
-    def found(row: int, mask: NDArray[np.bool_], what: str, weight: Weight) -> None:
+    def found(row: int, mask: Mask, what: str, weight: Weight) -> None:
         if mask.any():
             bad[row] |= mask
             findings.append(finding_of(mask, samples.time, MEASURED[row], what, weight))
@@ -148,21 +147,19 @@ def _saturated(values: Floats, samples: Sampled, signal: str, config: TaskConfig
     return at_end, what, severe_if(at_end.mean() > MOST_SATURATED)
 
 
-def _under_full_command(samples: Sampled, signal: str) -> NDArray[np.bool_]:
+def _under_full_command(samples: Sampled, signal: str) -> Mask:
     """Samples in which the spool may be at the end of its stroke."""
-    full: NDArray[np.bool_] = (np.abs(samples.signals[COMMAND]) > 0.8) & (signal == "spool_position")
-    return full
+    return np.asarray((np.abs(samples.signals[COMMAND]) > 0.8) & (signal == "spool_position"))
 
 
 def _half_step(sensor: Sensor) -> float:
     return 0.6 * max(sensor.resolution, 1e-6 * (sensor.high - sensor.low))
 
 
-def _at_end(values: Floats, sensor: Sensor) -> NDArray[np.bool_]:
+def _at_end(values: Floats, sensor: Sensor) -> Mask:
     """Readings at either end of a sensor's range."""
     step = _half_step(sensor)
-    at_end: NDArray[np.bool_] = (values >= sensor.high - step) | (values <= sensor.low + step)
-    return at_end
+    return np.asarray((values >= sensor.high - step) | (values <= sensor.low + step))
 
 
 def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:

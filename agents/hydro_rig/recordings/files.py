@@ -7,6 +7,7 @@ Channels of MDF4 and TDMS have their own time stamps, which are kept. If the sta
 from __future__ import annotations
 
 import importlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,6 +34,15 @@ PIECE = 200_000  # rows that are in memory at once
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
 
 
+READERS: dict[str, tuple[str, Callable[[Path, Any], list[Channel]]]] = {
+    ".mf4": ("asammdf", read_mdf),
+    ".mdf": ("asammdf", read_mdf),
+    ".tdms": ("nptdms", read_tdms),
+    ".mat": ("scipy.io", read_mat),
+}
+"""Library and reader of files of channels, by the end of their names."""
+
+
 class Columns(NamedTuple):
     """The columns of a file, C of them."""
 
@@ -55,13 +65,21 @@ def read_columns(path: Path) -> Columns:
         size = 0
     if size > LARGEST_RECORDING:
         raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; {ANY_LENGTH}")
-    if kind in _READERS:
-        library, read = _READERS[kind]
+    if kind == ".parquet":
+        with library_errors(path, "pyarrow"):
+            columns = of_table(pd.read_parquet(path, engine="pyarrow"))
+    elif kind in READERS:
+        library, read = READERS[kind]
         with library_errors(path, library) as module:
-            columns = read(path, module)
-        if not columns.cells or not max(map(len, columns.cells)):
-            raise ConfigurationError(f"{path}: holds no numbers")
-        return columns
+            columns = of_channels(read(path, module))
+    else:
+        return _text_columns(path)
+    if not columns.cells or not max(map(len, columns.cells)):
+        raise ConfigurationError(f"{path}: holds no numbers")
+    return columns
+
+
+def _text_columns(path: Path) -> Columns:
     ((table, first_line),) = text_pieces(path, None)
     if not len(table):
         raise ConfigurationError(f"{path}: holds headings but no rows")
@@ -83,7 +101,7 @@ def pieces(path: Path, rows: int = PIECE) -> Iterator[Columns]:
         with library_errors(path, "asammdf") as asammdf, asammdf.MDF(path) as file:
             for channels in mdf_pieces(file):
                 yield of_channels(channels)
-    elif kind in _READERS:
+    elif kind in READERS:
         yield read_columns(path)
     else:
         for table, first_line in text_pieces(path, rows):
@@ -172,42 +190,18 @@ def of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
     return Columns(headings, [table.iloc[:, k] for k in range(len(headings))], [None] * len(headings), first_line)
 
 
-def _read_parquet(path: Path, _: Any) -> Columns:
-    return of_table(pd.read_parquet(path, engine="pyarrow"))
-
-
-def _read_mdf(path: Path, asammdf: Any) -> Columns:
-    with asammdf.MDF(path) as file:
-        return of_channels(read_mdf(file))
-
-
-def _read_tdms(path: Path, nptdms: Any) -> Columns:
-    return of_channels(read_tdms(path, nptdms))
-
-
-def _read_mat(path: Path, scipy_io: Any) -> Columns:
-    return of_channels(read_mat(path, scipy_io))
-
-
 def of_channels(channels: Sequence[Channel]) -> Columns:
     """Channels as columns: headings ``name [unit]``, with the group before names that occur twice; time comes first."""
-    names = [channel.name for channel in channels]
-    headings = [
-        (f"{c.group}/{c.name}" if names.count(c.name) > 1 else c.name) + (f" [{c.unit}]" if c.unit else "")
-        for c in channels
-    ]
+    names = Counter(channel.name for channel in channels)
+    headings = []
+    for channel in channels:
+        group = f"{channel.group}/" if names[channel.name] > 1 else ""
+        unit = f" [{channel.unit}]" if channel.unit else ""
+        headings.append(f"{group}{channel.name}{unit}")
     cells = [pd.Series(channel.values) for channel in channels]
     stamps = [channel.stamps for channel in channels]
-    if any(one is not None for one in stamps):
-        longest = max((one for one in stamps if one is not None), key=len)
+    own = [channel.stamps for channel in channels if channel.stamps is not None]
+    if own:
+        longest = max(own, key=len)
         headings, cells, stamps = [TIME_HEADING, *headings], [pd.Series(longest), *cells], [None, *stamps]
     return Columns(headings, cells, stamps, 0)
-
-
-_READERS: dict[str, tuple[str, Callable[[Path, Any], Columns]]] = {
-    ".parquet": ("pyarrow", _read_parquet),
-    ".mf4": ("asammdf", _read_mdf),
-    ".mdf": ("asammdf", _read_mdf),
-    ".tdms": ("nptdms", _read_tdms),
-    ".mat": ("scipy.io", _read_mat),
-}

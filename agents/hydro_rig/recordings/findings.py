@@ -9,6 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.running.text import number
+from hydro_env.types import Floats
+
+Mask = NDArray[np.bool_]
+"""True where a finding is about a row, (n,)."""
 
 
 class Weight(StrEnum):
@@ -48,7 +52,7 @@ class Finding(NamedTuple):
         return ", ".join(parts)
 
 
-def runs_of(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def runs_of(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First index of each run of true values, and the index after its last."""
     edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
@@ -59,7 +63,7 @@ def severe_if(condition: object) -> Weight:
     return Weight.SEVERE if condition else Weight.NOTE
 
 
-def finding_of(mask: NDArray[np.bool_], time: NDArray[np.float64], signal: str, what: str, weight: Weight) -> Finding:
+def finding_of(mask: Mask, time: Floats, signal: str, what: str, weight: Weight) -> Finding:
     """A finding about the rows where ``mask`` (n,) is true (at least one); ``time`` (n,), s."""
     begins, ends = runs_of(mask)
     return Finding(signal, what, weight, float(time[begins[0]]), float(time[ends[0] - 1]), float(mask.mean()))

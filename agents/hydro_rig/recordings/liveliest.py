@@ -42,9 +42,6 @@ class Candidate(NamedTuple):
 class Overview(NamedTuple):
     """What was seen of the whole recording."""
 
-    begin: float  # s, first and last stamp, by the clock of the file
-    end: float
-    rows: int
     windows: int
     moving: float  # share of the windows in motion; NaN without a position
     clock_back: float  # s, the most by which the clock ran back; 0: never
@@ -100,15 +97,8 @@ class Liveliest:
             findings.append(Finding("clock", f"{what}; no window crosses it", Weight.NOTE))
         best = sorted(self.best.values(), key=lambda one: (-one.score, one.begin))[:most]
         share = self.moving / self.located if self.located else np.nan
-        overview = Overview(
-            begin=self.first,
-            end=self.last,
-            rows=self.rows,
-            windows=self.windows,
-            moving=share,
-            clock_back=max((by for _, by in self.jumps), default=0.0),
-            findings=findings,
-        )
+        back = max((by for _, by in self.jumps), default=0.0)
+        overview = Overview(self.windows, share, back, findings)
         return sorted(best, key=lambda one: one.begin), overview
 
     def _weigh(self, run: Recording, ended: bool) -> None:

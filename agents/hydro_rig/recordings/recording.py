@@ -169,4 +169,5 @@ def _shifted(values: Floats, rows: int) -> Floats:
     """Values moved down by a number of rows; the gap is NaN."""
     if rows == 0:
         return values
-    return pd.Series(values).shift(rows).to_numpy()
+    shifted: Floats = pd.Series(values).shift(rows).to_numpy()
+    return shifted

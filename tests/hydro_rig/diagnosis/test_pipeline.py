@@ -9,13 +9,15 @@ import yaml
 from command_line import hydro, own_lines
 from recorded import CONFIG, recorded_file
 
+from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.detector import Cause, Reading, Why
 from hydro_agents.detection.monitor import load_head
 from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis import diagnose as diagnosing
-from hydro_rig.diagnosis.diagnose import Companion, detector_of, diagnose
+from hydro_rig.diagnosis.companion import Companion, detector_of
+from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind, Limits, Verdict, by_volume
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
 
@@ -201,7 +203,7 @@ SETTINGS = {"interval": 0.5, "scales": dict.fromkeys(("standing", "slow", "movin
     ],
 )
 def test_an_alarm_runs_on_the_detector_that_it_was_set_for(detector, given, watches):
-    settings = diagnosing.AlarmSettings(**SETTINGS, detector=detector)
+    settings = AlarmSettings(**SETTINGS, detector=detector)
     available = Companion.of(load_head(None, CONFIG) if given == "head" else Own())
     assert available.own == (given == "own")
     if watches:
