@@ -80,9 +80,16 @@ def test_a_late_command_is_read_and_the_page_says_how_the_task_would_agree(tmp_p
     assert f"command_latency: {mended['command_latency']}" in page
 
 
-def test_another_program_reads_verdict_and_exit_code(tmp_path):
-    recorded_file(tmp_path / "a.csv", leakage=0.5, duration=2.0)
-    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out", "--json")
+@pytest.fixture(scope="module")
+def leaking(tmp_path_factory):
+    """A recording of 2 s of an axis with a leak of 0.5 l/min."""
+    file = tmp_path_factory.mktemp("leaking") / "a.csv"
+    recorded_file(file, leakage=0.5, duration=2.0)
+    return file
+
+
+def test_another_program_reads_verdict_and_exit_code(tmp_path, leaking):
+    answer = hydro("diagnose", leaking, "--output", tmp_path / "out", "--json")
     found = json.loads(answer.stdout)
     assert answer.returncode == found["exit_code"] == 10
     assert found["verdict"] == "internal leak"
@@ -116,7 +123,14 @@ def test_bad_input_leaves_nothing_behind(tmp_path):
     for options in ((), ("--map", tmp_path / "map.yaml"), ("--map", tmp_path / "absent.yaml"), ("--task", "absent")):
         assert_one_clear_line(hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out", *options))
     assert not (tmp_path / "out").exists()
-    for options in (("--fault", "x=1"), ("--fault", "external_leak=99"), ("--duration", "1e9"), ("--family", "x")):
+    for options in (
+        ("--fault", "x=1"),
+        ("--fault", "external_leak"),
+        ("--fault", "external_leak=x"),
+        ("--fault", "external_leak=99"),
+        ("--duration", "1e9"),
+        ("--family", "x"),
+    ):
         assert_one_clear_line(hydro("record", "-o", tmp_path / "r.csv", *options))
     assert not (tmp_path / "r.csv").exists()
 
@@ -154,14 +168,13 @@ class Spread:
 """
 
 
-def test_any_detector_reads_beside_the_estimator_under_its_own_name(tmp_path, alarm, monkeypatch):
+def test_any_detector_reads_beside_the_estimator_under_its_own_name(tmp_path, alarm, leaking, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "spread_of_spool.py").write_text(OWN)
-    recorded_file(tmp_path / "a.csv", leakage=0.5, duration=2.0)
     own = ("--detector", "spread_of_spool:Spread", "--alarm", alarm)
-    answer = hydro("diagnose", tmp_path / "a.csv", *own, "--output", tmp_path / "out")
+    answer = hydro("diagnose", leaking, *own, "--output", tmp_path / "out")
     assert answer.returncode == EXIT_CODES[Kind.LEAK], answer.stderr
-    table, spool = pd.read_csv(tmp_path / "out" / "leak.csv"), read_recording(tmp_path / "a.csv").signals[SPOOL]
+    table, spool = pd.read_csv(tmp_path / "out" / "leak.csv"), read_recording(leaking).signals[SPOOL]
     assert table["Spread_score"].tolist() == pytest.approx([np.std(spool)])
     assert table["Spread_leak"].isna().all()
     assert not [name for name in table if name.startswith("head")]
@@ -171,7 +184,7 @@ def test_any_detector_reads_beside_the_estimator_under_its_own_name(tmp_path, al
     assert "eakage head" not in page
     assert "The alarm of Spread" in answer.stdout
     for text in ("nowhere:Spread", "spread_of_spool:OWN", "spread_of_spool:np"):
-        refused = hydro("diagnose", tmp_path / "a.csv", "--detector", text, "--output", tmp_path / "none")
+        refused = hydro("diagnose", leaking, "--detector", text, "--output", tmp_path / "none")
         assert_one_clear_line(refused, f"'{text}'")
     assert not (tmp_path / "none").exists()
 

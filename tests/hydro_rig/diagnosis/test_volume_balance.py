@@ -5,9 +5,13 @@ import pytest
 from recorded import RAM, RAM_COLUMNS
 
 from hydro_env.units import LITRE_PER_MINUTE
-from hydro_rig.diagnosis.volume_balance import leak_by_volume
+from hydro_rig.diagnosis.volume_balance import blocks_of, leak_of_blocks
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.recording import read_recording
+
+
+def leak_by_volume(*signals_and_period):
+    return leak_of_blocks([blocks_of(*signals_and_period)])
 
 
 def moves(leak, area=9e-4, period=0.02, noise=0.0, relief=False):

@@ -6,7 +6,6 @@ import pytest
 from command_line import assert_one_clear_line, hydro
 from recorded import recorded_file
 
-from hydro_agents.running.tasks import named_faults
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.recordings.columns import read_map
 from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
@@ -169,13 +168,6 @@ def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("hydro_rig.recordings.files.LARGEST_RECORDING", 100)
     with pytest.raises(ConfigurationError, match="larger than"):
         read_recording(written(tmp_path, PLAIN))
-
-
-def test_faults_are_named():
-    assert named_faults(["valve_null_shift=-0.01"]) == {"valve_null_shift": -0.01}
-    for text in ("x=1", "valve_null_shift", "valve_null_shift=x"):
-        with pytest.raises(ConfigurationError, match="--fault"):
-            named_faults([text])
 
 
 GUESSES = {
