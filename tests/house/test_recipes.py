@@ -145,8 +145,8 @@ def watched_axis(folder: Path, sensors: dict) -> None:
     for kind in ("ppo", "pid"):
         record_axis(folder / f"{kind}.csv", fitted, opponent(kind, fitted, kind), 3, 1.0, "sine")
     found = diagnose(folder / "pid.csv", fitted, load_head(None, fitted))
-    assert found.estimator is not None
-    assert found.head is not None
+    assert found.read.estimator is not None
+    assert found.read.companion is not None
     leak_table(found).to_csv(folder / "leak.csv")
 
 

@@ -122,7 +122,7 @@ def course_plot(key: str, title: str, note: str, alt: str, signals: Sequence[Sig
     """
 
     def paint(figure: Figure) -> None:
-        paint_course(figure.subplots(len(signals), 1, sharex=True, squeeze=False)[:, 0], signals)
+        paint_course(list(figure.subplots(len(signals), 1, sharex=True, squeeze=False)[:, 0]), signals)
 
     return make_plot(key, title, note, alt, paint, height, WIDE)
 
@@ -130,7 +130,7 @@ def course_plot(key: str, title: str, note: str, alt: str, signals: Sequence[Sig
 def paint_course(panels: Sequence[Axes], signals: Sequence[Signal]) -> None:
     """Draw each signal into its panel; a name stands in the legend if a row has several, or simulated lines."""
     for axes, signal in zip(panels, signals, strict=True):
-        bold = {"linewidth": 2.2, "alpha": 0.55} if signal.simulated else {"linewidth": 1.0}
+        bold: dict[str, Any] = {"linewidth": 2.2, "alpha": 0.55} if signal.simulated else {"linewidth": 1.0}
         looks = looks_of(signal.measured)
         for name, line in signal.measured.items():
             axes.plot(*with_gaps(*thinned(*line)), label=name, **looks[name].stroke, **bold)

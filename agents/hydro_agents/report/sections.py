@@ -210,7 +210,11 @@ def arranged(blocks: Sequence[Block]) -> list[Block]:
         elif isinstance(block, Choice):
             block = replace(block, blocks={value: arranged(part) for value, part in block.blocks.items()})
         elif isinstance(block, Plot) and not block.wide:
-            block = Grid((*result.pop().plots, block) if result and isinstance(result[-1], Grid) else (block,))
+            beside: tuple[Plot, ...] = ()
+            if result and isinstance(result[-1], Grid):
+                beside = result[-1].plots
+                result.pop()
+            block = Grid((*beside, block))
         result.append(block)
     return result
 

@@ -15,11 +15,11 @@ from hydro_agents.detection.detector import Reading, Windows
 from hydro_env import HydroError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B
 from hydro_rig.diagnosis.verdict import Limits, Verdict, by_volume, judge
 from hydro_rig.diagnosis.volume_balance import BLOCK, Blocks, VolumeLeak, blocks_of, leak_of_blocks
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.identification.data_sheet import contradictions, worst_signal
-from hydro_rig.recordings.columns import BESIDE
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording
@@ -32,7 +32,7 @@ class Read(NamedTuple):
     """What was read in the windows of a recording."""
 
     estimator: Reading | None = None  # or the common fit of a leak test
-    head: Reading | None = None
+    companion: Reading | None = None  # the detector beside the estimator
     fitted: Estimate | None = None
     findings: Sequence[Finding] = ()
 
@@ -55,6 +55,7 @@ def judged(
     window: float,
     balance: VolumeLeak | None,
     rows: Sequence[Recording],
+    companion: str = "",
 ) -> Judged:
     """Fill gaps, choose windows, read them unless a finding is severe, and judge.
 
@@ -67,36 +68,44 @@ def judged(
         window: s, their length, for the reasons.
         balance: the leak from a measured flow; ``None``: no flow was recorded.
         rows: what was recorded, for the balance.
+        companion: name of the detector beside the estimator.
     """
     samples, filled = bridged(checked.samples)
-    balance = None if balance is None else balance.on(plant_coefficients(config.plant).area_a)
-    checked = Checked(samples, [*checked.findings, *filled, *_about(balance)])
-    usable, windows, found = not checked.severe, choose(samples), Read()
-    if usable:
-        try:
-            found = read(windows)
-        except (ValueError, ArithmeticError, LookupError) as error:
-            what = f"cannot be read: {error if isinstance(error, HydroError) else reason(error)}"
-            found = Read(findings=[Finding("windows", " ".join(what.split()), Weight.SEVERE)])
-        told = [] if found.fitted is None else contradictions(found.fitted, config)
-        checked = Checked(samples, [*checked.findings, *found.findings, *told])
-    residual = "" if found.fitted is None else worst_signal(found.fitted, config)
-    verdict = judge(checked.findings, found.estimator, found.head, limits, window, residual)
-    if balance is not None and (not checked.severe if usable else _balance_may_decide(rows, config)):
+    checked = Checked(samples, [*checked.findings, *filled])
+    if balance is not None:
+        balance = balance.on(plant_coefficients(config.plant).area_a)
+        what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
+        checked.findings.append(Finding("flow", what, Weight.NOTE))
+    windows = choose(samples)
+    result, residual, balance_decides = Read(), "", False
+    if checked.severe:
+        balance_decides = balance is not None and _balance_may_decide(rows, config)
+    else:
+        result = _read(windows, read)
+        checked.findings.extend(result.findings)
+        if result.fitted is not None:
+            checked.findings.extend(contradictions(result.fitted, config))
+            residual = worst_signal(result.fitted, config)
+        balance_decides = not checked.severe
+    readings = result.estimator, result.companion
+    verdict = judge(checked.findings, *readings, limits, window, residual, companion)
+    if balance is not None and balance_decides:
         verdict = by_volume(verdict, balance, limits)
-    return Judged(checked, windows, found, verdict)
+    return Judged(checked, windows, result, verdict)
+
+
+def _read(windows: Windows, read: Callable[[Windows], Read]) -> Read:
+    """What is read in the windows; a failure is a severe finding in one line."""
+    try:
+        return read(windows)
+    except (ValueError, ArithmeticError, LookupError) as error:
+        what = f"cannot be read: {error if isinstance(error, HydroError) else reason(error)}"
+        return Read(findings=[Finding("windows", " ".join(what.split()), Weight.SEVERE)])
 
 
 def _balance_may_decide(rows: Sequence[Recording], config: TaskConfig) -> bool:
     """Whether no severe finding is left once the rows need not fit the control period: a balance has no commands."""
     return not any(check_recording(one, config, own_grid=True).severe for one in rows)
-
-
-def _about(balance: VolumeLeak | None) -> list[Finding]:
-    if balance is None:
-        return []
-    what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
-    return [Finding("flow", what, Weight.NOTE)]
 
 
 def volume_leak(blocks: Iterable[Blocks]) -> VolumeLeak | None:
@@ -107,9 +116,10 @@ def volume_leak(blocks: Iterable[Blocks]) -> VolumeLeak | None:
 
 def flow_blocks(recording: Recording) -> Iterator[Blocks]:
     """The blocks of a balance of volumes; none without a flow, the position or one of the pressures."""
-    if recording.beside is None or len(recording.time) < 2:
+    if "flow" not in recording.auxiliary or len(recording.time) < 2:
         return
-    signals = np.concatenate([recording.signals[:3], recording.beside[[BESIDE.index("flow")]]])
+    motion = recording.signals[[POSITION, PRESSURE_A, PRESSURE_B]]
+    signals = np.vstack([motion, recording.auxiliary["flow"]])
     steps = np.diff(recording.time)
     step = float(np.median(steps))
     if not np.isfinite(signals).any(axis=1).all() or step <= 0.0:

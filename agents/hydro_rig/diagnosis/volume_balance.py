@@ -64,19 +64,6 @@ class Blocks(NamedTuple):
     range_of_speed: Floats  # m/s, within the block
 
 
-def leak_by_volume(position: Floats, pressure_a: Floats, pressure_b: Floats, flow: Floats, period: float) -> VolumeLeak:
-    """The leak past the piston from a measured flow.
-
-    Args:
-        position: (T,), m.
-        pressure_a: (T,), Pa.
-        pressure_b: (T,), Pa.
-        flow: into chamber a, (T,), m³/s.
-        period: of the samples, s. NaN in a signal leaves out the block.
-    """
-    return leak_of_blocks([blocks_of(position, pressure_a, pressure_b, flow, period)])
-
-
 def leak_of_blocks(parts: Sequence[Blocks]) -> VolumeLeak:
     """The leak past the piston from the blocks of the parts of a recording."""
     if sum(len(part.speed) for part in parts) < FEWEST_MOVES:
@@ -112,7 +99,15 @@ def _none(moves: int, why: str) -> VolumeLeak:
 
 
 def blocks_of(position: Floats, pressure_a: Floats, pressure_b: Floats, flow: Floats, period: float) -> Blocks:
-    """Means over blocks; arguments as those of :func:`leak_by_volume`."""
+    """Means over blocks.
+
+    Args:
+        position: (T,), m.
+        pressure_a: (T,), Pa.
+        pressure_b: (T,), Pa.
+        flow: into chamber a, (T,), m³/s.
+        period: of the samples, s. NaN in a signal leaves out the block.
+    """
     samples = max(round(BLOCK / period / QUARTERS), 1) * QUARTERS
     count = (len(position) - 1) // samples
     ends = np.arange(count + 1) * samples

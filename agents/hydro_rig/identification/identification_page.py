@@ -24,6 +24,7 @@ from hydro_agents.running.text import capitalised, listed, number
 from hydro_env import ConfigurationError, __version__
 from hydro_env.files import read_yaml, write_text
 from hydro_env.folders import page
+from hydro_env.task.sensors import POSITION
 from hydro_rig.identification.found_rig import rig_yaml, shown
 from hydro_rig.identification.held_back import HeldBack
 from hydro_rig.identification.identification_tables import (
@@ -37,7 +38,6 @@ from hydro_rig.identification.identification_tables import (
 )
 from hydro_rig.identification.identify import Identification, as_json
 from hydro_rig.identification.repeatability import share_inside
-from hydro_rig.recordings.columns import POSITION
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
 FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)

@@ -24,7 +24,7 @@ from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
 from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Limits, Verdict, combined
 from hydro_rig.diagnosis.volume_balance import Blocks, VolumeLeak
 from hydro_rig.monitoring.oil import Oil, referred
-from hydro_rig.recordings.columns import BESIDE, ColumnMap
+from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.files import Columns, pieces, started
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.liveliest import Liveliest, sampled_windows
@@ -36,10 +36,10 @@ MOST_WINDOWS = 12  # of a reading; more take longer and add little
 WINDOW = 2.0  # s
 FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
 HOUR = 3600.0  # s
+OIL, NOTHING = "oil_temperature", np.zeros(0)  # the signal of its temperature; readings of a signal without any
 MOST_BLOCKS = 1_000_000  # of a measured flow that are kept, 40 MB: those of six days
 
 _DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
-_TEMPERATURE = BESIDE.index("oil_temperature")
 
 
 class Settings(NamedTuple):
@@ -65,6 +65,7 @@ class Row(NamedTuple):
     temperature: float  # °C, of the oil; NaN: not recorded
     at_40: Leak  # the leak at 100 bar and 40 °C
     reason: str
+    clock_back: float  # s, by which the clock ran back in it or at its begin; 0: never
 
 
 def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Any:
@@ -78,7 +79,7 @@ def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: Colu
         raise ConfigurationError(f"{path}: holds headings but no rows")
     found: dict[str, NDArray[Any]] = {
         name: np.array([getattr(row, name) for row in rows])
-        for name in ("time", "until", "axis", "verdict", "moving", "temperature", "reason")
+        for name in ("time", "until", "axis", "verdict", "moving", "temperature", "reason", "clock_back")
     }
     for name, leaks in (("", [row.leak for row in rows]), ("_40", [row.at_40 for row in rows])):
         for part, values in zip(("size", "low", "high"), np.array(leaks).T, strict=True):
@@ -99,7 +100,7 @@ def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None
     Raises:
         ConfigurationError: the file cannot be read.
     """
-    open_: dict[str, tuple[int, Liveliest, str, list[Blocks]]] = {}
+    open_: dict[str, tuple[int, Liveliest, float, list[Blocks]]] = {}
     clock = None
     for name, rows in _by_axis(path, axis, columns, how):
         if clock is None:
@@ -107,17 +108,16 @@ def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None
         for hour, part in _by_hour(rows, clock) if how.hourly else [(0, rows)]:
             known = open_.get(name)
             if known is None or known[0] != hour:
-                note = ""
+                back = 0.0
                 if known is not None:
                     yield row_of(name, known[1], config, how, clock, *known[2:])
-                    back = known[1].last - part.begin
-                    note = f"clock runs back by {number(back, digits=3)} s at its begin" if back > 0.0 else ""
-                open_[name] = (hour, Liveliest(how.window, config), note, [])
+                    back = max(known[1].last - part.begin, 0.0)
+                open_[name] = (hour, Liveliest(how.window, config), back, [])
             open_[name][1].add(part)
             if sum(len(blocks.speed) for blocks in open_[name][3]) < MOST_BLOCKS:
                 open_[name][3].extend(flow_blocks(part))
-    for name, (_, live, note, blocks) in open_.items():
-        yield row_of(name, live, config, how, clock or 0.0, note, blocks)
+    for name, (_, live, back, blocks) in open_.items():
+        yield row_of(name, live, config, how, clock or 0.0, back, blocks)
 
 
 def _by_axis(path: Path, axis: str, columns: ColumnMap | None, how: Settings) -> Iterator[tuple[str, Recording]]:
@@ -174,24 +174,28 @@ def row_of(
     config: TaskConfig,
     how: Settings,
     clock: float = 0.0,
-    note: str = "",
+    back: float = 0.0,
     blocks: Sequence[Blocks] = (),
 ) -> Row:
-    """The row of what was read: the best windows, and the blocks of a measured flow."""
+    """The row of what was read: the best windows, and the blocks of a measured flow.
+
+    ``back``: s, by which the clock ran back before its first row.
+    """
     candidates, seen = live.finish(how.windows)
     leak = at_40 = Leak(np.nan, np.nan, np.nan)
     findings, temperature = seen.findings, np.nan
     verdict = Verdict(Kind.UNKNOWN, "the recording is shorter than one window", None, "")
     if candidates:
         rows = [candidate.rows for candidate in candidates]
-        temperature = _mean(np.array([_temperature(one.beside) for one in rows]))
+        temperature = _mean(np.array([_mean(one.auxiliary.get(OIL, NOTHING)) for one in rows]))
         volume = volume_leak(blocks)
         at_once = None if volume is None else _referred_leak(volume, how, temperature)
         checked = check_samples(sampled_windows(candidates, how.window, config), seen.findings, config)
 
         def choose(samples: Sampled) -> Windows:
             windows = cut(samples, round(how.window / config.control_period))
-            return windows.part(np.isfinite(windows.signals[:, -1]).mean(axis=1) > 0.5)  # without the margins
+            commanded = np.isfinite(windows.signal("previous_command")).mean(axis=1)
+            return windows.part(commanded > 0.5)  # without the margins
 
         def read(windows: Windows) -> Read:
             nonlocal leak
@@ -199,11 +203,19 @@ def row_of(
                 return Read()
             measured, fitted = read_windows(windows, config, threads=1)
             leak = combined(measured)[0] if measured.answers.any() else leak
-            sides = [None] * len(windows) if windows.beside is None else windows.beside
-            warm = np.array([_temperature(one) for one in sides])
-            return Read(referred(measured, how.oil, warm, how.between), None, fitted)
+            warm = np.array([_mean(values) for values in windows.auxiliary_signal(OIL)])
+            return Read(referred(measured, how.oil, warm, how.between), fitted=fitted)
 
-        found = judged(checked, config, choose, read, Limits.of(config), how.window, at_once, rows)
+        found = judged(
+            checked,
+            config,
+            choose=choose,
+            read=read,
+            limits=Limits.of(config),
+            window=how.window,
+            balance=at_once,
+            rows=rows,
+        )
         findings, verdict, reading = found.checked.findings, found.verdict, found.read.estimator
         if volume is not None and verdict.detector == BALANCE:
             leak, at_40 = Leak(volume.value, volume.low, volume.high), verdict.leak or at_40
@@ -211,14 +223,10 @@ def row_of(
             at_40 = combined(reading)[0]
     notes = [finding.line() for finding in findings if finding.signal == "clock"]
     faults = [finding.line() for finding in findings if finding.weight is Weight.FAULT]
+    note = f"clock runs back by {number(back, digits=3)} s at its begin" if back > 0.0 else ""
     reason = "; ".join(dict.fromkeys(part for part in (verdict.why, *faults, *notes, note) if part))
     times = clock + live.first, clock + live.last
-    return Row(*times, axis, verdict.kind, leak, seen.moving, temperature, at_40, reason)
-
-
-def _temperature(beside: NDArray[np.float64] | None) -> float:
-    """Mean temperature of the oil in rows, °C, from their further signals; NaN: not recorded."""
-    return np.nan if beside is None else _mean(beside[_TEMPERATURE])
+    return Row(*times, axis, verdict.kind, leak, seen.moving, temperature, at_40, reason, max(back, seen.clock_back))
 
 
 def _mean(values: NDArray[np.float64]) -> float:

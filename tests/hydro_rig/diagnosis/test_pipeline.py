@@ -9,14 +9,15 @@ import yaml
 from command_line import hydro, own_lines
 from recorded import CONFIG, recorded_file
 
-from hydro_agents.detection.detector import Cause, Reading
-from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.detection.detector import Cause, Reading, Why
 from hydro_agents.detection.monitor import load_head
 from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis import diagnose as diagnosing
-from hydro_rig.diagnosis.diagnose import detector_of, diagnose
+from hydro_rig.diagnosis.companion import Companion, detector_of
+from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind, Limits, Verdict, by_volume
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
 
@@ -110,34 +111,28 @@ def test_another_verdict_stays():
 
 @pytest.fixture(scope="module")
 def wrong_rig(tmp_path_factory):
-    """A recording of 30 s, of which shorter ones are the first rows."""
+    """A recording of 20 s, of which shorter ones are the first rows."""
     path = tmp_path_factory.mktemp("rod") / "a.csv"
-    recorded_file(path, OTHER_ROD, leakage=1.0, duration=30.0)
+    recorded_file(path, OTHER_ROD, leakage=1.0, duration=20.0)
     return path.read_text().splitlines(keepends=True)
 
 
-@pytest.mark.parametrize("seconds", [6, *(pytest.param(longer, marks=pytest.mark.slow) for longer in (4, 10, 30))])
+@pytest.mark.parametrize("seconds", [1, 20])  # one window; far more than are tried
 def test_another_rig_ends_in_cannot_tell_after_any_duration(wrong_rig, tmp_path, seconds):
     (tmp_path / "a.csv").write_text("".join(wrong_rig[: 2 + 200 * seconds]))
-    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out")
+    answer = hydro("diagnose", tmp_path / "a.csv", "--window", 1, "--output", tmp_path / "out")
     assert answer.returncode == UNKNOWN, answer.stderr
     assert own_lines(answer.stdout)[-1].startswith("cannot tell: the model does not describe this rig")
-    assert len(pd.read_csv(tmp_path / "out" / "leak.csv")) == seconds // 2
-
-
-@pytest.mark.slow
-def test_another_rig_ends_in_cannot_tell_after_ten_minutes(tmp_path):
-    recorded_file(tmp_path / "a.csv", OTHER_ROD, leakage=1.0, duration=600.0)
-    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out")
-    assert answer.returncode == UNKNOWN, answer.stderr
-    assert own_lines(answer.stdout)[-1].startswith("cannot tell: ")
+    remarks = pd.read_csv(tmp_path / "out" / "leak.csv")["estimator_remark"].tolist()
+    assert remarks.count(Why.MISFIT.words) == min(seconds, 2)
+    assert remarks.count(Why.NOT_READ.words) == max(seconds - 2, 0)
 
 
 def test_one_value_of_a_reading_holds_for_all_windows():
-    one = Reading.of([0.1, np.nan], Cause.UNKNOWN, flow_lpm=0.3, why="noise")
+    one = Reading.of([0.1, np.nan], Cause.UNKNOWN, flow_lpm=0.3, why=Why.MISFIT)
     assert [len(values) for values in one] == [2] * len(Reading._fields)
     assert one.followed_by(one).cause.tolist() == [Cause.UNKNOWN] * 4
-    assert one.why == ("noise", "noise")
+    assert one.remarks == [Why.MISFIT.words] * 2
     assert one.flow_lpm.tolist() == [0.3, 0.3]
     with pytest.raises(ValueError, match="shape"):
         Reading.of([0.1, 0.2], flow_lpm=[1.0, 2.0, 3.0])
@@ -210,9 +205,9 @@ SETTINGS = {"interval": 0.5, "scales": dict.fromkeys(("standing", "slow", "movin
     ],
 )
 def test_an_alarm_runs_on_the_detector_that_it_was_set_for(detector, given, watches):
-    settings = diagnosing.AlarmSettings(**SETTINGS, detector=detector)
-    available = load_head(None, CONFIG) if given == "head" else Own()
-    assert isinstance(available, LeakageHead) == (given == "head")
+    settings = AlarmSettings(**SETTINGS, detector=detector)
+    available = Companion.of(load_head(None, CONFIG) if given == "head" else Own())
+    assert available.own == (given == "own")
     if watches:
         assert type(detector_of(settings, available)).__name__ == watches
         return
