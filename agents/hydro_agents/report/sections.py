@@ -210,7 +210,7 @@ def arranged(blocks: Sequence[Block]) -> list[Block]:
         elif isinstance(block, Choice):
             block = replace(block, blocks={value: arranged(part) for value, part in block.blocks.items()})
         elif isinstance(block, Plot) and not block.wide:
-            beside: tuple[Plot, ...] = ()
+            beside: Sequence[Plot] = ()
             if result and isinstance(result[-1], Grid):
                 beside = result[-1].plots
                 result.pop()

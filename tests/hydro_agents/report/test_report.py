@@ -41,7 +41,7 @@ FACTS = {"command": "hydro study --seed 3", "seed": 3, "machine": "a box with 2 
 KEYS = (
     "level-mean_error_mm-mean", "level-valve_travel_per_s-mean", "difference", "level-reversals_per_s-mean", "family",
     "ratio", "level-mean_error_mm-cvar_5_percent", "level-mean_error_mm-worst", "run-0", "level-supply_energy_j-mean",
-    "rates", "roc", "size", "precision", "training", "score",
+    "rates", "roc", "size", "training", "score",
 )  # fmt: skip
 DRAWING = re.compile(r'<svg[^>]*role="img".*?</svg>', flags=re.DOTALL)
 ERROR, BASE_ERROR = "validation/mean_error_mm", "validation/base_mean_error_mm"
