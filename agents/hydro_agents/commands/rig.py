@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from hydro_agents.commands.options import Latency, Overwrite, OverwriteFile, Period, Rig, check_new_file, say
-from hydro_agents.rigs.questions import QUESTIONS, Question, answers_from, parsed
+from hydro_agents.rigs.new_rig import QUESTIONS, Question, answers_from, parsed
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
 

@@ -6,6 +6,7 @@ All windows of the recording share leak, plant and wear; each has its own start.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,12 +25,28 @@ from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis.leak_test_plan import Progress, priors_of_test, worn_task
 from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
 from hydro_rig.diagnosis.verdict import Leak, Limits, Verdict
+from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.estimator import SURE, WEAR, healthy_range
-from hydro_rig.estimation.unknowns import LEAKAGE
-from hydro_rig.identification.common_fit import WELL_FITTED, Common, common_fit
+from hydro_rig.estimation.first_guess import first_values
+from hydro_rig.estimation.model import LONG_STEP
+from hydro_rig.estimation.unknowns import LEAKAGE, Prior
+from hydro_rig.identification.common_fit import (
+    ROUGH_TOLERANCE,
+    ROUGHLY,
+    WELL_FITTED,
+    Common,
+    Indices,
+    Report,
+    common_fit,
+    costs_of,
+    descend,
+    fit_together,
+    replayed,
+    shared_and_own,
+    without_outliers,
+)
 from hydro_rig.identification.fit import COVERAGE
 from hydro_rig.identification.intervals import spread_of
-from hydro_rig.identification.quick_fit import quick_fit
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.quality import check_recording
@@ -247,3 +264,46 @@ def _beyond(quantity: Quantity, healthy: tuple[float, float]) -> float:
     """Distance of a value from its healthy range, in standard deviations."""
     low, high = healthy
     return max(low - quantity.value, quantity.value - high) / quantity.deviation
+
+
+MOST_ROUNDS = 2  # in which windows are left out
+
+
+def quick_fit(
+    windows: Windows, chosen: Indices, config: TaskConfig, priors: Mapping[str, Prior], report: Report
+) -> Common:
+    """As :func:`common_fit`, for windows that one start describes: only ``chosen`` ones are first fitted alone.
+
+    It takes a third of the time. The caller tries :func:`common_fit` if windows stay unexplained.
+    """
+    report("windows", 0, len(chosen))
+    few = windows.part(chosen)
+    alone = estimate(few.signals, config, list(priors), settings=ROUGHLY, boundary=few.boundary)
+    report("windows", len(chosen), len(chosen))
+    model, readings = replayed(windows, config, priors)
+    shared, _ = shared_and_own(model)
+    guess = model.scaled(first_values(windows.signals, model.commands.durations, config, priors))
+    trials = []
+    for values in alone.scaled[:, shared]:
+        tried = guess.copy()
+        tried[:, shared] = values
+        trials.append(tried)
+
+    def progress(done: int, total: int) -> None:
+        report("common fit", done, total)
+
+    first = trials[int(np.argmin(costs_of(model, readings, trials)))]
+    rough, _ = descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)
+    joint = fit_together(model, readings, rough, progress)
+    kept = np.arange(len(windows))
+    for _ in range(MOST_ROUNDS):  # without windows in a local minimum, as where the axis sticks and slips
+        still = without_outliers(joint.misfit)
+        if len(still) == len(kept):
+            break
+        kept = kept[still]
+        model, readings = replayed(windows.part(kept), config, priors)
+        joint = fit_together(model, readings, joint.scaled[still], progress)
+    report("common fit", 1, 1)
+    misfit = np.full(len(windows), np.inf)
+    misfit[kept] = joint.misfit
+    return Common(model, readings, joint, misfit, None)

@@ -9,8 +9,7 @@ import pytest
 import yaml
 from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydro
 
-from hydro_agents.rigs.new_rig import new_rig
-from hydro_agents.rigs.questions import QUESTIONS, answers_from
+from hydro_agents.rigs.new_rig import QUESTIONS, answers_from, new_rig
 from hydro_agents.rigs.remarks import position_accuracy
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits

@@ -12,8 +12,7 @@ from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
 from hydro_agents.rigs.check import check_rig
 from hydro_agents.rigs.check_table import assumed, brief, check_csv, check_markdown
-from hydro_agents.rigs.new_rig import new_rig
-from hydro_agents.rigs.questions import answers_from
+from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.rigs.remarks import PHASE_STABLE, implausible, stability_note
 from hydro_agents.rigs.stable_gain import (
     beyond_dead_band,
