@@ -11,9 +11,16 @@ from command_line import ROOT, assert_one_clear_line, hydro, hydro_process
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
 from hydro_agents.rigs.check import check_rig
-from hydro_agents.rigs.check_table import assumed, brief, check_csv, check_markdown
+from hydro_agents.rigs.check_table import (
+    PHASE_STABLE,
+    assumed,
+    brief,
+    check_csv,
+    check_markdown,
+    implausible,
+    stability_note,
+)
 from hydro_agents.rigs.new_rig import answers_from, new_rig
-from hydro_agents.rigs.remarks import PHASE_STABLE, implausible, stability_note
 from hydro_agents.rigs.stable_gain import (
     beyond_dead_band,
     leaking,
