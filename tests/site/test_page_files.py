@@ -30,7 +30,7 @@ def blocks(page, kind):
 
 
 def test_every_block_has_a_test():
-    tested = {("circuit.md", "yaml")} | {  # tests/test_circuit_page.py
+    tested = {("circuit.md", "yaml")} | {  # tests/site/test_circuit_page.py
         ("own_rig.md", "yaml"),
         ("diagnose.md", "yaml"),
         ("trend.md", "yaml"),

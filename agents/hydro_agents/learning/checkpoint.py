@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -82,42 +82,28 @@ def load(folder: Path, made_with: Mapping[str, Any]) -> Checkpoint:
         ConfigurationError: the checkpoint is missing, damaged, or was made under other conditions.
     """
     path = folder / CHECKPOINT_FILE
-    tensors, stored = load_made_with(path, KIND, made_with)
-    steps, updates, seconds = read_counters(stored, ("steps", "updates", "seconds"), path)
-    return Checkpoint(dict(tensors), int(steps), int(updates), float(seconds))
-
-
-def load_made_with(path: Path, kind: str, made_with: Mapping[str, Any]) -> tuple[Tensors, dict[str, Any]]:
-    """Tensors and facts of a checkpoint of any kind, made under the conditions ``made_with``.
-
-    Raises:
-        ConfigurationError: as for :func:`load`.
-    """
-    tensors, stored = load_checkpoint(path, kind)
+    tensors, stored = load_checkpoint(path, KIND)
     before = stored.get("made_with")
     if not isinstance(before, dict):
         raise ConfigurationError(f"{path}: damaged: its conditions (made_with) are missing")
     for what, now in made_with.items():
-        old = before.get(what)
-        if old != now:
-            changed = ""
-            if isinstance(old, dict) and isinstance(now, dict):
-                changed = next((f" ('{key}' differs)" for key in {**now, **old} if old.get(key) != now.get(key)), "")
-            other = "other" if what.endswith("s") else "another"
-            raise ConfigurationError(f"{path}: was made with {other} {what}{changed}; cannot resume")
-    return tensors, stored
-
-
-def read_counters(stored: Mapping[str, Any], names: Sequence[str], path: Path) -> list[float]:
-    """Numbers of a checkpoint, by name.
-
-    Raises:
-        ConfigurationError: one is missing, negative or no number.
-    """
-    counters: list[Any] = [stored.get(name) for name in names]
+        _refuse_another(path, what, before.get(what), now)
+    counters: list[Any] = [stored.get(name) for name in ("steps", "updates", "seconds")]
     if not all(type(value) in (int, float) and 0 <= value < 1e15 for value in counters):
-        raise ConfigurationError(f"{path}: damaged: {', '.join(names)} = {str(counters)[:60]}")
-    return counters
+        raise ConfigurationError(f"{path}: damaged: steps, updates, seconds = {str(counters)[:60]}")
+    steps, updates, seconds = counters
+    return Checkpoint(dict(tensors), int(steps), int(updates), float(seconds))
+
+
+def _refuse_another(path: Path, what: str, before: object, now: object) -> None:
+    """Raise an error if a condition has changed; it names the first part of a group that differs."""
+    if before == now:
+        return
+    changed = ""
+    if isinstance(before, dict) and isinstance(now, dict):
+        changed = next((f" ('{key}' differs)" for key in {**now, **before} if before.get(key) != now.get(key)), "")
+    other = "other" if what.endswith("s") else "another"
+    raise ConfigurationError(f"{path}: was made with {other} {what}{changed}; cannot resume")
 
 
 def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, where: str | Path) -> None:
@@ -185,7 +171,7 @@ def _shaped(array: NDArray[Any], like: NDArray[Any]) -> NDArray[Any]:
 
 
 class SessionCallback(BaseCallback):
-    """What every training reports: its progress and its log; a subclass writes the checkpoints.
+    """What every training reports: its progress and its log; a subclass may write checkpoints.
 
     ``seconds`` is the duration of the earlier sessions of a resumed training.
     """
@@ -224,8 +210,7 @@ class SessionCallback(BaseCallback):
         return bool(self._every) and steps // self._every > (steps - since) // self._every
 
     def write_checkpoint(self) -> None:
-        """Write the last state from which the training can be resumed."""
-        raise NotImplementedError
+        """Write the last state from which the training can be resumed, if there is one."""
 
 
 @contextmanager

@@ -98,7 +98,7 @@ class PolicyTrainer:
         if isinstance(settings, PPOSettings):
             return train_ppo(config, settings, base, seed, folder, resume=resume, progress=progress)
         assert isinstance(settings, SACSettings)
-        return train_off_policy(self.algorithm, config, settings, base, seed, folder, resume, progress)
+        return train_off_policy(self.algorithm, config, settings, base, seed, folder, progress)
 
     def load(self, path: Path) -> PolicyController:
         """Read weights that ``PolicyController.save`` wrote."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,6 +17,7 @@ from hydro_agents.controllers.base import ClassicalController, Controller, Obser
 from hydro_agents.controllers.registry import kind_of
 from hydro_agents.learning.checkpoint import (
     CHECKPOINT_FILE,
+    Checkpoint,
     TrainingCallback,
     load,
     restore,
@@ -168,23 +170,15 @@ def train_ppo(
     """
     torch.set_num_threads(settings.torch_threads)
     features = make_features(config, settings, base)
-    described = settings.model_dump(mode="json")
     made_with = {
         "seed": seed,
-        "settings": {**described, "total_steps": 0},  # a resumed training may be longer
+        "settings": {**settings.model_dump(mode="json"), "total_steps": 0},  # a resumed training may be longer
         "task": config.model_dump(mode="json"),
         "features": features.describe(),
     }
-    place, checkpoint = Path(folder) if folder is not None else None, None
-    if place is None:
-        if resume:
-            raise ConfigurationError("resume: a folder with a checkpoint is needed")
-    elif resume:
-        checkpoint = load(place, made_with)
-    else:
-        (place / CHECKPOINT_FILE).unlink(missing_ok=True)
-    done = checkpoint.steps if checkpoint is not None else 0
-
+    place = Path(folder) if folder is not None else None
+    checkpoint = _earlier(place, resume, made_with)
+    done, seconds = (checkpoint.steps, checkpoint.seconds) if checkpoint is not None else (0, 0.0)
     env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
     model = make_model(env, settings, seed)
     model.set_logger(training_logger(place, done))
@@ -192,24 +186,14 @@ def train_ppo(
     def current() -> PolicyController:
         return PolicyController.from_sb3(model, features)
 
-    base_error = math.nan  # of the corrected controller; computed once
-
-    def validation() -> dict[str, float]:
-        nonlocal base_error
-        if settings.residual and base is not None and math.isnan(base_error):
-            base_error = validation_errors(config, base)[0]
-        mean, worst, failures = validation_errors(config, current())
-        beside = {"base_mean_error_mm": base_error, "error_to_corrected": mean / base_error}
-        return {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures, **beside}
-
     callback = TrainingCallback(
         settings,
-        checkpoint.seconds if checkpoint is not None else 0.0,
+        seconds,
         progress,
         None if place is None else lambda taken: save(taken, place, made_with),
         checkpoint_seconds,
-        lambda seconds: check is not None and check(current(), int(model.num_timesteps), seconds),
-        validation,
+        lambda passed: check is not None and check(current(), int(model.num_timesteps), passed),
+        _validation(config, base if settings.residual else None, current),
     )
     with session(model, env, callback):
         if checkpoint is not None and place is not None:
@@ -219,6 +203,32 @@ def train_ppo(
             model.learn(settings.total_steps - done, callback, log_interval=10**9, reset_num_timesteps=False)
     record = training_record(type(model).__name__, env, seed, int(model.num_timesteps), callback.seconds, settings)
     return PolicyController.from_sb3(model, features, record)
+
+
+def _earlier(place: Path | None, resume: bool, made_with: Mapping[str, Any]) -> Checkpoint | None:
+    """The checkpoint of a training that is resumed; that of another one in the folder is removed."""
+    if place is None:
+        if resume:
+            raise ConfigurationError("resume: a folder with a checkpoint is needed")
+        return None
+    if resume:
+        return load(place, made_with)
+    (place / CHECKPOINT_FILE).unlink(missing_ok=True)
+    return None
+
+
+def _validation(
+    config: TaskConfig, corrected: Controller | None, current: Callable[[], PolicyController]
+) -> Callable[[], dict[str, float]]:
+    """A function that gives the errors of the present policy, and of the controller that it corrects, mm."""
+    base_error = cache(lambda: validation_errors(config, corrected)[0] if corrected is not None else math.nan)
+
+    def validation() -> dict[str, float]:
+        mean, worst, failures = validation_errors(config, current())
+        beside = {"base_mean_error_mm": base_error(), "error_to_corrected": mean / base_error()}
+        return {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures, **beside}
+
+    return validation
 
 
 def training_record(

@@ -14,14 +14,16 @@ from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, Progress, Task, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Column
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
 from hydro_agents.running.text import Table, duration
 
-SECONDS_BETWEEN_LINES = 20.0  # off a terminal
+SECONDS_BETWEEN_LINES = 10.0
+SECONDS_OF_SILENCE = 20.0  # off a terminal a line says that the work goes on when nothing has been printed for so long
+ESTIMATED_FROM = 600.0  # s of a phase from which its remaining time follows
 
 
 class PlainConsole(Console):
@@ -72,9 +74,8 @@ def discard_output() -> None:
 class ProgressDisplay:
     """Progress of one or more phases, each with its remaining time; use as a context manager.
 
-    On a terminal each phase is a bar of :mod:`rich.progress`. Elsewhere (a log, CI, a terminal that cannot move its
-    cursor) a line appears at the beginning and the end of a phase, and every twenty seconds. The remaining time comes
-    from the rate of the phase since its first piece: imports and compilation come before that.
+    On a terminal each phase is a bar. Elsewhere (a log, CI, a terminal that cannot move its cursor) a line appears at
+    most every ten seconds while work is reported, and every twenty while none is.
 
     Args:
         console: where to show it; default: standard output.
@@ -83,27 +84,18 @@ class ProgressDisplay:
 
     def __init__(self, console: PlainConsole | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self.console = console or PlainConsole()
-        # FORCE_COLOR makes Rich believe in a terminal at the other end of a pipe.
-        self._lines = not (self.console.is_interactive and self.console.file.isatty())
-        self._bars = Progress(
-            TextColumn("{task.description}", markup=False, table_column=_cut(ratio=2)),
-            BarColumn(bar_width=20 if self.console.width >= 76 else 10),
-            TextColumn("{task.percentage:3.0f} %"),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}", markup=False, table_column=_cut(ratio=1)),
-            console=self.console,
-            get_time=clock,
-            speed_estimate_period=math.inf,
-            expand=True,
-            disable=self._lines,
-        )
+        self._clock = clock
+        self._progress = _progress(self.console, clock)
         self._tasks: dict[str, TaskID] = {}
-        self._lock = threading.RLock()
+        self._printed: dict[str, float] = {}  # time of the latest line about a phase
         self._ended = threading.Event()
+        # FORCE_COLOR makes Rich believe in a terminal at the other end of a pipe.
+        self._live = self.console.is_interactive and self.console.file.isatty()
 
     def __enter__(self) -> ProgressDisplay:
-        self._bars.start()
-        if self._lines:
+        if self._live:
+            self._progress.start()
+        else:
             threading.Thread(target=self._watch, daemon=True).start()
         return self
 
@@ -111,24 +103,21 @@ class ProgressDisplay:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._ended.set()
-        self._bars.stop()
+        self._progress.stop()
 
     def update(self, phase: str, done: int, total: int, note: str = "") -> None:
         """Show the progress of a phase; call it with ``done = 0`` before the work, to show the phase at once."""
-        with self._lock:
-            new = phase not in self._tasks
-            if new:  # a resumed phase does not begin at 0
-                self._tasks[phase] = self._bars.add_task(phase, total=total, completed=done, note=note)
-            self._bars.update(self._tasks[phase], completed=done, total=total, note=note)
-            if self._lines and (new or done >= total):
-                self._print(phase)
+        if phase not in self._tasks:
+            self._tasks[phase] = self._progress.add_task(phase, completed=done, total=total, note=note)
+        self._progress.update(self._tasks[phase], completed=done, total=total, note=note)
+        if not self._live and (done >= total or self._silent_for(phase) >= SECONDS_BETWEEN_LINES):
+            self._show_line(phase)
 
     def remind(self) -> None:
-        """Off a terminal: print how far the phases at work are."""
-        with self._lock:
-            for phase in self._tasks:
-                if self._lines and not self._task(phase).finished:
-                    self._print(phase)
+        """Off a terminal: say how far the latest phase is if nothing was printed about it for a while."""
+        phase = next(reversed(self._tasks), None)
+        if phase is not None and self._silent_for(phase) >= SECONDS_OF_SILENCE:
+            self._show_line(phase)
 
     def say(self, text: str) -> None:
         """Print a separate line."""
@@ -138,22 +127,38 @@ class ProgressDisplay:
         while not self._ended.wait(SECONDS_BETWEEN_LINES):
             self.remind()
 
-    def _task(self, phase: str) -> Task:
-        return self._bars.tasks[self._tasks[phase]]
+    def _silent_for(self, phase: str) -> float:
+        return self._clock() - self._printed.get(phase, -math.inf)
 
-    def _print(self, phase: str) -> None:
-        self.console.lines(_line(self._task(phase))[: self.console.width], soft_wrap=True)
+    def _show_line(self, phase: str) -> None:
+        """Print how far a phase is: as much as fits into one line, the most important first."""
+        self._printed[phase] = self._clock()
+        task = self._progress.tasks[self._tasks[phase]]
+        done, total = int(task.completed), int(task.total or 0)
+        if total <= 1:
+            line, count = f"{phase}: {'done' if done else 'begun'}", ""
+        else:
+            line, count = f"{phase}: {task.percentage:3.0f} %", f"{done:,} of {total:,}"
+        left = f"{duration(task.time_remaining)} left" if task.time_remaining else ""
+        for part in (left, task.fields["note"], count):
+            if part and len(line) + 2 + len(part) <= self.console.width:
+                line += f", {part}"
+        self.console.lines(line[: self.console.width], soft_wrap=True)
 
 
-def _cut(ratio: int) -> Column:
-    """A column that a narrow terminal cuts short."""
-    return Column(ratio=ratio, no_wrap=True, overflow="ellipsis")
-
-
-def _line(task: Task) -> str:
-    """How far a phase is, the most important first."""
-    left = task.time_remaining
-    time_left = f"{duration(left)} left" if left else f"at work for {duration(task.elapsed or 0.0)}"
-    parts = [f"{task.description}: {task.percentage:3.0f} %", "" if task.finished else time_left]
-    parts += [task.fields["note"], f"{task.completed:,.0f} of {task.total:,.0f}"]
-    return ", ".join(filter(None, parts))
+def _progress(console: PlainConsole, clock: Callable[[], float]) -> Progress:
+    """Bars that fit into the terminal: a narrow one cuts the note first, then the name, and has shorter bars."""
+    bar = 20 if console.width >= 76 else 10
+    name = Column(no_wrap=True, overflow="ellipsis", max_width=max(console.width - bar - 24, 8))
+    note = Column(ratio=1, no_wrap=True, overflow="ellipsis")
+    return Progress(
+        TextColumn("{task.description}", markup=False, table_column=name),
+        BarColumn(bar_width=bar),
+        TextColumn("{task.percentage:3.0f} %", markup=False, table_column=Column(no_wrap=True)),
+        TimeRemainingColumn(compact=True, table_column=Column(no_wrap=True)),
+        TextColumn("{task.fields[note]}", markup=False, table_column=note),
+        console=console,
+        expand=True,
+        get_time=clock,
+        speed_estimate_period=ESTIMATED_FROM,
+    )

@@ -44,20 +44,17 @@ def workers(jobs: int | None = None, backend: str = "loky", address: str | None 
     if backend not in BACKENDS:
         raise ConfigurationError(f"--backend '{backend}': must be one of {', '.join(BACKENDS)}")
     if address is not None and backend == "loky":
-        raise ConfigurationError(f"--address {address}: needs --backend dask or ray")
+        raise ConfigurationError(f"--backend loky={address}: takes no address; dask and ray do")
     with ExitStack() as stack:
         options: dict[str, Any] = {"n_jobs": jobs or cpu_count()}
         if backend != "loky":
-            begin = {"dask": _dask, "ray": _ray}[backend]
-            package = _package(backend)
-            if address is not None:
-                _reach(address, backend)
+            begin, package = {"dask": _dask, "ray": _ray}[backend], _package(backend)
+            where = f"--backend {backend}" if address is None else _reached(address, backend)
             try:
                 options = begin(package, jobs, address, stack)
             except ConfigurationError:
                 raise
             except (OSError, RuntimeError, ValueError) as error:
-                where = f"--backend {backend}" if address is None else f"--address {address}"
                 reason = (str(error).strip() or type(error).__name__).splitlines()[0]
                 raise ConfigurationError(f"{where}: does not answer as {backend}: {reason}") from None
         with parallel_config(backend, **options):
@@ -100,23 +97,26 @@ def _package(backend: str) -> Any:
         raise ConfigurationError(f"--backend {backend}: is not installed: pip install '{needs}'") from None
 
 
-def _reach(address: str, backend: str) -> None:
+def _reached(address: str, backend: str) -> str:
     """Connect and leave, in a process of its own: the clients of clusters try for minutes, or end the process.
+
+    Returns:
+        The option, for messages.
 
     Raises:
         ConfigurationError: the address has no port, or nobody answers there.
     """
+    option = f"--backend {backend}={address}"
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if not host or not port.isdecimal():
-        raise ConfigurationError(
-            f"--address '{address}': must be HOST:PORT, such as scheduler:8786 or ray://head:10001"
-        )
+        raise ConfigurationError(f"{option}: must be HOST:PORT, such as scheduler:8786 or ray://head:10001")
     try:
         socket.create_connection((host.strip("[]"), int(port)), SECONDS).close()
         line = [sys.executable, "-c", f"import sys; {_TRIALS[backend]}", address]
         subprocess.run(line, capture_output=True, text=True, timeout=SECONDS, check=True)
     except subprocess.SubprocessError as error:
         reason = (getattr(error, "stderr", "") or f"not within {SECONDS} s").strip().splitlines()[-1]
-        raise ConfigurationError(f"--address {address}: does not answer as {backend}: {reason}") from None
+        raise ConfigurationError(f"{option}: does not answer as {backend}: {reason}") from None
     except (OSError, OverflowError, UnicodeError) as error:
-        raise ConfigurationError(f"--address {address}: does not answer: {error}") from None
+        raise ConfigurationError(f"{option}: does not answer: {error}") from None
+    return option

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -238,7 +239,7 @@ def test_a_controller_that_oscillates_at_rest_is_named_on_the_console_and_on_the
 
 def test_evaluate_leaves_detection_out_and_joins_training_seeds(algorithm, tmp_path, capsys):
     file, seeds = study_file(tmp_path), ["mine#0=pid", "mine#1=flow_linearising"]
-    evaluate(tmp_path / "out", file, seeds, no_detection=True)
+    evaluate(tmp_path / "out", file, seeds, head=Path("none"))
     assert "Leakage head" not in capsys.readouterr().out
     tables = tmp_path / "out" / "tables"
     assert not (tables / "detection.csv").exists()
@@ -248,10 +249,9 @@ def test_evaluate_leaves_detection_out_and_joins_training_seeds(algorithm, tmp_p
     page = (tmp_path / "out" / "report.html").read_text()
     assert "6 runs per controller. Training seeds, each with all runs: 2 of mine on PID; intervals include" in page
     for options, message in (
-        ({"no_detection": True, "head": tmp_path / "head"}, "--no-detection: .* without --head"),
-        ({"no_detection": True, "protocol": "quick"}, "--no-detection: a protocol takes it from its file"),
-        ({"no_detection": True, "agent": ["mine#a=pid"]}, r"'mine#a': must be NAME, or NAME#0"),
-        ({"no_detection": True, "agent": ["mine#0=pid", "mine=pid"]}, "name the same training seed"),
+        ({"head": Path("none"), "protocol": "quick"}, "--head: a protocol takes it from its file"),
+        ({"head": Path("none"), "agent": ["mine#a=pid"]}, r"'mine#a': must be NAME, or NAME#0"),
+        ({"head": Path("none"), "agent": ["mine#0=pid", "mine=pid"]}, "name the same training seed"),
     ):
         with pytest.raises(ConfigurationError, match=message):
             evaluate(tmp_path / "new", **{"config": file, **options} if "protocol" not in options else options)
@@ -265,10 +265,8 @@ def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
     assert (tmp_path / "out" / "policy.json").exists()
     for what, options, message in (
         ("nothing", {}, "train 'nothing': unknown; this study trains: mine, head, pid, "),
-        ("head", {"steps": 3}, "--steps: does not apply to hydro train head"),
-        ("pid", {"steps": 3}, "--steps: does not apply to hydro train pid"),
         ("pid", {"resume": True}, "nothing to resume, there is no tuning.csv"),
-        ("head", {"evaluations": 3}, "--evaluations: does not apply to hydro train head"),
+        ("head", {"steps": 3}, "--steps: does not apply to hydro train head"),
         ("mine", {"objective": "mean"}, "--objective: does not apply to hydro train mine"),
         ("pid", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train pid"),
         ("mine", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train mine"),
