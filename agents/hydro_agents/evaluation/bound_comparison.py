@@ -9,7 +9,7 @@ import pandas as pd
 from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.best_found import BoundSettings, best_found
+from hydro_agents.evaluation.best_found import BoundSettings, Told, best_found
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.robustness_protocol import PairedCases, PairedCondition, RobustnessProtocol
 from hydro_agents.evaluation.runner import run
@@ -59,7 +59,7 @@ def compare(
         bound_plants=settings.plants,
         **settings.model_dump(exclude={"search"}),
     )
-    told = {NOMINAL: "nominal", TRUTH: "truth"}
+    told: dict[str, Told] = {NOMINAL: "nominal", TRUTH: "truth"}
     searches = {name: partial(best_found, told=which, settings=settings.search) for name, which in told.items()}
     rows = run(protocol, Participants(controllers, searches=searches), jobs=1, progress=progress).rows
     return pd.concat([rows["tracking"], rows["best_found"]], ignore_index=True)[list(COLUMNS)].rename(columns=COLUMNS)

@@ -46,7 +46,7 @@ class Sample(NamedTuple):
     @property
     def present(self) -> Mask:
         """Whether any training seed has the case, (U, K)."""
-        return ~np.isnan(self.values).all(axis=0)
+        return np.asarray(~np.isnan(self.values).all(axis=0))
 
     @property
     def expected(self) -> Floats:
@@ -57,7 +57,7 @@ class Sample(NamedTuple):
     @property
     def plants(self) -> int:
         """Number of plants with a case."""
-        return int(np.any(self.present, axis=1).sum())
+        return int(self.present.any(axis=1).sum())
 
     @property
     def dense(self) -> Sample:
@@ -136,7 +136,7 @@ class Grid:
 
     def under(self, condition: str) -> Mask:
         """The situations of a condition, or all of them."""
-        return (self.condition == condition) | (condition == ALL)
+        return self.all_situations if condition == ALL else np.asarray(self.condition == condition)
 
     def pair(self, controller: str, against: str, metric: str, *part: Mask) -> tuple[Sample, Sample]:
         """A metric of two controllers on their common cases of some plants and situations."""

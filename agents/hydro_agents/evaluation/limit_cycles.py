@@ -21,8 +21,6 @@ from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 
-Array = NDArray[np.floating[Any]]
-
 LEAST_CYCLES = 3  # smallest number of cycles in the evaluated time; a slower motion is drift
 LASTING = 0.5  # an oscillation whose last third has less than this share of its amplitude is decaying
 
@@ -40,7 +38,7 @@ class LimitCycle(NamedTuple):
     sustained: bool
 
 
-def find_limit_cycle(position: Array, period: float, floor: float) -> LimitCycle:
+def find_limit_cycle(position: NDArray[Any], period: float, floor: float) -> LimitCycle:
     """The oscillation of an axis that should be at rest; slow drift does not count.
 
     Args:
@@ -75,14 +73,14 @@ def standstill_task(config: TaskConfig) -> TaskConfig:
     return kicked(config, 0.0, config.references.step_range[0], KICK, BEFORE + KICK + SETTLING + JUDGED)
 
 
-def limit_cycles(position: Array, config: TaskConfig) -> dict[str, NDArray[Any]]:
+def limit_cycles(position: NDArray[Any], config: TaskConfig) -> dict[str, NDArray[Any]]:
     """Limit cycles of true positions (N, T) in m at a constant reference; the floor is one step of the sensor."""
     floor = config.sensors.position.resolution
-    cycles = LimitCycle(*zip(*(find_limit_cycle(row, config.control_period, floor) for row in position), strict=True))
+    cycles = pd.DataFrame([find_limit_cycle(row, config.control_period, floor) for row in position])
     return {
-        "limit_cycle": np.array(cycles.sustained),
-        "amplitude_um": 1e6 * np.array(cycles.amplitude),
-        "frequency_hz": np.where(cycles.sustained, cycles.frequency, np.nan),
+        "limit_cycle": cycles["sustained"].to_numpy(),
+        "amplitude_um": 1e6 * cycles["amplitude"].to_numpy(),
+        "frequency_hz": cycles["frequency"].where(cycles["sustained"]).to_numpy(),
     }
 
 

@@ -276,7 +276,8 @@ def continued(reference: Floats, step: int, known: int, horizon: int) -> Floats:
     bends = -np.diff(speeds, axis=1)
     acting = np.minimum(beyond, BENDING)
     bent = 0.5 * acting * (acting + 1) + BENDING * (beyond - acting)  # by a unit of acceleration that lasts BENDING
-    return ahead + _agreed(bends[:, 0], bends[:, 1])[:, None] * bent
+    ahead += _agreed(bends[:, 0], bends[:, 1])[:, None] * bent
+    return ahead
 
 
 def _agreed(a: Floats, b: Floats) -> Floats:

@@ -31,7 +31,8 @@ def _error_um(rollout: Rollout) -> Floats:
 
 def _travel_per_s(rollout: Rollout, samples: slice, seconds: float) -> Floats:
     """Valve travel in a stretch, (N,), full strokes per second."""
-    return np.abs(np.diff(rollout.spool[:, samples].astype(np.float64), axis=1)).sum(axis=1) / seconds
+    spool = rollout.spool[:, samples].astype(np.float64)
+    return np.asarray(np.abs(np.diff(spool, axis=1)).sum(axis=1) / seconds)
 
 
 # Standstill under noise -----------------------------------------------------------------------------------------------
