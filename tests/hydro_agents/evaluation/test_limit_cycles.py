@@ -153,13 +153,6 @@ def test_an_evaluation_finds_the_limit_cycles_of_a_high_gain_and_none_of_flow_li
     assert set(evaluate(CONFIG, {"PID": WILD}, settings=one_leak).limit_cycles["leakage_flow_lpm"]) == {0.3}
 
 
-def test_an_evaluation_without_standstills_has_no_table_of_them_and_the_same_errors():
-    without = evaluate(CONFIG, {"PID": WILD}, settings=SIZE | {"standstill_plants": 0})
-    assert without.limit_cycles.empty
-    assert without.limit_cycle_summary.empty
-    pd.testing.assert_frame_equal(without.cases, evaluate(CONFIG, {"PID": WILD}, settings=SIZE).cases)
-
-
 def test_training_seeds_share_a_row_and_a_failing_one_costs_only_itself():
     class Broken:
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
