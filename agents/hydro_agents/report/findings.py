@@ -99,7 +99,7 @@ def _against_corrected(content: Content) -> tuple[list[str], list[Block]]:
 def at_rest(content: Content) -> list[tuple[str, ...]]:
     """Distance (µm), rest, settling (ms) and stiffness (N/mm) of controllers at standstill, the most accurate first."""
     errors = {name: _mean(content, name, "mean_error_mm") for name in content.controllers}
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name in sorted(errors, key=lambda name: errors[name]):
         distance = 1e3 * _mean(content, name, "steady_state_error_sensor_mm")
         if content.has("standstill"):

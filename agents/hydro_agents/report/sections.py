@@ -210,7 +210,9 @@ def arranged(blocks: Sequence[Block]) -> list[Block]:
         elif isinstance(block, Choice):
             block = replace(block, blocks={value: arranged(part) for value, part in block.blocks.items()})
         elif isinstance(block, Plot) and not block.wide:
-            block = Grid((*result.pop().plots, block) if result and isinstance(result[-1], Grid) else (block,))
+            last = result[-1] if result else None
+            block = Grid((*last.plots, block) if isinstance(last, Grid) else (block,))
+            result = result[: len(result) - isinstance(last, Grid)]
         result.append(block)
     return result
 
