@@ -121,13 +121,9 @@ def positioning(content: Content) -> list[Block]:
         f"{FRAMES_TEXT} Each run lasts one episode; a plant is one draw of the uncertain parameters. Leaks are in "
         f"l/min at 100 bar across the piston; up to {healthy} l/min a seal counts as healthy."
     )
-    tails = (
-        "“Worst 5 %” is the mean over the worst twentieth of the runs (conditional value at risk, CVaR); “worst run” "
-        "is the largest value of all."
-    )
+    tails = "“Worst 5 %” is the mean over the worst twentieth of the runs; “worst run” is the largest value of all."
     settled = (
-        "The settling time includes only standstills in which the axis settled: read it together with the share of the "
-        "others."
+        "The settling time includes only standstills in which the axis settled: read it with the share of the others."
     )
     wins = "A controller “wins” or “loses” only if the whole interval is on one side of 1."
     scores = {name: interval(content.row("score", controller=name), "score") for name in content.controllers[1:]}
