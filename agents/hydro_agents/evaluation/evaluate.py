@@ -77,6 +77,7 @@ class StudyProtocol(ProtocolSettings, PairedProtocol):
     kind: Literal["study"] = "study"
     title: str = "Evaluation"
     seeds: PlantSeeds = "EVALUATION"
+    plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
     bound_conditions: tuple[Name, ...] = ("task",)
 
     def asked(self) -> tuple[str, ...]:
@@ -214,8 +215,14 @@ def ratios(results: Results) -> pd.DataFrame:
 @table("growth", KIND)
 def growth(results: Results) -> pd.DataFrame:
     """Mean error of every controller at the largest leak over that at the smallest; over all families, and of each."""
+    return growth_of(results.part("tracking"))
+
+
+def growth_of(cases: pd.DataFrame) -> pd.DataFrame:
+    """The growth of the mean error with the leak, on the same plants; empty with one leak."""
     rows = []
-    for name, own in results.part("tracking").groupby("controller", sort=False):
+    several = cases["leakage_flow_lpm"].nunique() > 1
+    for name, own in cases.groupby("controller", sort=False) if several else ():
         for family in ("all", *own["family"].unique()):
             chosen = own if family == "all" else own[own["family"] == family]
             errors = chosen.pivot_table(ERROR, "plant", "leakage_flow_lpm").to_numpy()

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.limit_cycles import comes_to_rest
 from hydro_agents.evaluation.metrics import COMPARED, METRICS
 from hydro_agents.report.content import Content, interval, shown, verdict
@@ -74,23 +73,18 @@ def _best(content: Content) -> list[str]:
 
 def _against_corrected(content: Content) -> tuple[list[str], list[Block]]:
     """A sentence for each policy that corrects another controller than the baseline, and the table of their ratios."""
-    pairs = {
-        name: base
-        for name, base in content.corrects.items()
-        if {name, base} <= set(content.controllers) and base != content.baseline
-    }
-    if not pairs or not content.has("cases"):
-        return [], []
-    grid, sentences, rows = Grid(content.table("cases")), [], []
-    everywhere = np.ones(len(grid.family), dtype=np.bool_), np.ones(len(grid.leak), dtype=np.bool_)
-    for name, base in pairs.items():
-        row = grid.compare(name, base, *everywhere)
+    sentences: list[str] = []
+    rows: list[tuple[str, ...]] = []
+    for row in content.table("corrected").to_dict("records"):
+        name, base = str(row["controller"]), str(row["against"])
         ratio = interval(row, _leading(content))
         unclear = ", no clear difference" if verdict(ratio) == "same" else ""
         sentences.append(f"{name} against {base}: {change(ratio.value)}{unclear}.")
         ratios = (shown(row, column) for column in ("ratio", "equal_weight", "ratio_sensor"))
         better, costs = number(100.0 * row["share_better"], 0), (number(row[column], 2) for column in COSTS)
         rows.append((name, base, *ratios, better, *costs))
+    if not rows:
+        return [], []
     errors, costs = ("mean error", "equal weights", "repeatability"), (each.word.lower() for each in COSTS.values())
     header = ("Policy", "corrects", *errors, "better in, %", *costs)
     return sentences, [Table("A policy ÷ what it corrects, on the same runs", header, rows, style="dense")]

@@ -12,20 +12,14 @@ import pandas as pd
 from hydro_agents.evaluation.evaluate import Evaluation
 from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text, is_broken
 from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
-from hydro_agents.report.content import Content, interval, interval_text, shown, verdict
+from hydro_agents.report.content import Content, interval, shown, verdict
 from hydro_agents.report.findings import findings_of
 from hydro_agents.report.sections import Block, Choice, Fold, Points, Text, section
 from hydro_agents.report.shared import problems, score_plot, score_text
 from hydro_agents.report.study_plots import tracking_plots
 from hydro_agents.report.traces import Example, example_limits, example_plot
 from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
-from hydro_agents.running.statistics import (
-    LEAST_SAMPLES,
-    RESAMPLES,
-    Interval,
-    conditional_value_at_risk,
-    ratio_interval,
-)
+from hydro_agents.running.statistics import LEAST_SAMPLES, RESAMPLES, conditional_value_at_risk
 from hydro_agents.running.text import Table, decimals_for, family_name, number, setting, span
 
 STUDY = (
@@ -263,24 +257,16 @@ def _means(cases: pd.DataFrame) -> list[str]:
 
 def growth_table(content: Content) -> list[Table]:
     """Mean error at the largest leak over that at the smallest, on the same plants; none with one leak."""
-    cases = content.table("cases")
-    if cases["leakage_flow_lpm"].nunique() < 2:
+    table, leaks = content.table("growth"), content.table("cases")["leakage_flow_lpm"]
+    if table.empty:
         return []
-    families = cases["family"].unique()
     rows = []
     for name in content.controllers:
-        own = cases[cases["controller"] == name]
-        growths = [growth(own), *(growth(own[own["family"] == family]) for family in families)]
-        rows.append((name, *map(interval_text, growths)))
-    least, most = (setting(cases["leakage_flow_lpm"].agg(end)) for end in ("min", "max"))
-    header = ("Controller", "all runs", *map(family_name, families))
+        own = content.rows("growth", controller=name).to_dict("records")
+        rows.append((name, *(shown(row, "ratio") for row in own)))
+    header = ("Controller", "all runs", *map(family_name, table["family"].unique()[1:]))
+    least, most = setting(leaks.min()), setting(leaks.max())
     return [Table(f"Mean error with {most} l/min ÷ mean error with {least} l/min, same plants", header, rows)]
-
-
-def growth(cases: pd.DataFrame) -> Interval:
-    """Mean error of one controller at the largest leak over the mean error at the smallest, on the same plants."""
-    errors = cases.pivot_table("mean_error_mm", "plant", "leakage_flow_lpm").to_numpy()
-    return ratio_interval(errors[:, -1], errors[:, 0])
 
 
 def metric_table(content: Content, by: str, metric: str) -> Table:

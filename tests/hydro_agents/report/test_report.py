@@ -17,7 +17,8 @@ from published import assert_published_page
 from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.evaluation.evaluate import Evaluation, ProtocolSettings, evaluate
+from hydro_agents.evaluation.comparison import Grid
+from hydro_agents.evaluation.evaluate import Evaluation, ProtocolSettings, evaluate, growth_of
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.report.content import interval_text, verdict
 from hydro_agents.report.findings import at_rest, change, findings_of
@@ -240,11 +241,11 @@ def test_the_growth_of_the_error_with_the_leak_is_that_on_the_same_plants(evalua
     cases = evaluation.cases
     factor = np.where(cases["leakage_flow_lpm"] == 4.0, cases["family"].map({"step": 3.0, "sine": 2.0}), 1.0)
     errors = cases.assign(mean_error_mm=(1.0 + cases["plant"]) * factor)
-    (table,) = growth_table(content_of(replace(evaluation, cases=errors)))
+    (table,) = growth_table(content_of(replace(evaluation, cases=errors, growth=growth_of(errors))))
     assert table.caption == "Mean error with 4 l/min ÷ mean error with 0.01 l/min, same plants"
     assert table.header == ("Controller", "all runs", "steps", "sines")
     assert table.rows[0] == ("PID", "2.50 (2.50 to 2.50)", "3.00 (3.00 to 3.00)", "2.00 (2.00 to 2.00)")
-    assert growth_table(content_of(replace(evaluation, cases=cases[cases["leakage_flow_lpm"] == 4.0]))) == []
+    assert growth_of(cases[cases["leakage_flow_lpm"] == 4.0]).empty
 
 
 WIN, LOSS, OPEN = (0.8, 0.7, 0.9), (1.25, 1.1, 1.4), (0.9, 0.7, 1.1)
@@ -319,12 +320,12 @@ def test_a_policy_is_compared_with_the_controller_that_it_corrects(evaluation):
     rows = evaluation.cases[evaluation.cases["controller"] == ODD_NAME]
     policy = rows.assign(controller="PPO", mean_error_mm=0.9 * rows["mean_error_mm"])
     three = replace(evaluation, cases=pd.concat([evaluation.cases, policy], ignore_index=True))
-    assert f"PPO against {ODD_NAME}: 10 % less error." in sentences(three, corrects={"PPO": ODD_NAME})[0]
-    cells = numbers(three, "A policy ÷ what it corrects, on the same runs", corrects={"PPO": ODD_NAME})["PPO"]
+    tables = {"corrected": Grid(three.cases).corrected({"PPO": ODD_NAME, ODD_NAME: "PID"})}
+    assert f"PPO against {ODD_NAME}: 10 % less error." in sentences(three, tables=tables)[0]
+    cells = numbers(three, "A policy ÷ what it corrects, on the same runs", tables=tables)["PPO"]
     assert cells[:2] == [ODD_NAME, "0.900 (0.900 to 0.900)"]
     assert cells[4:] == ["100", "1.00", "1.00", "1.00"]  # better in all runs, at the same costs
-    own = sentences(evaluation, corrects={ODD_NAME: "PID"})[0]
-    assert not any("against" in line for line in own)  # the overview compares with the baseline
+    assert tables["corrected"]["controller"].tolist() == ["PPO"]  # the overview compares with the baseline
 
 
 @pytest.mark.parametrize(
