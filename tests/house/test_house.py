@@ -37,10 +37,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 58_000,
-    "hydro_agents": 177_000,
-    "hydro_rig": 150_000,
-    "tests": 275_000,
+    "hydro_env": 58_100,
+    "hydro_agents": 169_700,
+    "hydro_rig": 150_500,
+    "tests": 276_000,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

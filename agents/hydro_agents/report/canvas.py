@@ -10,9 +10,10 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 from typing import Any, ClassVar
 
-import matplotlib
+import matplotlib.style
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -39,41 +40,19 @@ INK, GREY, PALE, PAPER = (NEUTRALS[name].light for name in ("ink", "grey", "line
 MOST_POINTS = 4000
 """Largest number of points of a line of samples; a longer one shows the lowest and highest value of each stretch."""
 
+MARKED_LEAKS = (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
+"""Ticks of a scale of many leaks, l/min at 100 bar."""
+
 MOST_TOLD = 12
 """Largest number of points of a curve in the text for readers who cannot see the figure."""
 
-STYLE: Any = {
-    "svg.hashsalt": "hydro_env",
-    "svg.fonttype": "path",  # letters as outlines: the browser needs no font
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.labelsize": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.edgecolor": GREY,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": PALE,
-    "grid.linewidth": 0.6,
-    "xtick.color": GREY,
-    "ytick.color": GREY,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "legend.columnspacing": 1.4,
-    "legend.borderpad": 0.2,
-    "lines.linewidth": 1.6,
-    "lines.markersize": 5.0,
-    "errorbar.capsize": 2.5,
+STYLE = Path(__file__).with_name("figures.mplstyle")
+COLOURS_OF: dict[str, Any] = {
+    INK: ("axes.labelcolor", "text.color", "xtick.labelcolor", "ytick.labelcolor"),
+    GREY: ("axes.edgecolor", "xtick.color", "ytick.color"),
+    PALE: ("grid.color",),
 }
+"""Settings of matplotlib by their colour."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +74,8 @@ def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: s
     """Files (``svg``, ``png``) of a figure of a size (inches) that ``paint`` draws."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(STYLE)
+        matplotlib.style.use(STYLE)
+        matplotlib.rcParams.update({name: colour for colour, names in COLOURS_OF.items() for name in names})
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         paint(figure)
@@ -164,10 +144,11 @@ def curve_plot(
     curves: Mapping[str, Any],
     looks: Mapping[Any, Look],
     unit: str,
-    finish: Callable[[Axes], object],
+    finish: Callable[[Axes], object] | None = None,
     per: str = " l/min",
     apart: float = 0.0,
     drawn: str = "line",
+    **options: Any,
 ) -> Plot:
     """A figure of one panel with a curve per participant.
 
@@ -179,18 +160,21 @@ def curve_plot(
             which become bars. Texts in the index are categories, the same for all participants.
         looks: of the participants.
         unit: of the values, after a space.
-        finish: sets scales and labels of the axes when the curves are drawn.
+        finish: sets scales of the axes when the curves are drawn.
         per: unit of the index, after a space.
         apart: distance of the participants' bars, in units of the axis; rows have their own.
         drawn: ``line``; ``levels``: a line over leaks, with a tight seal at the left end; ``plain``: without markers;
-            ``steps``; ``points``; ``rows``: a row for each category, from top to bottom.
+            ``steps``; ``points``; ``rows``: a row for each category, from top to bottom; ``leaks``: a line over the
+            logarithm of leaks.
+        options: of ``Axes.set``, such as labels and limits.
     """
     frames = {name: curve.to_frame("value") if curve.ndim == 1 else curve for name, curve in curves.items()}
     index = next(iter(frames.values())).index
 
     def paint(axes: Axes) -> None:
         gap = min(0.24, 0.7 / len(frames)) if drawn == "rows" else apart
-        places = _axis_of(axes, drawn, sorted({x for frame in frames.values() for x in frame.index}), list(index))
+        values = sorted({x for frame in frames.values() for x in frame.index})
+        places = _axis_of(axes, drawn, values, list(index))
         for count, (name, frame) in enumerate(frames.items()):
             look = looks[name]
             at = np.array([places.get(x, x) for x in frame.index]) + dodge(len(frames), count, gap)
@@ -201,7 +185,11 @@ def curve_plot(
                 axes.plot(at, frame["value"], marker=marker, label=name, **look.stroke)
             elif frame["value"].notna().any():
                 bars(axes, at, frame, look, name, drawn)
-        finish(axes)
+        if drawn == "leaks":
+            log_leak_axis(axes, [leak for leak in values if len(values) < 8 or leak in MARKED_LEAKS])
+        if finish is not None:
+            finish(axes)
+        axes.set(**options)
 
     height = HEIGHT
     if drawn == "rows":

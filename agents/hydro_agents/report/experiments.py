@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import chain
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -132,10 +133,7 @@ def stiffness_plots(content: Content) -> list[Plot]:
     """Peak deviation after a force step by leak, and compliance over frequency healthy and leaking."""
     note = "Largest and remaining deviation per force, median of the plants; bars: lowest and highest plant."
     titles = {"dynamic_mm_per_kn": "largest deviation", "static_mm_per_kn": "remaining deviation"}
-
-    def finish(axes: Axes) -> None:
-        axes.set(ylabel="deviation, mm per kN", ylim=(0.0, None))
-
+    options: dict[str, Any] = {"ylabel": "deviation, mm per kN", "ylim": (0.0, None)}
     parts, plots = by_controller(content, content.table("force_step")), []
     for column, title in titles.items():
         curves = {
@@ -143,7 +141,7 @@ def stiffness_plots(content: Content) -> list[Plot]:
             for name, own in parts.items()
         }
         named = (f"by-leak-{column}", f"Force step: {title}", note)
-        plots.append(curve_plot(*named, curves, content.looks, " mm/kN", finish, apart=0.04, drawn="levels"))
+        plots.append(curve_plot(*named, curves, content.looks, " mm/kN", apart=0.04, drawn="levels", **options))
     leaks = leaks_of(content.table("force_sine")) if content.has("force_sine") else []
     return plots + [_compliance(content, leak) for leak in dict.fromkeys((*leaks[:1], *leaks[-1:]))]
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
-from hydro_agents.report.canvas import GREY, INK, Plot, curve_plot, log_leak_axis, ticks
+from hydro_agents.report.canvas import GREY, INK, Plot, curve_plot, ticks
 from hydro_agents.report.content import Content, interval, intervals
 
 REPORTED, FALSE = "windows in which it is reported, %", "healthy windows reported as leaking, %"
@@ -24,15 +25,13 @@ def detection_plot(content: Content) -> list[Plot]:
     parts = {name: table[table["detector"] == name] for name in content.detectors}
     curves = {name: intervals(own, "at_1_percent", "level", 100.0) for name, own in parts.items() if len(own)}
 
-    def finish(axes: Axes) -> None:
-        log_leak_axis(axes, sorted(table["level"].unique()))
-        axes.set(ylabel="windows in which it is found, %", ylim=(0.0, 103.0))
-
     note = (
         f"{content.label(content.base).capitalize()}, one window each; threshold at 1 % false alarms on validation "
         "axes. Bars: 95 % interval."
     )
-    return [curve_plot("detection", "Smallest leak that is found", note, curves, content.looks, " %", finish, per="")]
+    named = ("detection", "Smallest leak that is found", note)
+    options: dict[str, Any] = {"ylabel": "windows in which it is found, %", "ylim": (0.0, 103.0)}
+    return [curve_plot(*named, curves, content.looks, " %", per="", drawn="leaks", **options)]
 
 
 def _rows_plot(
@@ -48,21 +47,7 @@ def _rows_plot(
     limit: float | None = 100.0,
     names: Mapping[str, str] | None = None,
 ) -> list[Plot]:
-    """A share at a leak: conditions from top to bottom, a point with its interval for each detector.
-
-    Args:
-        content: of the page.
-        key: name of the figure's file.
-        title: of the figure.
-        note: how to read it.
-        label: of the axis.
-        conditions: names; those without a value are left out.
-        level: leak, l/min at 100 bar.
-        column: table, and its column with the share.
-        lines: styles of vertical lines, by their places in percent.
-        limit: end of the axis in percent.
-        names: texts of the conditions, instead of their labels.
-    """
+    """A share of the windows at a leak (``level``): conditions from top to bottom, those without a value left out."""
     table, share = column
     texts = [(names or {}).get(where, content.label(where)) for where in conditions]
     frames = {}
@@ -77,12 +62,11 @@ def _rows_plot(
     def finish(axes: Axes) -> None:
         for value, style in (lines or {}).items():
             axes.axvline(value, color=GREY, linewidth=0.9, linestyle=style)
-        axes.set_xlabel(label)
         if limit is not None:
             axes.set_xlim(-0.02 * limit, 1.03 * limit)
 
     parts = {name: frame[known] for name, frame in frames.items()}
-    return [curve_plot(key, title, note, parts, content.looks, " %", finish, drawn="rows")]
+    return [curve_plot(key, title, note, parts, content.looks, " %", finish, drawn="rows", xlabel=label)]
 
 
 def motion_plots(content: Content) -> list[Plot]:
@@ -140,11 +124,11 @@ def size_plot(content: Content) -> list[Plot]:
     def finish(axes: Axes) -> None:
         if len(bound):
             axes.plot(bound["level"], bound["bound_rms_log10"], color=INK, linestyle=":", label="Cramér–Rao bound")
-        log_leak_axis(axes, sorted(table["level"].unique()))
-        axes.set(yscale="log", ylabel="error of the size, RMS of log10")
 
     note = "0.05 is about 12 %. The bound is the smallest error that any method can have on such windows."
-    return [curve_plot("size", "Accuracy of the estimated size", note, curves, content.looks, "", finish, per="")]
+    named = ("size", "Accuracy of the estimated size", note)
+    options: dict[str, Any] = {"yscale": "log", "ylabel": "error of the size, RMS of log10"}
+    return [curve_plot(*named, curves, content.looks, "", finish, per="", drawn="leaks", **options)]
 
 
 def reliability_plot(content: Content) -> list[Plot]:
@@ -159,8 +143,7 @@ def reliability_plot(content: Content) -> list[Plot]:
     def finish(axes: Axes) -> None:
         axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9, zorder=1.5)
         ticks(axes.xaxis, (0, 20, 40, 60, 80, 100))
-        axes.set(xlabel="probability of the detector, %", ylabel="windows that leak, %")
-        axes.set(xlim=(-3, 103), ylim=(-3, 103))
+        axes.set(xlabel="probability of the detector, %", xlim=(-3, 103), ylabel="windows that leak, %", ylim=(-3, 103))
 
     errors = ", ".join(f"{name} {part['error'].iloc[0]:.3f}" for name, part in parts.items())
     note = f"Half of the axes healthy, the others with leaks of all sizes. Mean distance from the line: {errors}."

@@ -127,7 +127,7 @@ def course_plot(key: str, title: str, note: str, alt: str, signals: Sequence[Sig
     return make_plot(key, title, note, alt, paint, height, WIDE)
 
 
-def paint_course(panels: Sequence[Axes], signals: Sequence[Signal]) -> None:
+def paint_course(panels: Iterable[Axes], signals: Sequence[Signal]) -> None:
     """Draw each signal into its panel; a name stands in the legend if a row has several, or simulated lines."""
     for axes, signal in zip(panels, signals, strict=True):
         bold: dict[str, Any] = {"linewidth": 2.2, "alpha": 0.55} if signal.simulated else {"linewidth": 1.0}
@@ -143,7 +143,7 @@ def paint_course(panels: Sequence[Axes], signals: Sequence[Signal]) -> None:
         axes.margins(x=0.01)
         if len(signal.measured) > 1 or signal.simulated:
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, fontsize=8)
-    panels[-1].set_xlabel("time, s")
+    axes.set_xlabel("time, s")  # of the last panel
 
 
 def _shade(axes: Axes, mark: Mark) -> None:

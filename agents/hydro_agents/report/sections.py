@@ -210,11 +210,9 @@ def arranged(blocks: Sequence[Block]) -> list[Block]:
         elif isinstance(block, Choice):
             block = replace(block, blocks={value: arranged(part) for value, part in block.blocks.items()})
         elif isinstance(block, Plot) and not block.wide:
-            beside: Sequence[Plot] = ()
-            if result and isinstance(result[-1], Grid):
-                beside = result[-1].plots
-                result.pop()
-            block = Grid((*beside, block))
+            last = result[-1] if result else None
+            block = Grid((*last.plots, block) if isinstance(last, Grid) else (block,))
+            result = result[: len(result) - isinstance(last, Grid)]
         result.append(block)
     return result
 

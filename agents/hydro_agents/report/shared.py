@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.report.canvas import HEIGHT, INK, Plot, curve_plot, description, log_leak_axis, one_panel, row_axis
+from hydro_agents.report.canvas import HEIGHT, INK, Plot, curve_plot, description, one_panel, row_axis
 from hydro_agents.report.content import Content
 from hydro_agents.report.palette import looks_of
 from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section
@@ -132,25 +133,17 @@ def price_plots(table: pd.DataFrame) -> list[Plot]:
         table: of :func:`~hydro_agents.evaluation.leak_price.leak_price`.
     """
     table = table.set_index("leakage_flow_lpm")
-    marks = [leak for leak in table.index if leak in (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)]
     shares = {name: 100.0 * table[column] / table[column].iloc[0] for name, column in RESERVES.items()}
     power = table["holding_power_w"]
-
-    def finish_power(axes: Axes) -> None:
-        axes.set(ylabel="power from the supply, W", ylim=(0.0, 1.07 * power.max()))
-        log_leak_axis(axes, marks)
-
-    def finish_left(axes: Axes) -> None:
-        axes.set(ylabel="reserve, % of the tight seal", ylim=(0.0, 105.0))
-        log_leak_axis(axes, marks)
-
-    held = f"Power to hold {number(table['place_mm'].iloc[0], 0)} mm"
+    held = ("price-power", f"Power to hold {number(table['place_mm'].iloc[0], 0)} mm")
     flow = "Flow through the valve times supply pressure."
-    at_full = "At full command: steady speed at this place, and the largest load that the axis can hold."
-    reserve, looks = "Reserve of speed and force", looks_of(RESERVES)
+    left = ("price-left", "Reserve of speed and force")
+    full = "At full command: steady speed at this place, and the largest load that the axis can hold."
+    watts: dict[str, Any] = {"ylabel": "power from the supply, W", "ylim": (0.0, 1.07 * power.max())}
+    percent: dict[str, Any] = {"ylabel": "reserve, % of the tight seal", "ylim": (0.0, 105.0)}
     return [
-        curve_plot("price-power", held, flow, {"": power}, looks_of([""]), " W", finish_power),
-        curve_plot("price-left", reserve, at_full, shares, looks, " %", finish_left),
+        curve_plot(*held, flow, {"": power}, looks_of([""]), " W", drawn="leaks", **watts),
+        curve_plot(*left, full, shares, looks_of(RESERVES), " %", drawn="leaks", **percent),
     ]
 
 

@@ -35,6 +35,13 @@ CLOSE = 1.3
 DISCARDED = 0.05
 """First share of the training, which does not set the scale: values of the untrained policy would flatten the rest."""
 
+NOTE = (
+    "Reward, on training plants: higher is better, zero would be perfect tracking without effort. Errors, on "
+    "validation plants: lower is better; no policy is trained on them. KL divergence: change of the policy per update. "
+    "Explained variance: quality of the value function's prediction, 1 is best. The scale is that of the values after "
+    f"the first {100.0 * DISCARDED:.0f} % of the training."
+)
+
 
 @section("Training", needs=("training_curve",))
 def training(content: Content) -> list[Block]:
@@ -42,7 +49,7 @@ def training(content: Content) -> list[Block]:
     curve, error = content.table("training_curve"), content.other("validation_error_mm", float("nan"))
     learning = learning_plots(curve, content.baseline, error, content.looks)
     plots = training_plots(curve, content.looks)
-    more = [Fold("Reward, errors and updates of the policy", plots, not learning)] if plots else []
+    more = [Fold("More of the training", plots, not learning)] if plots else []
     return [*learning, *more]
 
 
@@ -117,7 +124,7 @@ def learning_plots(
 
 
 def training_plots(curve: pd.DataFrame, looks: Mapping[str, Look] | None = None) -> list[Plot]:
-    """Figures of a training curve or log; none without a curve.
+    """The figure of a training curve or log, a panel for each of its columns; none without a curve.
 
     Args:
         curve: column ``steps`` and any of ``mean_reward``, ``validation/…_mm`` and the columns of UPDATES, or the
@@ -125,44 +132,27 @@ def training_plots(curve: pd.DataFrame, looks: Mapping[str, Look] | None = None)
         looks: of the controllers in the other figures of the page; default: by their order here.
     """
     curve = _checked(curve)
-    if curve.empty:
-        return []
-    errors = [name for name in curve if name.startswith("validation/") and name.endswith("_mm")]
-    words = (name.removeprefix("validation/").removesuffix("_mm").replace("_", " ") + ", mm" for name in errors)
-    reward = "Higher is better; zero would be perfect tracking without effort. Measured on training plants."
-    kl = "Change of the policy per update (KL divergence), and quality of the value function's prediction (1 is best)."
-    validation = "Lower is better; no policy is trained on these plants."
-    figures = (
-        ("training", "Reward while learning", {"mean_reward": "mean reward"}, reward),
-        ("validation", "Error on validation plants", dict(zip(errors, words, strict=True)), validation),
-        ("updates", "Updates of the policy", UPDATES, kl),
-    )
-    looks = looks_of(curve["controller"].unique()) | dict(looks or {})
-    return [plot for figure in figures for plot in _panels(curve, looks, *figure)]
-
-
-def _unit(curve: pd.DataFrame) -> tuple[float, str]:
-    return (1e6, "million steps") if curve["steps"].max() >= 1e6 else (1e3, "thousand steps")
-
-
-def _panels(
-    curve: pd.DataFrame, looks: Mapping[str, Look], key: str, title: str, columns: Mapping[str, str], note: str
-) -> list[Plot]:
-    """A panel per column that has values; no figure without such columns."""
-    columns = {name: words for name, words in columns.items() if name in curve and curve[name].notna().any()}
-    if not columns:
+    panels = {"mean_reward": "mean reward"}
+    for name in curve:
+        kind, _, what = name.partition("/")
+        if kind == "validation" and what.endswith("_mm"):
+            panels[name] = what.removesuffix("_mm").replace("_", " ") + ", mm"
+    panels |= UPDATES
+    panels = {name: words for name, words in panels.items() if name in curve and curve[name].notna().any()}
+    if not panels:
         return []
     factor, unit = _unit(curve)
     names = curve["controller"].unique()
+    looks = looks_of(names) | dict(looks or {})
     lines = {
         (column, name): curve[curve["controller"] == name].set_index("steps")[column].dropna()
-        for column in columns
+        for column in panels
         for name in names
     }
 
     def paint(figure: Figure) -> None:
-        panels = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, (column, words) in zip(panels, columns.items(), strict=True):
+        rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (column, words) in zip(rows, panels.items(), strict=True):
             for name in names:
                 line = lines[column, name]
                 axes.plot(line.index / factor, line, label=name, linewidth=1.2, **looks[name].stroke)
@@ -170,16 +160,20 @@ def _panels(
             if len(late) > 1:
                 room = 0.08 * np.ptp(late) or 0.05 * abs(late.iloc[0]) or 1.0
                 axes.set_ylim(late.min() - room, late.max() + room)
-            axes.set_ylabel(words if len(columns) == 1 else words.replace(" of ", "\nof "), fontsize=8.0)
-        panels[-1].set_xlabel(f"training, {unit}")
-        panels[-1].set_xlim(left=0.0)
+            axes.set_ylabel(words.replace(" of ", "\nof "), fontsize=8.0)
+        rows[-1].set_xlabel(f"training, {unit}")
+        rows[-1].set_xlim(left=0.0)
         if len(names) > 1:
-            add_legend(panels[0])
+            add_legend(rows[0])
 
-    rows = {
-        f"{columns[column]} of {name}": [("from", line.iloc[0]), ("to", line.iloc[-1])]
+    ends = {
+        f"{panels[column]} of {name}": [("from", line.iloc[0]), ("to", line.iloc[-1])]
         for (column, name), line in lines.items()
         if len(line)
     }
-    note += f" The scale is that of the values after the first {100.0 * DISCARDED:.0f} % of the training."
-    return [make_plot(key, title, note, description(title, rows, ""), paint, max(3.0, 1.0 + 1.4 * len(columns)))]
+    title = "Reward, errors and updates of the policy"
+    return [make_plot("training", title, NOTE, description(title, ends, ""), paint, max(3.0, 1.0 + 1.4 * len(panels)))]
+
+
+def _unit(curve: pd.DataFrame) -> tuple[float, str]:
+    return (1e6, "million steps") if curve["steps"].max() >= 1e6 else (1e3, "thousand steps")
