@@ -1,6 +1,7 @@
 """The worst cases: which ones, run again, and drawn on the page of a whole report."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from made_up_tables import cases, protocol_tables
 from proportional import Proportional
@@ -69,8 +70,9 @@ def test_worst_cases_are_run_again_with_the_rival_beside_them(replay):
 
 
 def test_a_whole_report_holds_the_tables_of_the_experiments_and_the_traces(config, controllers, replay):
-    stiffness = EXPERIMENTS["force_step"](config, controllers, [1.0], 1)
-    content = with_traces(Content({**protocol_tables(), "force_step": stiffness}, config), replay)
+    experiment = EXPERIMENTS["force_step"]._replace(leaks=[1.0], plants=1)
+    stiffness = [experiment(config, controller).assign(controller=name) for name, controller in controllers.items()]
+    content = with_traces(Content({**protocol_tables(), "force_step": pd.concat(stiffness)}, config), replay)
     page = render_page("Robustness", ROBUSTNESS, content).html
     for text in ("Worst case 1 of Good", "Worst case 1 of PID", COLOURS["orange"], "<h2>Stiffness</h2>"):
         assert text in page
