@@ -25,6 +25,7 @@ from hydro_rig.export.controller import (
     controller_code,
     controller_graph,
     controller_model,
+    variable_gains,
 )
 from hydro_rig.export.exported import (
     FILE,
@@ -38,7 +39,6 @@ from hydro_rig.export.exported import (
 )
 from hydro_rig.export.measured import MeasuredController, MeasuredMemory
 from hydro_rig.export.structured_text import structured_text
-from hydro_rig.export.variable_gains import variable_gains
 
 LARGEST_DIFFERENCE = 1e-5
 """Largest difference of the command between the exported controller and the one in Python; more is an error."""
