@@ -67,13 +67,9 @@ def alarm_code(settings: AlarmSettings) -> CCode:
     lines = writer.statements(graph.nodes())
     kept = []
     for name in memory._fields:
-        variable, copied = writer.kept(f"next_{name}", graph.outputs[f"next.{name}"])
-        lines += [f"    {line}" for line in copied]
-        kept.append(writer.copied(f"memory->{name}", variable, graph.outputs[f"next.{name}"].size))
+        kept.append(writer.stored(f"memory->{name}", f"next_{name}", graph.outputs[f"next.{name}"], lines))
     for name in OUTPUTS:
-        variable, copied = writer.kept(f"now_{name}", graph.outputs[name])
-        lines += [f"    {line}" for line in copied]
-        kept.append(f"now.{name} = {variable};")
+        kept.append(writer.stored(f"now.{name}", f"now_{name}", graph.outputs[name], lines))
     ones: Any = (np.ones_like(values) for values in memory)
     cleared = alarm.reset(AlarmState(*ones), np.array([True]))
     return c_code(
@@ -84,7 +80,7 @@ def alarm_code(settings: AlarmSettings) -> CCode:
             "outputs": [(C_TYPES[graph.outputs[name].kind], name, meaning) for name, meaning in OUTPUTS.items()],
             "cleared": [name for name in memory._fields if not getattr(cleared, name).any()],
             "statements": "\n".join(lines),
-            "kept": "\n".join(f"    {line}" for line in kept),
+            "kept": "\n".join(kept),
             "helpers": writer.helpers,
             "tables": writer.tables,
         },

@@ -82,7 +82,7 @@ def head_code(head: LeakageHead) -> CCode:
     window, sheet = head.settings.window, head.sheet._asdict()
     translator = Translator()
     kinds = [
-        (array(*np.shape(values), element="const double") if np.ndim(values) else DOUBLE, name)
+        (array(*np.shape(values), constant=True) if np.ndim(values) else DOUBLE, name)
         for name, values in sheet.items()
     ]
     of_sheet = translator.record("Sheet", kinds)
@@ -94,14 +94,13 @@ def head_code(head: LeakageHead) -> CCode:
     translator.function(describe, [signals, lost, of_sheet, *fitted, array(1, len(FEATURES))])
 
     bounds = bounds_of(head.settings.task)
-    translator.function(find_stuck, [signals, array(*bounds.shape, element="const double"), lost])
+    translator.function(find_stuck, [signals, array(*bounds.shape, constant=True), lost])
 
     graph = head_graph(head)
     writer = CWriter({"features": "features"}, prefix="network_")
     writer.reserve("features", "answer")
     network = writer.statements(graph.nodes())
-    answer, copied = writer.kept("answers", graph.outputs["answer"])
-    network += [f"    {line}" for line in copied]
+    answer = writer.kept("answers", graph.outputs["answer"], network)
     network.append(f"    for (int i = 0; i < {len(FIELDS)}; ++i) answer[i] = {answer}[i];")
     config = head.settings.task
     names, _, scales, limits = observation_layout(config)
