@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +16,7 @@ from hydro_agents.running.cases import validation_cases, validation_errors
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.files import Group
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import compared, csv_text, render
 from hydro_rig.export.c_writer import C_TYPES
@@ -27,17 +27,8 @@ from hydro_rig.export.controller import (
     controller_model,
     variable_gains,
 )
-from hydro_rig.export.exported import (
-    FILE,
-    MODEL_FILE,
-    TASK_FILE,
-    Contract,
-    ContractSignal,
-    StatePart,
-    digests,
-    onnx_session,
-)
-from hydro_rig.export.measured import MeasuredController, MeasuredMemory
+from hydro_rig.export.exported import FILE, MODEL_FILE, TASK_FILE, onnx_session, sealed, signal_facts
+from hydro_rig.export.measured import MeasuredController
 from hydro_rig.export.structured_text import structured_text
 
 LARGEST_DIFFERENCE = 1e-5
@@ -48,6 +39,22 @@ ST_FILE = "controller.st"
 FILES = (MODEL_FILE, f"{CODE}.c", f"{CODE}.h", f"test_{CODE}.c", "vectors.csv", TASK_FILE, "README.md", FILE)
 FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them
 LONGEST = 250  # control periods per episode of the vectors
+RULES = {
+    "start": "start is true in the first call and after every pause, while the axis is at rest; else false",
+    "sampling": "one call per sample_time; all signals of a call are sampled at the same instant",
+    "delay": "the voltage of sample k acts from 'latency' after that sample until 'latency' after the next one; "
+    "previous_voltage of sample k is the voltage of sample k-1 that the valve received, also if something else limited "
+    "or replaced it",
+    "lost_sample": "a signal that is NaN or infinite is lost: the controller continues with its last sample. "
+    "lost_signals counts them; the safety of the machine decides how long it may continue. "
+    "The scores are valid without lost samples",
+    "first_sample": "until a sample is complete the voltage is previous_voltage; then the controller starts",
+    "out_of_range": "beyond its range the controller was never tested; beyond its limit the limit replaces the value. "
+    "The limit of a future reference applies to its distance from the present reference",
+    "not_a_number": "if the command is not a number, the voltage is previous_voltage, and the controller starts again "
+    "at the next sample",
+}
+"""Rules of operation as text; the same for every controller."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +63,12 @@ class Vectors:
 
     names: tuple[str, ...]
     start: NDArray[np.bool_]  # (samples,)
-    signals: NDArray[np.float64]  # (samples, signals), SI
-    voltage: NDArray[np.float64]  # (samples,), V
+    signals: Floats  # (samples, signals), SI
+    voltage: Floats  # (samples,), V
 
     def text(self) -> str:
         """As CSV; every number reads back exactly."""
-        rows = ((*signals, voltage) for signals, voltage in zip(self.signals, self.voltage, strict=True))
-        return csv_text([*self.names, "voltage"], zip(self.start, rows, strict=True))
+        return csv_text([*self.names, "voltage"], self.start, np.column_stack([self.signals, self.voltage]))
 
 
 def make_vectors(measured: MeasuredController) -> Vectors:
@@ -71,44 +77,43 @@ def make_vectors(measured: MeasuredController) -> Vectors:
     The voltages of the closed-loop episodes come from ``predict`` with the observations of the environment: they also
     check that the signals in SI units give the same observations.
     """
-    config, signals = measured.signals.config, measured.signals
-    families: list[str | None] = [name for name in FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
-    length = min(LONGEST, config.steps)
-    env = ServoHydraulicVectorEnv(1, config, info=False)
-    episodes: list[tuple[NDArray[np.float64], list[float]]] = []
-    families = families or [None]
-    for seed, family in zip(CONTROLLER_VECTORS.take(len(families)), families, strict=True):
-        options = {"reference": [family]} if family is not None else None
-        observation, _ = env.reset(seed=[seed], options=options)
-        samples, voltages, memory = [], [], None
-        for _ in range(length):
-            samples.append(signals.of_axes(env.axes)[0])
-            action, memory = measured.controller.predict(observation, memory)
-            voltages.append(FULL_VOLTAGE * float(np.clip(np.float64(action[0, 0]), -1.0, 1.0)))
-            observation, _, terminated, truncated, _ = env.step(action)
-            if terminated[0] or truncated[0]:
-                break
-        episodes.append((np.array(samples), voltages))
-    env.close()
+    signals = measured.signals
+    weights = signals.config.references.weights
+    families = [name for name in FAMILIES if weights.get(name, 0.0) > 0.0] or [None]
+    seeds = CONTROLLER_VECTORS.take(len(families))
+    episodes = [_closed_loop(measured, seed, family) for seed, family in zip(seeds, families, strict=True)]
     disturbed = _disturbed(np.resize(episodes[0][0], (120, len(signals.signals))))
-    state: MeasuredMemory | None = None
-    voltages = []
+    voltages, memory = [], None
     for row in disturbed:
-        voltage, state = measured(row, state)
+        voltage, memory = measured(row, memory)
         voltages.append(voltage)
-    episodes.append((disturbed, voltages))
-    if not all(np.isfinite(voltages).all() for _, voltages in episodes):
+    episodes.append((disturbed, np.array(voltages)))
+    voltage = np.concatenate([voltages for _, voltages in episodes])
+    if not np.isfinite(voltage).all():
         raise HydroError(f"{type(measured.controller).__name__}: its voltage is not finite: cannot be exported")
-    starts = [np.arange(len(voltages)) == 0 for _, voltages in episodes]
-    return Vectors(
-        tuple(signal.name for signal in signals.signals),
-        np.concatenate(starts),
-        np.concatenate([rows for rows, _ in episodes]),
-        np.concatenate([np.array(voltages) for _, voltages in episodes]),
-    )
+    starts = np.concatenate([np.arange(len(voltages)) == 0 for _, voltages in episodes])
+    rows = np.concatenate([samples for samples, _ in episodes])
+    return Vectors(tuple(signal.name for signal in signals.signals), starts, rows, voltage)
 
 
-def _disturbed(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+def _closed_loop(measured: MeasuredController, seed: int, family: str | None) -> tuple[Floats, Floats]:
+    """Signals (samples, signals) and voltages (samples,) of an episode."""
+    config = measured.signals.config
+    env = ServoHydraulicVectorEnv(1, config, info=False)
+    observation, _ = env.reset(seed=[seed], options={"reference": [family]} if family is not None else None)
+    samples, voltages, memory = [], [], None
+    for _ in range(min(LONGEST, config.steps)):
+        samples.append(measured.signals.of_axes(env.axes)[0])
+        action, memory = measured.controller.predict(observation, memory)
+        voltages.append(FULL_VOLTAGE * float(np.clip(np.float64(action[0, 0]), -1.0, 1.0)))
+        observation, _, terminated, truncated, _ = env.step(action)
+        if terminated[0] or truncated[0]:
+            break
+    env.close()
+    return np.array(samples), np.array(voltages)
+
+
+def _disturbed(samples: Floats) -> Floats:
     """Samples with lost ones at the start, of each signal in turn and of all at once, and values out of range."""
     rows, count = samples.copy(), samples.shape[1]
     rows[:2, -2] = np.nan  # the controller waits
@@ -123,9 +128,13 @@ def _disturbed(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 def exported_files(
     controller: Controller, config: TaskConfig, command: str, language: str = "c"
 ) -> tuple[dict[str, bytes], list[str]]:
-    """The files of a controller for a task by name, and results of their checks; the contract names the command.
+    """The files of an exported controller by name, and the results of their checks, one line each.
 
-    The language ``st`` adds Structured Text to C and ONNX.
+    Args:
+        controller: the controller.
+        config: its task.
+        command: for the contract.
+        language: ``"st"`` adds Structured Text.
 
     Raises:
         TraceError: the controller cannot be exported exactly.
@@ -135,30 +144,24 @@ def exported_files(
     graph = controller_graph(controller, config)
     model = controller_model(graph).SerializeToString()
     varied = controller_graph(controller, config, variable_gains(controller, config))
-    vectors, code = make_vectors(graph.measured), controller_code(varied, CODE)
-    allowed = LARGEST_DIFFERENCE * FULL_VOLTAGE
+    vectors, gains = make_vectors(graph.measured), getattr(controller, "gains", None)
     values = {
         "title": graph.title,
         "version": __version__,
         "name": CODE,
         "type": "ControllerMemory",
         "samples": len(vectors.voltage),
-        "allowed": allowed,
+        "allowed": LARGEST_DIFFERENCE * FULL_VOLTAGE,
         "sample_time": config.control_period,
         "signals": graph.signals.signals,
         "state_size": sum(part.size for part in graph.memory),
         "variable": [gain.name for gain in varied.gains],
         "structured_text": language == "st",
-        "gains": gain_rows(gains) if isinstance(gains := getattr(controller, "gains", None), Group) else [],
+        "gains": gain_rows(gains) if isinstance(gains, Group) else [],
     }
-    found = check_onnx(model, vectors)
-    if not found["largest_difference_of_command"] <= LARGEST_DIFFERENCE:
-        raise HydroError(
-            f"{type(controller).__name__}: the ONNX model differs by {found['largest_difference_of_command']:.2g} of "
-            "full command from the controller in Python: cannot be exported"
-        )
+    in_onnx = check_onnx(model, vectors, type(controller).__name__)
     texts = {
-        **code.files,
+        **controller_code(varied, CODE).files,
         f"test_{CODE}.c": render("test_controller.c.j2", values),
         "vectors.csv": vectors.text(),
         TASK_FILE: yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True),
@@ -167,63 +170,67 @@ def exported_files(
     in_c = compared(CODE, texts)
     if language == "st":
         texts[ST_FILE] = structured_text(varied)
-    files = {MODEL_FILE: model, **{name: text.encode() for name, text in texts.items()}}
-    checked = {"controller.onnx": found, "controller.c": {"result": in_c}}
-    files[FILE] = _contract(controller, graph, checked, command, files).text().encode()
+    facts = {**_facts(controller, graph), "checked": {MODEL_FILE: in_onnx, "controller.c": {"result": in_c}}}
     report = [
-        f"{MODEL_FILE}: {found['samples']} samples in onnxruntime, {found['another_voltage']} with another voltage, "
-        f"largest difference of command {found['largest_difference_of_command']:.2g}",
+        f"{MODEL_FILE}: {in_onnx['samples']} samples in onnxruntime, {in_onnx['another_voltage']} with another "
+        f"voltage, largest difference of command {in_onnx['largest_difference_of_command']:.2g}",
         f"controller.c: {in_c}",
     ]
-    return files, report
-
-
-def check_onnx(model: bytes, vectors: Vectors) -> dict[str, Any]:
-    """Differences between the ONNX model in onnxruntime and the test vectors."""
-    session = onnx_session(model)
-    state = np.zeros(session.get_inputs()[1].shape)
-    found = np.empty(len(vectors.voltage))
-    for sample, (start, signals) in enumerate(zip(vectors.start, vectors.signals, strict=True)):
-        voltage, state, _ = session.run(None, {"signals": signals, "state": state, "start": np.array([start])})
-        found[sample] = voltage[0]
-    difference = np.abs(found - vectors.voltage) / FULL_VOLTAGE
-    return {
-        "samples": len(found),
-        "another_voltage": int((difference != 0.0).sum()),
-        "largest_difference_of_command": float(difference.max()),
-    }
-
-
-def _contract(
-    controller: Controller, graph: ControllerGraph, checked: Mapping[str, Any], command: str, files: Mapping[str, bytes]
-) -> Contract:
     import onnx
     import onnxruntime
 
+    files = {MODEL_FILE: model, **texts}
+    return sealed("controller", files, facts, command, (np, scipy, onnx, onnxruntime)), report
+
+
+def check_onnx(model: bytes, vectors: Vectors, who: str) -> dict[str, Any]:
+    """Differences between the ONNX model in onnxruntime and the test vectors.
+
+    Raises:
+        HydroError: a difference is above :data:`LARGEST_DIFFERENCE`.
+    """
+    session = onnx_session(model)
+    state = np.zeros(session.get_inputs()[1].shape)
+    voltages = np.empty(len(vectors.voltage))
+    for sample, (start, signals) in enumerate(zip(vectors.start, vectors.signals, strict=True)):
+        voltage, state, _ = session.run(None, {"signals": signals, "state": state, "start": np.array([start])})
+        voltages[sample] = voltage[0]
+    difference = np.abs(voltages - vectors.voltage) / FULL_VOLTAGE
+    largest = float(difference.max())
+    if not largest <= LARGEST_DIFFERENCE:
+        raise HydroError(
+            f"{who}: the ONNX model differs by {largest:.2g} of full command from the controller in Python: "
+            "cannot be exported"
+        )
+    return {
+        "samples": len(voltages),
+        "another_voltage": int((difference != 0.0).sum()),
+        "largest_difference_of_command": largest,
+    }
+
+
+def _facts(controller: Controller, graph: ControllerGraph) -> dict[str, Any]:
+    """What the contract says of a controller."""
     config = graph.signals.config
     mean, worst, failed = validation_errors(config, controller)
-    packages = {"numpy": np, "scipy": scipy, "onnx": onnx, "onnxruntime": onnxruntime}
-    return Contract(
-        controller=describe(controller),
-        sample_time=config.control_period,
-        latency=config.command_latency,
-        signals=tuple(
-            ContractSignal(name=s.name, unit=s.unit, range=(s.low, s.high), limit=s.limit, meaning=s.meaning)
-            for s in graph.signals.signals
+    return {
+        "controller": describe(controller),
+        "sample_time": config.control_period,
+        "latency": config.command_latency,
+        "signals": [signal_facts(**signal._asdict()) for signal in graph.signals.signals],
+        "output": signal_facts(
+            "voltage", "V", -FULL_VOLTAGE, FULL_VOLTAGE, FULL_VOLTAGE, "to the drive of the valve; positive: extends"
         ),
-        state=tuple(StatePart(name=part.name, size=part.size, type=C_TYPES[part.kind]) for part in graph.memory),
-        scores={
+        "state": [{"name": part.name, "size": part.size, "type": C_TYPES[part.kind]} for part in graph.memory],
+        "rules": RULES,
+        "scores": {
             "episodes": f"{len(validation_cases(config))} simulated episodes of the task on validation plants: "
             "each kind of reference with a healthy seal, a small leak and the largest leak",
             "mean_error_mm": mean,
             "worst_mean_error_mm": worst,
             "failed": failed,
         },
-        checked=dict(checked),
-        versions={"hydro_env": __version__, **{name: module.__version__ for name, module in packages.items()}},
-        command=command,
-        files=digests(files),
-    )
+    }
 
 
 def describe(controller: Any) -> dict[str, Any]:
