@@ -33,7 +33,7 @@ from hydro_rig.identification.common_fit import WELL_FITTED
 JOB = "leak-test"
 READING_PAGE, NUMBERS_FILE = "leak_test.html", "leak_test.json"
 READING_FILES = (READING_PAGE, NUMBERS_FILE, FIGURE_FILES)
-READING_SECTIONS = ("tested", "test_quantities", "test_course", "recording", "test_judging")
+READING_SECTIONS = ("tested", "reading_quantities", "reading_course", "recording", "reading_judging")
 
 JUDGING = (
     "At a stop all oil that enters a chamber leaks: past the seal, or past the edges of the valve. The flow past the "
@@ -125,7 +125,7 @@ def tested(content: Content) -> list[Block]:
 
 
 @section("What the test found", needs=("leak_test",))
-def test_quantities(content: Content) -> list[Block]:
+def reading_quantities(content: Content) -> list[Block]:
     """Leak and wear with their intervals and bounds."""
     test = content.part("leak_test", LeakTest)
     if test.seal is None or test.edges is None or test.both is None:
@@ -162,7 +162,7 @@ def _row(what: str, unit: str, factor: float, quantity: Quantity, healthy: str) 
 
 
 @section("Measured and simulated", needs=("leak_test",))
-def test_course(content: Content) -> list[Block]:
+def reading_course(content: Content) -> list[Block]:
     """The readings beside those of the fitted model."""
     test = content.part("leak_test", LeakTest)
     if test.common is None:
@@ -213,7 +213,7 @@ def paint_reading(figure: Figure, test: LeakTest) -> None:
 
 
 @section("How it was judged", needs=("leak_test",))
-def test_judging(content: Content) -> list[Block]:
+def reading_judging(content: Content) -> list[Block]:
     """The method."""
     del content
     return [Points(JUDGING)]
