@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from hydro_env import TaskConfig
 
 FMU_FILE = "hydro_axis.fmu"
-SOURCES = ("plant.h", "plant.c")
 JOB = "export"
 LANGUAGES = ("c", "st")
 OWN_PARTS = ("plant", "leakage_head", "alarm", "playground")
@@ -74,7 +74,7 @@ def export(
     `hydro export playground` writes `playground.html`: one page, without server or network, on which three axes move
     in real time while you turn leak, supply, load and gains. It needs `pip install 'hydro_env[playground]'`.
     """
-    from hydro_env.task.configuration import task_config
+    from hydro_agents.running.folders import output_folder
 
     if language not in LANGUAGES:
         raise ConfigurationError(f"--format {language[:40]}: {one_of(language, LANGUAGES)}")
@@ -85,19 +85,24 @@ def export(
         raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
     if all_systems and part != "plant":
         raise ConfigurationError(f"export {what}: takes no --all-systems; the plant does")
-    if part == "plant":
-        _export_plant(task_config(task, rig=rig), output, overwrite, all_systems)
-    elif part and (task is not None or rig is not None):
+    if part not in ("", "plant") and (task is not None or rig is not None):
         owner = "the shipped head" if what == part else part.replace("_", " ")
         raise ConfigurationError(f"export {what}: takes no --task and no --rig; {owner} has its own")
-    elif part == "leakage_head":
-        _export_head(what, output, overwrite)
-    elif part == "alarm":
-        _export_alarm(what, output, overwrite)
-    elif part == "playground":
-        _export_playground(output, overwrite)
-    else:
-        _export_controller(what, (task, rig, period, latency), language, output, overwrite)
+    match part:
+        case "plant":
+            names, make = _plant(task, rig, all_systems)
+        case "leakage_head":
+            names, make = _head(what)
+        case "alarm":
+            names, make = _alarm(what)
+        case "playground":
+            names, make = _playground()
+        case _:
+            names, make = _controller(what, _Request(task, rig, period, latency), language)
+    with output_folder(output, JOB, names, overwrite=overwrite):
+        files, report = make()
+        write_files(output, files)
+    say(*report, *(f"written: {output / name}" for name in names))
 
 
 def _part(what: str) -> str:
@@ -113,30 +118,32 @@ def _part(what: str) -> str:
     return "leakage_head" if ":" not in what and kind_of_weights(what) == KIND else ""
 
 
-Given = tuple[str | None, Path | None, str | None, str | None]  # task, rig, control period and latency
+class _Request(NamedTuple):
+    """The task that the user gives for a controller; ``None``: its own."""
+
+    task: str | None
+    rig: Path | None
+    period: str | None
+    latency: str | None
+
+
 Exported = tuple[Mapping[str, str | bytes], Sequence[str]]  # contents of files by name, and lines about them
+Job = tuple[Sequence[str], Callable[[], Exported]]  # names of the files, and what makes them
 
 
-def _write(output: Path, overwrite: bool, names: Sequence[str], make: Callable[[], Exported]) -> None:
-    """Make files in a folder that is claimed for them, and say what was written."""
-    from hydro_agents.running.folders import output_folder
-
-    with output_folder(output, JOB, names, overwrite=overwrite):
-        files, report = make()
-        write_files(output, files)
-    say(*report, *(f"written: {output / name}" for name in names))
-
-
-def _export_plant(config: TaskConfig, output: Path, overwrite: bool, all_systems: bool) -> None:
+def _plant(task: str | None, rig: Path | None, all_systems: bool) -> Job:
+    from hydro_env.task.configuration import task_config
     from hydro_rig.export.plant import make_fmu, plant_code
+
+    config = task_config(task, rig=rig)
 
     def make() -> Exported:
         return {**plant_code(config.plant).files, FMU_FILE: make_fmu(config, all_systems)}, ()
 
-    _write(output, overwrite, [FMU_FILE, *SOURCES], make)
+    return (FMU_FILE, "plant.h", "plant.c"), make
 
 
-def _export_head(what: str, output: Path, overwrite: bool) -> None:
+def _head(what: str) -> Job:
     from hydro_agents.detection.head import LeakageHead
     from hydro_agents.running.folders import pretrained_folder
     from hydro_rig.export.leakage_head import FILES, exported_head
@@ -144,35 +151,35 @@ def _export_head(what: str, output: Path, overwrite: bool) -> None:
 
     onnx_package()  # report a missing package at the start
     head = LeakageHead.load(pretrained_folder() / "leakage_head" if what == "leakage_head" else what)
-    _write(output, overwrite, FILES, lambda: exported_head(head, command_line()))
+    return FILES, partial(exported_head, head, command_line())
 
 
-def _export_alarm(what: str, output: Path, overwrite: bool) -> None:
+def _alarm(what: str) -> Job:
     from hydro_agents.detection.alarm import AlarmSettings
     from hydro_env.folders import config_folder
     from hydro_rig.export.alarm import FILES, exported_alarm
 
     settings = AlarmSettings.load(config_folder() / "agents" / "alarm.yaml" if what == "alarm" else what)
-    _write(output, overwrite, FILES, lambda: exported_alarm(settings, command_line()))
+    return FILES, partial(exported_alarm, settings, command_line())
 
 
-def _export_playground(output: Path, overwrite: bool) -> None:
+def _playground() -> Job:
     from hydro_rig.export.playground import PAGE_FILE, playground_page, web_compiler
 
     web_compiler()  # report a missing package at the start
-    _write(output, overwrite, [PAGE_FILE], lambda: ({PAGE_FILE: playground_page()}, ()))
+    return (PAGE_FILE,), lambda: ({PAGE_FILE: playground_page()}, ())
 
 
-def _export_controller(what: str, given: Given, language: str, output: Path, overwrite: bool) -> None:
+def _controller(what: str, request: _Request, language: str) -> Job:
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.opponents import gains_file, takes_gains_for_any_rig, trained_for
-    from hydro_env import ConfigurationError, PlantParameters
+    from hydro_env import PlantParameters
     from hydro_rig.export.controller_folder import FILES, ST_FILE, exported_files
     from hydro_rig.export.exported import ExportedController
     from hydro_rig.export.onnx_writer import onnx_package
 
     onnx_package()  # report a missing package at the start
-    controller, config = _controller_and_task(what, given)
+    controller, config = _controller_and_task(what, request)
     if isinstance(controller, ExportedController):
         raise ConfigurationError(f"{what}: is an exported controller already")
     made_for = trained_for(controller)
@@ -186,40 +193,39 @@ def _export_controller(what: str, given: Given, language: str, output: Path, ove
             "tunes them; then export results/study/controllers/NAME",
             file=sys.stderr,
         )
-    names = [*FILES, ST_FILE] if language == "st" else FILES
-    _write(output, overwrite, names, lambda: exported_files(controller, config, command_line(), language))
+    names = (*FILES, ST_FILE) if language == "st" else FILES
+    return names, partial(exported_files, controller, config, command_line(), language)
 
 
-def _controller_and_task(what: str, given: Given) -> tuple[Controller, TaskConfig]:
+def _controller_and_task(what: str, request: _Request) -> tuple[Controller, TaskConfig]:
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped
     from hydro_agents.learning.policy import PolicyController
     from hydro_agents.running.tasks import timed_task
     from hydro_agents.running.weights import weight_files
-    from hydro_env import ConfigurationError
     from hydro_env.mistakes import unknown
 
-    known = (*CONTROLLERS, *SHIPPED_WEIGHTS)
+    names = (*CONTROLLERS, *SHIPPED_WEIGHTS)
     path = Path(found_in(what))
-    if what not in known and ":" not in what and not (path.exists() or weight_files(path)[1].is_file()):
+    if what not in names and ":" not in what and not (path.exists() or weight_files(path)[1].is_file()):
         raise ConfigurationError(
-            f"export '{what}': {unknown(what, OWN_PARTS + known)}, the path of weights or gains, or module:attribute"
+            f"export '{what}': {unknown(what, OWN_PARTS + names)}, the path of weights or gains, or module:attribute"
         )
-    config = timed_task(*given, f"export {what}")
-    if given[:2] == (None, None):
-        if given[2:] != (None, None) and what not in CONTROLLERS and ":" not in what:
+    config = timed_task(*request, f"export {what}")
+    if request.task is None and request.rig is None:
+        if (request.period, request.latency) != (None, None) and what not in CONTROLLERS and ":" not in what:
             raise ConfigurationError(
                 f"export {what}: --period and --latency need --rig or --task; gains and weights have those for which "
                 "they were made"
             )
-        controller: Controller | None = None
+        policy: Controller | None = None
         if what in SHIPPED_WEIGHTS:
-            controller = shipped(what, config)
+            policy = shipped(what, config)
         elif ":" not in what and weight_files(path)[0].is_file():
-            controller = PolicyController.load(path)
-        if isinstance(controller, PolicyController):
-            return controller, controller.features.config
+            policy = PolicyController.load(path)
+        if isinstance(policy, PolicyController):
+            return policy, policy.features.config
         if path.suffix == ".yaml":
             config = _task_of_gains(path)
     return opponent(what, config, what), config

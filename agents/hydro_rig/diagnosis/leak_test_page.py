@@ -30,7 +30,7 @@ from hydro_rig.identification.common_fit import WELL_FITTED
 JOB = "leak-test"
 READING_PAGE, NUMBERS_FILE = "leak_test.html", "leak_test.json"
 READING_FILES = (READING_PAGE, NUMBERS_FILE, FIGURE_FILES)
-READING_SECTIONS = ("diagnosed", "test_quantities", "test_course", "recording", "judging")
+READING_SECTIONS = ("diagnosed", "reading_quantities", "reading_course", "recording", "judging")
 
 JUDGING = (
     "At a stop all oil that enters a chamber leaks: past the seal, or past the edges of the valve. The flow past the "
@@ -103,7 +103,7 @@ def render_reading(test: LeakTest, origin: Origin) -> Page:
 
 
 @section("What the test found", needs=("leak_test",))
-def test_quantities(content: Content) -> list[Block]:
+def reading_quantities(content: Content) -> list[Block]:
     """Leak and wear with their intervals and bounds."""
     test = content.part("leak_test", LeakTest)
     if test.fit is None:
@@ -136,7 +136,7 @@ def _row(what: str, unit: str, factor: float, quantity: Quantity, healthy: str) 
 
 
 @section("Measured and simulated", needs=("leak_test",))
-def test_course(content: Content) -> list[Block]:
+def reading_course(content: Content) -> list[Block]:
     """The readings beside those of the fitted model."""
     test = content.part("leak_test", LeakTest)
     if test.fit is None:

@@ -6,20 +6,19 @@ order, and no operation rounds differently.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm
 from hydro_agents.detection.detector import Cause
 from hydro_agents.detection.looks import MOVING_FROM, STANDING_BELOW, Activity
 from hydro_env import __version__
+from hydro_env.types import Floats
 from hydro_rig.export.c_files import CCode, c_code, compared, csv_text, render
 from hydro_rig.export.c_writer import C_TYPES, CWriter
-from hydro_rig.export.exported import FILE, Sealed, digests
-from hydro_rig.export.graph import Graph
+from hydro_rig.export.exported import FILE, sealed
 from hydro_rig.export.tracing import trace
 
 NAME = "alarm"
@@ -40,55 +39,41 @@ EPISODES, LOOKS = 6, 400  # of the test vectors
 KEEP, RESET, RELEARN = 0, 1, 2  # before a look of the test vectors
 
 
-def alarm_graph(alarm: LeakAlarm) -> Graph:
-    """From the fields of a look and the memory to the outputs and the new memory (``next.NAME``), for one axis."""
+def alarm_code(settings: AlarmSettings) -> CCode:
+    """C sources of an alarm, traced for one axis: from a look and the memory to the answer and the next memory.
+
+    Raises:
+        TraceError: the alarm uses an operation without translation.
+    """
+    alarm = LeakAlarm(settings)
+    memory = alarm.begin(1)
 
     def step(score: Any, sigma: Any, cause: Any, activity: Any, **memory: Any) -> dict[str, Any]:
         now, after = alarm.step(score, sigma, cause, activity, AlarmState(**memory))
         return {**now._asdict(), **{f"next.{name}": values for name, values in after._asdict().items()}}
 
     number, place = np.zeros(1), np.zeros(1, dtype=np.int64)
-    inputs = {"score": number, "sigma": number, "cause": place, "activity": place}
-    return trace(step, {**inputs, **alarm.begin(1)._asdict()})
-
-
-def alarm_code(settings: AlarmSettings) -> CCode:
-    """C sources of an alarm.
-
-    Raises:
-        TraceError: the alarm uses an operation without translation.
-    """
-    alarm = LeakAlarm(settings)
-    graph = alarm_graph(alarm)
-    memory = alarm.begin(1)
+    look = {"score": number, "sigma": number, "cause": place, "activity": place}
+    graph = trace(step, {**look, **memory._asdict()})
     writer = CWriter({name: name for name in INPUTS} | {name: f"memory->{name}" for name in memory._fields}, "alarm_")
     writer.reserve("memory", "now", *INPUTS, *OUTPUTS)
     writer.plan(graph)
     lines = writer.statements(graph.nodes())
-    kept = []
-    for name in memory._fields:
-        variable, copied = writer.kept(f"next_{name}", graph.outputs[f"next.{name}"])
-        lines += [f"    {line}" for line in copied]
-        kept.append(writer.copied(f"memory->{name}", variable, graph.outputs[f"next.{name}"].size))
-    for name in OUTPUTS:
-        variable, copied = writer.kept(f"now_{name}", graph.outputs[name])
-        lines += [f"    {line}" for line in copied]
-        kept.append(f"now.{name} = {variable};")
+    targets = [(f"memory->{name}", f"next_{name}", f"next.{name}") for name in memory._fields]
+    targets += [(f"now.{name}", f"now_{name}", name) for name in OUTPUTS]
+    kept = [writer.stored(target, variable, graph.outputs[name], lines) for target, variable, name in targets]
     ones: Any = (np.ones_like(values) for values in memory)
     cleared = alarm.reset(AlarmState(*ones), np.array([True]))
-    return c_code(
-        NAME,
-        {
-            **_texts(settings),
-            "parts": [(C_TYPES[values.dtype], name, values.size) for name, values in memory._asdict().items()],
-            "outputs": [(C_TYPES[graph.outputs[name].kind], name, meaning) for name, meaning in OUTPUTS.items()],
-            "cleared": [name for name in memory._fields if not getattr(cleared, name).any()],
-            "statements": "\n".join(lines),
-            "kept": "\n".join(f"    {line}" for line in kept),
-            "helpers": writer.helpers,
-            "tables": writer.tables,
-        },
-    )
+    values = _texts(settings) | {
+        "parts": [(C_TYPES[values.dtype], name, values.size) for name, values in memory._asdict().items()],
+        "outputs": [(C_TYPES[graph.outputs[name].kind], name, meaning) for name, meaning in OUTPUTS.items()],
+        "cleared": [name for name in memory._fields if not getattr(cleared, name).any()],
+        "statements": "\n".join(lines),
+        "kept": "\n".join(kept),
+        "helpers": writer.helpers,
+        "tables": writer.tables,
+    }
+    return c_code(NAME, values)
 
 
 def _texts(settings: AlarmSettings) -> dict[str, Any]:
@@ -106,22 +91,6 @@ def _texts(settings: AlarmSettings) -> dict[str, Any]:
     }
 
 
-class AlarmContract(Sealed):
-    """Content of the ``contract.json`` of an alarm."""
-
-    format: Literal["hydro_env exported alarm"] = "hydro_env exported alarm"
-    format_version: Literal[1] = 1
-    settings: AlarmSettings
-    inputs: dict[str, str] = INPUTS
-    outputs: dict[str, str] = OUTPUTS
-    causes: dict[str, int]
-    activities: dict[str, int]
-    checked: dict[str, Any]
-    versions: dict[str, str]
-    command: str
-    files: dict[str, str] = Field(description="SHA-256 of each file")
-
-
 def exported_alarm(settings: AlarmSettings, command: str) -> tuple[dict[str, bytes], list[str]]:
     """The files of an exported alarm by name, and the results of their checks, one line each.
 
@@ -136,18 +105,16 @@ def exported_alarm(settings: AlarmSettings, command: str) -> tuple[dict[str, byt
         "vectors.csv": vectors(settings),
         "README.md": render("alarm_readme.md.j2", values),
     }
-    said = compared(NAME, texts)
-    files = {name: text.encode() for name, text in texts.items()}
-    contract = AlarmContract(
-        settings=settings,
-        causes={cause.name.lower(): int(cause) for cause in Cause},
-        activities={each.name.lower(): int(each) for each in Activity},
-        checked={"alarm.c": said},
-        versions={"hydro_env": __version__, "numpy": np.__version__},
-        command=command,
-        files=digests(files),
-    )
-    return {**files, FILE: contract.text().encode()}, [f"alarm.c: {said}"]
+    in_c = compared(NAME, texts)
+    facts = {
+        "settings": settings.model_dump(mode="json"),
+        "inputs": INPUTS,
+        "outputs": OUTPUTS,
+        "causes": {cause.name.lower(): int(cause) for cause in Cause},
+        "activities": {each.name.lower(): int(each) for each in Activity},
+        "checked": {"alarm.c": in_c},
+    }
+    return sealed("alarm", texts, facts, command), [f"alarm.c: {in_c}"]
 
 
 def vectors(settings: AlarmSettings) -> str:
@@ -158,24 +125,23 @@ def vectors(settings: AlarmSettings) -> str:
         generator = np.random.default_rng(episode)
         state = alarm.begin(1)
         for number in range(LOOKS):
-            score, sigma, cause, activity = _look(
-                generator, spread, highest, shift * episode / (EPISODES - 1) * (number > LOOKS // 2)
-            )
+            rise = shift * episode / (EPISODES - 1) * (number > LOOKS // 2)
+            look = _look(generator, spread, highest - spread + rise)
             action = int(generator.choice([KEEP, RESET, RELEARN], p=[0.98, 0.015, 0.005]))
             if action != KEEP:
                 state = alarm.reset(state, np.array([True]), relearn=action == RELEARN)
+            score, sigma, cause, activity = look
             now, state = alarm.step(score, sigma, cause, activity, state)
-            rows.append((int(number == 0), (action, *(float(one[0]) for one in (score, sigma, cause, activity, *now)))))
-    return csv_text(["action", *INPUTS, *(f"now_{name}" for name in OUTPUTS)], rows)
+            rows.append([action, *(values[0] for values in (*look, *now))])
+    starts = np.arange(len(rows)) % LOOKS == 0
+    return csv_text(["action", *INPUTS, *(f"now_{name}" for name in OUTPUTS)], starts, rows)
 
 
-def _look(
-    generator: np.random.Generator, spread: NDArray[Any], highest: NDArray[Any], rise: NDArray[Any]
-) -> list[NDArray[Any]]:
+def _look(generator: np.random.Generator, spread: Floats, level: Floats) -> list[NDArray[Any]]:
     """A look at one axis: noise, now and then an outlier, no answer, or a named cause."""
     activity = int(generator.integers(len(Activity)))
     noise = float(generator.normal()) * (1.0 if generator.random() < 0.97 else 20.0)
-    score = highest[activity] - spread[activity] + rise[activity] + spread[activity] * noise
+    score = level[activity] + spread[activity] * noise
     if generator.random() < 0.05:
         score = generator.choice([np.nan, np.inf, -np.inf])
     sigma = spread[activity] * generator.choice([np.nan, 0.5, 2.0])

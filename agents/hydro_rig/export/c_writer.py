@@ -2,51 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_rig.export.graph import Graph, Node, regular, runs_of_places, source_of
-from hydro_rig.export.origin import SCALED
+from hydro_rig.export.graph import SCALED, Graph, Node, regular, runs_of_places, source_of
 
-C_TYPES = {np.dtype(np.float64): "double", np.dtype(np.float32): "float", np.dtype(np.bool_): "int"}
-C_TYPES[np.dtype(np.int64)] = "long"
+C_TYPES = {
+    np.dtype(np.float64): "double",
+    np.dtype(np.float32): "float",
+    np.dtype(np.bool_): "int",
+    np.dtype(np.int64): "long",
+}
 _INFIX = {
-    "add": "+",
-    "subtract": "-",
-    "multiply": "*",
-    "divide": "/",
-    "equal": "==",
-    "greater": ">",
-    "greater_equal": ">=",
-    "less": "<",
-    "less_equal": "<=",
-    "not_equal": "!=",
-    "and": "&&",
-    "or": "||",
+    **{"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "and": "&&", "or": "||"},
+    **{"equal": "==", "not_equal": "!=", "greater": ">", "greater_equal": ">=", "less": "<", "less_equal": "<="},
 }
 _PREFIX = {"negative": "-", "not": "!"}
-_FUNCTIONS = {
-    "absolute": "fabs",
-    "sqrt": "sqrt",
-    "exp": "exp",
-    "log": "log",
-    "power": "pow",
-    "tanh": "tanh",
-    "arcsinh": "asinh",
-    "copysign": "copysign",
-}
+_FUNCTIONS = {name: name for name in ("sqrt", "exp", "log", "tanh", "copysign")}
+_FUNCTIONS |= {"absolute": "fabs", "power": "pow", "arcsinh": "asinh"}
 _HELPERS = {
     # As in NumPy: the first value unless the other one is larger (smaller); NaN stays NaN.
     "maximum": "static {type} {name}({type} a, {type} b) {{ return a >= b || a != a ? a : b; }}",
     "minimum": "static {type} {name}({type} a, {type} b) {{ return a <= b || a != a ? a : b; }}",
     "sign": "static {type} {name}({type} a) {{ return a > 0 ? 1 : a < 0 ? -1 : a; }}",
 }
-_RESERVED = {"short", "long", "signed", "unsigned", "register", "auto", "static", "const", "union", "double", "float"}
-_INDICES = ("i", "j", "k")
 _EXACT = {"where", "cast", "maximum", "minimum", "absolute", "sign", "copysign", "negative"}
 LONGEST = 120
 """Characters of the longest number that is written into the statement of another one."""
@@ -67,15 +50,35 @@ class CWriter:
     places: Mapping[str, Sequence[str]] = field(default_factory=dict)
     tables: list[str] = field(default_factory=list)
     helpers: list[str] = field(default_factory=list)
-    _names: dict[int, str] = field(default_factory=dict)
+    _names: dict[Node, str] = field(default_factory=dict)
     _used: set[str] = field(default_factory=set)
-    _single: set[int] = field(default_factory=set)
-    _inside: set[int] = field(default_factory=set)
+    _single: set[Node] = field(default_factory=set)
+    _inside: set[Node] = field(default_factory=set)
+    types: ClassVar[Mapping[Any, str]] = C_TYPES
     repeats: ClassVar[frozenset[str]] = frozenset()  # operations whose text holds an operand more than once
+    reserved: ClassVar[frozenset[str]] = frozenset(
+        [
+            "short",
+            "long",
+            "signed",
+            "unsigned",
+            "register",
+            "auto",
+            "static",
+            "const",
+            "union",
+            "double",
+            "float",
+            "i",
+            "j",
+            "k",
+            "factor",
+        ]
+    )
 
     def reserve(self, *names: str) -> None:
         """Reserve names that no variable may have."""
-        self._used.update(names)
+        self._used.update(map(self._key, names))
 
     def plan(self, graph: Graph) -> None:
         """Let a statement be a whole line of Python: it takes up the numbers that only this line needs.
@@ -83,16 +86,15 @@ class CWriter:
         Arithmetic in single precision stays in statements of its own, because a processor may compute an expression
         more exactly. The results are the same, bit by bit.
         """
-        outputs = {id(source_of(node)) for node in graph.outputs.values()}
-        readers: dict[int, list[Node]] = {}
+        outputs = {source_of(node) for node in graph.outputs.values()}
+        readers: dict[Node, list[Node]] = {}
         for node in graph.nodes():
-            if node.operation != "collect" or regular(node) is None:
-                for one in node.operands:
-                    readers.setdefault(id(source_of(one)), []).append(node)
-        for node in graph.nodes():
-            mine = readers.get(id(node), [])
-            if len(mine) == 1 and id(node) not in outputs and self._may_be_inside(node, mine[0]):
-                self._single.add(id(node))
+            if regular(node) is None:
+                for operand in node.operands:
+                    readers.setdefault(source_of(operand), []).append(node)
+        for node, readers_of_node in readers.items():
+            if len(readers_of_node) == 1 and node not in outputs and self._may_be_inside(node, readers_of_node[0]):
+                self._single.add(node)
 
     def _may_be_inside(self, node: Node, reader: Node) -> bool:
         exact = node.kind != np.float32 or node.operation in _EXACT
@@ -104,7 +106,7 @@ class CWriter:
         )  # fmt: skip
 
     def statements(self, nodes: Sequence[Node], indent: str = "    ") -> list[str]:
-        """C statements that compute nodes, operands first; each result gets a variable."""
+        """Statements that compute nodes, operands first; each result gets a variable."""
         lines: list[str] = []
         origin = ""
         for node in nodes:
@@ -114,6 +116,93 @@ class CWriter:
                 lines.append(self.comment(origin))
             lines += written
         return [f"{indent}{line}" for line in lines]
+
+    def kept(self, name: str, node: Node, lines: list[str], indent: str = "    ") -> str:
+        """A separate variable for a result; statements that define it go to ``lines``."""
+        if node in self._names and node.operation not in ("input", "constant"):
+            return self._names[node]
+        variable = self._new_name(name)
+        text = self.element(node, "i" if node.size > 1 else 0)
+        lines += [f"{indent}{line}" for line in self._assigned(node, variable, text)]
+        return variable
+
+    def stored(self, target: str, name: str, node: Node, lines: list[str], indent: str = "    ") -> str:
+        """A statement that stores a result; statements before it go to ``lines``."""
+        return indent + self.copied(target, self.kept(name, node, lines, indent), node.size)
+
+    def element(self, node: Node, index: int | str) -> str:
+        """Text of one element; ``index`` is a number, or the text of an index in a loop."""
+        if node.operation == "constant":
+            assert node.table is not None
+            if node.size == 1 or isinstance(index, int):
+                return self.number(node.table[index if isinstance(index, int) else 0])
+            if node not in self._names:
+                self._names[node] = self._new_table(node.name, node.table)
+            return f"{self._names[node]}[{index}]"
+        if node.operation == "collect":
+            if run := regular(node):
+                return self.element(run.source, loop_place(run.start, run.step, index))
+            if isinstance(index, int):
+                return self.element(*node.piece(index))
+        if node in self._inside:
+            text = self._elementwise(node, index)
+            return text if self._is_closed(node) else f"({text})"
+        text = self.inputs[node.name] if node.operation == "input" else self._names[node]
+        return text if node.size == 1 else f"{text}[{self._place(node.name, index)}]"
+
+    def _place(self, name: str, index: int | str) -> int | str:
+        """An index, by its name where it has one."""
+        return self.places[name][index] if isinstance(index, int) and name in self.places else index
+
+    def _elementwise(self, node: Node, index: int | str) -> str:
+        return self._expression(node, [self.element(part, 0 if part.size == 1 else index) for part in node.operands])
+
+    def _statement(self, node: Node) -> list[str]:
+        if regular(node) is not None:
+            return []
+        if node in self._single and len(self._elementwise(node, "i")) <= LONGEST:
+            self._inside.add(node)
+            return []
+        name = self._names[node] = self._new_name(node.name or node.operation)
+        special = {"collect": self._collected, "matmul": self._multiplied, "sum": self._summed}.get(node.operation)
+        if special is not None:
+            return special(node, name)
+        return self._assigned(node, name, self._elementwise(node, 0 if node.size == 1 else "i"))
+
+    def _assigned(self, node: Node, name: str, text: str) -> list[str]:
+        if node.size == 1:
+            return [self.defined(node, name, text)]
+        return [*self.declared_array(node, name), self.loop("i", node.size, self.assign(f"{name}[i]", text))]
+
+    def _collected(self, node: Node, name: str) -> list[str]:
+        lines = self.declared_array(node, name)
+        for run in runs_of_places(node):
+            if run.length == 1:
+                target = f"{name}[{self._place(node.name, run.first)}]"
+                lines.append(self.assign(target, self.element(run.source, run.start)))
+            else:
+                text = self.element(run.source, loop_place(run.start, run.step, "i") if run.source.size > 1 else 0)
+                target = f"{name}[{loop_place(run.first, 1, 'i')}]"
+                lines.append(self.loop("i", run.length, self.assign(target, text)))
+        return lines
+
+    def _new_name(self, name: str) -> str:
+        plain = f"{name}_value" if self._key(name) in self.reserved else name
+        names = (plain, *(f"{plain}_{number}" for number in range(2, 10_000)))
+        unique = next(name for name in names if self._key(name) not in self._used)
+        self._used.add(self._key(unique))
+        return unique
+
+    def _new_table(self, name: str, values: NDArray[Any]) -> str:
+        unique = self._new_name(self.prefix + (f"{name}_table" if name == "constant" else name))
+        self.tables.append(self.table(unique, values))
+        return unique
+
+    # The language -------------------------------------------------------------------------------------------------
+
+    def _key(self, name: str) -> str:
+        """By what names differ."""
+        return name
 
     def comment(self, text: str) -> str:
         """A comment."""
@@ -131,77 +220,33 @@ class CWriter:
         """A statement that gives a variable a value."""
         return f"{target} = {text};"
 
+    def loop(self, index: str, count: int, statement: str) -> str:
+        """A statement for each index."""
+        return f"for (int {index} = 0; {index} < {count}; ++{index}) {statement}"
+
     def copied(self, target: str, variable: str, size: int) -> str:
         """A statement that copies a variable, or an array of a size."""
         if size == 1:
             return self.assign(target, variable)
-        return f"{_loop('i', size)} {target}[i] = {variable}[i];"
+        return self.loop("i", size, self.assign(f"{target}[i]", f"{variable}[i]"))
 
-    def kept(self, name: str, node: Node) -> tuple[str, list[str]]:
-        """A separate variable for a result, and the statements that define it."""
-        if id(node) in self._names and node.operation not in ("input", "constant"):
-            return self._names[id(node)], []
-        variable = self._new_name(name)
-        copied = f"{self.element(node, 'i' if node.size > 1 else 0)}"
-        return variable, self._assigned(C_TYPES[node.kind], variable, node.size, copied)
+    def declared_array(self, node: Node, name: str) -> list[str]:
+        """What stands in front of the statements that fill an array."""
+        return [f"{self.types[node.kind]} {name}[{node.size}];"]
 
-    def element(self, node: Node, index: int | str) -> str:
-        """Text of one element; ``index`` is a number, or the text of an index in a loop."""
-        if node.operation == "input":
-            text = self.inputs[node.name]
-            return text if node.size == 1 else f"{text}[{self._place(node.name, index)}]"
-        if node.operation == "constant":
-            assert node.table is not None
-            if node.size == 1 or isinstance(index, int):
-                return self.number(node.table[index if isinstance(index, int) else 0])
-            return f"{self._table(node)}[{index}]"
-        if node.operation == "collect":
-            taken = regular(node)
-            if taken is not None:
-                source, start, step = taken
-                return self.element(source, loop_place(start, step, index))
-            if isinstance(index, int):
-                return self.element(*node.piece(index))
-        if id(node) in self._inside:
-            text = self._elementwise(node, index)
-            return text if self._is_closed(node) else f"({text})"
-        if node.size == 1:
-            return self._names[id(node)]
-        return f"{self._names[id(node)]}[{self._place(node.name, index)}]"
+    def defined(self, node: Node, name: str, text: str) -> str:
+        """A statement that defines a variable."""
+        return f"const {self.types[node.kind]} {name} = {text};"
 
-    def _place(self, name: str, index: int | str) -> int | str:
-        """An index, by its name where it has one."""
-        return self.places[name][index] if isinstance(index, int) and name in self.places else index
-
-    def _elementwise(self, node: Node, index: int | str) -> str:
-        return self._expression(node, [self.element(one, 0 if one.size == 1 else index) for one in node.operands])
+    def table(self, name: str, values: NDArray[Any]) -> str:
+        """A constant table."""
+        return (
+            f"static const {self.types[values.dtype]} {name}[{values.size}] = {{\n    {in_rows(number, values, 4)}\n}};"
+        )
 
     def _is_closed(self, node: Node) -> bool:
         """Whether the text of an operation needs no brackets inside another one."""
         return node.operation in (*_FUNCTIONS, *_HELPERS) or (node.operation == "cast" and node.kind != np.bool_)
-
-    # Statements of one node ---------------------------------------------------------------------------------------
-
-    def _statement(self, node: Node) -> list[str]:
-        if node.operation == "collect" and regular(node) is not None:
-            return []
-        if id(node) in self._single and len(self._elementwise(node, "i")) <= LONGEST:
-            self._inside.add(id(node))
-            return []
-        kind, name = C_TYPES[node.kind], self._new_name(node.name or node.operation)
-        self._names[id(node)] = name
-        if node.operation == "collect":
-            return self._collected(node, kind, name)
-        if node.operation == "matmul":
-            return self._multiplied(node, kind, name)
-        if node.operation == "sum":
-            return self._summed(node, kind, name)
-        return self._assigned(kind, name, node.size, self._elementwise(node, 0 if node.size == 1 else "i"))
-
-    def _assigned(self, kind: str, name: str, size: int, text: str) -> list[str]:
-        if size == 1:
-            return [f"const {kind} {name} = {text};"]
-        return [f"{kind} {name}[{size}];", f"{_loop('i', size)} {name}[i] = {text};"]
 
     def _expression(self, node: Node, operands: list[str]) -> str:
         operation, kind = node.operation, node.operands[-1].kind
@@ -210,120 +255,79 @@ class CWriter:
             return f" {_INFIX[operation]} ".join(operands)
         if operation in _PREFIX:
             return f"{_PREFIX[operation]}{operands[0]}"
-        if operation in _FUNCTIONS:
-            return f"{_FUNCTIONS[operation]}{suffix}({', '.join(map(bare, operands))})"
-        if operation in _HELPERS:
-            name = f"{self.prefix}{operation}{suffix}"
-            text = _HELPERS[operation].format(type=C_TYPES[kind], name=name)
-            if text not in self.helpers:
-                self.helpers.append(text)
-            return f"{name}({', '.join(map(bare, operands))})"
         if operation == "where":
             return f"{operands[0]} ? {operands[1]} : {operands[2]}"
         if operation == "cast":
             return f"{operands[0]} != 0" if node.kind == np.bool_ else f"({C_TYPES[node.kind]}){operands[0]}"
-        raise AssertionError(operation)
+        name = f"{_FUNCTIONS.get(operation, self.prefix + operation)}{suffix}"
+        if operation in _HELPERS:
+            text = _HELPERS[operation].format(type=C_TYPES[kind], name=name)
+            if text not in self.helpers:
+                self.helpers.append(text)
+        return f"{name}({', '.join(map(bare, operands))})"
 
-    def _collected(self, node: Node, kind: str, name: str) -> list[str]:
-        lines = [f"{kind} {name}[{node.size}];"]
-        runs = runs_of_places(node)
-        if len(runs) > 12 and len(node.operands) == 1:
-            places = self._place_table(node)
-            return [*lines, f"{_loop('i', node.size)} {name}[i] = {self.element(node.operands[0], f'{places}[i]')};"]
-        for first, length, source, start, step in runs:
-            if length == 1:
-                lines.append(f"{name}[{self._place(node.name, first)}] = {self.element(source, start)};")
-            else:
-                text = self.element(source, loop_place(start, step, "i") if source.size > 1 else 0)
-                lines.append(f"{_loop('i', length)} {name}[{loop_place(first, 1, 'i')}] = {text};")
-        return lines
-
-    def _multiplied(self, node: Node, kind: str, name: str) -> list[str]:
+    def _multiplied(self, node: Node, name: str) -> list[str]:
         """Sums in the order of the inner index; the innermost loop runs over the columns for vectorisation."""
         (left, right), (rows, inner, columns) = node.operands, node.sizes
+        kind = self.types[node.kind]
         if node.size == 1:
-            term = f"{self.element(left, 'i' if inner > 1 else 0)} * {self.element(right, 'i' if inner > 1 else 0)}"
-            return [f"{kind} {name} = 0;", f"{_loop('i', inner)} {name} += {term};"]
-        at = "i" if rows == 1 else f"k * {inner} + i"
-        to = "j" if rows == 1 else f"k * {columns} + j"
+            index = "i" if inner > 1 else 0
+            term = f"{self.element(left, index)} * {self.element(right, index)}"
+            return [f"{kind} {name} = 0;", self.loop("i", inner, f"{name} += {term};")]
+        at, to = ("i", "j") if rows == 1 else (f"k * {inner} + i", f"k * {columns} + j")
         from_right = "i" if columns == 1 else f"i * {columns} + j"
-        lines = [f"{kind} {name}[{node.size}];", f"{_loop('i', node.size)} {name}[i] = 0;"]
-        if rows > 1:
-            lines.append(_loop("k", rows))
         # A zero adds nothing if the weights are finite, and half of the outputs of a ReLU layer are zero.
         finite = right.operation == "constant" and right.table is not None and np.isfinite(right.table).all()
         skip = "if (factor != 0) " if finite and columns >= 16 else ""
+        term = self.loop("j", columns, f"{name}[{to}] += factor * {self.element(right, from_right)};")
         return [
-            *lines,
-            f"{_loop('i', inner)} {{",
+            *self.declared_array(node, name),
+            self.loop("i", node.size, f"{name}[i] = 0;"),
+            *([self.loop("k", rows, "").rstrip()] if rows > 1 else []),
+            self.loop("i", inner, "{"),
             f"    const {kind} factor = {self.element(left, at if left.size > 1 else 0)};",
-            f"    {skip}{_loop('j', columns)} {name}[{to}] += factor * {self.element(right, from_right)};",
+            f"    {skip}{term}",
             "}",
         ]
 
-    def _summed(self, node: Node, kind: str, name: str) -> list[str]:
+    def _summed(self, node: Node, name: str) -> list[str]:
         operand, (outer, length, inner) = node.operands[0], node.sizes
         if node.size == 1:
-            return [f"{kind} {name} = 0;", f"{_loop('i', length)} {name} += {self.element(operand, 'i')};"]
-        to, at = f"k * {inner} + j", f"(k * {length} + i) * {inner} + j"
+            term = f"{name} += {self.element(operand, 'i')};"
+            return [f"{self.types[node.kind]} {name} = 0;", self.loop("i", length, term)]
+        term = self.element(operand, f"(k * {length} + i) * {inner} + j")
         return [
-            f"{kind} {name}[{node.size}];",
-            f"{_loop('i', node.size)} {name}[i] = 0;",
-            f"{_loop('k', outer)} {_loop('i', length)} {_loop('j', inner)}",
-            f"    {name}[{to}] += {self.element(operand, at)};",
+            *self.declared_array(node, name),
+            self.loop("i", node.size, f"{name}[i] = 0;"),
+            self.loop("k", outer, self.loop("i", length, self.loop("j", inner, "").rstrip())),
+            f"    {name}[k * {inner} + j] += {term};",
         ]
-
-    # Names and tables ---------------------------------------------------------------------------------------------
-
-    def _new_name(self, name: str) -> str:
-        plain = name if name not in (*_RESERVED, *_INDICES, "factor") else f"{name}_value"
-        unique = next(one for one in (plain, *(f"{plain}_{n}" for n in range(2, 10_000))) if one not in self._used)
-        self._used.add(unique)
-        return unique
-
-    def _table(self, node: Node) -> str:
-        if id(node) not in self._names:
-            assert node.table is not None
-            self._names[id(node)] = self._new_table(node.name, C_TYPES[node.kind], node.table)
-        return self._names[id(node)]
-
-    def _place_table(self, node: Node) -> str:
-        assert node.table is not None
-        return self._new_table(f"places_of_{node.name}", "int", node.table)
-
-    def _new_table(self, name: str, kind: str, values: NDArray[Any]) -> str:
-        unique = self._new_name(self.prefix + (f"{name}_table" if name == "constant" else name))
-        texts = [self.number(value) for value in values]
-        rows = [", ".join(texts[first : first + 8]) for first in range(0, len(texts), 8)]
-        body = ",\n    ".join(rows)
-        self.tables.append(f"static const {kind} {unique}[{len(texts)}] = {{\n    {body}\n}};")
-        return unique
 
 
 def bare(text: str) -> str:
     """A text without brackets around all of it."""
-    depth, ends = 0, []
+    depth = 0
     for place, letter in enumerate(text):
         depth += (letter == "(") - (letter == ")")
-        ends += [place] * (depth == 0)
-    return text[1:-1] if text.startswith("(") and ends == [len(text) - 1] else text
+        if depth == 0:
+            return text[1:-1] if text[0] == "(" and place == len(text) - 1 else text
+    return text
 
 
 def number(value: Any) -> str:
     """An exact number in C: the shortest text that reads back as the same number."""
     if isinstance(value, np.bool_ | bool | np.integer):
         return str(int(value))
-    suffix = "f" if isinstance(value, np.float32) else ""
     if np.isnan(value):
         return "NAN"
-    if np.isinf(value):
-        return "INFINITY" if value > 0 else "(-INFINITY)"
-    text = f"{value!s}{suffix}"
-    return f"({text})" if text.startswith("-") else text
+    text = "INFINITY" if np.isinf(value) else f"{abs(value)!s}{'f' if isinstance(value, np.float32) else ''}"
+    return f"(-{text})" if np.signbit(value) else text
 
 
-def _loop(index: str, count: int) -> str:
-    return f"for (int {index} = 0; {index} < {count}; ++{index})"
+def in_rows(written: Callable[[Any], str], values: NDArray[Any], indent: int) -> str:
+    """Values with commas, eight in a line."""
+    rows = (", ".join(map(written, values[first : first + 8])) for first in range(0, values.size, 8))
+    return f",\n{' ' * indent}".join(rows)
 
 
 def loop_place(start: int, step: int, index: int | str) -> int | str:

@@ -6,24 +6,24 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.registry import GainRow
+from hydro_agents.controllers.registry import CONTROLLERS, GainRow, gain_rows
 from hydro_env import ConfigurationError, TaskConfig, __version__
+from hydro_env.files import Group
 from hydro_rig.export.c_files import CCode, c_code
 from hydro_rig.export.c_writer import C_TYPES, CWriter
-from hydro_rig.export.graph import Builder, Graph, Node
+from hydro_rig.export.graph import Builder, Graph, Node, in_order
 from hydro_rig.export.measured import MeasuredController, MeasuredSignals, aligned
 from hydro_rig.export.onnx_writer import OnnxWriter
 from hydro_rig.export.tracing import TraceError, trace
 
 STARTED, CONTINUED = "started.", "continued."
-
 GAINS = "gains."
 OUTPUTS = ("voltage", "next_state", "lost_signals")
 DOUBLE = np.dtype(np.float64)
@@ -64,20 +64,23 @@ class ControllerGraph:
         return f"Controller of a hydraulic servo axis ({type(self.measured.controller).__name__})"
 
     @property
-    def twice(self) -> tuple[str, ...]:
-        """The outputs that depend on whether the controller starts."""
-        return tuple(name.removeprefix(STARTED) for name in self.graph.outputs if name.startswith(STARTED))
+    def common(self) -> dict[str, Node]:
+        """The outputs that are the same in both cases."""
+        return {name: node for name, node in self.graph.outputs.items() if not name.startswith((STARTED, CONTINUED))}
+
+    def case(self, prefix: str) -> dict[str, Node]:
+        """The other outputs of a start or of a continuation."""
+        outputs = self.graph.outputs.items()
+        return {name.removeprefix(prefix): node for name, node in outputs if name.startswith(prefix)}
 
     def chosen(self) -> dict[str, Node]:
         """Every output once, selected by ``begins``."""
-        builder, outputs = Builder(), self.graph.outputs
-        begins = outputs["begins"]
-        found = {name: node for name, node in outputs.items() if not name.startswith((STARTED, CONTINUED))}
-        for name in self.twice:
-            ways = [outputs[prefix + name] for prefix in (STARTED, CONTINUED)]
-            value = np.zeros(ways[0].size, ways[0].kind)
-            found[name] = ways[0] if ways[0] is ways[1] else builder.node("where", [begins, *ways], value, name=name)
-        return found
+        builder, chosen, continued = Builder(), self.common, self.case(CONTINUED)
+        for name, node in self.case(STARTED).items():
+            choice = [chosen["begins"], node, continued[name]]
+            same = node is continued[name]
+            chosen[name] = node if same else builder.node("where", choice, np.zeros(node.size, node.kind), name=name)
+        return chosen
 
 
 def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence[GainRow] = ()) -> ControllerGraph:
@@ -86,8 +89,7 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
     Args:
         controller: the controller.
         config: its task.
-        gains: those that become inputs of the graph, of :func:`~hydro_rig.export.controller_folder.variable_gains`;
-            the others are constants in it.
+        gains: those that become inputs of the graph, of :func:`variable_gains`; the others are constants in it.
 
     Raises:
         TraceError: the controller contains data-dependent decisions that no fixed graph can represent.
@@ -97,45 +99,82 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
     measured = MeasuredController(controller, MeasuredSignals(config, entries_read(controller, config)))
     empty = measured.empty()
     everything = leaves_of(empty)
-    leaves = {name: leaf for name, leaf in everything.items() if hasattr(leaf, "dtype")}
-    signals = empty.last
+    arrays = {name: leaf for name, leaf in everything.items() if hasattr(leaf, "dtype")}
 
     def step(signals: Any, start: Any, **values: Any) -> dict[str, Any]:
         variable = {gain.name: values.pop(GAINS + gain.name) for gain in gains}
         varied = MeasuredController(_with_gains(controller, variable), measured.signals) if variable else measured
-        found = varied.step(signals, start, with_leaves(empty, values))
-        outputs: dict[str, Any] = {"begins": found.begins, "lost": found.lost, **leaves_of(found.common)}
-        for prefix, way in ((STARTED, found.started), (CONTINUED, found.continued)):
-            for name, leaf in leaves_of(way).items():
+        now = varied.step(signals, start, with_leaves(empty, values))
+        outputs: dict[str, Any] = {"begins": now.begins, "lost": now.lost, **leaves_of(now.common)}
+        for prefix, case in ((STARTED, now.started), (CONTINUED, now.continued)):
+            for name, leaf in leaves_of(case).items():
                 if hasattr(leaf, "dtype"):
                     outputs[prefix + name] = leaf
-                elif name in leaves or leaf != everything.get(name):
+                elif name in arrays or leaf != everything.get(name):
                     raise TraceError(
                         f"{who}: its memory '{name}' is a number that changes, no array: cannot be exported"
                     )
         return outputs
 
-    given = {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
-    graph = trace(step, {"signals": signals, "start": np.array(False), **given, **leaves})
+    starts = {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
+    graph = trace(step, {"signals": empty.last, "start": np.array(False), **starts, **arrays})
     after, _ = controller.predict(np.zeros((1, len(measured.signals.layout.names)), dtype=np.float32), None)
     if not isinstance(after, np.ndarray):
         raise TraceError(f"{who}: keeps its memory outside its state: cannot be exported")
-    parts = tuple(Part(name, node.size, node.kind) for name, node in graph.inputs.items() if name in leaves)
-    found = ControllerGraph(graph, parts, measured, tuple(gains))
-    for name in leaves:
-        for way in [name] if name in graph.outputs else [STARTED + name, CONTINUED + name]:
-            node = graph.outputs.get(way)
-            if node is None or (node.size, node.kind) != (graph.inputs[name].size, graph.inputs[name].kind):
+    for name in arrays:
+        before = graph.inputs[name]
+        for case in [name] if name in graph.outputs else [STARTED + name, CONTINUED + name]:
+            node = graph.outputs.get(case)
+            if node is None or (node.size, node.kind) != (before.size, before.kind):
                 raise TraceError(f"{who}: its memory '{name}' changes its shape or type: cannot be exported")
-    return found
+    parts = tuple(Part(name, node.size, node.kind) for name, node in graph.inputs.items() if name in arrays)
+    return ControllerGraph(graph, parts, measured, tuple(gains))
 
 
-def _with_gains(controller: Controller, gains: Mapping[str, Any]) -> Controller:
+def _with_gains(controller: Any, gains: Mapping[str, Any]) -> Controller:
     """The controller with other values, such as traced ones, in place of some gains."""
     changed = copy(controller)
-    own: Any = controller
-    changed.gains = SimpleNamespace(**{**dict(own.gains), **gains})  # type: ignore[attr-defined]
-    return changed
+    changed.gains = SimpleNamespace(**{**dict(controller.gains), **gains})
+    return changed  # type: ignore[no-any-return]
+
+
+def variable_gains(controller: Any, config: TaskConfig) -> list[GainRow]:
+    """The gains that can be changed while the exported code runs.
+
+    A change must have the effect of a new controller with this gain: a gain from which the controller computes other
+    numbers when it is made, or on which it decides, stays a constant.
+    """
+    make, gains = type(controller), getattr(controller, "gains", None)
+    if not isinstance(gains, Group) or make not in {kind for kind, _ in CONTROLLERS.values()}:
+        return []
+    rows = [row for row in gain_rows(gains) if isinstance(row.value, float)]
+    if _gains_used(controller, config, rows) is None:
+        rows = [row for row in rows if _gains_used(controller, config, [row])]
+    used = _gains_used(controller, config, rows) or ()
+    rows = [row for row in rows if row.name in used]
+
+    def text(controller: Controller) -> str:
+        """The code without the values of these gains."""
+        graph = controller_graph(controller, config, rows)
+        blank = tuple(row._replace(value=0.0, in_practice="") for row in rows)
+        return controller_code(replace(graph, gains=blank)).source
+
+    def changed(row: GainRow) -> Controller:
+        """A new controller with another gain."""
+        return make(gains.model_copy(update={row.name: 0.999 * row.value or 1e-3}), config)
+
+    same = text(controller)
+    return [row for row in rows if text(changed(row)) == same]
+
+
+def _gains_used(controller: Controller, config: TaskConfig, rows: Sequence[GainRow]) -> set[str] | None:
+    """Names of the gains on which the voltage depends, now or later; ``None`` if the controller decides on one."""
+    try:
+        graph = controller_graph(controller, config, rows).graph
+    except (TraceError, TypeError):
+        return None
+    used = graph.used([*graph.outputs.values()])
+    return {row.name for row in rows if used[GAINS + row.name].any()}
 
 
 def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
@@ -146,24 +185,23 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
     """
     signals = MeasuredSignals(config)
     empty = MeasuredController(controller, signals).empty().controller
-    leaves = {name: leaf for name, leaf in leaves_of(empty, "memory").items() if hasattr(leaf, "dtype")}
+    arrays = {name: leaf for name, leaf in leaves_of(empty, "memory").items() if hasattr(leaf, "dtype")}
 
     def predict(observation: Any, **values: Any) -> dict[str, Any]:
         outputs: dict[str, Any] = {}
         for prefix, memory in ((STARTED, None), (CONTINUED, with_leaves(empty, values, "memory"))):
             command, new = aligned(controller.predict(observation, memory))
-            outputs |= {prefix + name: leaf for name, leaf in leaves_of(new, "memory").items() if name in leaves}
+            outputs |= {prefix + name: leaf for name, leaf in leaves_of(new, "memory").items() if name in arrays}
             outputs[f"{prefix}command"] = command
         return outputs
 
     observation = np.zeros((1, len(signals.layout.names)), dtype=np.float32)
-    graph = trace(predict, {"observation": observation, **leaves})
-    wanted, found = {"command"}, set[str]()
-    while wanted != found:
-        found = wanted
-        outputs = [graph.outputs[prefix + name] for prefix in (STARTED, CONTINUED) for name in found]
-        used = graph.used(outputs)
-        wanted = found | {name for name in leaves if used[name].any()}
+    graph = trace(predict, {"observation": observation, **arrays})
+    wanted, needed = {"command"}, set[str]()
+    while wanted != needed:
+        needed = wanted
+        used = graph.used([graph.outputs[prefix + name] for prefix in (STARTED, CONTINUED) for name in needed])
+        wanted = needed | {name for name in arrays if used[name].any()}
     return {name for name, read in zip(signals.layout.names, used["observation"], strict=True) if read}
 
 
@@ -177,10 +215,9 @@ def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
         return {}
     if hasattr(memory, "dtype") or isinstance(memory, int):
         return {name: memory}
-    inner = _entries(memory, name)
     leaves: dict[str, Any] = {}
-    for key, value in inner.items():
-        leaves |= leaves_of(value, f"{name}.{key}" if name else key)
+    for place, value in _entries(memory, name).items():
+        leaves |= leaves_of(value, place)
     return leaves
 
 
@@ -190,21 +227,23 @@ def with_leaves(memory: Any, leaves: dict[str, Any], name: str = "") -> Any:
         return memory
     if hasattr(memory, "dtype"):
         return leaves[name].reshape(memory.shape)
-    inner = _entries(memory, name)
-    values = {key: with_leaves(value, leaves, f"{name}.{key}" if name else key) for key, value in inner.items()}
+    values = [with_leaves(value, leaves, place) for place, value in _entries(memory, name).items()]
     if isinstance(memory, dict):
-        return values
-    return type(memory)(**values) if hasattr(memory, "_fields") else type(memory)(values.values())
+        return dict(zip(memory, values, strict=True))
+    return type(memory)(*values) if hasattr(memory, "_fields") else type(memory)(values)
 
 
 def _entries(memory: Any, name: str) -> dict[str, Any]:
-    if hasattr(memory, "_asdict"):
-        return dict(memory._asdict())
-    if isinstance(memory, tuple | list):
-        return {str(place): value for place, value in enumerate(memory)}
-    if isinstance(memory, dict):
-        return {str(key): value for key, value in memory.items()}
-    raise TraceError(f"{name or 'memory'}: {type(memory).__name__} holds no arrays: cannot be exported")
+    """What a part of the memory holds, by the name of its place."""
+    entries = memory._asdict() if hasattr(memory, "_asdict") else memory
+    if isinstance(entries, tuple | list):
+        entries = dict(enumerate(entries))
+    if not isinstance(entries, dict):
+        raise TraceError(f"{name or 'memory'}: {type(memory).__name__} holds no arrays: cannot be exported")
+    return {f"{name}.{key}" if name else str(key): value for key, value in entries.items()}
+
+
+# In C -----------------------------------------------------------------------------------------------------------------
 
 
 def controller_code(controller: ControllerGraph, name: str = "controller") -> CCode:
@@ -216,13 +255,15 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
     if not _C_NAME.fullmatch(name):
         raise ConfigurationError(f"name '{name}': must be a valid name in C, such as controller_1")
     fields = field_names(controller)
-    inputs = {"signals": "signals", "start": "start"} | {part: f"memory->{text}" for part, text in fields.items()}
+    variables = {part: f"memory->{field}" for part, field in fields.items()}
+    inputs = {"signals": "signals", "start": "start"} | variables
     inputs |= {GAINS + gain.name: f"{name}_gains.{gain.name}" for gain in controller.gains}
     writer = CWriter(inputs, places=element_names(controller, f"{name.upper()}_"))
     writer.plan(controller.graph)
     writer.reserve("voltage", "memory", "signals", "start", f"{name}_step", f"{name}_gains")
-    step = written_step(controller, writer, {part: f"memory->{text}" for part, text in fields.items()})
+    step = written_step(controller, writer, variables)
     step["kept"] += f"\n    memory->lost_signals = (int){writer.element(controller.graph.outputs['lost'], 0)};"
+    parts = [{"type": C_TYPES[part.kind], "field": fields[part.name], "size": part.size} for part in controller.memory]
     values = {
         "name": name,
         "type": memory_type(name),
@@ -232,9 +273,7 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
         "version": __version__,
         "sample_time": controller.signals.config.control_period,
         "signals": controller.signals.signals,
-        "parts": [
-            {"type": C_TYPES[part.kind], "field": fields[part.name], "size": part.size} for part in controller.memory
-        ],
+        "parts": parts,
         **step,
         "helpers": writer.helpers,
         "tables": writer.tables,
@@ -250,11 +289,9 @@ def element_names(controller: ControllerGraph, prefix: str) -> dict[str, list[st
 
 def field_names(controller: ControllerGraph) -> dict[str, str]:
     """Name of the variable of each part of the memory, by the name of the part."""
-    short = Counter(_field(part.name) for part in controller.memory)
-    return {
-        part.name: _field(part.name) if short[_field(part.name)] == 1 else re.sub(r"\W", "_", part.name)
-        for part in controller.memory
-    }
+    times = Counter(_field(part.name) for part in controller.memory)
+    whole = {part.name: re.sub(r"\W", "_", part.name) for part in controller.memory}
+    return {name: _field(name) if times[_field(name)] == 1 else text for name, text in whole.items()}
 
 
 def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[str, str]) -> dict[str, str]:
@@ -265,37 +302,38 @@ def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[s
         writer: of the language.
         fields: variable of each part of the memory, by the name of the part.
     """
-    graph, outputs = controller.graph, controller.graph.outputs
-    ways = {
-        prefix: [node for name, node in outputs.items() if name.startswith(prefix)] for prefix in (STARTED, CONTINUED)
-    }
-    needed = {prefix: graph.nodes(nodes) for prefix, nodes in ways.items()}
-    both = {id(node) for node in needed[STARTED]} & {id(node) for node in needed[CONTINUED]}
-    shared = [node for name, node in outputs.items() if not name.startswith((STARTED, CONTINUED))]
-    common = graph.nodes([*shared, *(node for node in needed[STARTED] if id(node) in both)])
-    done = {id(node) for node in common}
+    shared, cases = controller.common, {prefix: controller.case(prefix) for prefix in (STARTED, CONTINUED)}
+    started, continued = (in_order([*case.values()]) for case in cases.values())
+    both = set(started) & set(continued)
+    before = in_order([*shared.values(), *(node for node in started if node in both)])
+    done = set(before)
 
-    texts = {"common": writer.statements(common), "kept": []}
-    begins, made = writer.kept("begins", outputs["begins"])
-    texts["common"] += [f"    {line}" for line in made]
+    common = writer.statements(before)
+    kept: list[str] = []
+    begins = writer.kept("begins", shared["begins"], common)
     if begins != "begins":
-        texts["common"].append(f"    {writer.named_begins(begins)}")
+        common.append(f"    {writer.named_begins(begins)}")
     for part in controller.memory:
-        if part.name in outputs:
-            variable, made = writer.kept(f"new_{_field(part.name)}", outputs[part.name])
-            texts["kept"] += [f"    {line}" for line in [*made, writer.copied(fields[part.name], variable, part.size)]]
-    for prefix, key in ((STARTED, "started"), (CONTINUED, "continued")):
-        lines = writer.statements([node for node in needed[prefix] if id(node) not in done], " " * 8)
-        lines.append(f"        {writer.assign('voltage', writer.element(outputs[prefix + 'voltage'], 0))}")
-        copies, stores = [], []
+        if part.name in shared:
+            kept.append(writer.stored(fields[part.name], f"new_{_field(part.name)}", shared[part.name], kept))
+
+    def lines_of(case: dict[str, Node], nodes: list[Node]) -> list[str]:
+        """The statements of a case; all values are read before the memory changes."""
+        indent, stores = " " * 8, []
+        lines = writer.statements([node for node in nodes if node not in done], indent)
+        lines.append(indent + writer.assign("voltage", writer.element(case["voltage"], 0)))
         for part in controller.memory:
-            node = outputs.get(prefix + part.name)
-            if node is not None and not (node.operation == "input" and node.name == part.name):
-                # All values are read before the memory changes.
-                variable, made = writer.kept(f"new_{_field(part.name)}", node)
-                copies += [f"        {line}" for line in made]
-                stores.append(f"        {writer.copied(fields[part.name], variable, part.size)}")
-        texts[key] = [*lines, *copies, *stores]
+            node = case.get(part.name)
+            if node is not None and node is not controller.graph.inputs[part.name]:
+                stores.append(writer.stored(fields[part.name], f"new_{_field(part.name)}", node, lines, indent))
+        return [*lines, *stores]
+
+    texts = {
+        "common": common,
+        "started": lines_of(cases[STARTED], started),
+        "continued": lines_of(cases[CONTINUED], continued),
+        "kept": kept,
+    }
     return {key: "\n".join(lines) for key, lines in texts.items()}
 
 
@@ -318,9 +356,9 @@ def controller_model(controller: ControllerGraph) -> Any:
         ConfigurationError: the package onnx is not installed.
         HydroError: the model is wrong.
     """
-    parts = controller.memory
-    signals, size = len(controller.signals.signals), sum(part.size for part in parts)
-    inputs = {"signals": (signals, DOUBLE), "state": (size, DOUBLE), "start": (1, np.dtype(np.bool_))}
+    parts, signals = controller.memory, controller.signals.signals
+    size = sum(part.size for part in parts)
+    inputs = {"signals": (len(signals), DOUBLE), "state": (size, DOUBLE), "start": (1, np.dtype(np.bool_))}
     writer = OnnxWriter(inputs, OUTPUTS)
     first = 0
     for part in parts:
@@ -328,12 +366,12 @@ def controller_model(controller: ControllerGraph) -> Any:
         writer.given[part.name] = writer.cast(tensor, DOUBLE, part.kind, f"state.{part.name}")
         first += part.size
     chosen = controller.chosen()
-    pieces = []
-    for part in parts:
-        pieces.append(writer.cast(writer.tensor(chosen[part.name]), part.kind, DOUBLE, f"next.{part.name}"))
+    pieces = [writer.cast(writer.tensor(chosen[part.name]), part.kind, DOUBLE, f"next.{part.name}") for part in parts]
     joined = writer.add("Concat", pieces, "next_memory", axis=0)
     tensors = (writer.tensor(chosen["voltage"]), joined, writer.tensor(chosen["lost"]))
-    outputs = {name: (one, n, DOUBLE) for name, one, n in zip(OUTPUTS, tensors, (1, size, 1), strict=True)}
-    names = ", ".join(f"{signal.name} ({signal.unit})" for signal in controller.signals.signals)
-    facts = {"signals": names, "sample_time": repr(controller.signals.config.control_period)}
+    outputs = {name: (tensor, n, DOUBLE) for name, tensor, n in zip(OUTPUTS, tensors, (1, size, 1), strict=True)}
+    facts = {
+        "signals": ", ".join(f"{signal.name} ({signal.unit})" for signal in signals),
+        "sample_time": repr(controller.signals.config.control_period),
+    }
     return writer.model(outputs, controller.title, facts)

@@ -4,102 +4,84 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Observation, as_batch
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, TaskConfig, __version__
 from hydro_env.files import Group, read_json, read_yaml, validate
-from hydro_env.units import FULL_VOLTAGE, Number
+from hydro_env.types import Floats
+from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.measured import MeasuredSignals
 
 FILE = "contract.json"
 MODEL_FILE = "controller.onnx"
 TASK_FILE = "task.yaml"
-RULES = {
-    "start": "start is true in the first call and after every pause, while the axis is at rest; else false",
-    "sampling": "one call per sample_time; all signals of a call are sampled at the same instant",
-    "delay": "the voltage of sample k acts from 'latency' after that sample until 'latency' after the next one; "
-    "previous_voltage of sample k is the voltage of sample k-1 that the valve received, also if something else limited "
-    "or replaced it",
-    "lost_sample": "a signal that is NaN or infinite is lost: the controller continues with its last sample. "
-    "lost_signals counts them; the safety of the machine decides how long it may continue. "
-    "The scores are valid without lost samples",
-    "first_sample": "until a sample is complete the voltage is previous_voltage; then the controller starts",
-    "out_of_range": "beyond its range the controller was never tested; beyond its limit the limit replaces the value. "
-    "The limit of a future reference applies to its distance from the present reference",
-    "not_a_number": "if the command is not a number, the voltage is previous_voltage, and the controller starts again "
-    "at the next sample",
-}
-"""Rules of operation as text; the same for every controller."""
-
+_FORMAT = "hydro_env exported"
 _MOST_BYTES = 1_000_000
 
 
-class ContractSignal(Group):
-    """A signal of a contract."""
+class _Signal(Group):
+    """A signal of a contract, by which the task's signals are found."""
 
+    model_config = ConfigDict(extra="ignore")
     name: str
-    unit: str
-    range: tuple[Number, Number] = Field(description="of the sensor, or of the stroke")
-    limit: Number = Field(description="values beyond ± this limit are clipped")
-    meaning: str
 
 
-class StatePart(Group):
+class _StatePart(Group):
     """A part of the state: ``size`` numbers, one part after the other."""
 
-    name: str
+    model_config = ConfigDict(extra="ignore")
     size: int = Field(ge=1, le=1_000_000)
-    type: str = Field(description="in C")
 
 
-class Sealed(Group):
-    """A contract of any kind of folder, with the digests of its files."""
+class Contract(Group):
+    """What runs a folder needs of its ``contract.json``."""
 
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    def text(self) -> str:
-        """As JSON, with its digest."""
-        values = self.model_dump(mode="json")
-        return json.dumps({**values, "digest": _digest(values)}, indent=2, ensure_ascii=False) + "\n"
-
-
-class Contract(Sealed):
-    """Content of ``contract.json``."""
-
-    format: Literal["hydro_env exported controller"] = "hydro_env exported controller"
-    format_version: Literal[1] = 1
-    controller: dict[str, Any] = Field(description="kind, settings, training")
-    sample_time: float = Field(gt=0.0, le=1.0, description="s")
-    latency: float = Field(ge=0.0, le=1.0, description="s, from the sample to the new voltage")
-    signals: tuple[ContractSignal, ...] = Field(min_length=1)
-    output: ContractSignal = ContractSignal(
-        name="voltage",
-        unit="V",
-        range=(-FULL_VOLTAGE, FULL_VOLTAGE),
-        limit=FULL_VOLTAGE,
-        meaning="to the drive of the valve; positive: extends",
-    )
-    state: tuple[StatePart, ...] = Field(description="of the ONNX model, as double; zero before the first call")
-    rules: dict[str, str] = RULES
-    scores: dict[str, Any]
-    checked: dict[str, Any]
-    versions: dict[str, str]
-    command: str
+    model_config = ConfigDict(extra="ignore")
+    signals: tuple[_Signal, ...] = Field(min_length=1)
+    state: tuple[_StatePart, ...]
     files: dict[str, str] = Field(description="SHA-256 of each file")
-    digest: str = Field("", description="SHA-256 of all of the above as JSON with sorted keys")
 
-    @property
-    def state_size(self) -> int:
-        """Numbers in the state of the ONNX model."""
-        return sum(part.size for part in self.state)
+
+def sealed(
+    what: str,
+    contents: Mapping[str, str | bytes],
+    facts: Mapping[str, Any],
+    command: str,
+    packages: Sequence[Any] = (np,),
+) -> dict[str, bytes]:
+    """The files of a folder with its ``contract.json``.
+
+    Args:
+        what: was exported.
+        contents: of all other files, by name.
+        facts: entries of the contract; versions, command and the SHA-256 of each file follow them.
+        command: that wrote the folder.
+        packages: whose versions matter.
+    """
+    files = {name: content.encode() if isinstance(content, str) else content for name, content in contents.items()}
+    values = {
+        "format": f"{_FORMAT} {what}",
+        "format_version": 1,
+        **facts,
+        "versions": {"hydro_env": __version__} | {package.__name__: package.__version__ for package in packages},
+        "command": command,
+        "files": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+    }
+    values["digest"] = _digest(values)
+    return {**files, FILE: (json.dumps(values, indent=2, ensure_ascii=False) + "\n").encode()}
+
+
+def signal_facts(name: str, unit: str, low: float, high: float, limit: float, meaning: str) -> dict[str, Any]:
+    """A signal in a contract: range of the sensor or of the stroke; values beyond ± the limit are clipped."""
+    return {"name": name, "unit": unit, "range": [low, high], "limit": limit, "meaning": meaning}
 
 
 def read_contract(folder: Path) -> Contract:
@@ -112,7 +94,7 @@ def read_contract(folder: Path) -> Contract:
     if not path.is_file():
         raise ConfigurationError(f"{folder}: holds no {FILE}: is not an exported controller")
     values = read_json(path, _MOST_BYTES)
-    if values.get("format") != "hydro_env exported controller" or values.get("format_version") != 1:
+    if values.get("format") != f"{_FORMAT} controller" or values.get("format_version") != 1:
         raise ConfigurationError(f"{path}: is not a contract of an exported controller of format 1")
     if values.get("digest") != _digest(values):
         raise ConfigurationError(f"{path}: was changed after the export: export the controller again")
@@ -126,12 +108,8 @@ def read_contract(folder: Path) -> Contract:
     return contract
 
 
-def digests(files: Mapping[str, bytes]) -> dict[str, str]:
-    """SHA-256 of each file, by name."""
-    return {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
-
-
 def _digest(values: Mapping[str, Any]) -> str:
+    """SHA-256 of everything else as JSON with sorted keys."""
     content = {name: value for name, value in values.items() if name != "digest"}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -183,12 +161,12 @@ class ExportedController:
                 raise ConfigurationError(f"{folder}: its contract names no {name}")
         config = validate(TaskConfig, read_yaml(folder / TASK_FILE), str(folder / TASK_FILE))
         signals = MeasuredSignals(config)
-        known = [signal.name for signal in signals.signals]
         for wanted in contract.signals:
-            if wanted.name not in known:
+            if wanted.name not in signals.places:
                 raise ConfigurationError(f"{folder}: needs the signal '{wanted.name}', which its task does not have")
-        columns = [known.index(wanted.name) for wanted in contract.signals]
-        return cls((folder / MODEL_FILE).read_bytes(), signals, columns, contract.state_size)
+        columns = [signals.places[wanted.name] for wanted in contract.signals]
+        size = sum(part.size for part in contract.state)
+        return cls((folder / MODEL_FILE).read_bytes(), signals, columns, size)
 
     @cached_property
     def session(self) -> Any:
@@ -201,10 +179,10 @@ class ExportedController:
     def predict(
         self,
         observation: Observation,
-        state: NDArray[np.float64] | None = None,
+        state: Floats | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    ) -> tuple[NDArray[np.float32], Floats]:
         """Commands for the observations; see :class:`~hydro_agents.controllers.base.Controller`."""
         del deterministic
         batch, single = as_batch(observation)

@@ -12,46 +12,31 @@ Every array is flat. Operations:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_rig.export.origin import inherited
-
-ELEMENTWISE = {
-    np.add: "add",
-    np.subtract: "subtract",
-    np.multiply: "multiply",
-    np.divide: "divide",
-    np.negative: "negative",
-    np.absolute: "absolute",
-    np.sqrt: "sqrt",
-    np.exp: "exp",
-    np.log: "log",
-    np.power: "power",
-    np.tanh: "tanh",
-    np.arcsinh: "arcsinh",
-    np.sign: "sign",
-    np.copysign: "copysign",
-    np.maximum: "maximum",
-    np.minimum: "minimum",
-    np.equal: "equal",
-    np.greater: "greater",
-    np.greater_equal: "greater_equal",
-    np.less: "less",
-    np.less_equal: "less_equal",
+_UFUNCS = (
+    np.add, np.subtract, np.multiply, np.divide, np.negative, np.absolute, np.sqrt, np.exp, np.log, np.power, np.tanh,
+    np.arcsinh, np.sign, np.copysign, np.maximum, np.minimum, np.equal, np.not_equal, np.greater, np.greater_equal,
+    np.less, np.less_equal,
+)  # fmt: skip
+ELEMENTWISE = {function: function.__name__ for function in _UFUNCS} | {
     np.logical_and: "and",
     np.logical_or: "or",
     np.logical_not: "not",
     np.bitwise_and: "and",
     np.bitwise_or: "or",
     np.invert: "not",
-    np.not_equal: "not_equal",
 }
 """Name of the operation of each NumPy function that works element by element."""
+
+SCALED = "_scaled"
+"""End of the name of an entry of the observation, which has no unit; the same number in SI units has none."""
 
 KINDS = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.int64, np.bool_))
 
@@ -75,7 +60,7 @@ class Node:
         offset = int(self.table[place])
         for source in self.operands:
             if offset < source.size:
-                return source, offset
+                return source.piece(offset) if source.operation == "collect" else (source, offset)
             offset -= source.size
         raise AssertionError("a place beyond the operands")
 
@@ -87,75 +72,84 @@ class Graph:
     inputs: dict[str, Node]
     outputs: dict[str, Node]
 
-    def nodes(self, outputs: Sequence[Node] | None = None) -> list[Node]:
-        """The operations that some outputs need (default: all), operands first; no inputs, no constants."""
-        return in_order([*(self.outputs.values() if outputs is None else outputs)])
+    def nodes(self) -> list[Node]:
+        """All operations, operands first; no inputs, no constants."""
+        return in_order([*self.outputs.values()])
 
     def used(self, outputs: Sequence[Node]) -> dict[str, NDArray[np.bool_]]:
         """Whether some outputs depend on each element of each input, (size,) each."""
-        wanted = {id(node): np.ones(node.size, dtype=np.bool_) for node in outputs}
+        wanted = {node: np.zeros(node.size, dtype=np.bool_) for node in self.inputs.values()}
+        wanted |= {node: np.ones(node.size, dtype=np.bool_) for node in outputs}
 
         def want(node: Node, elements: NDArray[np.bool_]) -> None:
-            before = wanted.setdefault(id(node), np.zeros(node.size, dtype=np.bool_))
+            before = wanted.setdefault(node, np.zeros(node.size, dtype=np.bool_))
             before |= elements if node.size == elements.size else elements.any()
 
-        for node in reversed(self.nodes(outputs)):
-            elements = wanted[id(node)]
+        for node in reversed(in_order(outputs)):
+            elements = wanted[node]
             if node.operation == "collect":
-                joined = np.zeros(sum(one.size for one in node.operands), dtype=np.bool_)
+                joined = np.zeros(sum(operand.size for operand in node.operands), dtype=np.bool_)
                 joined[node.table[elements]] = True  # type: ignore[index]
-                ends = np.cumsum([one.size for one in node.operands])[:-1]
-                for one, part in zip(node.operands, np.split(joined, ends), strict=True):
-                    want(one, part)
+                ends = np.cumsum([operand.size for operand in node.operands])[:-1]
+                for operand, part in zip(node.operands, np.split(joined, ends), strict=True):
+                    want(operand, part)
             elif node.operation == "sum":
                 outer, length, inner = node.sizes
                 want(node.operands[0], elements.reshape(outer, 1, inner).repeat(length, axis=1).reshape(-1))
             else:
-                for one in node.operands:
-                    want(one, np.array([elements.any()]) if node.operation == "matmul" else elements)
-        return {name: wanted.get(id(node), np.zeros(node.size, dtype=np.bool_)) for name, node in self.inputs.items()}
+                for operand in node.operands:
+                    want(operand, np.array([elements.any()]) if node.operation == "matmul" else elements)
+        return {name: wanted[node] for name, node in self.inputs.items()}
 
 
-def runs_of_places(node: Node) -> list[tuple[int, int, Node, int, int]]:
-    """A ``collect`` as stretches with equal steps: first element, length, operand, first index in it, step."""
-    runs: list[tuple[int, int, Node, int, int]] = []
+class Run(NamedTuple):
+    """Elements of a ``collect`` that come from one operand with equal steps."""
+
+    first: int
+    length: int
+    source: Node
+    start: int  # index in the source
+    step: int
+
+
+def runs_of_places(node: Node) -> list[Run]:
+    """A ``collect`` as stretches with equal steps."""
+    runs: list[Run] = []
     for element in range(node.size):
         source, place = node.piece(element)
         if runs:
-            first, length, before, start, step = runs[-1]
-            wanted = place - start if length == 1 else step
-            if before is source and place == start + length * wanted:
-                runs[-1] = (first, length + 1, before, start, wanted)
+            run = runs[-1]
+            step = place - run.start if run.length == 1 else run.step
+            if run.source is source and place == run.start + run.length * step:
+                runs[-1] = run._replace(length=run.length + 1, step=step)
                 continue
-        runs.append((element, 1, source, place, 0))
+        runs.append(Run(element, 1, source, place, 0))
     return runs
+
+
+def regular(node: Node) -> Run | None:
+    """A ``collect`` that is a single stretch, which needs no separate array."""
+    runs = runs_of_places(node) if node.operation == "collect" and node.size < 4096 else []
+    return runs[0] if len(runs) == 1 else None
 
 
 def source_of(node: Node) -> Node:
     """The node of which a node is a regular part, or itself."""
-    found = regular(node) if node.operation == "collect" else None
-    return node if found is None else source_of(found[0])
-
-
-def regular(node: Node) -> tuple[Node, int, int] | None:
-    """Operand, start and step of a ``collect`` that is a single stretch, which needs no separate array."""
-    runs = runs_of_places(node) if node.size < 4096 else []
-    return (runs[0][2], runs[0][3], runs[0][4]) if len(runs) == 1 else None
+    run = regular(node)
+    return node if run is None else source_of(run.source)
 
 
 def in_order(outputs: Sequence[Node]) -> list[Node]:
     """The operations that some nodes need, operands first; no inputs, no constants."""
-    found: dict[int, Node] = {}
+    done: dict[Node, None] = {}
     waiting = [*reversed(outputs)]
     while waiting:
-        node = waiting[-1]
-        missing = [one for one in node.operands if id(one) not in found]
-        if id(node) in found or not missing:
-            waiting.pop()
-            found[id(node)] = node
+        missing = [operand for operand in waiting[-1].operands if operand not in done]
+        if waiting[-1] in done or not missing:
+            done.setdefault(waiting.pop())
         else:
             waiting += reversed(missing)
-    return [node for node in found.values() if node.operation not in ("input", "constant")]
+    return [node for node in done if node.operation not in ("input", "constant")]
 
 
 @dataclass
@@ -163,54 +157,54 @@ class Builder:
     """Makes nodes: it evaluates constants, merges nested ``collect`` nodes, and keeps equal nodes only once."""
 
     inputs: dict[str, Node] = field(default_factory=dict)
-    _known: dict[Any, Node] = field(default_factory=dict)
+    _made: dict[Any, Node] = field(default_factory=dict)
 
     def input(self, name: str, size: int, kind: np.dtype[Any]) -> Node:
         """A new input."""
         self.inputs[name] = Node("input", (), size, kind, name=name)
         return self.inputs[name]
 
-    def constant(self, values: Any, name: str = "constant") -> Node:
+    def constant(self, values: Any, name: str = "") -> Node:
         """A constant, flattened."""
         table = np.ascontiguousarray(values).reshape(-1)
-        return self._once(Node("constant", (), table.size, table.dtype, table, name=name))
+        return self._once(Node("constant", (), table.size, table.dtype, table, name=name or "constant"))
 
     def node(self, operation: str, operands: Sequence[Node], value: NDArray[Any], **details: Any) -> Node:
         """An operation; ``value`` is its result for the values of the trace."""
-        if all(one.operation == "constant" for one in operands):
-            return self.constant(value, details.get("name") or "constant")
-        details["name"] = details.get("name") or inherited(operands, details.get("origin", ""))
-        return self._once(Node(operation, tuple(operands), value.size, value.dtype, **details))
+        if all(operand.operation == "constant" for operand in operands):
+            return self.constant(value, details.get("name", ""))
+        return self._named(Node(operation, tuple(operands), value.size, value.dtype, **details))
 
     def collect(self, operands: Sequence[Node], places: NDArray[np.int64], **details: Any) -> Node:
         """Elements of the concatenated operands at ``places``, (size,)."""
-        starts = np.cumsum([0, *(one.size for one in operands)])
-        which = np.searchsorted(starts, places, side="right") - 1
-        offsets = places - starts[which]
-        sources: dict[int, Node] = {}
-        pieces: list[tuple[int, int]] = []  # of each element: source, place in it
-        for number, offset in zip(which.tolist(), offsets.tolist(), strict=True):
-            source = operands[number]
-            if source.operation == "collect":
-                source, offset = source.piece(offset)
-            sources[id(source)] = source
-            pieces.append((id(source), offset))
-        first = dict(zip(sources, np.cumsum([0, *(one.size for one in sources.values())]).tolist(), strict=False))
-        table = np.array([first[number] + offset for number, offset in pieces], dtype=np.int64)
-        joined = tuple(sources.values())
-        if len(joined) == 1 and np.array_equal(table, np.arange(joined[0].size)):
-            return joined[0]
-        if all(one.operation == "constant" for one in joined):
-            values = np.concatenate([one.table for one in joined if one.table is not None])
-            return self.constant(values[table], details.get("name") or "constant")
-        details["name"] = details.get("name") or inherited(joined, details.get("origin", ""))
-        return self._once(Node("collect", joined, table.size, joined[0].kind, table, **details))
+        whole = Node("collect", tuple(operands), places.size, operands[0].kind, places)
+        pieces = [whole.piece(element) for element in range(places.size)]
+        firsts: dict[Node, int] = {}
+        total = 0
+        for source, _ in pieces:
+            if source not in firsts:
+                firsts[source] = total
+                total += source.size
+        table = np.array([firsts[source] + offset for source, offset in pieces], dtype=np.int64)
+        if len(firsts) == 1 and np.array_equal(table, np.arange(total)):
+            return pieces[0][0]
+        if all(source.operation == "constant" for source in firsts):
+            values = np.concatenate([source.table for source in firsts if source.table is not None])
+            return self.constant(values[table], details.get("name", ""))
+        return self._named(Node("collect", tuple(firsts), table.size, whole.kind, table, **details))
+
+    def _named(self, node: Node) -> Node:
+        node.name = node.name or inherited(node.operands, node.origin)
+        return self._once(node)
 
     def _once(self, node: Node) -> Node:
         table = None if node.table is None else (node.table.tobytes(), node.table.dtype.str)
-        key = (node.operation, tuple(id(one) for one in node.operands), node.kind.str, table, node.sizes)
-        return self._known.setdefault(key, node)
+        return self._made.setdefault((node.operation, node.operands, node.kind.str, table, node.sizes), node)
 
-    def graph(self, outputs: Mapping[str, Node]) -> Graph:
-        """The graph of some outputs."""
-        return Graph(dict(self.inputs), dict(outputs))
+
+def inherited(operands: Collection[Node], origin: str) -> str:
+    """Name of a number whose line of Python gives it none: that of its only operand, or its function."""
+    names = {
+        operand.name.removesuffix(SCALED) for operand in operands if operand.operation not in ("constant", "input")
+    }
+    return names.pop() if len(names) == 1 else re.sub(r"\W", "", origin.split(": ")[0].split(", ")[-1]).strip("_")

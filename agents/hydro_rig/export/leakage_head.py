@@ -6,24 +6,22 @@ the network is traced from its NumPy code.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
 
 from hydro_agents.detection.balance import fit, fit_balance
 from hydro_agents.detection.damaged_signals import bounds_of, find_stuck, repair
 from hydro_agents.detection.features import FEATURES, SIGNALS, describe, features_of
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageEstimate, LeakageHead
 from hydro_agents.running.seeds import HEAD_VECTORS
-from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
+from hydro_env import HydroError, ServoHydraulicVectorEnv, __version__
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.task.signals import observation_layout
+from hydro_env.types import Floats
 from hydro_rig.export.c_files import CCode, c_code, compared, csv_text, render
 from hydro_rig.export.c_writer import CWriter
-from hydro_rig.export.exported import FILE, ContractSignal, Sealed, digests, onnx_session
+from hydro_rig.export.exported import FILE, onnx_session, sealed, signal_facts
 from hydro_rig.export.expressions import DOUBLE, array
 from hydro_rig.export.graph import Graph
 from hydro_rig.export.measured import SENSOR_MEANINGS
@@ -79,50 +77,42 @@ def head_code(head: LeakageHead) -> CCode:
     Raises:
         TranslationError, TraceError: a function uses a construct without translation.
     """
-    window, sheet = head.settings.window, head.sheet._asdict()
+    window, sheet, config = head.settings.window, head.sheet._asdict(), head.settings.task
+    bounds = bounds_of(config)
+    fitted = fit_balance(np.zeros((1, len(SIGNALS), window)), head.sheet)._asdict()  # for the shapes of its parts
     translator = Translator()
-    kinds = [
-        (array(*np.shape(values), element="const double") if np.ndim(values) else DOUBLE, name)
-        for name, values in sheet.items()
-    ]
-    of_sheet = translator.record("Sheet", kinds)
+    kinds = [array(*np.shape(values), constant=True) if np.ndim(values) else DOUBLE for values in sheet.values()]
+    of_sheet = translator.record("Sheet", list(zip(kinds, sheet, strict=True)))
     signals, lost = array(1, len(SIGNALS), window), array(1, len(SENSORS))
-    shapes = {name: np.shape(part) for name, part in _fitted(head)._asdict().items()}
-    fitted = [array(*shape) for shape in shapes.values()]
+    of_fit = [array(*np.shape(part)) for part in fitted.values()]
     translator.function(repair, [signals, of_sheet, signals, lost])
-    translator.function(fit, [signals, of_sheet, *fitted])
-    translator.function(describe, [signals, lost, of_sheet, *fitted, array(1, len(FEATURES))])
-
-    bounds = bounds_of(head.settings.task)
-    translator.function(find_stuck, [signals, array(*bounds.shape, element="const double"), lost])
+    translator.function(fit, [signals, of_sheet, *of_fit])
+    translator.function(describe, [signals, lost, of_sheet, *of_fit, array(1, len(FEATURES))])
+    translator.function(find_stuck, [signals, array(*bounds.shape, constant=True), lost])
 
     graph = head_graph(head)
     writer = CWriter({"features": "features"}, prefix="network_")
     writer.reserve("features", "answer")
     network = writer.statements(graph.nodes())
-    answer, copied = writer.kept("answers", graph.outputs["answer"])
-    network += [f"    {line}" for line in copied]
+    answer = writer.kept("answers", graph.outputs["answer"], network)
     network.append(f"    for (int i = 0; i < {len(FIELDS)}; ++i) answer[i] = {answer}[i];")
-    config = head.settings.task
     names, _, scales, limits = observation_layout(config)
+    columns = [names.index(name) for name in SIGNALS]
     values: dict[str, Any] = {
-        "version": __version__,
-        "period": config.control_period,
-        "window": window,
+        **_texts(head),
         "interval": head.interval,
         "threshold": head.settings.threshold,
-        "signals": [(name, *MEANINGS[name]) for name in SIGNALS],
         "sensors": len(SENSORS),
-        "fields": [(name, FIELDS[name]) for name in LeakageEstimate._fields],
+        "meanings": [(name, FIELDS[name]) for name in LeakageEstimate._fields],
         "features": len(FEATURES),
         "structs": translator.structs,
         "functions": translator.functions,
         "sheet": {name: np.ravel(part).tolist() if np.ndim(part) else float(part) for name, part in sheet.items()},
-        "scale": [float(scales[names.index(name)]) for name in SIGNALS],
-        "limit": [float(limits[names.index(name)]) for name in SIGNALS],
+        "scale": scales[columns].tolist(),
+        "limit": limits[columns].tolist(),
         "beside_stuck_sensor": BESIDE_STUCK_SENSOR,
         "bounds": bounds.ravel().tolist(),
-        "fitted": [(name, int(np.prod(shape))) for name, shape in shapes.items()],
+        "fitted": [(name, np.size(part)) for name, part in fitted.items()],
         "helpers": writer.helpers,
         "tables": writer.tables,
         "network": "\n".join(network),
@@ -131,29 +121,15 @@ def head_code(head: LeakageHead) -> CCode:
     return c_code(NAME, values)
 
 
-def _fitted(head: LeakageHead) -> Any:
-    """A fit of one window, for the shapes of its parts."""
-    return fit_balance(np.zeros((1, len(SIGNALS), head.settings.window)), head.sheet)
-
-
-class HeadContract(Sealed):
-    """Content of the ``contract.json`` of a leakage head."""
-
-    format: Literal["hydro_env exported leakage head"] = "hydro_env exported leakage head"
-    format_version: Literal[1] = 1
-    sample_time: float = Field(description="s")
-    window: int = Field(description="samples per estimate")
-    interval: int = Field(description="samples from one estimate to the next")
-    threshold: float = Field(description="probability at which a leak is flagged")
-    signals: tuple[ContractSignal, ...]
-    outputs: dict[str, str] = FIELDS
-    network: dict[str, Any] = Field(description="content of the ONNX file, and missing parts")
-    rules: dict[str, str] = RULES
-    training: dict[str, Any]
-    checked: dict[str, Any]
-    versions: dict[str, str]
-    command: str
-    files: dict[str, str] = Field(description="SHA-256 of each file")
+def _texts(head: LeakageHead) -> dict[str, Any]:
+    """What all templates say."""
+    return {
+        "version": __version__,
+        "fields": list(FIELDS),
+        "sample_time": head.settings.task.control_period,
+        "window": head.settings.window,
+        "signals": [(name, *MEANINGS[name]) for name in SIGNALS],
+    }
 
 
 def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], list[str]]:
@@ -164,29 +140,23 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
         ConfigurationError: the package onnx or onnxruntime is not installed.
         HydroError: the C code or the ONNX model gives other values.
     """
-    samples, answers = test_vectors(head)
+    samples, answers = head_vectors(head)
+    episodes, length, _ = samples.shape
     code, model = head_code(head), network_model(head_graph(head)).SerializeToString()
-    values = {
-        "version": __version__,
-        "samples": samples.shape[0] * samples.shape[1],
-        "per_episode": samples.shape[1],
-        "fields": list(FIELDS),
-        "allowed": LARGEST_DIFFERENCE,
-        "sample_time": head.settings.task.control_period,
-        "window": head.settings.window,
-        "signals": [(name, *MEANINGS[name]) for name in SIGNALS],
-    }
+    values = _texts(head) | {"samples": episodes * length, "allowed": LARGEST_DIFFERENCE}
+    starts = np.tile(np.arange(length) == 0, episodes)
+    rows = np.concatenate([samples, answers], axis=2).reshape(episodes * length, -1)
     texts = {
         **code.files,
         "test_leakage_head.c": render("test_leakage_head.c.j2", values),
-        "vectors.csv": _csv(samples, answers),
+        "vectors.csv": csv_text([*SIGNALS, *FIELDS], starts, rows),
         "README.md": render("leakage_head_readme.md.j2", values),
     }
     in_onnx, in_c = check_network(head, model, samples), compared(NAME, texts)
-    files = {NETWORK_FILE: model, **{name: text.encode() for name, text in texts.items()}}
-    files[FILE] = _contract(head, {NETWORK_FILE: in_onnx, "leakage_head.c": in_c}, command, files).text().encode()
+    facts = {**_facts(head), "checked": {NETWORK_FILE: in_onnx, "leakage_head.c": in_c}}
     largest = f"largest difference {in_onnx['largest_difference']:.2g}"
-    return files, [f"{NETWORK_FILE}: {in_onnx['windows']} windows in onnxruntime, {largest}", f"leakage_head.c: {in_c}"]
+    report = [f"{NETWORK_FILE}: {in_onnx['windows']} windows in onnxruntime, {largest}", f"leakage_head.c: {in_c}"]
+    return sealed("leakage head", {NETWORK_FILE: model, **texts}, facts, command), report
 
 
 def network_model(graph: Graph) -> Any:
@@ -199,7 +169,7 @@ def network_model(graph: Graph) -> Any:
     return writer.model(outputs, "Network of the leakage head of a hydraulic servo axis", facts)
 
 
-def test_vectors(head: LeakageHead) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def head_vectors(head: LeakageHead) -> tuple[Floats, Floats]:
     """Signals (episodes, T, 5) of axes with the :data:`LEAKS`, and the head's answer at each sample (…, T, 9).
 
     No controller is needed: the command varies randomly and smoothly around the one that holds the axis. In the last
@@ -207,38 +177,27 @@ def test_vectors(head: LeakageHead) -> tuple[NDArray[np.float64], NDArray[np.flo
     """
     config, count = head.settings.task, len(LEAKS)
     length = head.settings.window + (ESTIMATES - 1) * head.interval
-    env = ServoHydraulicVectorEnv(count, _long_enough(config, length), info=False)
+    duration = max(config.episode_duration, (length + 1) * config.control_period)
+    env = ServoHydraulicVectorEnv(count, config.model_copy(update={"episode_duration": duration}), info=False)
     observation, _ = env.reset(seed=list(HEAD_VECTORS.take(count)), options={"leakage_flow_lpm": list(LEAKS)})
     generator, state, command = np.random.default_rng(HEAD_VECTORS.first), None, np.zeros(count)
-    samples, answers = np.empty((length, count, len(SIGNALS))), np.empty((length, count, len(FIELDS)))
+    samples, answers = np.empty((count, length, len(SIGNALS))), np.empty((count, length, len(FIELDS)))
     for k in range(length):
         observed = observation.copy()
         if k in (60, 61, 200):
             observed[-1, head.columns[:4]] = np.nan
         if k >= length - head.interval:
-            observed[-1, head.columns[1]] = samples[k - 1, -1, 1] / head.scale[1]
-        samples[k] = observed[:, head.columns].astype(np.float64) * head.scale
-        answers[k], state = head.predict(observed, state)
+            observed[-1, head.columns[1]] = samples[-1, k - 1, 1] / head.scale[1]
+        samples[:, k] = observed[:, head.columns].astype(np.float64) * head.scale
+        answers[:, k], state = head.predict(observed, state)
         position = head.settings.layout.si(observation, "position")
         command = 0.97 * command + 0.03 * generator.uniform(-1.0, 1.0, count)
         observation, *_ = env.step((command - 10.0 * position)[:, None].astype(np.float32))
     env.close()
-    return samples.transpose(1, 0, 2), answers.transpose(1, 0, 2)
+    return samples, answers
 
 
-def _long_enough(config: TaskConfig, samples: int) -> TaskConfig:
-    duration = max(config.episode_duration, (samples + 1) * config.control_period)
-    return config.model_copy(update={"episode_duration": duration})
-
-
-def _csv(samples: NDArray[np.float64], answers: NDArray[np.float64]) -> str:
-    """As CSV; every number reads back exactly."""
-    episodes = (zip(signals, expected, strict=True) for signals, expected in zip(samples, answers, strict=True))
-    rows = ((k == 0, (*now, *answer)) for episode in episodes for k, (now, answer) in enumerate(episode))
-    return csv_text([*SIGNALS, *FIELDS], rows)
-
-
-def check_network(head: LeakageHead, model: bytes, samples: NDArray[np.float64]) -> dict[str, Any]:
+def check_network(head: LeakageHead, model: bytes, samples: Floats) -> dict[str, Any]:
     """Differences between the ONNX model and the head's network on windows of the test vectors.
 
     Raises:
@@ -248,15 +207,16 @@ def check_network(head: LeakageHead, model: bytes, samples: NDArray[np.float64])
     window, firsts = head.settings.window, range(0, ESTIMATES * head.interval, head.interval)
     windows = np.concatenate([samples[:, first : first + window].transpose(0, 2, 1) for first in firsts])
     features = features_of(windows, head.sheet)
-    found = np.array([session.run(None, {"features": row})[0] for row in features])
+    answers = np.array([session.run(None, {"features": row})[0] for row in features])
     expected = head.judge(features)
-    largest = float((np.abs(found - expected) / (1.0 + np.abs(expected))).max())
+    largest = float((np.abs(answers - expected) / (1.0 + np.abs(expected))).max())
     if not largest <= LARGEST_DIFFERENCE:
         raise HydroError(f"leakage head: the ONNX model differs by {largest:.2g} from Python: cannot be exported")
     return {"windows": len(windows), "largest_difference": largest}
 
 
-def _contract(head: LeakageHead, checked: Mapping[str, Any], command: str, files: Mapping[str, bytes]) -> HeadContract:
+def _facts(head: LeakageHead) -> dict[str, Any]:
+    """What the contract says of a head."""
     config = head.settings.task
     names, _, scales, limits = observation_layout(config)
     signals = []
@@ -265,23 +225,21 @@ def _contract(head: LeakageHead, checked: Mapping[str, Any], command: str, files
         sensor = getattr(config.sensors, name, None)
         low, high = (sensor.low, sensor.high) if sensor is not None else (-limit, limit)
         unit, meaning = MEANINGS[name]
-        signals.append(ContractSignal(name=name, unit=unit, range=(low, high), limit=limit, meaning=meaning))
-    return HeadContract(
-        sample_time=config.control_period,
-        window=head.settings.window,
-        interval=head.interval,
-        threshold=head.settings.threshold,
-        signals=tuple(signals),
-        network={
+        signals.append(signal_facts(name, unit, low, high, limit, meaning))
+    return {
+        "sample_time": config.control_period,
+        "window": head.settings.window,
+        "interval": head.interval,
+        "threshold": head.settings.threshold,
+        "signals": signals,
+        "outputs": FIELDS,
+        "network": {
             "file": NETWORK_FILE,
             "input": list(FEATURES),
             "output": list(LeakageEstimate._fields),
             "missing": "repair of gaps, flow balance, features and the check for stuck sensors: the flow "
             "balance is an iteration whose end depends on its result; no plain operator does that, see the C code",
         },
-        training=head.settings.training,
-        checked=dict(checked),
-        versions={"hydro_env": __version__, "numpy": np.__version__},
-        command=command,
-        files=digests(files),
-    )
+        "rules": RULES,
+        "training": head.settings.training,
+    }

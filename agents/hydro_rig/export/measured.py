@@ -20,7 +20,7 @@ from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.export.origin import SCALED
+from hydro_rig.export.graph import SCALED
 from hydro_rig.export.tracing import named
 
 COMPUTED = ("velocity_estimate", "tracking_error", "error_integral")

@@ -69,7 +69,7 @@ class OnnxWriter:
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
         self._places: dict[bytes, str] = {}
-        self._names: dict[int, str] = {}
+        self._names: dict[Node, str] = {}
         self._used: Counter[str] = Counter([*inputs, *outputs])
         self._inputs = [self._described(name, size, kind) for name, (size, kind) in inputs.items()]
         self.given = {name: name for name in inputs}
@@ -78,9 +78,9 @@ class OnnxWriter:
     def tensor(self, node: Node) -> str:
         """Name of the tensor of a result; writes all required operators, operands first."""
         for one in [*in_order([node]), node]:
-            if id(one) not in self._names:
-                self._names[id(one)] = self._written(one)
-        return self._names[id(node)]
+            if one not in self._names:
+                self._names[one] = self._written(one)
+        return self._names[node]
 
     def slice_of(self, tensor: str, start: int, size: int, name: str) -> str:
         """Elements of a tensor as a separate tensor."""
@@ -137,9 +137,9 @@ class OnnxWriter:
             assert node.table is not None
             return self._constant(node.table, name)
         for one in node.operands:  # inputs and constants
-            if id(one) not in self._names:
-                self._names[id(one)] = self._written(one)
-        tensors = [self._names[id(one)] for one in node.operands]
+            if one not in self._names:
+                self._names[one] = self._written(one)
+        tensors = [self._names[one] for one in node.operands]
         if node.operation == "collect":
             assert node.table is not None
             joined = tensors[0] if len(tensors) == 1 else self.add("Concat", tensors, name, origin, axis=0)

@@ -13,8 +13,8 @@ import platform
 import sys
 import uuid
 import zipfile
-from dataclasses import dataclass
-from typing import Annotated, get_args, get_type_hints
+from collections.abc import Iterator
+from typing import Annotated, NamedTuple, get_args, get_type_hints
 
 from hydro_env import HydroError, TaskConfig, __version__, equilibrium
 from hydro_env.plant import kernel
@@ -40,10 +40,23 @@ from hydro_rig.export.expressions import DOUBLE
 from hydro_rig.export.translator import Translator
 
 MODEL = "hydro_axis"
-SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
-SUFFIXES = {"linux": ".so", "win32": ".dll", "darwin": ".dylib"}
-TARGETS = {"linux": "x86_64-linux-gnu.2.28", "win32": "x86_64-windows-gnu", "darwin": "x86_64-macos"}
-"""Of the compiler for other systems; the second version of FMI knows 64-bit x86 alone."""
+
+
+class System(NamedTuple):
+    """Where a binary lies in the FMU, and the target of the compiler for other systems."""
+
+    folder: str
+    suffix: str
+    target: str
+
+
+SYSTEMS = {
+    "linux": System("linux64", ".so", "x86_64-linux-gnu.2.28"),
+    "win32": System("win64", ".dll", "x86_64-windows-gnu"),
+    "darwin": System("darwin64", ".dylib", "x86_64-macos"),
+}
+"""The second version of FMI knows 64-bit x86 alone."""
+
 ALL_SYSTEMS = "the binaries of all systems are"
 SHARED = ("-shared", "-fvisibility=hidden")
 _ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
@@ -85,8 +98,7 @@ def plant_code(parameters: PlantParameters | None = None) -> CCode:
     return c_code("plant", values)
 
 
-@dataclass(frozen=True)
-class Variable:
+class Variable(NamedTuple):
     """A variable of the FMU; its value reference is its index in the list."""
 
     name: str
@@ -94,29 +106,16 @@ class Variable:
     unit: str
     causality: str
     start: float | None = None
-    parameter: str | None = None  # C name of the plant's parameter that it sets
-    index: int = 0  # from 1
 
     @property
     def symbol(self) -> str:
         """Name in C."""
         return self.name.replace(".", "_").upper()
 
-    @property
-    def variability(self) -> str:
-        """FMI's attribute ``variability``."""
-        return "fixed" if self.causality == "parameter" else "continuous"
-
-    @property
-    def initial(self) -> str:
-        """FMI's attribute ``initial``."""
-        return {"output": "calculated", "parameter": "exact"}.get(self.causality, "")
-
 
 def fmu_variables(config: TaskConfig) -> list[Variable]:
     """Inputs, parameters and outputs, in the order of their value references."""
-    plant = config.plant
-    _, voltage = equilibrium(plant, 0.0)
+    _, voltage = equilibrium(config.plant, 0.0)
     inputs = [
         ("voltage", "command to the valve's drive", "V", voltage),
         ("external_force", "added to the plant's own; positive against extension", "N", 0.0),
@@ -129,20 +128,10 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
     ]
     lag = float(settings_of(config)["pressure_lag"][0]) * config.control_period
     parameters = [
-        Variable("initial_position", "position of the axis at rest at the start", "m", "parameter", 0.0),
-        Variable("pressure_lag", "time constant of the pressure transducers", "s", "parameter", lag),
+        ("initial_position", "position of the axis at rest at the start", "m", 0.0),
+        ("pressure_lag", "time constant of the pressure transducers", "s", lag),
+        *_rig_parameters(config),
     ]
-    for path, value in zip(PARAMETER_PATHS, to_vector(plant).tolist(), strict=True):
-        if path == f"leakage.{LEAK_LAWS[config.leakage.law].parameter}":
-            continue  # an input replaces it
-        group, field = path.split(".")
-        info = type(getattr(plant, group)).model_fields[field]
-        extra = info.json_schema_extra
-        unit = str(extra["unit"]) if isinstance(extra, dict) else "1"
-        codes = MODEL_CODES.get(path)
-        what = ", ".join(f"{i} {name}" for i, name in enumerate(codes)) if codes else (info.description or "")
-        symbol = f"PLANT_{path.replace('.', '_').upper()}"
-        parameters.append(Variable(f"rig.{path}", what, unit, "parameter", value, symbol))
     outputs = [
         *((name, "state", unit) for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True)),
         *((name, "follows from the state", unit) for name, unit in _units_of_derived().items()),
@@ -154,13 +143,24 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
     ]
     variables = [
         *(Variable(name, what, unit, "input", start) for name, what, unit, start in inputs),
-        *parameters,
+        *(Variable(name, what, unit, "parameter", start) for name, what, unit, start in parameters),
         *(Variable(name, what, unit, "output") for name, what, unit in outputs),
     ]
-    return [
-        Variable(v.name, _plain(v.description), _unit(v.unit), v.causality, v.start, v.parameter, index)
-        for index, v in enumerate(variables, 1)
-    ]
+    return [_in_xml(variable) for variable in variables]
+
+
+def _rig_parameters(config: TaskConfig) -> Iterator[tuple[str, str, str, float]]:
+    """Name, meaning, unit and value of each number of the rig but the leak, which is an input."""
+    for path, value in zip(PARAMETER_PATHS, to_vector(config.plant).tolist(), strict=True):
+        if path == f"leakage.{LEAK_LAWS[config.leakage.law].parameter}":
+            continue
+        group, field = path.split(".")
+        info = type(getattr(config.plant, group)).model_fields[field]
+        extra = info.json_schema_extra
+        unit = str(extra["unit"]) if isinstance(extra, dict) else "1"
+        codes = MODEL_CODES.get(path)
+        meaning = ", ".join(f"{i} {name}" for i, name in enumerate(codes)) if codes else (info.description or "")
+        yield f"rig.{path}", meaning, unit, value
 
 
 def with_one_leak(config: TaskConfig) -> PlantParameters:
@@ -175,12 +175,12 @@ def _units_of_derived() -> dict[str, str]:
     return {name: str(get_args(hint)[1]) for name, hint in hints.items() if hint is not Annotated}
 
 
-def _plain(text: str) -> str:
-    return text.replace("&", "and").replace("<", "below").replace('"', "'")
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else unit.translate(_ASCII)
+def _in_xml(variable: Variable) -> Variable:
+    """The variable with description and unit in letters that every tool reads."""
+    description = variable.description.replace("&", "and").replace("<", "below").replace('"', "'")
+    return variable._replace(
+        description=description, unit="" if variable.unit == "1" else variable.unit.translate(_ASCII)
+    )
 
 
 def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
@@ -195,7 +195,7 @@ def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
         HydroError: this machine has no C compiler, or the compiler failed.
     """
     if all_systems:
-        cross_compiler(TARGETS["linux"], ALL_SYSTEMS)  # report a missing package at the start
+        cross_compiler(SYSTEMS["linux"].target, ALL_SYSTEMS)  # report a missing package at the start
     variables = fmu_variables(config)
     code = plant_code(config.plant)
     values = {
@@ -215,8 +215,9 @@ def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
     sources = {"plant.h": code.header, "plant.c": code.source, "fmu.c": render("fmu.c.j2", values)}
     files = {"modelDescription.xml": render("modelDescription.xml.j2", values).encode()}
     files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
-    for system in SYSTEMS if all_systems else (sys.platform,):
-        files[_place_of_binary(system)] = _binary(sources, system, all_systems)
+    for name in SYSTEMS if all_systems else (sys.platform,):
+        binary = _binary(sources, name, all_systems)
+        files[f"binaries/{SYSTEMS[name].folder}/{MODEL}{SYSTEMS[name].suffix}"] = binary
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
@@ -224,14 +225,10 @@ def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
     return packed.getvalue()
 
 
-def _place_of_binary(system: str) -> str:
-    return f"binaries/{SYSTEMS.get(system, system)}/{MODEL}{SUFFIXES.get(system, '')}"
-
-
 def _binary(sources: dict[str, str], system: str, cross: bool) -> bytes:
     if cross:
         options = [*SHARED, *([] if system == "win32" else ["-fPIC"]), "-s"]
-        return compiled(sources, options, cross_compiler(TARGETS[system], ALL_SYSTEMS))
+        return compiled(sources, options, cross_compiler(SYSTEMS[system].target, ALL_SYSTEMS))
     if system not in SYSTEMS or platform.machine().lower() not in ("x86_64", "amd64"):
         raise HydroError(f"FMI 2.0 has no binary for {system} on {platform.machine()}; it needs 64-bit x86")
     return compiled(sources, [*SHARED, "-fPIC"])

@@ -12,13 +12,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any
 
-import numpy as np
 from matplotlib.colors import to_rgb
-from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import ClassicalController, Observation, search_space
+from hydro_agents.controllers.base import search_space
 from hydro_agents.detection.head import LeakageEstimate, LeakageHead
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.report.palette import LEAK_LOOKS, css_rules
@@ -35,7 +33,7 @@ from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import FIRST_BIAS, lagged, sensor_reading
 from hydro_env.units import FULL_VOLTAGE, LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 from hydro_rig.export.c_files import WARNINGS, CCode, compiled, cross_compiler, render
-from hydro_rig.export.controller import controller_code, controller_graph, memory_type
+from hydro_rig.export.controller import controller_code, controller_graph, memory_type, variable_gains
 from hydro_rig.export.expressions import DOUBLE, INT, UINT64
 from hydro_rig.export.leakage_head import head_code
 from hydro_rig.export.plant import plant_code
@@ -56,128 +54,68 @@ VIEW = (
 """Values of an axis that the page reads after each control period."""
 
 _SENSOR = ("noise", "low", "high", "resolution")
-
 CENTRE = 0.02  # m; about the middle of the range that the supply can hold against the spring
 SEED = 20151
-
-_RIG_SLIDERS = (
-    ("Supply pressure", "bar", 60, 100, 1e5, "supply.pressure"),
-    ("Moved mass", "kg", 20, 120, 1, "load.mass"),
-    ("Force on the load, against extension", "N", -2000, 2000, 1, "load.external_force"),
-)
-_FIELDS = ("name", "unit", "low", "high", "scale", "parameter")
-RIG_SLIDERS: tuple[dict[str, Any], ...] = tuple(
-    {**dict(zip(_FIELDS, row, strict=True)), "digits": 0} for row in _RIG_SLIDERS
-)
-
 PAGE_FILE = "playground.html"
 
 
-class TunableMemory(NamedTuple):
-    """Memory of a :class:`Tunable`."""
-
-    own: Any  # of the controller
-    gains: dict[str, NDArray[np.float64]]  # each ()
+def _rig_slider(name: str, unit: str, low: float, high: float, scale: float, parameter: str) -> dict[str, Any]:
+    limits = {"low": low, "high": high, "scale": scale, "digits": 0}
+    return {"name": name, "unit": unit, **limits, "parameter": parameter}
 
 
-class Tunable:
-    """A classical controller that takes some of its gains from its memory; it starts with its own gains.
-
-    Args:
-        controller: any controller whose class makes it from gains and task by plain arithmetic.
-        names: the gains that can be changed.
-    """
-
-    def __init__(self, controller: ClassicalController, names: tuple[str, ...]) -> None:
-        self.controller = controller
-        self.names = names
-
-    def predict(
-        self,
-        observation: Observation,
-        state: TunableMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], TunableMemory]:
-        """Commands for the observations; see :class:`~hydro_agents.controllers.base.Controller`."""
-        original = self.controller.gains
-        values = dict(original)
-        gains = state.gains if state is not None else {name: np.array(values[name]) for name in self.names}
-        turned = type(original).model_construct(**{**values, **gains})
-        controller = type(self.controller)(turned, self.controller.config)
-        own = state.own if state is not None else None
-        action, own = controller.predict(observation, own, episode_start, deterministic)
-        return action, TunableMemory(own, gains)
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A controller by its kind, as ``hydro evaluate --agent`` names it."""
-
-    kind: str
-    name: str
-    gains: dict[str, tuple[str, str]]  # field → label of its slider, unit
-
-
-CHOICES = (
-    Choice(
-        "pid",
-        "PID",
-        {
-            "proportional": ("Proportional gain", "1/m"),
-            "integral": ("Integral gain", "1/(m s)"),
-            "derivative": ("Derivative gain", "s/m"),
-            "feedforward_extending": ("Feed-forward extending", "s/m"),
-            "feedforward_retracting": ("Feed-forward retracting", "s/m"),
-        },
-    ),
-    Choice(
-        "flow_linearising",
-        "Flow linearisation",
-        {
-            "position_gain": ("Position gain, per pace of the loop", ""),
-            "force_rate": ("Accelerating force fed forward", ""),
-            "friction": ("Friction fed forward, share of data sheet", ""),
-        },
-    ),
-    Choice("ppo", "PPO on flow linearisation", {}),
+RIG_SLIDERS = (
+    _rig_slider("Supply pressure", "bar", 60, 100, 1e5, "supply.pressure"),
+    _rig_slider("Moved mass", "kg", 20, 120, 1, "load.mass"),
+    _rig_slider("Force on the load, against extension", "N", -2000, 2000, 1, "load.external_force"),
 )
+CHOICES = {"pid": "PID", "flow_linearising": "Flow linearisation", "ppo": "PPO on flow linearisation"}
+"""Names of the controllers by kind, as ``hydro evaluate --agent`` names it."""
+
+GAINS = {
+    "proportional": ("Proportional gain", "1/m"),
+    "integral": ("Integral gain", "1/(m s)"),
+    "derivative": ("Derivative gain", "s/m"),
+    "feedforward_extending": ("Feed-forward extending", "s/m"),
+    "feedforward_retracting": ("Feed-forward retracting", "s/m"),
+    "position_gain": ("Position gain, per pace of the loop", ""),
+    "force_rate": ("Accelerating force fed forward", ""),
+    "friction": ("Friction fed forward, share of data sheet", ""),
+}
+"""Label and unit of the slider of each gain that has one."""
 
 
 @dataclass(frozen=True)
 class Written:
     """A controller in C."""
 
-    choice: Choice
+    kind: str
     code: CCode
     signals: tuple[str, ...]  # that it reads, in order
-    gains: dict[str, float]  # tuned values
+    gains: dict[str, float]  # those that a slider changes: tuned values
     sliders: list[dict[str, Any]]
 
 
-def written(choice: Choice, config: TaskConfig) -> Written:
-    """The C of a controller.
+def written(kind: str, config: TaskConfig) -> Written:
+    """The C of a controller, with its gains in a structure.
 
     Raises:
         TraceError: the controller cannot be exported exactly.
     """
-    controller = shipped(choice.kind, config)
-    tuned: dict[str, float] = {}
+    controller: Any = shipped(kind, config)
+    rows = {row.name: row for row in variable_gains(controller, config) if row.name in GAINS}
+    space = search_space(type(controller.gains), config.plant) if rows else {}
     sliders: list[dict[str, Any]] = []
-    if choice.gains:
-        classical = cast("ClassicalController", controller)
-        tuned = {name: float(getattr(classical.gains, name)) for name in choice.gains}
-        space = search_space(type(classical.gains), config.plant)
-        for name, (words, unit) in choice.gains.items():
-            low, high, logarithmic = space[name]
-            limits = (tuned[name] / 10.0, tuned[name] * 10.0) if logarithmic else (low, high)
-            slider = {"name": words, "unit": unit, "low": limits[0], "high": limits[1], "value": tuned[name]}
-            identity = {"gain": f"{choice.kind}.{name}", "controller": choice.kind, "logarithmic": logarithmic}
-            sliders.append({**slider, **identity})
-        controller = Tunable(classical, tuple(choice.gains))
-    graph = controller_graph(controller, config)
+    for name in [name for name in GAINS if name in rows]:
+        (label, unit), value = GAINS[name], float(rows[name].value)
+        low, high, logarithmic = space[name]
+        limits = {"low": value / 10.0, "high": value * 10.0} if logarithmic else {"low": low, "high": high}
+        slider = {"name": label, "unit": unit, **limits, "value": value, "gain": f"{kind}.{name}"}
+        sliders.append({**slider, "controller": kind, "logarithmic": logarithmic})
+    graph = controller_graph(controller, config, list(rows.values()))
     signals = tuple(signal.name for signal in graph.signals.signals)
-    return Written(choice, controller_code(graph, choice.kind), signals, tuned, sliders)
+    gains = {name: float(row.value) for name, row in rows.items()}
+    return Written(kind, controller_code(graph, kind), signals, gains, sliders)
 
 
 def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: LeakageHead) -> dict[str, str]:
@@ -195,17 +133,14 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
     translator.function(sensor_reading, [DOUBLE, DOUBLE, DOUBLE, sensor])
     translator.function(lagged, [DOUBLE, DOUBLE, DOUBLE, transducer])
     numbers = settings_of(config)[0]
-    before = [sum(len(one.gains) for one in controllers[:place]) for place in range(len(controllers) + 1)]
-    fitted = [getattr(config.sensors, name) for name in SENSORS]
+    sensors = {name: getattr(config.sensors, name) for name in SENSORS}
     values = {
         "version": __version__,
         "axes": AXES,
         "structs": translator.structs,
         "functions": translator.functions,
-        "channels": [
-            (name, [getattr(one, field) for field in _SENSOR]) for name, one in zip(SENSORS, fitted, strict=True)
-        ],
-        "biases": [one.bias for one in fitted],
+        "channels": [(name, [getattr(one, field) for field in _SENSOR]) for name, one in sensors.items()],
+        "biases": [one.bias for one in sensors.values()],
         "first_bias": FIRST_BIAS,
         "transducer": [float(numbers["pressure_lag"]), float(numbers["pressure_decay"])],
         "previews": config.references.preview_times,
@@ -215,15 +150,13 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
         "stagger": head.interval // AXES,
         "controllers": [
             {
-                "kind": one.choice.kind,
+                "kind": one.kind,
                 "memory": memory_type(one.code.name),
                 "signals": [_signal(name, config) for name in one.signals],
-                "gains": one.gains,
-                "first": first,
             }
-            for one, first in zip(controllers, before, strict=False)
+            for one in controllers
         ],
-        "gains": before[-1],
+        "gains": [(one.kind, name, value) for one in controllers for name, value in one.gains.items()],
     }
     sources = {**plant.files, "axis.c": render("axis.c.j2", values, TEMPLATES), **head_code(head).files}
     for one in controllers:
@@ -232,15 +165,13 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
 
 
 def _signal(name: str, config: TaskConfig) -> str:
+    """C text of a signal."""
     if name in SENSORS:
         return f"view->measured[{SENSORS.index(name)}]"
     if name == "previous_voltage":
         return f"{FULL_VOLTAGE} * view->command"
-    ahead = [
-        "reference",
-        *(f"reference_in_{1e3 * time:g}ms".replace(".", "_") for time in config.references.preview_times),
-    ]
-    return f"reference[{ahead.index(name)}]"
+    ahead = [f"reference_in_{1e3 * time:g}ms".replace(".", "_") for time in config.references.preview_times]
+    return f"reference[{['reference', *ahead].index(name)}]"
 
 
 def playground_page() -> str:
@@ -253,13 +184,12 @@ def playground_page() -> str:
     head = LeakageHead.load(pretrained_folder() / "leakage_head")
     config = head.settings.task
     own = dict(zip(PARAMETER_PATHS, to_vector(config.plant).tolist(), strict=True))
-    controllers = [written(choice, config) for choice in CHOICES]
-    sliders = [slider for one in controllers for slider in one.sliders]
+    controllers = [written(kind, config) for kind in CHOICES]
+    turned = ("leakage.internal_resistance", *(slider["parameter"] for slider in RIG_SLIDERS))
+    window = head.settings.window * config.control_period
     facts = {
         "parameters": PARAMETER_PATHS,
-        "own": {
-            name: own[name] for name in ("leakage.internal_resistance", *(one["parameter"] for one in RIG_SLIDERS))
-        },
+        "own": {name: own[name] for name in turned},
         "view": VIEW,
         "previewTimes": config.references.preview_times,
         "period": config.control_period,
@@ -269,32 +199,31 @@ def playground_page() -> str:
         "seed": SEED,
         "testPressure": LEAKAGE_TEST_PRESSURE,
         "litrePerMinute": LITRE_PER_MINUTE,
-        "rigSliders": [{**one, "value": own[one["parameter"]] / one["scale"]} for one in RIG_SLIDERS],
+        "rigSliders": [{**slider, "value": own[slider["parameter"]] / slider["scale"]} for slider in RIG_SLIDERS],
         "leakColours": [[round(255 * part) for part in to_rgb(look.colour)] for look in LEAK_LOOKS.values()],
         "oil": OIL,
-        "axes": [
-            {"name": name, "controller": number} for number, name in enumerate(("PID", "Flow linearisation", "Mine"))
-        ],
-        "controllers": [{"kind": one.choice.kind, "name": one.choice.name} for one in controllers],
-        "gains": [slider["gain"] for slider in sliders],
-        "gainSliders": sliders,
+        "axes": [{"name": name, "controller": n} for n, name in enumerate(("PID", "Flow linearisation", "Mine"))],
+        "controllers": [{"kind": kind, "name": name} for kind, name in CHOICES.items()],
+        "gains": [f"{one.kind}.{name}" for one in controllers for name in one.gains],
+        "gainSliders": [slider for one in controllers for slider in one.sliders],
         "threshold": head.settings.threshold,
-        "window": head.settings.window * config.control_period,
+        "window": window,
     }
     module = compiled(axis_sources(config, controllers, head), ["-s", *WARNINGS], web_compiler())
-    wasm = base64.b64encode(gzip.compress(module, 9, mtime=0)).decode()
-    parts = {name: (TEMPLATES / f"{name}.js").read_text(encoding="utf-8") for name in ("machine", "drawing", "plots")}
-    script = (TEMPLATES / "page.js").read_text(encoding="utf-8")
+    parts = {name: _text(f"{name}.js") for name in ("machine", "drawing", "plots", "page")}
     values: dict[str, Any] = {
         **parts,
-        "page": script,
-        "style": f"{css_rules()}\n{(TEMPLATES / 'style.css').read_text(encoding='utf-8')}",
+        "style": f"{css_rules()}\n{_text('style.css')}",
         "facts": json.dumps(facts, ensure_ascii=False, separators=(",", ":"), default=float),
-        "wasm": wasm,
-        "window": f"{head.settings.window * config.control_period:g}",
+        "wasm": base64.b64encode(gzip.compress(module, 9, mtime=0)).decode(),
+        "window": f"{window:g}",
         "version": __version__,
     }
     return render("playground.html.j2", values, TEMPLATES)
+
+
+def _text(name: str) -> str:
+    return (TEMPLATES / name).read_text(encoding="utf-8")
 
 
 def web_compiler() -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 
 from hydro_env import __version__
 from hydro_rig.export.c_files import render
-from hydro_rig.export.c_writer import CWriter, loop_place
+from hydro_rig.export.c_writer import CWriter, in_rows
 from hydro_rig.export.controller import GAINS, ControllerGraph, element_names, field_names, written_step
-from hydro_rig.export.graph import Node, runs_of_places
+from hydro_rig.export.graph import Node
 
 TYPES = {np.dtype(np.float64): "LREAL", np.dtype(np.float32): "REAL", np.dtype(np.bool_): "BOOL"}
 TYPES[np.dtype(np.int64)] = "LINT"
@@ -33,16 +34,123 @@ _FUNCTIONS |= {
     "negative": "-{0}",
     "not": "NOT {0}",
 }
-_RESERVED = (
-    " abs acos action add and any array asin at atan bool by byte case configuration constant cos d dint "
-    " div do dword else elsif exit exp expt false for function i if in int j jmp k le limit lint ln log "
-    " lreal lword max min mod mul mux n ne not of on or program r read real repeat resource retain return "
-    " rol ror s sel shl shr sin sint sqrt step string sub t tan task then time to transition true type "
-    " udint uint until usint value var while with word write xor "
-    "abstract extends final implements interface internal method persistent pointer private property protected "
-    "public reference super this union "
+_RESERVED = frozenset(
+    [
+        "abs",
+        "acos",
+        "action",
+        "add",
+        "and",
+        "any",
+        "array",
+        "asin",
+        "at",
+        "atan",
+        "bool",
+        "by",
+        "byte",
+        "case",
+        "configuration",
+        "constant",
+        "cos",
+        "d",
+        "dint",
+        "div",
+        "do",
+        "dword",
+        "else",
+        "elsif",
+        "exit",
+        "exp",
+        "expt",
+        "false",
+        "for",
+        "function",
+        "i",
+        "if",
+        "in",
+        "int",
+        "j",
+        "jmp",
+        "k",
+        "le",
+        "limit",
+        "lint",
+        "ln",
+        "log",
+        "lreal",
+        "lword",
+        "max",
+        "min",
+        "mod",
+        "mul",
+        "mux",
+        "n",
+        "ne",
+        "not",
+        "of",
+        "on",
+        "or",
+        "program",
+        "r",
+        "read",
+        "real",
+        "repeat",
+        "resource",
+        "retain",
+        "return",
+        "rol",
+        "ror",
+        "s",
+        "sel",
+        "shl",
+        "shr",
+        "sin",
+        "sint",
+        "sqrt",
+        "step",
+        "string",
+        "sub",
+        "t",
+        "tan",
+        "task",
+        "then",
+        "time",
+        "to",
+        "transition",
+        "true",
+        "type",
+        "udint",
+        "uint",
+        "until",
+        "usint",
+        "value",
+        "var",
+        "while",
+        "with",
+        "word",
+        "write",
+        "xor",
+        "abstract",
+        "extends",
+        "final",
+        "implements",
+        "interface",
+        "internal",
+        "method",
+        "persistent",
+        "pointer",
+        "private",
+        "property",
+        "protected",
+        "public",
+        "reference",
+        "super",
+        "this",
+        "union",
+    ]
 )
-"""Words of the language, and the indices of loops, with a space on each side."""
+"""Words of the language, and the indices of loops."""
 
 
 @dataclass
@@ -53,127 +161,98 @@ class StructuredTextWriter(CWriter):
     """
 
     declared: list[str] = field(default_factory=list)
+    types: ClassVar[Mapping[Any, str]] = TYPES
     repeats: ClassVar[frozenset[str]] = frozenset({"arcsinh", "sign", "copysign"})
+    reserved: ClassVar[frozenset[str]] = _RESERVED
+
+    def _key(self, name: str) -> str:
+        return name.lower()
 
     def comment(self, text: str) -> str:
         """A comment."""
         return f"(* {text.replace('*)', '* )').replace('(*', '( *')} *)"
 
-    def assign(self, target: str, text: str) -> str:
-        """A statement that gives a variable a value."""
-        return f"{target} := {text};"
+    def number(self, value: Any) -> str:
+        """An exact number."""
+        if isinstance(value, np.bool_ | bool):
+            return "TRUE" if value else "FALSE"
+        return f"REAL#{literal(value)}" if isinstance(value, np.float32) and value >= 0 else literal(value)
 
     def named_begins(self, text: str) -> str:
         """The variable ``begins`` for a condition that has another name."""
         self.declared.append("begins : BOOL;")
         return self.assign("begins", text)
 
+    def assign(self, target: str, text: str) -> str:
+        """A statement that gives a variable a value."""
+        return f"{target} := {text};"
+
+    def loop(self, index: str, count: int, statement: str) -> str:
+        """A statement for each index."""
+        return f"{_for(index, count)} {statement} END_FOR"
+
     def copied(self, target: str, variable: str, size: int) -> str:
         """A statement that copies a variable, or an array of a size."""
         return self.assign(target, variable)
 
-    def number(self, value: Any) -> str:
-        """An exact number in Structured Text."""
-        if isinstance(value, np.bool_ | bool):
-            return "TRUE" if value else "FALSE"
-        return f"REAL#{literal(value)}" if isinstance(value, np.float32) and value >= 0 else literal(value)
+    def declared_array(self, node: Node, name: str) -> list[str]:
+        """What stands in front of the statements that fill an array."""
+        self.declared.append(f"{name} : {declared_type(node.size, node.kind)};")
+        return []
 
-    def _for(self, index: str, count: int) -> str:
-        return f"FOR {index} := 0 TO {count - 1} DO"
+    def defined(self, node: Node, name: str, text: str) -> str:
+        """A statement that defines a variable."""
+        self.declared_array(node, name)
+        return self.assign(name, text)
 
-    def _assigned(self, kind: str, name: str, size: int, text: str) -> list[str]:
-        del kind
-        if size == 1:
-            return [self.assign(name, text)]
-        return [f"{self._for('i', size)} {self.assign(f'{name}[i]', text)} END_FOR"]
+    def table(self, name: str, values: NDArray[Any]) -> str:
+        """A constant table."""
+        rows = in_rows(literal, values, 8)
+        return f"{name} : ARRAY[0..{values.size - 1}] OF {TYPES[values.dtype]} := [\n        {rows}];"
 
     def _is_closed(self, node: Node) -> bool:
-        text = _FUNCTIONS.get(node.operation, "")
         call = node.operation in ("where", "cast") and node.kind != np.bool_
-        return call or bool(re.fullmatch(r"[A-Z]+\([^()]*\)", text))
-
-    def _variable(self, node: Node, name: str) -> None:
-        self.declared.append(f"{name} : {declared_type(node.size, node.kind)};")
-
-    def _statement(self, node: Node) -> list[str]:
-        lines = super()._statement(node)
-        if id(node) in self._names and lines:
-            self._variable(node, self._names[id(node)])
-        return lines
-
-    def kept(self, name: str, node: Node) -> tuple[str, list[str]]:
-        """A separate variable for a result, and the statements that define it."""
-        variable, lines = super().kept(name, node)
-        if lines:
-            self._variable(node, variable)
-        return variable, lines
+        return call or bool(re.fullmatch(r"[A-Z]+\([^()]*\)", _FUNCTIONS.get(node.operation, "")))
 
     def _expression(self, node: Node, operands: list[str]) -> str:
-        operation = node.operation
+        operation, kind = node.operation, node.operands[0].kind
         if operation in _OPERATORS:
             return f" {_OPERATORS[operation]} ".join(operands)
-        if operation in _FUNCTIONS:
-            return _FUNCTIONS[operation].format(*operands)
         if operation == "where":
             return f"SEL({operands[0]}, {operands[2]}, {operands[1]})"
-        if operation == "cast" and node.kind == np.bool_:
-            return f"{operands[0]} <> {self.number(node.operands[0].kind.type(0))}"
         if operation == "cast":
-            return f"{TYPES[node.operands[0].kind]}_TO_{TYPES[node.kind]}({operands[0]})"
-        raise AssertionError(operation)
+            to_truth = f"{operands[0]} <> {self.number(kind.type(0))}"
+            return to_truth if node.kind == np.bool_ else f"{TYPES[kind]}_TO_{TYPES[node.kind]}({operands[0]})"
+        return _FUNCTIONS[operation].format(*operands)
 
-    def _collected(self, node: Node, kind: str, name: str) -> list[str]:
-        lines = []
-        for first, length, source, start, step in runs_of_places(node):
-            if length == 1:
-                lines.append(self.assign(f"{name}[{self._place(node.name, first)}]", self.element(source, start)))
-            else:
-                text = self.element(source, loop_place(start, step, "i") if source.size > 1 else 0)
-                at = loop_place(first, 1, "i")
-                lines.append(f"{self._for('i', length)} {self.assign(f'{name}[{at}]', text)} END_FOR")
-        return lines
-
-    def _multiplied(self, node: Node, kind: str, name: str) -> list[str]:
+    def _multiplied(self, node: Node, name: str) -> list[str]:
         (left, right), (rows, inner, columns) = node.operands, node.sizes
-        at = loop_place(0, 1, "i") if rows == 1 else f"k * {inner} + i"
-        to = "j" if rows == 1 else f"k * {columns} + j"
-        into = name if node.size == 1 else f"{name}[{to}]"
+        at, to = ("i", "j") if rows == 1 else (f"k * {inner} + i", f"k * {columns} + j")
         terms = [
             self.element(left, at if left.size > 1 else 0),
             self.element(right, ("i" if columns == 1 else f"i * {columns} + j") if right.size > 1 else 0),
         ]
-        return [
-            *(f"{self._for(index, count)}" for index, count in (("k", rows), ("j", columns))),
-            f"    {self.assign(into, self.number(node.kind.type(0)))}",
-            f"    {self._for('i', inner)} {self.assign(into, f'{into} + {terms[0]} * {terms[1]}')} END_FOR",
-            "END_FOR END_FOR",
-        ]
+        return [_for("k", rows), _for("j", columns), *self._total(node, name, to, inner, " * ".join(terms))]
 
-    def _summed(self, node: Node, kind: str, name: str) -> list[str]:
+    def _summed(self, node: Node, name: str) -> list[str]:
         operand, (outer, length, inner) = node.operands[0], node.sizes
-        into = name if node.size == 1 else f"{name}[k * {inner} + j]"
         term = self.element(operand, "i" if node.size == 1 else f"(k * {length} + i) * {inner} + j")
+        head = f"{_for('k', outer)} {_for('j', inner)}"
+        return [head, *self._total(node, name, f"k * {inner} + j", length, term)]
+
+    def _total(self, node: Node, name: str, to: str, count: int, term: str) -> list[str]:
+        """A sum of terms over ``i``, inside of loops over ``k`` and ``j``."""
+        self.declared_array(node, name)
+        into = name if node.size == 1 else f"{name}[{to}]"
         return [
-            f"{self._for('k', outer)} {self._for('j', inner)}",
             f"    {self.assign(into, self.number(node.kind.type(0)))}",
-            f"    {self._for('i', length)} {self.assign(into, f'{into} + {term}')} END_FOR",
+            f"    {self.loop('i', count, self.assign(into, f'{into} + {term}'))}",
             "END_FOR END_FOR",
         ]
 
-    def _new_name(self, name: str) -> str:
-        plain = f"{name}_value" if f" {name.lower()} " in _RESERVED else name
-        names = (plain, *(f"{plain}_{n}" for n in range(2, 10_000)))
-        unique = next(one for one in names if one.lower() not in self._used)
-        self._used.add(unique.lower())
-        return unique
 
-    def _new_table(self, name: str, kind: str, values: NDArray[Any]) -> str:
-        unique = self._new_name(self.prefix + (f"{name}_table" if name == "constant" else name))
-        texts = [literal(value) for value in values]
-        rows = [", ".join(texts[first : first + 8]) for first in range(0, len(texts), 8)]
-        body = ",\n        ".join(rows)
-        self.tables.append(f"{unique} : ARRAY[0..{len(texts) - 1}] OF {TYPES[values.dtype]} := [\n        {body}];")
-        return unique
+def _for(index: str, count: int) -> str:
+    return f"FOR {index} := 0 TO {count - 1} DO"
 
 
 def declared_type(size: int, kind: np.dtype[Any]) -> str:
@@ -187,7 +266,8 @@ def literal(value: Any) -> str:
         return str(int(value))
     if np.isnan(value):
         raise AssertionError("not a number")
-    plain = str(np.clip(value, -np.finfo(np.float64).max, np.finfo(np.float64).max)) if np.isinf(value) else str(value)
+    largest = np.finfo(np.float64).max
+    plain = str(np.clip(value, -largest, largest) if np.isinf(value) else value)
     mantissa, mark, exponent = plain.partition("e")
     text = (mantissa if "." in mantissa else f"{mantissa}.0") + (f"E{int(exponent):+d}" if mark else "")
     return f"({text})" if text.startswith("-") else text
@@ -201,13 +281,12 @@ def structured_text(controller: ControllerGraph, name: str = "Controller") -> st
         name: of the function block; ``NAMEGains`` is the structure of its gains.
     """
     fields = {part: f"{text}_before" for part, text in field_names(controller).items()}
-    inputs = {"signals": "Signals", "start": "Start"} | dict(fields)
+    inputs = {"signals": "Signals", "start": "Start"} | fields
     inputs |= {GAINS + gain.name: f"Gains.{gain.name}" for gain in controller.gains}
     writer = StructuredTextWriter(inputs, places=element_names(controller, "AT_"))
     writer.plan(controller.graph)
-    writer.reserve("voltage", "signals", "start", "gains", "lost_signals", *(text.lower() for text in fields.values()))
+    writer.reserve("voltage", "signals", "start", "gains", "lost_signals", *fields.values())
     step = written_step(controller, writer, fields)
-    lost = writer.element(controller.graph.outputs["lost"], 0)
     values = {
         "name": name,
         "title": controller.title,
@@ -215,16 +294,10 @@ def structured_text(controller: ControllerGraph, name: str = "Controller") -> st
         "sample_time": controller.signals.config.control_period,
         "signals": controller.signals.signals,
         "gains": [gain._replace(value=literal(float(gain.value))) for gain in controller.gains],
-        "parts": [
-            (
-                fields[part.name],
-                TYPES[part.kind] if part.size == 1 else f"ARRAY[0..{part.size - 1}] OF {TYPES[part.kind]}",
-            )
-            for part in controller.memory
-        ],
+        "parts": [(fields[part.name], declared_type(part.size, part.kind)) for part in controller.memory],
         "declared": writer.declared,
         "tables": writer.tables,
-        "lost": lost,
+        "lost": writer.element(controller.graph.outputs["lost"], 0),
         **step,
     }
     text = render("controller.st.j2", values)

@@ -1,14 +1,17 @@
 """Records the computation of a NumPy function as a graph of plain array operations.
 
 :func:`trace` calls the function once with arrays that record every operation. Any other dependence on the data (an
-``if``, an index, a loop's length) would be recorded for these data only; it raises an error.
+``if``, an index, a loop's length) would be recorded for these data only; it raises an error. Numbers get the names that
+the lines of Python give them.
 """
 
 from __future__ import annotations
 
+import inspect
 import linecache
+import re
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +21,16 @@ from numpy.typing import NDArray
 
 from hydro_env import HydroError
 from hydro_rig.export.graph import ELEMENTWISE, KINDS, Builder, Graph, Node
-from hydro_rig.export.origin import caller, constant_name, where
 
 _MOVES = (np.reshape, np.transpose, np.tile, np.repeat, np.roll, np.broadcast_to, np.expand_dims, np.squeeze, np.ravel)
 _JOINS = (np.concatenate, np.stack, np.column_stack, np.hstack, np.vstack)
+
+_ENTRY = re.compile(r"\s*\w+\[[\"'](\w+)[\"']\] = ")
+_ASSIGNED = re.compile(r"\s*(?:self\.)?([A-Za-z_]\w*)(?:\[[^\]=]*\])?(?:: [^=]+)? [-+*/@]?= ")
+_SEVERAL = re.compile(r"\s*(\w+(?:, \w+)+) = ")
+_KEYWORD = re.compile(r"\s*(\w+)=[^=]")
+_SAY_LITTLE = ("values", "result", "entries")
+_OWN = (__file__, str(Path(np.__file__).parent))
 
 
 class TraceError(HydroError):
@@ -49,7 +58,7 @@ def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, NDArr
         name: result._node if isinstance(result, Traced) else builder.constant(result)
         for name, result in results.items()
     }
-    return builder.graph(outputs)
+    return Graph(builder.inputs, outputs)
 
 
 def named(name: str, value: Any) -> Any:
@@ -78,11 +87,7 @@ class Traced(NDArrayOperatorsMixin):
     dtype = property(lambda self: self._value.dtype)
     ndim = property(lambda self: self._value.ndim)
     size = property(lambda self: self._value.size)
-
-    @property
-    def T(self) -> Traced:  # noqa: N802
-        """Transposed."""
-        return self._moved(np.transpose, view=True)
+    T = property(lambda self: self._moved(np.transpose, view=True))
 
     def __len__(self) -> int:
         return len(self._value)
@@ -91,14 +96,12 @@ class Traced(NDArrayOperatorsMixin):
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, key: Any) -> Traced:
-        if _holds_traced(key):
-            raise _refusal("an index that depends on the data")
+        _check_index(key)
         view = np.shares_memory(self._value[key], self._value)
         return self._moved(lambda places: places[key], view, key if view else None)
 
     def __setitem__(self, key: Any, value: Any) -> None:
-        if _holds_traced(key):
-            raise _refusal("an index that depends on the data")
+        _check_index(key)
         if isinstance(value, Traced) and value._parent is self and value._key == key:
             return  # the last part of a[key] += b, which has already changed the view a[key]
         self._assign(key, value, None)
@@ -109,8 +112,7 @@ class Traced(NDArrayOperatorsMixin):
         written = self._value.copy()
         written[key] = new._value
         places[key] = self.size + np.arange(new.size).reshape(new.shape)
-        node = self._builder.collect([self._node, new._node], places.reshape(-1), **where())
-        self._replace(node, written, writer)
+        self._replace(self._collected([self, new], places, written), writer)
 
     def reshape(self, *shape: Any) -> Traced:
         """The same elements in another shape."""
@@ -124,9 +126,7 @@ class Traced(NDArrayOperatorsMixin):
         """The values in another type."""
         del copy
         value = self._value.astype(kind)
-        if value.dtype == self.dtype:
-            return self.copy()
-        return Traced(self._builder, self._builder.node("cast", [self._node], value, **where()), value)
+        return self.copy() if value.dtype == self.dtype else self._result("cast", [self], value)
 
     def sum(self, axis: int | None = None) -> Traced:
         """Sum of all elements or along an axis."""
@@ -135,10 +135,9 @@ class Traced(NDArrayOperatorsMixin):
         value = self._value.sum(axis=axis)
         axis %= self.ndim
         outer, inner = (int(np.prod(part, dtype=int)) for part in (self.shape[:axis], self.shape[axis + 1 :]))
-        sizes = (outer, self.shape[axis], inner)
-        if sizes[1] == 1:
+        if self.shape[axis] == 1:
             return Traced(self._builder, self._node, value)
-        return Traced(self._builder, self._builder.node("sum", [self._node], value, sizes=sizes, **where()), value)
+        return self._result("sum", [self], value, sizes=(outer, self.shape[axis], inner))
 
     def clip(self, low: Any, high: Any) -> Any:
         """The values clipped to low and high."""
@@ -162,34 +161,29 @@ class Traced(NDArrayOperatorsMixin):
         result = self._product(*operands) if ufunc is np.matmul else self._elementwise(ufunc, *operands)
         if out is None:
             return result
-        if not isinstance(out[0], Traced):
+        target = out[0]
+        if not isinstance(target, Traced):
             raise _refusal("a result written into an array that is not traced")
-        target, result = out[0], result.astype(out[0].dtype)
-        target._replace(result._node, np.broadcast_to(result._value, target.shape).copy(), target)
+        target._replace(result.astype(target.dtype), target)
         return target
 
     def _elementwise(self, ufunc: Any, *operands: Any) -> Traced:
-        operands = tuple(np.asarray(one) if isinstance(one, list | tuple) else one for one in operands)
-        kinds = [one.dtype if isinstance(one, Traced | np.ndarray | np.generic) else type(one) for one in operands]
+        operands = tuple(np.asarray(operand) if isinstance(operand, list | tuple) else operand for operand in operands)
+        kinds = [getattr(operand, "dtype", type(operand)) for operand in operands]
         wanted = ufunc.resolve_dtypes((*kinds, None))
         logical = ELEMENTWISE[ufunc] in ("and", "or", "not")
-        arrays = [self._of(one, np.bool_ if logical else kind) for one, kind in zip(operands, wanted, strict=False)]
-        value = ufunc(*(one._value for one in arrays))
-        nodes = [one._spread(value.shape)._node for one in arrays]
-        return Traced(self._builder, self._builder.node(ELEMENTWISE[ufunc], nodes, value, **where()), value)
+        arrays = [
+            self._of(operand, np.bool_ if logical else kind) for operand, kind in zip(operands, wanted, strict=False)
+        ]
+        return self._result(ELEMENTWISE[ufunc], arrays, ufunc(*(array._value for array in arrays)))
 
     def _product(self, left: Any, right: Any) -> Traced:
-        kind = np.result_type(*(one.dtype for one in (left, right)))
+        kind = np.result_type(left.dtype, right.dtype)
         a, b = self._of(left, kind), self._of(right, kind)
         if a.ndim > 2 or b.ndim > 2:
             raise _refusal("a product of more than two dimensions")
         rows, columns = a.shape[0] if a.ndim == 2 else 1, b.shape[1] if b.ndim == 2 else 1
-        value = a._value @ b._value
-        sizes = (rows, a.shape[-1], columns)
-        return Traced(
-            self._builder, self._builder.node("matmul", [a._node, b._node], np.asarray(value), sizes=sizes, **where()),
-            value,
-        )  # fmt: skip
+        return self._result("matmul", [a, b], a._value @ b._value, sizes=(rows, a.shape[-1], columns))
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
         del types
@@ -198,20 +192,19 @@ class Traced(NDArrayOperatorsMixin):
             return self._of(array)._moved(lambda places: function(places, *rest, **options), view=True)
         if function in _JOINS:
             return self._joined(function, *arguments, **options)
-        own = _FUNCTIONS.get(function)
-        if own is None:
+        if function not in _FUNCTIONS:
             raise _refusal(f"np.{function.__name__}")
-        return own(self, *arguments, **options)
+        return _FUNCTIONS[function](self, *arguments, **options)
 
     def _joined(self, function: Any, arrays: Any, dtype: Any = None, **options: Any) -> Traced:
-        kind = dtype or np.result_type(*(one.dtype for one in arrays))
-        parts = [self._of(one, kind) for one in arrays]
-        starts = np.cumsum([0, *(one.size for one in parts)])
-        numbered = [start + np.arange(one.size).reshape(one.shape) for start, one in zip(starts, parts, strict=False)]
-        places = function(numbered, **options)
-        value = function([one._value for one in parts], **options)
-        node = self._builder.collect([one._node for one in parts], places.reshape(-1), **where())
-        return Traced(self._builder, node, value)
+        kind = dtype or np.result_type(*(array.dtype for array in arrays))
+        parts = [self._of(array, kind) for array in arrays]
+        starts = np.cumsum([0, *(part.size for part in parts)])
+        numbered = [
+            start + np.arange(part.size).reshape(part.shape) for start, part in zip(starts, parts, strict=False)
+        ]
+        value = function([part._value for part in parts], **options)
+        return self._collected(parts, function(numbered, **options), value)
 
     # Inside -------------------------------------------------------------------------------------------------------
 
@@ -220,66 +213,75 @@ class Traced(NDArrayOperatorsMixin):
         if isinstance(value, Traced):
             return value if kind is None or value.dtype == kind else value.astype(kind)
         array = np.asarray(value, dtype=kind)
-        return Traced(self._builder, self._builder.constant(array, constant_name(value) or "constant"), array)
+        return Traced(self._builder, self._builder.constant(array, _constant_name(value)), array)
+
+    def _result(self, operation: str, operands: Sequence[Traced], value: Any, **details: Any) -> Traced:
+        """The result of an operation; without ``sizes`` element by element: of one element of an operand or all."""
+        value = np.asarray(value)
+        spread = operands if details else [operand._spread(value.shape) for operand in operands]
+        node = self._builder.node(operation, [operand._node for operand in spread], value, **details, **_where())
+        return Traced(self._builder, node, value)
+
+    def _collected(self, parts: Sequence[Traced], places: NDArray[Any], value: Any, *of: Any) -> Traced:
+        """Elements of the joined parts at some places; ``of``: the array of which it is a view, and the key."""
+        node = self._builder.collect([part._node for part in parts], places.reshape(-1), **_where())
+        return Traced(self._builder, node, value, *of)
 
     def _moved(self, move: Callable[[NDArray[Any]], NDArray[Any]], view: bool = False, key: Any = None) -> Traced:
         """The elements that a function selects or rearranges."""
         places = np.asarray(move(np.arange(self.size).reshape(self.shape)))
-        node = self._builder.collect([self._node], places.reshape(-1), **where())
-        value = self._value.reshape(-1)[places.reshape(-1)].reshape(places.shape)
-        return Traced(self._builder, node, value, self if view else None, key)
+        return self._collected([self], places, self._value.reshape(-1)[places], self if view else None, key)
 
     def _spread(self, shape: tuple[int, ...]) -> Traced:
-        """The operand of an operation with a result of this shape: one element or all."""
         size = int(np.prod(shape, dtype=int))
         return self if self.size in (1, size) else self._moved(lambda places: np.broadcast_to(places, shape))
 
-    def _replace(self, node: Node, value: NDArray[Any], writer: Traced | None) -> None:
+    def _replace(self, new: Traced, writer: Traced | None) -> None:
         """Change this array in place, and the array of which it is a view; another view must not be in use."""
         for reference in self._views:
             view = reference()
             if view is not None and view is not writer:
                 raise _refusal("a change of an array while another name refers to a part of it")
+        every = np.zeros(self.size, dtype=np.int64)
+        node = new._node if new.size == self.size else self._builder.collect([new._node], every)
+        value = np.broadcast_to(new._value, self.shape).copy()
         if self._parent is not None:
             if self._key is None:
                 raise _refusal("a change of a reshaped array")
             self._parent._assign(self._key, Traced(self._builder, node, value), self)
-        size = self._builder.collect([node], np.zeros(self.size, dtype=np.int64)) if node.size != self.size else node
-        self._node, self._value = size, value
+        self._node, self._value = node, value
 
 
-def _holds_traced(key: Any) -> bool:
-    return any(isinstance(one, Traced) for one in (key if isinstance(key, tuple) else (key,)))
+def _check_index(key: Any) -> None:
+    if any(isinstance(part, Traced) for part in (key if isinstance(key, tuple) else (key,))):
+        raise _refusal("an index that depends on the data")
 
 
 def _where_function(self: Traced, condition: Any, yes: Any, no: Any) -> Traced:
-    holders = [one._value if isinstance(one, Traced) else one for one in (condition, yes, no)]
-    value = np.where(*holders)
-    test, *values = self._of(condition, np.bool_), self._of(yes, value.dtype), self._of(no, value.dtype)
-    known = test._node.table if test._node.operation == "constant" else None
-    if known is not None and (known.all() or not known.any()):  # such as the start of an episode
-        chosen = values[0] if known.all() else values[1]
-        return chosen._moved(lambda places: np.broadcast_to(places, value.shape))
-    nodes = [one._spread(value.shape)._node for one in (test, *values)]
-    return Traced(self._builder, self._builder.node("where", nodes, value, **where()), value)
+    value = np.where(*(part._value if isinstance(part, Traced) else part for part in (condition, yes, no)))
+    test, *ways = self._of(condition, np.bool_), self._of(yes, value.dtype), self._of(no, value.dtype)
+    table = test._node.table if test._node.operation == "constant" else None
+    if table is not None and (table.all() or not table.any()):  # such as the start of an episode
+        return ways[0 if table.all() else 1]._moved(lambda places: np.broadcast_to(places, value.shape))
+    return self._result("where", [test, *ways], value)
 
 
-def _einsum(self: Traced, subscripts: str, *operands: Any) -> Traced:
+def _einsum(self: Traced, subscripts: str, *operands: Any) -> Any:
     """A product of all operands with one axis per letter, summed over the letters that are not in the result."""
-    given, _, kept = subscripts.replace(" ", "").partition("->")
-    letters = kept + "".join(sorted(set(given) - {",", *kept}))
-    product: Any = None
-    for names, operand in zip(given.split(","), operands, strict=True):
+    inputs, _, kept = subscripts.replace(" ", "").partition("->")
+    letters = kept + "".join(sorted(set(inputs) - {",", *kept}))
+    product: Any = 1
+    for number, (names, operand) in enumerate(zip(inputs.split(","), operands, strict=True)):
         if len(set(names)) < len(names):
             raise _refusal(f"np.einsum('{subscripts}')")
-        array = self._of(operand)
-        order = sorted(range(len(names)), key=lambda axis, names=names: letters.index(names[axis]))  # type: ignore[misc]
+        order = [names.index(letter) for letter in letters if letter in names]
         spread = tuple(slice(None) if letter in names else None for letter in letters)
-        factor = array._moved(lambda places, order=order, spread=spread: places.transpose(order)[spread])  # type: ignore[misc]
-        product = factor if product is None else product * factor
+        move = lambda places, order=order, spread=spread: places.transpose(order)[spread]  # noqa: E731
+        factor = self._of(operand)._moved(move)
+        product = product * factor if number else factor
     for _ in letters[len(kept) :]:
         product = product.sum(axis=-1)
-    return product  # type: ignore[no-any-return]
+    return product
 
 
 def _diff(self: Traced, array: Any, n: int = 1, axis: int = -1) -> Any:
@@ -292,18 +294,9 @@ def _diff(self: Traced, array: Any, n: int = 1, axis: int = -1) -> Any:
 
 def _filled(number: float) -> Callable[..., Traced]:
     def filled(self: Traced, array: Any, dtype: Any = None, shape: Any = None) -> Traced:
-        kind, size = dtype or array.dtype, array.shape if shape is None else shape
-        return self._of(np.full(size, number, dtype=kind))
+        return self._of(np.full(array.shape if shape is None else shape, number, dtype=dtype or array.dtype))
 
     return filled
-
-
-def _searchsorted(self: Traced, edges: Any, values: Any) -> Any:
-    return (values.reshape(-1, 1) > edges).astype(np.int64).sum(axis=1)
-
-
-def _outer(self: Traced, left: Any, right: Any) -> Any:
-    return self._of(left).reshape(-1, 1) * self._of(right).reshape(1, -1)
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
@@ -314,8 +307,8 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.dot: lambda self, left, right: self._product(left, right),
     np.einsum: _einsum,
     np.diff: _diff,
-    np.outer: _outer,
-    np.searchsorted: _searchsorted,
+    np.outer: lambda self, left, right: self._of(left).reshape(-1, 1) * self._of(right).reshape(1, -1),
+    np.searchsorted: lambda _, edges, values: (values.reshape(-1, 1) > edges).astype(np.int64).sum(axis=1),
     np.zeros_like: _filled(0.0),
     np.ones_like: _filled(1.0),
     np.empty_like: _filled(np.nan),  # NaN reveals an element that is never set
@@ -324,10 +317,44 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 }
 
 
+# Names and refusals: the line of Python that runs ---------------------------------------------------------------------
+
+
+def _caller() -> tuple[Any, str]:
+    """The frame of the traced function that runs, and its line."""
+    frame: Any = inspect.currentframe()
+    while frame.f_code.co_filename.startswith(_OWN):
+        frame = frame.f_back
+    return frame, linecache.getline(frame.f_code.co_filename, frame.f_lineno).strip()
+
+
+def _where() -> dict[str, str]:
+    """Name and origin of a node: the variable to which the traced line assigns, or the function; and the line.
+
+    The name is empty if the line calls the number ``values`` or the like: then it has the name of its operand.
+    """
+    frame, line = _caller()
+    function = frame.f_code.co_name
+    return {"name": _assigned(line, function), "origin": f"{Path(frame.f_code.co_filename).name}, {function}: {line}"}
+
+
+def _assigned(line: str, function: str) -> str:
+    if several := _SEVERAL.match(line):
+        return several.group(1).replace(", ", "_")
+    match = _ENTRY.match(line) or _ASSIGNED.match(line) or _KEYWORD.match(line)
+    name = match.group(1) if match else function
+    return "" if match and name in _SAY_LITTLE else re.sub(r"\W", "", name).strip("_") or "value"
+
+
+def _constant_name(value: Any) -> str:
+    """The name by which the traced function or its object knows a constant array; empty if by none."""
+    variables = _caller()[0].f_locals
+    variables = {**getattr(variables.get("self"), "__dict__", {}), **variables}
+    return next((name.strip("_") for name, held in variables.items() if held is value and name != "self"), "")
+
+
 def _refusal(what: str) -> TraceError:
-    frame = caller()
-    place = ""
-    if frame is not None:
-        file, line = frame.f_code.co_filename, frame.f_lineno
-        place = f"{Path(file).name}, line {line}: {linecache.getline(file, line).strip()}: "
-    return TraceError(f"{place}{what} cannot be exported")
+    frame, line = _caller()
+    return TraceError(
+        f"{Path(frame.f_code.co_filename).name}, line {frame.f_lineno}: {line}: {what} cannot be exported"
+    )

@@ -17,20 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from hydro_rig.export.expressions import (
-    BOOL,
-    DOUBLE,
-    INT,
-    Expressions,
-    TranslationError,
-    Typed,
-    array,
-    declared,
-    element_of,
-    row_of,
-    shape_of,
-    size_of,
-)
+from hydro_rig.export.c_writer import bare
+from hydro_rig.export.expressions import BOOL, DOUBLE, INT, Expressions, TranslationError, Type, Typed, array
 
 
 @dataclass
@@ -39,166 +27,166 @@ class Translator:
 
     structs: list[str] = field(default_factory=list)
     functions: list[str] = field(default_factory=list)
-    _fields: dict[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)  # struct → (type, name) of each field
-    _names: set[str] = field(default_factory=set)
-    _known: dict[tuple[Any, tuple[str, ...]], tuple[str, str]] = field(default_factory=dict)  # → C name, result
+    _fields: dict[str, tuple[tuple[Type, str], ...]] = field(default_factory=dict)  # struct → type, name of each field
+    _results: dict[str, Type] = field(default_factory=dict)  # function → its result
+    _names: dict[tuple[Any, tuple[Type, ...]], str] = field(default_factory=dict)  # function and arguments → C name
 
-    def struct(self, kind: Any, name: str | None = None) -> str:
+    def struct(self, kind: Any) -> Type:
         """C type of a named tuple of doubles."""
-        return self.record(name or kind.__name__.lstrip("_"), [(DOUBLE, one) for one in kind._fields])
+        return self.record(kind.__name__.lstrip("_"), [(DOUBLE, name) for name in kind._fields])
 
-    def record(self, name: str, fields: Sequence[tuple[str, str]]) -> str:
+    def record(self, name: str, fields: Sequence[tuple[Type, str]]) -> Type:
         """C type with this name and these fields, each with its type first."""
         if name not in self._fields:
             self._fields[name] = tuple(fields)
-            body = "".join(f"    {declared(kind, one)};\n" for kind, one in fields)
+            body = "".join(f"    {kind.declared(field_name)};\n" for kind, field_name in fields)
             self.structs.append(f"typedef struct {{\n{body}}} {name};\n")
         if self._fields[name] != tuple(fields):
             raise TranslationError(f"two named tuples with the name {name}")
-        return name
+        return Type(name)
 
-    def function(self, function: Any, types: Sequence[str], name: str | None = None) -> tuple[str, str]:
+    def function(self, function: Any, types: Sequence[Type], name: str | None = None) -> tuple[str, Type]:
         """Translate a function for arguments of these C types; returns its name in C and the type of its result."""
         key = (function, tuple(types))
-        if key not in self._known:
+        if key not in self._names:
             wanted = name or function.__name__.lstrip("_")
-            unique = next(n for n in (wanted, *(f"{wanted}_{i}" for i in range(2, 99))) if n not in self._names)
-            self._names.add(unique)  # before the functions that it calls
+            taken = set(self._names.values())  # also by functions that call this one
+            unique = next(n for n in (wanted, *(f"{wanted}_{i}" for i in range(2, 99))) if n not in taken)
+            self._names[key] = unique
             body = _Body(self, function, types, unique)
-            self._known[key] = unique, body.result
+            self._results[unique] = body.result
             self.functions.append(body.text)
-        return self._known[key]
+        return self._names[key], self._results[self._names[key]]
 
-    def fields(self, kind: str) -> tuple[tuple[str, str], ...]:
+    def fields(self, kind: Type) -> tuple[tuple[Type, str], ...]:
         """Type and name of each field of a struct; none for another type."""
-        return self._fields.get(kind, ())
+        return self._fields.get(kind.element, ())
 
 
 class _Body:
-    def __init__(self, translator: Translator, function: Any, types: Sequence[str], name: str) -> None:
+    """One function: its statements."""
+
+    def __init__(self, translator: Translator, function: Any, types: Sequence[Type], name: str) -> None:
         self._all, self._name = translator, name
-        known = {**function.py_func.__globals__, **inspect.getclosurevars(function.py_func).nonlocals}
+        module = {**function.py_func.__globals__, **inspect.getclosurevars(function.py_func).nonlocals}
         source = getattr(function.py_func, "source", None) or textwrap.dedent(inspect.getsource(function.py_func))
         node = ast.parse(source).body[0]
         if not isinstance(node, ast.FunctionDef):
             raise TranslationError(f"{name}: is no function")
         arguments = [argument.arg for argument in node.args.args]
-        self._of = Expressions(translator, name, known)
+        self._of = Expressions(translator, name, module)
         self._of.names = dict(zip(arguments, types, strict=True))
         self._locals: list[str] = []
+        self._lines: list[str] = []
         self._temporaries = 0
-        self.result = ""
-        lines = self._block(node.body, "    ")
-        self.result = self.result or "void"
-        head = ", ".join(declared(kind, argument) for argument, kind in zip(arguments, types, strict=True))
-        unused = "".join(f"    (void){one};\n" for one in arguments if not _uses(node, one))
+        self.result = Type("void")
+        self._block(node.body, "    ")
+        head = ", ".join(kind.declared(argument) for argument, kind in zip(arguments, types, strict=True))
+        used = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+        unused = [f"    (void){argument};\n" for argument in arguments if argument not in used]
         comment = (ast.get_docstring(node) or name).splitlines()[0].replace("*/", "* /")
         self.text = (
-            f"/* {comment} */\nstatic {self.result} {name}({head})\n"
-            f"{{\n{''.join(self._locals)}{unused}{''.join(lines)}}}\n"
+            f"/* {comment} */\nstatic {self.result.element} {name}({head})\n"
+            f"{{\n{''.join([*self._locals, *unused, *self._lines])}}}\n"
         )
 
-    # Statements ---------------------------------------------------------------------------------------------------
-
-    def _block(self, statements: Sequence[ast.stmt], indent: str) -> list[str]:
-        lines: list[str] = []
+    def _block(self, statements: Sequence[ast.stmt], indent: str) -> None:
         for statement in statements:
-            if isinstance(statement, ast.Assert) or (
-                isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
-            ):
-                continue  # an assertion of the compiler's cache, a docstring
-            if isinstance(statement, ast.Expr):
-                lines.append(f"{indent}{self._of.value(statement.value)[0]};\n")
-            elif isinstance(statement, ast.Return) and statement.value is not None:
-                value, kind = self._of.value(statement.value)
-                self.result = self.result or kind
-                if kind != self.result:
+            self._statement(statement, indent)
+
+    def _line(self, indent: str, text: str) -> None:
+        self._lines.append(f"{indent}{text}\n")
+
+    def _statement(self, statement: ast.stmt, indent: str) -> None:
+        match statement:
+            case ast.Assert() | ast.Expr(value=ast.Constant()):
+                pass  # an assertion of the compiler's cache, a docstring
+            case ast.Expr():
+                self._line(indent, f"{self._of.value(statement.value)[0]};")
+            case ast.Return(value=ast.expr() as returned):
+                value, kind = self._of.value(returned)
+                if self.result not in (Type("void"), kind):
                     raise self._of.failure(statement)
-                lines.append(f"{indent}return {value};\n")
-            elif isinstance(statement, ast.Assign) and len(statement.targets) == 1:
-                self._assign(statement.targets[0], statement.value, lines, indent)
-            elif isinstance(statement, ast.AugAssign):
-                changed = ast.BinOp(statement.target, statement.op, statement.value)
-                self._assign(statement.target, changed, lines, indent)
-            elif isinstance(statement, ast.If):
-                test, _ = self._of.value(statement.test)
-                lines.append(f"{indent}if ({_bare(test)}) {{\n")
-                lines += self._block(statement.body, indent + "    ")
+                self.result = kind
+                self._line(indent, f"return {value};")
+            case ast.Assign(targets=[target]):
+                self._assign(target, statement.value, indent)
+            case ast.AugAssign():
+                self._assign(statement.target, ast.BinOp(statement.target, statement.op, statement.value), indent)
+            case ast.If():
+                self._line(indent, f"if ({bare(self._of.value(statement.test)[0])}) {{")
+                self._block(statement.body, indent + "    ")
                 if statement.orelse:
-                    lines.append(f"{indent}}} else {{\n")
-                    lines += self._block(statement.orelse, indent + "    ")
-                lines.append(f"{indent}}}\n")
-            elif isinstance(statement, ast.For):
-                lines += self._loop(statement, indent)
-            elif isinstance(statement, ast.Break):
-                lines.append(f"{indent}break;\n")
-            else:
+                    self._line(indent, "} else {")
+                    self._block(statement.orelse, indent + "    ")
+                self._line(indent, "}")
+            case ast.For(iter=ast.Call(func=ast.Name(id="range"), args=[*ends]), orelse=[]) if len(ends) <= 2:
+                self._loop(statement, ends, indent)
+            case ast.Break():
+                self._line(indent, "break;")
+            case _:
                 raise self._of.failure(statement)
-        return lines
 
-    def _loop(self, node: ast.For, indent: str) -> list[str]:
-        counted = isinstance(node.iter, ast.Call) and ast.unparse(node.iter.func) == "range"
-        if not counted or not isinstance(node.iter, ast.Call) or len(node.iter.args) > 2 or node.orelse:
+    def _loop(self, node: ast.For, ends: Sequence[ast.expr], indent: str) -> None:
+        typed = [self._of.value(end) for end in ends]
+        if any(kind != INT for _, kind in typed):
             raise self._of.failure(node.iter)
-        ends = [self._of.value(one) for one in node.iter.args]
-        if any(kind != INT for _, kind in ends):
-            raise self._of.failure(node.iter)
-        first, last = ends[0][0] if len(ends) == 2 else "0", ends[-1][0]
+        first, last = typed[0][0] if len(typed) == 2 else "0", typed[-1][0]
         name = self._local("turn" if ast.unparse(node.target) == "_" else ast.unparse(node.target), INT)
-        head = f"{indent}for ({name} = {first}; {name} < {last}; ++{name}) {{\n"
-        return [head, *self._block(node.body, indent + "    "), f"{indent}}}\n"]
+        self._line(indent, f"for ({name} = {first}; {name} < {last}; ++{name}) {{")
+        self._block(node.body, indent + "    ")
+        self._line(indent, "}")
 
-    def _assign(self, target: ast.expr, value: ast.expr, lines: list[str], indent: str) -> None:
+    def _assign(self, target: ast.expr, value: ast.expr, indent: str) -> None:
         if not isinstance(target, ast.Tuple):
             if isinstance(target, ast.Name) and (self._new_array(target.id, value) or self._length(target.id, value)):
                 return
-            self._store(target, self._of.value(value), lines, indent)
+            self._store(target, self._of.value(value), indent)
             return
-        parts: list[Typed]
         if isinstance(value, ast.Tuple):
             pairs = list(zip(target.elts, value.elts, strict=True))
-            if all(isinstance(one, ast.Name) and self._new_array(one.id, of) for one, of in pairs):
+            if all(isinstance(name, ast.Name) and self._new_array(name.id, made) for name, made in pairs):
                 return
-            parts = [self._kept(*self._of.value(one), lines, indent) for one in value.elts]  # they may be swapped
+            parts = [self._kept(*self._of.value(part), indent) for part in value.elts]  # they may be swapped
         else:
-            text, kind = self._of.value(value)
-            if shape_of(kind):
-                size = size_of(row_of(kind)) if shape_of(row_of(kind)) else 1
-                parts = [(f"({text} + {size * i})", row_of(kind)) for i in range(shape_of(kind)[0])]
-            else:
-                kept, _ = self._kept(text, kind, lines, indent)
-                parts = [(f"{kept}.{one}", inner) for inner, one in self._all.fields(kind)]
-        for one, part in zip(target.elts, parts, strict=True):
-            if ast.unparse(one) != "_":
-                self._store(one, part, lines, indent)
+            parts = self._unpacked(*self._of.value(value), indent)
+        for element, part in zip(target.elts, parts, strict=True):
+            if ast.unparse(element) != "_":
+                self._store(element, part, indent)
 
-    def _store(self, target: ast.expr, part: Typed, lines: list[str], indent: str) -> None:
+    def _unpacked(self, text: str, kind: Type, indent: str) -> list[Typed]:
+        """The rows of an array, or the fields of a struct."""
+        if kind.shape:
+            return [(f"({text} + {kind.row().size * i})", kind.row()) for i in range(kind.shape[0])]
+        struct, _ = self._kept(text, kind, indent)
+        return [(f"{struct}.{name}", inner) for inner, name in self._all.fields(kind)]
+
+    def _store(self, target: ast.expr, part: Typed, indent: str) -> None:
         """Assign a value to a variable, to an element of an array, or to all elements of an array or row."""
         text, kind = part
         if isinstance(target, ast.Name):
-            lines.append(f"{indent}{self._local(target.id, kind)} = {text};\n")
+            self._line(indent, f"{self._local(target.id, kind)} = {text};")
             return
         place = self._of.subscript(target) if isinstance(target, ast.Subscript) else None
         if place is None:
             raise self._of.failure(target)
         where, wanted = place
-        if not shape_of(wanted) and not shape_of(kind):
-            lines.append(f"{indent}{where} = {text};\n")
-        elif shape_of(wanted) and shape_of(wanted) == shape_of(kind):
-            lines.append(f"{indent}memcpy({where}, {text}, {size_of(wanted)} * sizeof *{where});\n")
-        elif shape_of(wanted) and kind in (DOUBLE, INT):
-            lines.append(f"{indent}fill({where}, {size_of(wanted)}, {text});\n")
+        if not wanted.shape and not kind.shape:
+            self._line(indent, f"{where} = {text};")
+        elif wanted.shape == kind.shape:
+            self._line(indent, f"memcpy({where}, {text}, {wanted.size} * sizeof *{where});")
+        elif kind in (DOUBLE, INT):
+            self._line(indent, f"fill({where}, {wanted.size}, {text});")
         else:
             raise self._of.failure(target)
 
     def _new_array(self, name: str, value: ast.expr) -> bool:
         """Declare the array of an ``np.empty``; returns false for another value."""
-        if not isinstance(value, ast.Call) or ast.unparse(value.func) != "np.empty" or self._of.known.get("np") != np:
+        if not isinstance(value, ast.Call) or ast.unparse(value.func) != "np.empty" or self._of.module.get("np") != np:
             return False
         shape = value.args[0].elts if isinstance(value.args[0], ast.Tuple) else [value.args[0]]
-        kind = array(*(self._of.integer(one) for one in shape))
-        self._of.names[name] = kind
-        self._locals.append(f"    static {element_of(kind)} {name}[{size_of(kind)}];\n")
+        kind = self._of.names[name] = array(*(self._of.integer(length) for length in shape))
+        self._locals.append(f"    static {kind.element} {name}[{kind.size}];\n")
         return True
 
     def _length(self, name: str, value: ast.expr) -> bool:
@@ -208,31 +196,17 @@ class _Body:
         self._of.constants[name] = int(self._of.value(value)[0])
         return True
 
-    def _local(self, name: str, kind: str) -> str:
-        known = self._of.names.get(name)
-        if known is None:
+    def _local(self, name: str, kind: Type) -> str:
+        before = self._of.names.get(name)
+        if before is None:
             self._of.names[name] = kind
-            self._locals.append(f"    {declared(kind, name)};\n")
-        elif known != kind and not (known == DOUBLE and kind in (INT, BOOL)):
+            self._locals.append(f"    {kind.declared(name)};\n")
+        elif before != kind and not (before == DOUBLE and kind in (INT, BOOL)):
             raise TranslationError(f"{self._name}: {name} changes its type")
         return name
 
-    def _kept(self, text: str, kind: str, lines: list[str], indent: str) -> Typed:
+    def _kept(self, text: str, kind: Type, indent: str) -> Typed:
         self._temporaries += 1
         name = self._local(f"value_{self._temporaries}", kind)
-        lines.append(f"{indent}{name} = {text};\n")
+        self._line(indent, f"{name} = {text};")
         return name, kind
-
-
-def _bare(text: str) -> str:
-    """A text without outer parentheses, which cause compiler warnings."""
-    depth = 0
-    for place, letter in enumerate(text):
-        depth += (letter == "(") - (letter == ")")
-        if depth == 0:
-            return text[1:-1] if text[0] == "(" and place == len(text) - 1 else text
-    return text
-
-
-def _uses(function: ast.FunctionDef, name: str) -> bool:
-    return any(isinstance(node, ast.Name) and node.id == name for node in ast.walk(function))

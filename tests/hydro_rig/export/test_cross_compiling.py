@@ -9,13 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hydro_agents.learning.opponents import opponent
-from hydro_env import TaskConfig
-from hydro_rig.export.controller import controller_code, controller_graph
-from hydro_rig.export.controller_folder import exported_files, variable_gains
-
 ziglang = pytest.importorskip("ziglang", reason="the extra 'playground' brings it")
-TASK = TaskConfig(episode_duration=0.5)
 CORTEX_M4 = ("thumb-freestanding-eabihf", "-mcpu=cortex_m4")
 KINDS = ("pid", "flow_linearising")
 LARGEST = {"pid": (8_192, 512), "flow_linearising": (16_384, 4_096)}  # bytes of code and constants; of stack
@@ -38,24 +32,18 @@ def zig(folder, *words):
     return done.stderr
 
 
-@pytest.fixture(scope="module", params=KINDS)
-def sources(request, tmp_path_factory):
-    """Name and folder of an exported controller, with test program and vectors."""
-    pytest.importorskip("onnxruntime")
-    folder = tmp_path_factory.mktemp(request.param)
-    files, _ = exported_files(opponent(request.param, TASK, request.param), TASK, "hydro export")
-    for name, content in files.items():
-        (folder / name).write_bytes(content)
-    return request.param, folder
+@pytest.fixture(params=KINDS)
+def folder(request, exported, tmp_path):
+    """A copy of the folder of an exported controller, with test program and vectors."""
+    return shutil.copytree(exported(request.param).folder, tmp_path / request.param)
 
 
 @pytest.mark.slow  # zig first compiles the C library of the target
 @pytest.mark.parametrize(("target", "machine"), [("aarch64-linux-musl", "aarch64"), ("arm-linux-musleabihf", "arm")])
-def test_arm_gives_the_voltages_of_the_vectors_bit_for_bit(target, machine, sources):
+def test_arm_gives_the_voltages_of_the_vectors_bit_for_bit(target, machine, folder):
     emulator = shutil.which(f"qemu-{machine}")
     if emulator is None:
         pytest.skip(f"qemu-{machine} is not installed (Debian: qemu-user)")
-    _, folder = sources
     zig(folder, "-target", target, "-static", "-O2", "-o", machine, "test_controller.c", "controller.c", "-lm")
     done = subprocess.run([emulator, f"./{machine}"], cwd=folder, capture_output=True, text=True, check=False)
     print(f"{machine}: {done.stdout}")
@@ -78,19 +66,16 @@ def sections_and_unknown(made):
     return loaded, {text(table[6], name) for name, _, _, _, _, section in symbols if name and section == 0}
 
 
-def test_a_cortex_m4_needs_little_memory_and_no_heap(sources, tmp_path):
+def test_a_cortex_m4_needs_little_memory_and_no_heap(folder):
     """Compiled, not run. The figures are those of docs/export.md; pytest -rP prints them."""
-    kind, _ = sources
-    controller = opponent(kind, TASK, kind)
-    code = controller_code(controller_graph(controller, TASK, variable_gains(controller, TASK)))
-    for name, text in (code.files | {"include/math.h": MATH}).items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
+    kind = folder.name
+    (folder / "include").mkdir()
+    (folder / "include" / "math.h").write_text(MATH)
     told = zig(
-        *(tmp_path, "-target", *CORTEX_M4, "-Os", "-Wframe-larger-than=1", "-I", "include"),
+        *(folder, "-target", *CORTEX_M4, "-Os", "-Wframe-larger-than=1", "-I", "include"),
         *("-c", "controller.c", "-o", "controller.o"),
     )
-    sections, unknown = sections_and_unknown((tmp_path / "controller.o").read_bytes())
+    sections, unknown = sections_and_unknown((folder / "controller.o").read_bytes())
     flash = sum(size for name, size in sections.items() if name.startswith((".text", ".rodata", ".ARM", ".data")))
     frames = {name: int(size) for size, name in re.findall(r"stack frame size \((\d+)\).* in '(\w+)'", told)}
     assert "controller_step" in frames, told

@@ -1,23 +1,36 @@
-"""The FMU: without complaint from FMPy's checker, and the same motion as the kernel's."""
+"""The FMU: FMPy's checker, the kernel's motion on Linux and Windows (wine), and a library for macOS."""
 
+import os
+import re
 import shutil
+import struct
+import subprocess
+import zipfile
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
-from command_line import hydro as run
+from command_line import assert_one_clear_line, hydro
 
-from hydro_env import PlantParameters, TaskConfig, equilibrium, simulate
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig, equilibrium, simulate
 from hydro_env.plant.parts.leakage import LeakLaw, leak_past_piston
 from hydro_env.task.configuration import task_config
-from hydro_rig.export.plant import fmu_variables, make_fmu
+from hydro_rig.export import c_files
+from hydro_rig.export.c_files import c_compiler, compiled, cross_compiler
+from hydro_rig.export.plant import SYSTEMS, fmu_variables, make_fmu
 
-fmpy = pytest.importorskip("fmpy")
-pytestmark = pytest.mark.skipif(
-    not any(shutil.which(name) for name in ("cc", "gcc", "clang")), reason="this machine has no C compiler"
-)
-PERIOD, SAMPLES = 5e-3, 80
+PERIOD, SAMPLES, PLACE = 5e-3, 80, 0.02
 VOLTAGE = np.where(np.arange(SAMPLES) < 20, 1.0, -2.0)
+BINARIES = {
+    "linux": "binaries/linux64/hydro_axis.so",
+    "win32": "binaries/win64/hydro_axis.dll",
+    "darwin": "binaries/darwin64/hydro_axis.dylib",
+}
+TOOL = (Path(__file__).parent / "fmu_tool.c").read_text(encoding="utf-8")
+"""A program of the target's own: it loads the binary that its command line names and prints position and pressure."""
+
+needs_compiler = pytest.mark.skipif(c_compiler() is None, reason="this machine has no C compiler")
 
 
 @pytest.fixture(scope="module")
@@ -27,47 +40,45 @@ def file(tmp_path_factory):
     return path
 
 
-def run_fmu(file, start_values, **held):
-    names = ["voltage", *held]
-    inputs = np.zeros(SAMPLES + 1, dtype=[(name, float) for name in ("time", *names)])
-    inputs["time"] = PERIOD * np.arange(SAMPLES + 1)
-    inputs["voltage"][:-1] = VOLTAGE
-    for name, value in held.items():
-        inputs[name] = value
-    outputs = ["position", "pressure_a", "measured_pressure_a", "leakage_flow", "holding_voltage"]
-    # Values that hold until the next sample: FMPy interpolates between two entries of different times only.
-    times = np.repeat(inputs, 2)[1:]
-    times["time"][::2] = inputs["time"]
-    held_values = np.concatenate([inputs[:1], np.repeat(inputs, 2)[1:-1]])
-    held_values["time"] = np.concatenate([[0.0], np.repeat(inputs["time"][1:], 2)])[: len(held_values)]
-    for name in names:
-        held_values[name] = np.repeat(inputs[name], 2)[: len(held_values)]
-    return fmpy.simulate_fmu(
-        str(file),
-        stop_time=PERIOD * SAMPLES,
-        output_interval=PERIOD,
-        start_values={**start_values, **held},
-        input=held_values,
-        output=outputs,
-    )
+def run_fmu(file, **values):
+    """Outputs of the FMU under the voltages, by name; at every sample and at the end."""
+    fmpy = pytest.importorskip("fmpy")
+    description = fmpy.read_model_description(str(file))
+    references = {variable.name: variable.valueReference for variable in description.modelVariables}
+    names = ["position", "pressure_a", "measured_pressure_a", "leakage_flow", "holding_voltage"]
+    axis = fmpy.instantiate_fmu(fmpy.extract(str(file)), description, "CoSimulation")
+    axis.setupExperiment(startTime=0.0)
+    axis.enterInitializationMode()
+    axis.setReal([references[name] for name in values], list(values.values()))
+    axis.exitInitializationMode()
+    rows = [axis.getReal([references[name] for name in names])]
+    for sample, voltage in enumerate(VOLTAGE):
+        axis.setReal([references["voltage"]], [voltage])
+        axis.doStep(sample * PERIOD, PERIOD)
+        rows.append(axis.getReal([references[name] for name in names]))
+    axis.terminate()
+    axis.freeInstance()
+    return dict(zip(names, np.array(rows).T, strict=True))
 
 
+@needs_compiler
 def test_the_checker_has_no_complaint(file):
+    pytest.importorskip("fmpy")
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(file)) == []
 
 
-@pytest.mark.filterwarnings("ignore:missing input")
+@needs_compiler
 @pytest.mark.parametrize("law", get_args(LeakLaw))
 def test_it_moves_as_the_kernel_does(law, file, tmp_path):
     if law != TaskConfig().leakage.law:
         file = tmp_path / "axis.fmu"
         file.write_bytes(make_fmu(task_config(plant={"leakage": leak_past_piston(0.03, law)}, leakage={"law": law})))
     plant = PlantParameters().replace(leakage=leak_past_piston(2.0, law), valve={"null_shift": 0.01})
-    rest, voltage = equilibrium(plant, 0.02)
+    rest, voltage = equilibrium(plant, PLACE)
     expected = simulate(plant, VOLTAGE, PERIOD, rest)
-    result = run_fmu(file, {"initial_position": 0.02}, **{"leakage": 2.0, "fault.valve_null_shift": 0.01})
+    result = run_fmu(file, **{"initial_position": PLACE, "leakage": 2.0, "fault.valve_null_shift": 0.01})
     assert np.ptp(expected.position) > 5e-3
     assert np.abs(result["position"] - expected.position).max() <= 1e-9 * np.ptp(expected.position)
     assert np.abs(result["pressure_a"] - expected.pressure_a).max() <= 1e-9 * np.ptp(expected.pressure_a)
@@ -79,9 +90,10 @@ def test_it_moves_as_the_kernel_does(law, file, tmp_path):
     assert late[-1] < late.max()
 
 
+@needs_compiler
 def test_a_place_that_cannot_be_held_is_an_error(file):
     with pytest.raises(Exception, match=r"fmi2ExitInitializationMode|initial_position"):
-        run_fmu(file, {"initial_position": 0.19})
+        run_fmu(file, initial_position=0.19)
 
 
 def test_its_variables_have_units_and_the_rig_s_values():
@@ -93,17 +105,75 @@ def test_its_variables_have_units_and_the_rig_s_values():
     assert all(variable.unit.isascii() for variable in variables.values())
 
 
+@needs_compiler
 def test_the_command_writes_it_once(tmp_path):
     folder = tmp_path / "plant"
-    result = run("export", "plant", "--rig", "symmetric_eha", "--output", folder)
+    result = hydro("export", "plant", "--rig", "symmetric_eha", "--output", folder)
     assert result.returncode == 0, result.stderr
-    assert sorted(path.name for path in folder.iterdir() if not path.name.startswith(".")) == [
-        "hydro_axis.fmu",
-        "plant.c",
-        "plant.h",
-    ]
-    again = run("export", "plant", "--output", folder)
-    assert again.returncode == 2
-    unknown = run("export", "controler", "--output", tmp_path / "other")
-    assert unknown.returncode == 2
-    assert "export 'controler': unknown; known: plant, leakage_head" in unknown.stderr
+    written = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
+    assert written == {"hydro_axis.fmu", "plant.c", "plant.h"}
+    assert_one_clear_line(hydro("export", "plant", "--output", folder), "holds results already")
+    unknown = hydro("export", "controler", "--output", tmp_path / "other")
+    assert_one_clear_line(unknown, "export 'controler': unknown; known: plant, leakage_head")
+
+
+# The binaries of all systems -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The FMU for all systems, unpacked."""
+    pytest.importorskip("ziglang", reason="the extra 'playground' brings it")
+    folder = tmp_path_factory.mktemp("fmu")
+    (folder / "axis.fmu").write_bytes(make_fmu(TaskConfig(), all_systems=True))
+    with zipfile.ZipFile(folder / "axis.fmu") as packed:
+        assert {name for name in packed.namelist() if name.startswith("binaries/")} == set(BINARIES.values())
+        packed.extractall(folder)
+    return folder
+
+
+def tool(folder, system):
+    """The program of :data:`TOOL`, compiled for a system."""
+    description = (folder / "modelDescription.xml").read_text()
+    values = {"IDENTITY": re.search(r'guid=("[^"]+")', description)[1]}
+    for name in ("initial_position", "voltage", "position", "pressure_a"):
+        values[name.upper()] = re.search(rf'name="{name}" valueReference="(\d+)"', description)[1]
+    values |= {"START": f"{PLACE}", "PERIOD": f"{PERIOD}", "SAMPLES": f"{SAMPLES}"}
+    definitions = "".join(f"#define {name} {value}\n" for name, value in values.items())
+    file = folder / f"tool_{system}.exe"
+    compiler = cross_compiler(SYSTEMS[system].target, "the test is")
+    file.write_bytes(compiled({"tool.c": definitions + TOOL}, [], compiler))
+    file.chmod(0o755)
+    return file
+
+
+@pytest.mark.slow  # zig first compiles the C library of each system
+@pytest.mark.parametrize("system", ["linux", "win32"])
+def test_its_motion_is_the_kernel_s_on_each_system(system, folder, tmp_path):
+    wine = [shutil.which("wine")] if system == "win32" else []
+    if wine == [None]:
+        pytest.skip("wine is not installed")
+    place = os.environ | {"WINEPREFIX": str(tmp_path), "WINEDEBUG": "-all", "WINEDLLOVERRIDES": "mscoree,mshtml="}
+    command = [*wine, str(tool(folder, system)), BINARIES[system]]
+    done = subprocess.run(command, cwd=folder, env=place, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    position, pressure = np.array([row.split() for row in done.stdout.splitlines()], dtype=float).T
+    plant = TaskConfig().plant
+    expected = simulate(plant, VOLTAGE, PERIOD, equilibrium(plant, PLACE)[0])
+    assert np.ptp(expected.position) > 5e-3
+    for ours, theirs in ((position, expected.position[1:]), (pressure, expected.pressure_a[1:])):
+        assert np.abs(ours - theirs).max() <= 1e-9 * np.ptp(theirs)
+
+
+@pytest.mark.slow
+def test_the_binary_of_macos_is_a_library_of_64_bit_x86_with_the_interface(folder):
+    binary = (folder / BINARIES["darwin"]).read_bytes()
+    magic, processor, _, kind = struct.unpack_from("<4I", binary)
+    assert (magic, processor, kind) == (0xFEEDFACF, 0x01000007, 6)  # 64 bits, x86-64, dynamic library
+    assert all(name in binary for name in (b"_fmi2Instantiate\0", b"_fmi2DoStep\0", b"_fmi2GetReal\0"))
+
+
+def test_without_the_compiler_one_line_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(c_files.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ConfigurationError, match=r"binaries of all systems are compiled by the package ziglang: pip"):
+        make_fmu(TaskConfig(), all_systems=True)

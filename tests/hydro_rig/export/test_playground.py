@@ -12,7 +12,7 @@ from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.states import STATE_NAMES
-from hydro_rig.export.playground import CHOICES, Tunable
+from hydro_rig.export.playground import CHOICES
 
 FILE = Path(__file__).parents[3] / "docs" / "playground.html"
 PAGE = FILE.read_text(encoding="utf-8")
@@ -33,10 +33,10 @@ def in_the_environment():
     head = LeakageHead.load(pretrained_folder() / "leakage_head")
     options = {"parameters": CONFIG.plant, "leakage_flow_lpm": LEAK, "reference": reference()}
     states, answers = (np.empty((STEPS, len(CHOICES), count)) for count in (len(SIGNALS), 9))
-    for number, choice in enumerate(CHOICES):
+    for number, kind in enumerate(CHOICES):
         env = ServoHydraulicVectorEnv(1, CONFIG.model_copy(update={"episode_duration": STEPS * CONFIG.control_period}))
         observation, _ = env.reset(seed=[7], options=options)
-        controller, memory, watching = shipped(choice.kind, CONFIG), None, None
+        controller, memory, watching = shipped(kind, CONFIG), None, None
         key = int(env.axes.record["noise_key"][0])
         for step in range(STEPS):
             answer, watching = head.predict(observation, watching)
@@ -79,11 +79,11 @@ def runs(browser):
     return states, answers, page[:, :, : len(SIGNALS)], page[:, :, len(SIGNALS) :]
 
 
-@pytest.mark.parametrize("number", range(len(CHOICES)), ids=[choice.kind for choice in CHOICES])
+@pytest.mark.parametrize("number", range(len(CHOICES)), ids=list(CHOICES))
 def test_the_axes_of_the_page_are_those_of_the_environment(runs, number):
     states, _, page, _ = (part[:, number] for part in runs)
     difference = np.abs(page - states) / np.ptp(states, axis=0)
-    assert difference.max() <= (1e-4 if CHOICES[number].kind == "ppo" else 1e-9)  # PPO's network sums in float32
+    assert difference.max() <= (1e-4 if list(CHOICES)[number] == "ppo" else 1e-9)  # PPO's network sums in float32
 
 
 def test_the_detectors_of_the_page_are_the_leakage_head(runs):
@@ -130,16 +130,3 @@ def test_the_page_is_one_small_file():
     assert "http:" not in PAGE
     assert "https:" not in PAGE
     assert 'src="' not in PAGE
-
-
-def test_a_tunable_controller_with_its_own_gains_is_the_controller():
-    pid = shipped("pid", CONFIG)
-    tunable, generator = Tunable(pid, ("proportional", "integral")), np.random.default_rng(0)
-    one = other = None
-    for _ in range(5):
-        observation = 0.3 * generator.standard_normal((2, len(pid.layout.names))).astype(np.float32)
-        expected, one = pid.predict(observation, one)
-        found, other = tunable.predict(observation, other)
-        np.testing.assert_array_equal(found, expected)
-    turned = other._replace(gains={**other.gains, "proportional": 2.0 * other.gains["proportional"]})
-    assert not np.array_equal(tunable.predict(observation, turned)[0], tunable.predict(observation, other)[0])

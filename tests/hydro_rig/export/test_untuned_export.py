@@ -1,10 +1,11 @@
 """A controller for a rig that nobody tuned: the command, its C code on that rig, and a take-over in motion."""
 
-import ctypes
+import json
 
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
+from exported_code import InC, library, sources_in
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.opponents import shipped
@@ -12,9 +13,7 @@ from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_rig.export.c_files import WARNINGS, c_compiler, compiled
 from hydro_rig.export.controller import controller_graph
-from hydro_rig.export.exported import read_contract
 
 NAMEPLATES = {
     "bore": "63 mm",
@@ -59,33 +58,18 @@ def folder(rig):
     return out
 
 
-class InC:
-    """The exported C code, called as a PLC calls it."""
-
-    def __init__(self, folder, place):
-        sources = {name: (folder / name).read_text(encoding="utf-8") for name in ("controller.c", "controller.h")}
-        compiled(sources, [*WARNINGS, "-shared", "-fPIC"], folder=place)
-        self._step = ctypes.CDLL(str(place / "out")).controller_step
-        self._step.restype = ctypes.c_double
-        self._memory = ctypes.create_string_buffer(100_000)
-
-    def __call__(self, signals, start):
-        given = np.ascontiguousarray(signals, dtype=np.float64)
-        return self._step(self._memory, given.ctypes.data_as(ctypes.c_void_p), int(start))
-
-
-@pytest.fixture
-def in_c(folder, tmp_path):
-    if c_compiler() is None:
-        pytest.skip("this machine has no C compiler")
-    return InC(folder, tmp_path)
+@pytest.fixture(scope="module")
+def in_c(folder, tmp_path_factory):
+    """A function: a new instance of the exported C code."""
+    source = library(tmp_path_factory.mktemp("untuned"), sources_in(folder))
+    return lambda: InC(source)
 
 
 def test_the_contract_says_for_which_rig_and_timing_and_with_which_gains(folder, task):
-    contract = read_contract(folder)
-    assert (contract.sample_time, contract.latency) == (0.002, 0.0006)
-    assert contract.controller["settings"] == FlowLinearisingGains().model_dump()
-    assert contract.scores["failed"] == 0
+    contract = json.loads((folder / "contract.json").read_text(encoding="utf-8"))
+    assert (contract["sample_time"], contract["latency"]) == (0.002, 0.0006)
+    assert contract["controller"]["settings"] == FlowLinearisingGains().model_dump()
+    assert contract["scores"]["failed"] == 0
     assert shipped("flow_linearising", task).gains == FlowLinearisingGains()
     assert shipped("flow_linearising", TaskConfig()).gains != FlowLinearisingGains()  # the paper's rig has its own
 
@@ -95,30 +79,29 @@ def test_the_c_code_drives_the_rig_as_python_does(task, in_c):
     signals = controller_graph(controller, task).signals
     env = ServoHydraulicVectorEnv(1, task)
     observation, _ = env.reset(seed=[SEED])
-    memory, moved = None, env.axes.column("position")[0]
+    run, memory, moved = in_c(), None, env.axes.column("position")[0]
     for step in range(400):
-        voltage = in_c(signals.of_axes(env.axes)[0], step == 0)
+        voltage = run(signals.of_axes(env.axes)[0], step == 0)
         action, memory = controller.predict(observation, memory)
         assert voltage == pytest.approx(10.0 * float(action[0, 0]), abs=1e-4)
         observation, *_ = env.step(np.array([[voltage / 10.0]], dtype=np.float32))
     assert env.axes.column("position")[0] - moved > 0.02
 
 
-def test_in_c_it_takes_over_an_axis_in_motion(task, folder, in_c, tmp_path):
-    (tmp_path / "cold").mkdir()
-    cold = InC(folder, tmp_path / "cold")
+def test_in_c_it_takes_over_an_axis_in_motion(task, in_c):
+    run, cold = in_c(), in_c()
     driving, taking = (FlowLinearising(FlowLinearisingGains(), task) for _ in range(2))
     signals = controller_graph(driving, task).signals
     env = ServoHydraulicVectorEnv(1, task)
     observation, _ = env.reset(seed=[SEED + 1])
     memory = None
     for _ in range(TAKE_OVER):  # the exported controller stands by
-        in_c(signals.of_axes(env.axes)[0], True)
+        run(signals.of_axes(env.axes)[0], True)
         action, memory = driving.predict(observation, memory)
         observation, *_ = env.step(action)
     assert driving.layout.si(observation, "velocity_estimate")[0] == pytest.approx(RAMP, rel=0.2)
     before = 10.0 * float(action[0, 0])
-    taken = in_c(signals.of_axes(env.axes)[0], True)
+    taken = run(signals.of_axes(env.axes)[0], True)
     without_speed = cold(signals.of_axes(env.axes)[0], True)
     assert abs(taken - before) < BUMP < 0.2 * abs(without_speed - before)
     own, errors = None, []
@@ -126,9 +109,8 @@ def test_in_c_it_takes_over_an_axis_in_motion(task, folder, in_c, tmp_path):
         command, own = taking.predict(observation, own)
         assert taken == pytest.approx(10.0 * float(command[0, 0]), abs=1e-3)
         observation, *_ = env.step(np.array([[taken / 10.0]], dtype=np.float32))
-        taken = in_c(signals.of_axes(env.axes)[0], False)
+        taken = run(signals.of_axes(env.axes)[0], False)
         errors.append(driving.layout.si(observation, "tracking_error")[0])
-    print("ERR", before, without_speed, np.abs(errors).max())
     assert np.abs(errors).max() < 3e-4
 
 

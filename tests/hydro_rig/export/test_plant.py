@@ -4,9 +4,9 @@ import ctypes
 
 import numpy as np
 import pytest
+from exported_code import library
 
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium
-from hydro_env.compiling import inline
 from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.kernel import (
     MAXIMUM_STEP,
@@ -19,10 +19,7 @@ from hydro_env.plant.kernel import (
 )
 from hydro_env.plant.parameters import from_vector, to_vector
 from hydro_env.plant.states import STATE_NAMES
-from hydro_rig.export.c_files import WARNINGS, c_compiler, compiled
-from hydro_rig.export.expressions import TranslationError
 from hydro_rig.export.plant import plant_code
-from hydro_rig.export.translator import Translator
 
 NUMBER = ctypes.c_double
 PERIOD = 5e-3
@@ -41,17 +38,13 @@ class AccuracyInC(ctypes.Structure):
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory):
-    if c_compiler() is None:
-        pytest.skip("this machine has no C compiler")
-    folder = tmp_path_factory.mktemp("plant")
-    compiled(plant_code().files, [*WARNINGS, "-O1", "-shared", "-fPIC"], folder=folder)
-    library = ctypes.CDLL(str(folder / "out"))
+    in_c = library(tmp_path_factory.mktemp("plant"), plant_code().files)
     array = np.ctypeslib.ndpointer(np.float64, flags="C")
-    library.plant_coefficients.argtypes, library.plant_coefficients.restype = [array, array], None
-    library.plant_equilibrium.argtypes = [NUMBER, array, ctypes.POINTER(StateInC), ctypes.POINTER(NUMBER)]
-    library.plant_advance.argtypes = [ctypes.POINTER(StateInC), array, NUMBER, NUMBER, ctypes.POINTER(AccuracyInC)]
-    library.plant_advance.restype = NUMBER
-    return library
+    in_c.plant_coefficients.argtypes, in_c.plant_coefficients.restype = [array, array], None
+    in_c.plant_equilibrium.argtypes = [NUMBER, array, ctypes.POINTER(StateInC), ctypes.POINTER(NUMBER)]
+    in_c.plant_advance.argtypes = [ctypes.POINTER(StateInC), array, NUMBER, NUMBER, ctypes.POINTER(AccuracyInC)]
+    in_c.plant_advance.restype = NUMBER
+    return in_c
 
 
 def drawn_rigs(count):
@@ -100,17 +93,3 @@ def test_the_same_source_gives_the_same_code():
     assert first == second
     assert "plant_default_parameters" in first.header
     assert plant_code(PlantParameters().replace(load={"mass": 77.0})).source != first.source
-
-
-def test_what_has_no_translation_is_refused():
-    @inline
-    def listing(x):
-        return [x, x]
-
-    @inline
-    def powers(x):
-        return math_gamma(x)  # noqa: F821
-
-    for function in (listing, powers):
-        with pytest.raises(TranslationError, match="no translation for"):
-            Translator().function(function, ["double"])

@@ -21,13 +21,13 @@ SETTINGS = AlarmSettings(scales=SCALES, threshold=8.0)
 
 
 @pytest.fixture(scope="module")
-def exported():
+def alarm_export():
     return exported_alarm(SETTINGS, "hydro export alarm")
 
 
 @pytest.mark.skipif(c_compiler() is None, reason="no C compiler")
-def test_the_c_code_equals_python_bit_by_bit(exported):
-    files, report = exported
+def test_the_c_code_equals_python_bit_by_bit(alarm_export):
+    files, report = alarm_export
     assert set(files) == set(FILES)
     said = json.loads(files["contract.json"])["checked"]["alarm.c"]
     assert report == [f"alarm.c: {said}"]
@@ -40,8 +40,8 @@ def test_the_c_code_equals_python_bit_by_bit(exported):
         compared("alarm", {**texts, "alarm.c": wrong})
 
 
-def test_the_vectors_hold_alarms_resets_and_named_causes(exported):
-    rows = [line.split(",") for line in exported[0]["vectors.csv"].decode().splitlines()]
+def test_the_vectors_hold_alarms_resets_and_named_causes(alarm_export):
+    rows = [line.split(",") for line in alarm_export[0]["vectors.csv"].decode().splitlines()]
     columns = {name: [float(row[place]) for row in rows[1:]] for place, name in enumerate(rows[0])}
     assert set(columns["action"]) == {0.0, 1.0, 2.0}
     assert 100 < sum(columns["now_alarm"]) < len(rows) - 100

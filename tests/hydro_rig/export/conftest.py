@@ -1,0 +1,51 @@
+"""Exported folders, made once for all tests of this room."""
+
+import copy
+import functools
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.learning.opponents import opponent
+from hydro_env import TaskConfig
+from hydro_rig.export.controller import ControllerGraph, controller_graph
+from hydro_rig.export.controller_folder import exported_files
+
+TASK = TaskConfig(episode_duration=0.6)
+
+
+class Exported(NamedTuple):
+    """A controller, its graph and its folder, with Structured Text."""
+
+    controller: Controller
+    graph: ControllerGraph
+    folder: Path
+    report: list[str]
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory):
+    """A function: the export of a kind of controller, for a short task."""
+
+    @functools.cache
+    def export(kind):
+        controller = opponent(kind, TASK, kind)
+        files, report = exported_files(controller, TASK, "hydro export", "st")
+        folder = tmp_path_factory.mktemp(kind)
+        for name, content in files.items():
+            (folder / name).write_bytes(content)
+        return Exported(controller, controller_graph(controller, TASK), folder, report)
+
+    return export
+
+
+@pytest.fixture(scope="session")
+def block(exported):
+    """A function: the function block of a kind of controller, parsed once, with the memory of a new one."""
+    pytest.importorskip("blark", reason="the extra 'dev' brings it")
+    from structured_text import FunctionBlock
+
+    parsed = functools.cache(lambda kind: FunctionBlock((exported(kind).folder / "controller.st").read_text()))
+    return lambda kind: copy.deepcopy(parsed(kind))
