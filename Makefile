@@ -11,7 +11,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: install study test slow-test mutants lint types check docs versions release clean
+.PHONY: install study test slow-test faults lint types check docs versions release clean
 
 install: $(VENV)/.installed-agents
 
@@ -24,12 +24,9 @@ test: $(VENV)/.installed-dev
 slow-test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow $(WORKERS)
 
-# Which one-line mutations of the code that carries the results do the tests notice? An hour on two cores.
-mutants: $(VENV)/.installed-dev
-	$(PIP_INSTALL) 'mutmut>=3.8,<4'
-	rm -rf mutants
-	$(BIN)/mutmut run
-	$(BIN)/python benchmarks/mutants.py
+# Do the tests notice twenty faults that somebody could make? Half an hour.
+faults: $(VENV)/.installed-dev
+	$(BIN)/python benchmarks/seeded_faults.py
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -74,5 +71,5 @@ $(VENV)/.installed-dev: $(VENV)/.torch pyproject.toml
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .versions mutants build dist .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) .versions build dist .mypy_cache .ruff_cache .pytest_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_agents.rigs.new_rig import new_rig
-from hydro_agents.rigs.questions import answers_from
+from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import write_text
 from hydro_env.task.configuration import task_config

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.drawn_rigs import TRIES, drawn_answers
-from hydro_agents.rigs.new_rig import new_rig
-from hydro_agents.rigs.questions import answers_from
+from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.rigs.stable_gain import stable_pid
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import write_text

@@ -22,10 +22,9 @@ from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.training import train_ppo
+from hydro_agents.learning.training import train_policy
 from hydro_agents.learning.tuning import tune
-from hydro_agents.rigs.new_rig import new_rig
-from hydro_agents.rigs.questions import answers_from
+from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.running.seeds import LEARNING
 from hydro_agents.study.settings import default_study
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
@@ -91,7 +90,7 @@ def trained(task: TaskConfig, base: Controller, folder: Path, steps: int) -> Con
         entry = default_study(Path("own_rig")).controllers["PPO on flow linearisation"]
         settings = validate(PPOSettings, entry.settings | {"total_steps": steps}, "PPO")
         resume = (folder / "checkpoint.safetensors").exists()
-        train_ppo(task, settings, base, folder=folder, resume=resume).save(folder / "policy")
+        train_policy(task, settings, base, folder=folder, resume=resume).save(folder / "policy")
     return PolicyController.load(folder / "policy")
 
 

@@ -43,18 +43,18 @@ def judged(config: TaskConfig, test: Plan, seed: int, leak: float, folder: Path)
     found = read_leak_test(recording, config)
     recording.unlink()
     result = {"seed": seed, "leak": leak, "core": time.process_time() - began}
-    if found.seal is None or found.common is None or found.edges is None:
+    if found.fit is None:
         return result | {"value": np.nan, "deviation": np.nan, "bound": np.nan, "explained": 0.0}
     z = {
         name: (quantity.value - float(axis.value(name)[0])) / quantity.deviation
-        for name, quantity in found.quantities.items()
+        for name, quantity in found.fit.quantities.items()
         if name != LEAKAGE
     }
     return result | {
-        "value": found.seal.value,
-        "deviation": found.seal.deviation,
-        "bound": found.seal.bound,
-        "explained": found.common.explained / len(found.windows),
+        "value": found.fit.seal.value,
+        "deviation": found.fit.seal.deviation,
+        "bound": found.fit.seal.bound,
+        "explained": found.fit.common.explained / len(found.windows),
         "others_within": float(np.mean([abs(one) <= 1.645 for one in z.values()])),
     }
 

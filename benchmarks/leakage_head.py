@@ -22,7 +22,7 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import roc_auc_score
 
-from hydro_agents.detection.dataset import Windows
+from hydro_agents.detection.dataset import Plan, Windows
 from hydro_agents.detection.detector import MeasuredColumns, logit, threshold_at_false_alarm_rate
 from hydro_agents.detection.disturbances import PRESSURE_A, SUPPLY, TANK, Disturbances, Disturbed
 from hydro_agents.detection.features import FEATURES, SPREAD, STILL
@@ -175,7 +175,7 @@ def main() -> None:
     )
     settings = HeadTrainingSettings(**head.settings.training["settings"])
     config = head.settings.task
-    plan = settings.plan(config, [shipped(kind, config) for kind in CONTROLLERS])
+    plan = Plan(config, [shipped(kind, config) for kind in CONTROLLERS], settings)
     test = Windows.joined(list(plan.windows(arguments.test, DETECTION.take(arguments.test, 170_000)[0])))
     columns = [f"{low:g}–{high:g}" for low, high in pairwise(SIZES)]
     motion, rest = ([f"{where} {column}" for column in columns] for where in ("moving", "at rest"))

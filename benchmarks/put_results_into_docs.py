@@ -4,7 +4,7 @@ Run: python benchmarks/put_results_into_docs.py [results]
 
 The folder holds what commands wrote: ``study``, ``seeds``, ``robustness``, ``leakage``, ``reproduce``, ``alone``,
 ``baselines``. A part that is absent keeps what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``; what
-stands between is made from ``docs/tables/NAME.csv``, and ``tests/test_site.py`` checks that it still is.
+stands between is made from ``docs/tables/NAME.csv``, and ``tests/site/test_site.py`` checks that it still is.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from rich.table import Table
 from benchmarks.accuracy import accuracy_cases
 from benchmarks.environment_rows import cost_cases, single_cases, vector_cases
 from benchmarks.kernel_rows import kernel_cases, solver_cases
-from benchmarks.resource_rows import inference_cases, memory_cases, profile_cases, start_cases
+from benchmarks.resource_rows import inference_cases, memory_cases, start_cases
 from benchmarks.table import (
     FULL,
     HEADINGS,
@@ -28,7 +28,7 @@ from benchmarks.table import (
     write_csv,
     write_markdown,
 )
-from benchmarks.training_rows import beating_cases, default_study, training_cases
+from benchmarks.training_rows import default_study, training_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import machine_description, package_versions
@@ -48,11 +48,9 @@ GROUPS: dict[str, tuple[str, Callable[[Extent], list[Case]]]] = {
     "solvers": ("The same plant with SciPy's `solve_ivp`, at the accuracy of the integrator.", solver_cases),
     "accuracy": ("Error and time of the integrator over drawn rigs, against Radau (one axis).", accuracy_cases),
     "training": ("PPO of stable-baselines3, end to end, and the shares of its time.", training_cases),
-    "beating": ("Training until PPO's mean error is smaller than that of the tuned PID.", beating_cases),
     "memory": ("Memory.", memory_cases),
     "start": ("Start-up, wall time of fresh processes.", start_cases),
     "inference": ("From observation to command on one axis.", inference_cases),
-    "profile": ("Shares of the time of a step and of a PPO iteration.", profile_cases),
 }
 """Title of each group, and the function that lists its cases. The cases take turns, round by round."""
 

@@ -32,7 +32,6 @@ from hydro_rig.monitoring.oil import GRADES, Oil
 from hydro_rig.monitoring.trend import Settings, row_of
 from hydro_rig.monitoring.trend_summary import DAY, trends_of
 from hydro_rig.monitoring.trend_table import SIZES, stamp
-from hydro_rig.recordings.columns import BESIDE
 from hydro_rig.recordings.liveliest import Liveliest
 from hydro_rig.recordings.recording import Recording
 
@@ -88,11 +87,10 @@ def readings(controller: Controller, seed: int, days: int, grows: bool, windows:
         first = round(SHIFT * (day // len(FAMILIES) % WEEKS) / task.control_period)
         part = signals[day, :, first : first + round(LENGTH / task.control_period)]
         kept = np.flatnonzero(random.random(part.shape[1]) >= LOST)
-        beside = np.full((len(BESIDE), len(kept)), np.nan)
-        beside[BESIDE.index("oil_temperature")] = axis.warm[day] + off + random.normal(0.0, 0.3, len(kept))
+        warm = {"oil_temperature": axis.warm[day] + off + random.normal(0.0, 0.3, len(kept))}
         time = (kept - kept[0]) * task.control_period
         live = Liveliest(how.window, known)
-        live.add(Recording("day", time, part[:, kept], {}, [], beside, START + DAY * day))
+        live.add(Recording("day", time, part[:, kept], {}, [], warm, START + DAY * day))
         rows.append(row_of(f"{seed}", live, known, how))
     return {
         "verdict": np.array([row.verdict.value for row in rows]),

@@ -37,7 +37,6 @@ exclude_patterns = [
     ".*",
     "build",
     "dist",
-    "mutants",
     "results",
     "hydro_env",
     "tests",

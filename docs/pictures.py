@@ -21,7 +21,7 @@ import hydro_env  # noqa: F401  (registers the environment)
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.report.canvas import GREY, WIDE, WIDTH, bars, dodge, level_axis, render, row_axis, ticks
 from hydro_agents.report.content import intervals
-from hydro_agents.report.palette import COLOURS, looks_of
+from hydro_agents.report.palette import looks_of
 from hydro_agents.report.training_plots import learning_plots
 from hydro_agents.running.folders import config_folder
 from hydro_agents.study.over_seeds import relative
@@ -121,7 +121,7 @@ def learning() -> None:
 
 
 def performance() -> None:
-    """Speed over the number of axes, and where the time of a training goes, from the tables of docs/performance.md."""
+    """Speed over the number of axes, from the tables of docs/performance.md."""
     rows = [
         line.split("|")[1:4]
         for line in (DOCS / "performance.md").read_text(encoding="utf-8").splitlines()
@@ -141,18 +141,7 @@ def performance() -> None:
         ticks(axes.xaxis, counts, lambda value: f"{value:,.0f}")
         axes.legend(loc="upper left")
 
-    parts = {
-        name.removeprefix("PPO iteration: "): values[name] for name in values if name.startswith("PPO iteration: ")
-    }
-
-    def training(figure: Figure) -> None:
-        axes = figure.subplots()
-        axes.barh(range(len(parts)), list(parts.values()), color=COLOURS[0])
-        row_axis(axes, list(parts))
-        axes.set(xlabel="ms per iteration (256 axes × 64 steps)")
-
     save("chart_speed.svg", speed, 3.0)
-    save("chart_training_time.svg", training, 3.2)
 
 
 def _is_number(text: str) -> bool:
@@ -164,13 +153,12 @@ CHARTS = {
     "chart_detectors.svg": "tables/detectors.csv",
     "chart_learning.svg": "tables/learning_curves.csv",
     "chart_speed.svg": "performance.md",
-    "chart_training_time.svg": "performance.md",
 }
 """Charts, and the file whose numbers each shows."""
 
 
 def data_mark(chart: str) -> str:
-    """A comment at the end of a chart that names its numbers; tests/test_site.py compares it with the file."""
+    """A comment at the end of a chart that names its numbers; tests/site/test_site.py compares it with the file."""
     text = (DOCS / CHARTS[chart]).read_text(encoding="utf-8")
     rows = [line.split("|")[1:4] for line in text.splitlines() if line.count("|") > 3]  # name, unit, value
     numbers = "".join(map("|".join, rows)) or text

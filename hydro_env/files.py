@@ -15,7 +15,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from hydro_env.errors import ConfigurationError
-from hydro_env.mistakes import described, kind_of_value
+from hydro_env.field_mistakes import described, kind_of_value
 from hydro_env.units import in_si
 
 LARGEST_FILE = 100_000

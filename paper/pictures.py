@@ -155,8 +155,8 @@ def paint_force_rate(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
         stack, leaks, difference = grid[:, column]
         _stacked(stack, time, rows)
         stack.set_title("Start of the move" if event == "move" else "Stop")
-        for index in (2, 3):
-            leaks.plot(time, 1e-3 * rows[list(TERMS)[index]], color=COLOURS[index], linestyle=LINES[index - 2])
+        for term, colour, line in zip(list(TERMS)[2:], ("green", "purple"), LINES, strict=False):
+            leaks.plot(time, 1e-3 * rows[term], color=COLOURS[colour], linestyle=line)
         difference.plot(time, rows["pressure_difference_bar"], color=INK)
         difference.axhline(0.0, color=GREY, linewidth=0.7)
         difference.set_xlabel(f"time after the command to {event}, ms")
@@ -171,7 +171,7 @@ def paint_force_rate(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
 def _stacked(axes: Axes, time: np.ndarray, rows: pd.DataFrame) -> None:
     """Stack positive parts above zero and negative ones below: upper edge plus lower edge is the sum."""
     above, below = np.zeros(len(rows)), np.zeros(len(rows))
-    for colour, hatch, (name, words) in zip(COLOURS, ("", "", "////", "...."), TERMS.items(), strict=False):
+    for colour, hatch, (name, words) in zip(COLOURS.values(), ("", "", "////", "...."), TERMS.items(), strict=False):
         values = 1e-3 * rows[name].to_numpy()
         up, down = np.maximum(values, 0.0), np.minimum(values, 0.0)
         fill: Any = {"facecolor": colour, "alpha": 0.75, "linewidth": 0, "hatch": hatch, "edgecolor": PAPER}
@@ -244,7 +244,7 @@ def paint_sensitivity(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     norm = LogNorm(vmin=0.5, vmax=100.0, clip=True)
     shade = DEEPEST * np.asarray(norm(np.maximum(values, 0.5)))
     for (row, column), share in np.ndenumerate(shade):
-        axes.add_patch(Rectangle((column, row), 1.0, 1.0, facecolor=COLOURS[0], alpha=float(share), linewidth=0))
+        axes.add_patch(Rectangle((column, row), 1.0, 1.0, facecolor=COLOURS["blue"], alpha=float(share), linewidth=0))
     axes.set(xlim=(0, values.shape[1]), ylim=(values.shape[0], 0))
     for (row, column), value in np.ndenumerate(values):
         text = f"{value:.0f}" if value >= 10.0 else f"{value:.1f}" if value >= 0.1 else "·"

@@ -15,11 +15,12 @@ from hydro_rig.recordings.simulated import record_axis
 SEED = VALIDATION_SEEDS.start + 5
 
 RAM = Path(__file__).parent / "recorded_elsewhere" / "mbari_ram.csv"
+RAM_RIG = RAM.with_suffix(".yaml")
 PUMP = -0.30 * 16.387064e-3  # l per revolution; the sign is that of the flow into the upper chamber
 RAM_COLUMNS = {
     "time": "time",
     "command": {"column": "pump", "unit": "1", "gain": 1e-4},
-    "position": "position",
+    "position": {"column": "position", "unit": "mm", "offset": -1000.0},
     "pressure_a": "upper",
     "pressure_b": "lower",
     "flow": {"column": "pump", "unit": "l/min", "gain": PUMP},

@@ -3,6 +3,7 @@
 import numpy as np
 
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+from hydro_env.folders import config_file
 
 TASK = {"episode_duration": 0.3}
 SMALL = {
@@ -16,6 +17,11 @@ SMALL = {
     "experiments": False,
     "conditions": {"plain": {"group": "leak"}, "late": {"task": {"command_latency": 0.004}}},
 }
+
+
+def named(name):
+    """A protocol of the project."""
+    return RobustnessProtocol.from_yaml(config_file("protocols", name))
 
 
 def small(**changes):

@@ -99,5 +99,8 @@ SENSORS = ("position", "pressure_a", "pressure_b", "spool_position")
 """Sensors that estimator, detectors, recordings and exports read; windows of signals hold them in this order, and then
 the command. A further channel does not concern them."""
 
+POSITION, PRESSURE_A, PRESSURE_B, SPOOL, COMMAND = range(len(SENSORS) + 1)
+"""Rows of a window of signals."""
+
 SENSOR_COLUMNS = [CHANNELS.index(name) for name in SENSORS]
 """Columns of these sensors in arrays with one column per channel."""

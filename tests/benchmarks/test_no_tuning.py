@@ -7,7 +7,7 @@ import pytest
 from benchmarks.drawn_rigs import BORES_AND_RODS, DEAD, drawn_answers, drawn_task
 from benchmarks.no_tuning import family_errors, judged_rig, summary
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.rigs.questions import QUESTIONS
+from hydro_agents.rigs.new_rig import QUESTIONS
 from hydro_agents.running.seeds import RIGS, UNTUNED_RIGS
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import closed_port_natural_frequency, full_pressure_forces, speed_limits

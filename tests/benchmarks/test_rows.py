@@ -8,9 +8,8 @@ import pytest
 
 from benchmarks.environment_rows import single_cases, single_rate, vector_rate
 from benchmarks.kernel_rows import BareKernel, counted_work, error_of, matching_tolerance, solver_cases
-from benchmarks.resource_rows import array_bytes, inference_cases, memory_cases, profile_cases
+from benchmarks.resource_rows import array_bytes, inference_cases, memory_cases
 from benchmarks.table import QUICK, UnavailableError, fresh_process, rate, time_in
-from benchmarks.training_rows import study_of_the_pid, validation_error
 from hydro_env import ServoHydraulicVectorEnv
 
 TINY = dataclasses.replace(
@@ -63,11 +62,6 @@ def test_cheap_rows_are_positive(make):
         assert min(values) > 0.0
 
 
-def test_step_profile_is_positive_and_nested():
-    values = {case.rows[0].name: case.measure(0)[0] for case in profile_cases(TINY)[:-1]}
-    assert min(values.values()) > 0.0
-
-
 def test_memory_of_arrays():
     env = ServoHydraulicVectorEnv(64)
     assert array_bytes(env) > 64 * 400 * 8  # at least the reference
@@ -99,9 +93,3 @@ def test_timed_functions_are_put_back():
         assert worker.work() == 3
     assert seconds["work"] > 0.0
     assert "work" not in vars(worker)
-
-
-def test_validation_error_of_the_pid():
-    settings = study_of_the_pid()
-    error = validation_error(settings, settings.base, 1)
-    assert 0.05 < error < 1.0  # mm

@@ -83,9 +83,9 @@ def test_simulate_says_which_voltage_acts(tmp_path):
 def test_simulate_reads_a_rig_and_a_csv(tmp_path):
     (tmp_path / "voltage.csv").write_text("time,voltage\n0,0\n0.001,1.5\n0.002,-1.5\n")
     rig = ROOT / "configs" / "rigs" / "kovari_2015.yaml"
-    done("simulate", "--rig", rig, "--input-file", tmp_path / "voltage.csv", "--output", tmp_path / "run")
+    done("simulate", "--rig", rig, "--input", tmp_path / "voltage.csv", "--output", tmp_path / "run")
     assert voltages(tmp_path / "run") == [0.0, 1.5, -1.5, -1.5]
-    done("simulate", "--rig", rig, "--input-file", tmp_path / "run" / "trajectory.csv", "-o", tmp_path / "2")
+    done("simulate", "--rig", rig, "--input", tmp_path / "run" / "trajectory.csv", "-o", tmp_path / "2")
     assert voltages(tmp_path / "2") == [0.0, 1.5, -1.5, -1.5, -1.5]
 
 
@@ -154,8 +154,8 @@ FILES = {
         ("simulate --duration inf", ["--duration = inf", "3600 s"]),
         ("simulate --sample-time 0", ["--sample-time = 0", "above 0"]),
         ("simulate --rig absent.yaml", ["absent.yaml: cannot be read: No such file"]),
-        ("simulate --input-file ragged.csv", ["ragged.csv: line 2 has 4 columns", "decimals need a point"]),
-        ("simulate --input-file high.csv", ["high.csv: line 3: 12 V", "-10 to 10 V"]),
+        ("simulate --input ragged.csv", ["ragged.csv: line 2 has 4 columns", "decimals need a point"]),
+        ("simulate --input high.csv", ["high.csv: line 3: 12 V", "-10 to 10 V"]),
         ("evaluate --agent PPO=foreign", ["foreign.json", "must be 'hydro_env policy'"]),
         ("evaluate --agent =SUM(A1)=pid", ["--agent", "must be NAME=module:attribute"]),
         ("evaluate --agent @x=pid", ["--agent", "must be a name of at most 40 letters"]),

@@ -237,13 +237,12 @@ def weights_of(name: str) -> Any:
 
 SIMULATE = {
     "--voltage": ["3", "-10", "nan", "1e9", "abc"],
-    "--input": ["step", "sine", "stop", "sweep", "x"],
+    "--input": ["step", "sine", "stop", "sweep", "x", "a.csv", "absent.csv", "/dev/null"],
     "--duration": ["0.01", "0", "-1", "nan", "inf", "1e300"],
     "--sample-time": ["0.001", "0", "1e-300", "inf"],
     "--leakage": ["1", "0", "-1", "nan", "20", "1e300"],
     "--position": ["0", "0.05", "9", "nan", "-inf"],
     "--rig": ["a.yaml", "absent.yaml", "."],
-    "--input-file": ["a.csv", "absent.csv", "/dev/null"],
     "--overwrite": [None],
     "--output": ["out", "a.yaml", "a.yaml/b", "/proc/x", "b[/]c", "", "x" * 300],
 }
@@ -277,7 +276,7 @@ def command_lines(draw: Any) -> tuple[list[str], bytes]:
         )
         line += [option] if value is None else [option, value]
     if command == "simulate":
-        line += ["--duration", "0.02"] if "--duration" not in line and "--input-file" not in line else []
+        line += ["--duration", "0.02"] if "--duration" not in line else []
     else:
         line += ["--output", "file"]  # refused before any work
     return line, draw(edited(draw(st.sampled_from([RIG, STUDY, b"t,v\n0,1\n0.001,2\n"]))))

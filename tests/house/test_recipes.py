@@ -145,8 +145,8 @@ def watched_axis(folder: Path, sensors: dict) -> None:
     for kind in ("ppo", "pid"):
         record_axis(folder / f"{kind}.csv", fitted, opponent(kind, fitted, kind), 3, 1.0, "sine")
     found = diagnose(folder / "pid.csv", fitted, load_head(None, fitted))
-    assert found.estimator is not None
-    assert found.head is not None
+    assert found.read.estimator is not None
+    assert found.read.companion is not None
     leak_table(found).to_csv(folder / "leak.csv")
 
 
@@ -162,7 +162,7 @@ def try_leak_law() -> None:
     from hydro_env.plant.parts.leakage import LEAK_LAWS
 
     assert "turbulent" in LEAK_LAWS
-    tests, known = str(Path(__file__).with_name("test_leak_laws.py")), "not laminar and not orifice"
+    tests, known = str(ROOT / "tests/hydro_env/test_leak_laws.py"), "not laminar and not orifice"
     assert pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-k", known, tests]) == 0
 
 

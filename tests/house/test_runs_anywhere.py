@@ -1,6 +1,6 @@
 """It runs where the fast path cannot: no folder for the cache, an older processor, processes and threads.
 
-tests/plant/test_compiled_code.py runs it without a compiler.
+tests/hydro_env/plant/test_compiled_code.py runs it without a compiler.
 """
 
 import functools
@@ -147,7 +147,7 @@ def gymnasium_numbers(envs):
 
 
 def test_forked_processes_of_gymnasium():
-    """Spawned ones: tests/test_vector_env.py."""
+    """Spawned ones: tests/hydro_env/test_vector_env.py."""
     alone = gymnasium_numbers(SyncVectorEnv([MAKE] * 2))
     for mine, other in zip(alone, gymnasium_numbers(AsyncVectorEnv([MAKE] * 2, context="fork")), strict=True):
         np.testing.assert_array_equal(mine, other)

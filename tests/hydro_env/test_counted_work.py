@@ -1,4 +1,4 @@
-"""Work that is counted, not timed: calls of Python functions, memory; tests/test_runs_anywhere.py: what is compiled."""
+"""Work that is counted, not timed: calls of Python functions, and memory."""
 
 import gc
 import sys

@@ -1,6 +1,6 @@
 """A leak of 2 l/min at 100 bar is 2 l/min by every law, wherever the project speaks of leaks.
 
-``tests/test_recipes.py`` runs these tests with a further law.
+``tests/house/test_recipes.py`` runs these tests with a further law.
 """
 
 import ctypes

@@ -6,7 +6,8 @@ from command_line import hydro, own_lines
 from hydro_agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
 from hydro_env.errors import UnknownKeyError
-from hydro_env.mistakes import MOST_MISTAKES, did_you_mean, kept, one_of, refuse, unknown
+from hydro_env.field_mistakes import MOST_MISTAKES
+from hydro_env.mistakes import did_you_mean, kept, one_of, refuse, unknown
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 

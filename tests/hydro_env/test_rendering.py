@@ -2,6 +2,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -196,7 +197,12 @@ def test_array_mode_needs_no_video_driver_and_no_system_fonts():
         "assert draw().std() > 0\n"
         "import pygame; assert not pygame.display.get_init()\n"
     )
-    environment = {**os.environ, "PATH": "", "SDL_VIDEODRIVER": "none such", "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = {
+        **os.environ,
+        "PATH": "",
+        "SDL_VIDEODRIVER": "none such",
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
+    }
     result = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     assert "font" not in result.stderr.lower()

@@ -97,7 +97,7 @@ def test_noise_at_the_threshold_does_not_fool_the_filter():
 
 @pytest.mark.parametrize(("flow_lpm", "seconds"), [(0.03, 3.80), (0.25, 1.41), (1.0, 0.45), (3.0, 0.16)])
 def test_known_settling_times(flow_lpm, seconds):
-    """The published-order case of tests/plant/test_known_answers.py, by the detector of this package."""
+    """The published-order case of tests/hydro_env/plant/test_known_answers.py, by the detector of this package."""
     parameters = PlantParameters().replace(
         cylinder={"dead_volume": 40e-6, "piston_mass": 3.0},
         valve={"underlap": 0.0},

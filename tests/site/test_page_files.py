@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.evaluation.robustness_protocol import protocol_named
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.learning.opponents import opponent
 from hydro_env import ServoHydraulicEnv, TaskConfig
 from hydro_rig.export.c_files import c_compiler
@@ -30,7 +30,7 @@ def blocks(page, kind):
 
 
 def test_every_block_has_a_test():
-    tested = {("circuit.md", "yaml")} | {  # tests/test_circuit_page.py
+    tested = {("circuit.md", "yaml")} | {  # tests/site/test_circuit_page.py
         ("own_rig.md", "yaml"),
         ("diagnose.md", "yaml"),
         ("trend.md", "yaml"),
@@ -85,7 +85,7 @@ def test_the_condition_belongs_into_a_protocol(tmp_path):
     (tmp_path / "protocols").mkdir()
     file = tmp_path / "protocols" / "mine.yaml"
     file.write_text(yaml.safe_dump(shipped | own), encoding="utf-8")
-    protocol, _ = protocol_named(str(file))
+    protocol = RobustnessProtocol.from_yaml(file)
     assert protocol.conditions[name].task == condition["task"]
 
 

@@ -1,11 +1,10 @@
-"""``hydro simulate``, ``identify`` and ``render``: runs, films and recordings of axes."""
+"""``hydro simulate`` and ``render``: runs and films of axes."""
 
 from __future__ import annotations
 
 import math
 import sys
 from collections.abc import Iterator
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -30,26 +29,23 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-class InputSignal(StrEnum):
-    """Built-in shapes of the voltage."""
-
-    STEP = "step"
-    SINE = "sine"
-    SWEEP = "sweep"
-    STOP = "stop"
+SHAPES = ("step", "sine", "sweep", "stop")
 
 
 def simulate(
     output: Output = Path("results/simulate"),
     rig: Rig = None,
-    signal: Annotated[InputSignal, typer.Option("--input", help="Shape of the voltage.")] = InputSignal.STOP,
+    signal: Annotated[
+        str,
+        typer.Option(
+            "--input",
+            metavar="step|sine|sweep|stop|FILE",
+            help="Shape of the voltage, or a CSV with one voltage per sample (column `voltage`, or the last).",
+        ),
+    ] = "stop",
     voltage: Annotated[
         float, typer.Option(help="Amplitude in V, −10 to 10, added to the voltage that holds the initial position.")
     ] = 3.0,
-    input_file: Annotated[
-        Path | None,
-        typer.Option(help="CSV with one voltage per sample (column `voltage`, or the last), instead of --input."),
-    ] = None,
     duration: Annotated[float, typer.Option(help="Length in s.")] = 1.0,
     sample_time: Annotated[float, typer.Option(help="Time in s for which each voltage is held.")] = 1e-3,
     leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar, instead of the rig's own.")] = None,
@@ -66,14 +62,12 @@ def simulate(
     """
     from hydro_agents.rigs.simulation import simulate_to_folder
 
-    say(
-        *simulate_to_folder(
-            output, rig, signal.value, voltage, input_file, duration, sample_time, leakage, position, overwrite
-        )
-    )
+    file = None if signal in SHAPES else Path(signal)
+    say(*simulate_to_folder(output, rig, signal, voltage, file, duration, sample_time, leakage, position, overwrite))
 
 
 MOST_PANELS = 6
+FRAMES_PER_SECOND = 25.0  # about
 
 
 def render(
@@ -90,9 +84,7 @@ def render(
     duration: Annotated[float, typer.Option(min=0.1, max=60.0, help="Length in s.")] = 4.0,
     seed: PlantSeed = 0,
     speed: Annotated[float, typer.Option(min=0.01, max=100.0, help="1 is real time, 0.1 ten times slower.")] = 1.0,
-    frames_per_second: Annotated[float, typer.Option(min=1.0, max=200.0, help="Approximate rate.")] = 25.0,
     width: Annotated[int, typer.Option(min=160, max=7680, help="Width in pixels.")] = 1280,
-    columns: Annotated[int | None, typer.Option(min=1, help="Panels side by side; default: nearly square.")] = None,
     overwrite: OverwriteFile = False,
 ) -> None:
     """Film axes under controllers: the same plant, reference and noise, side by side, in real time.
@@ -126,8 +118,8 @@ def render(
     shown = panels(controllers, leakage or [])
     if len(shown) > MOST_PANELS:
         raise ConfigurationError(f"{len(shown)} panels: must be at most {MOST_PANELS}; give fewer --agent or --leakage")
-    rate = frame_rate(output, config.control_period, frames_per_second, speed)
-    side_by_side = min(columns or math.ceil(math.sqrt(len(shown))), len(shown))
+    rate = frame_rate(output, config.control_period, FRAMES_PER_SECOND, speed)
+    side_by_side = math.ceil(math.sqrt(len(shown)))
     options = {"reference": family, "faults": named_faults(fault or [])}
     count = config.steps // rate.periods_per_frame + 1
     frames = film(config, shown, seed, options, rate.periods_per_frame, width, side_by_side)

@@ -42,7 +42,7 @@ def bound(
     each family of references and each leak, and writes all cases as CSV. It takes some minutes; the first
     seconds of the search show how many on your machine.
     """
-    from hydro_agents.evaluation.best_found import ComparisonSettings, compare, summary, travel
+    from hydro_agents.evaluation.bound_comparison import ComparisonSettings, compare, means_by, summary
     from hydro_agents.running.text import frame_markdown
     from hydro_agents.study.settings import StudySettings
     from hydro_env.files import validate
@@ -59,8 +59,8 @@ def bound(
             display.say(f"left out: {reason}")
         frame = compare(config, controllers, settings, display.update)
         parts = [frame_markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
-        price = "Valve travel, full strokes per second:"
-        text = "\n\n".join(["Mean |error|, mm:", *parts, price, frame_markdown(travel(frame), 2)])
+        travel = frame_markdown(means_by(frame, "valve_travel_per_s"), 2)
+        text = "\n\n".join(["Mean |error|, mm:", *parts, "Valve travel, full strokes per second:", travel])
         return text, {"bound.csv": frame.to_csv(index=False), "bound.md": f"`{command_line()}`\n\n{text}\n"}
 
     write_results(output, "bound", ["bound.md", "bound.csv"], compared, overwrite=overwrite)

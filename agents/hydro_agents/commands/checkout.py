@@ -54,7 +54,7 @@ def benchmark(
         typer.Option(
             "--only",
             help="Group to measure (repeat the option for several): kernel, single, vector, cost, solvers, accuracy, "
-            "training, beating, memory, start, inference, profile. Default: all.",
+            "training, memory, start, inference. Default: all.",
         ),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer sizes and shorter runs, for a trial.")] = False,

@@ -20,11 +20,16 @@ from hydro_agents.commands.options import (
     side_by_side,
     tell_rigs,
 )
+from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
+    from hydro_agents.commands.protocols import Options
     from hydro_agents.detection.head import LeakageHead
     from hydro_agents.study.settings import StudySettings
     from hydro_env import TaskConfig
+
+SETTINGS_FILE = "evaluation.yaml"
+NO_HEAD = Path("none")
 
 
 @side_by_side
@@ -37,8 +42,9 @@ def evaluate(
     agent: Agents = None,
     task: Task = None,
     rig: Rig = None,
-    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
-    no_detection: Annotated[bool, typer.Option("--no-detection", help="Leave the leakage head out.")] = False,
+    head: Annotated[
+        Path | None, typer.Option(help="Weights of a leakage head, or none; default: the shipped one.")
+    ] = None,
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
     ] = None,
@@ -72,40 +78,19 @@ def evaluate(
     healthy, leaking and otherwise faulty axes under many motions and controllers. The command writes tables and a page
     for maintenance: how small a leak is found, how early, how surely, and what is taken for one.
     """
-    from hydro_env import ConfigurationError
+    from hydro_agents.commands.protocols import Options
+    from hydro_agents.evaluation.evaluate import ProtocolSettings
+    from hydro_agents.evaluation.participants import split_name
+    from hydro_agents.study.settings import default_study
+    from hydro_env.files import validate
+    from hydro_env.folders import config_file
 
     if protocol is not None:
-        from hydro_agents.commands.protocols import Options, evaluate_leak_protocol, evaluate_protocol
-        from hydro_env.files import read_yaml
-        from hydro_env.folders import config_file
-
         file = config_file("protocols", protocol)
-        options = Options(task, rig, output, resume, overwrite, command_line())
-        about_leaks = read_yaml(file).get("kind") == "leakage"
-        # Controllers of a leakage protocol stand in its file; a robustness protocol has no detector.
-        foreign = {"--agent": agent, "--config": config} if about_leaks else {"--head": head}
-        for option, value in {**foreign, "--plants": plants, "--no-detection": no_detection or None}.items():
-            if value is not None:
-                raise ConfigurationError(f"{option}: a protocol takes it from its file")
-        if about_leaks:
-            evaluate_leak_protocol(file, head, options)
-        else:
-            evaluate_protocol(file, named_agents(agent), config, options)
+        _run_protocol(file, Options(task, rig, output, resume, overwrite, command_line()), config, agent, head, plants)
         return
     if resume:
         raise ConfigurationError("--resume: needs --protocol")
-    if no_detection and head is not None:
-        raise ConfigurationError("--no-detection: leaves the leakage head out; give it without --head")
-    from hydro_agents.evaluation.evaluate import ProtocolSettings
-    from hydro_agents.evaluation.participants import split_name
-    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import output_folder
-    from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
-    from hydro_agents.study.settings import default_study
-    from hydro_env.files import validate, write_yaml
-
-    output = output if output is not None else Path("results/evaluate")
     study = default_study(config, task, rig)
     if plants is not None:
         changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
@@ -113,19 +98,48 @@ def evaluate(
     if rig is not None:
         study = study.with_shipped_gains()
     own = named_agents(agent)
-    given = {split_name(name)[0] for name in own}
-    agents = {name: what for name, what in _trained_beside(config, study).items() if name not in given} | own
+    replaced = {split_name(name)[0] for name in own}
+    beside = _trained_beside(config, study)
+    agents = {name: what for name, what in beside.items() if name not in replaced} | own
+    _compare(study, agents, head, output or Path("results/evaluate"), overwrite)
+
+
+def _run_protocol(
+    file: Path, options: Options, config: Path | None, agent: list[str] | None, head: Path | None, plants: int | None
+) -> None:
+    """Run a protocol; controllers of a leakage protocol stand in its file, a robustness protocol has no detector."""
+    from hydro_agents.commands.protocols import evaluate_leak_protocol, evaluate_protocol
+    from hydro_env.files import read_yaml
+
+    about_leaks = read_yaml(file).get("kind") == "leakage"
+    foreign = {"--agent": agent, "--config": config} if about_leaks else {"--head": head}
+    for option, value in {**foreign, "--plants": plants}.items():
+        if value is not None:
+            raise ConfigurationError(f"{option}: a protocol takes it from its file")
+    if about_leaks:
+        evaluate_leak_protocol(file, head, options)
+    else:
+        evaluate_protocol(file, named_agents(agent), config, options)
+
+
+def _compare(study: StudySettings, agents: dict[str, str], head: Path | None, output: Path, overwrite: bool) -> None:
+    """Evaluate the controllers of a study and ``agents``, by name, and write the report."""
+    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import output_folder
+    from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
+    from hydro_env.files import read_text, write_yaml
+
     controllers, unfit = study.fitting(agents)
     for reason in unfit:
         print(f"hydro: left out: {reason}", file=sys.stderr)
     tell_rigs(study, controllers)
-    watching = None if no_detection else _watching(head, study.task)
+    watching = None if head == NO_HEAD else _watching(head, study.task)
     weights = {name: what for name, what in agents.items() if what not in SHIPPED_WEIGHTS}
-    weights |= {"leakage_head": str(head)} if head is not None else {}
-    settings_file = "evaluation.yaml"
-    with output_folder(output, "evaluate", [settings_file, *REPORT_FILES], overwrite=overwrite):
-        write_yaml(output / settings_file, study.model_dump(mode="json"))
-        text = (output / settings_file).read_text(encoding="utf-8")
+    if head not in (None, NO_HEAD):
+        weights["leakage_head"] = str(head)
+    with output_folder(output, "evaluate", [SETTINGS_FILE, *REPORT_FILES], overwrite=overwrite):
+        write_yaml(output / SETTINGS_FILE, study.model_dump(mode="json"))
         with ProgressDisplay() as display:
             evaluation = evaluate_study(
                 study,
@@ -133,7 +147,7 @@ def evaluate(
                 watching,
                 output,
                 display,
-                configuration=text,
+                configuration=read_text(output / SETTINGS_FILE),
                 command=command_line(),
                 weights=weights,
             )
@@ -156,7 +170,6 @@ def _trained_beside(config: Path | None, study: StudySettings) -> dict[str, str]
 def _watching(head: Path | None, task: TaskConfig) -> LeakageHead | None:
     """The leakage head; none, with one line on standard error, if the shipped one cannot watch this task."""
     from hydro_agents.detection.monitor import load_head
-    from hydro_env import ConfigurationError
 
     try:
         return load_head(head, task)

@@ -50,12 +50,10 @@ Jobs = Annotated[
 ]
 Backend = Annotated[
     str,
-    typer.Option(metavar="loky|dask|ray", help="Where the jobs run: processes of this machine (loky), Dask or Ray."),
-]
-Address = Annotated[
-    str | None,
     typer.Option(
-        metavar="HOST:PORT", help="A running cluster for --backend, such as scheduler:8786 or ray://head:10001."
+        metavar="loky|dask[=HOST:PORT]|ray[=HOST:PORT]",
+        help="Where the jobs run: processes of this machine (loky), Dask or Ray; with an address on a running cluster, "
+        "such as dask=scheduler:8786 or ray=ray://head:10001.",
     ),
 ]
 
@@ -85,6 +83,7 @@ Columns = Annotated[
     Path | None,
     typer.Option("--map", metavar="FILE", help="YAML: the signal of each column, with unit, gain and offset."),
 ]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")]
 Recording = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="Measured signals: CSV, Parquet, MDF4, TDMS or MAT.")
 ]
@@ -107,16 +106,15 @@ Config = Annotated[
 
 
 def side_by_side(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options ``--jobs``, ``--backend`` and ``--address``; its jobs run there."""
-    options = {"jobs": (Jobs, None), "backend": (Backend, "loky"), "address": (Address, None)}
+    """Give a command the options ``--jobs`` and ``--backend``; its jobs run there."""
+    options = {"jobs": (Jobs, None), "backend": (Backend, "loky")}
 
     @functools.wraps(command)
-    def run(
-        *arguments: Any, jobs: int | None = None, backend: str = "loky", address: str | None = None, **given: Any
-    ) -> None:
+    def run(*arguments: Any, jobs: int | None = None, backend: str = "loky", **given: Any) -> None:
         from hydro_agents.running.workers import workers
 
-        with workers(jobs, backend, address):
+        kind, _, address = backend.partition("=")
+        with workers(jobs, kind, address or None):
             command(*arguments, **given)
 
     signature = inspect.signature(command, eval_str=True)

@@ -4,58 +4,32 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from hydro_agents.commands.options import Latency, Overwrite, OverwriteFile, Period, Rig, check_new_file, say
-from hydro_agents.rigs.questions import QUESTIONS, Question, answers_from, parsed
+from hydro_agents.rigs.new_rig import QUESTIONS, Question, answers_from, parsed
 from hydro_env import ConfigurationError
+from hydro_env.mistakes import unknown
 
 BACK = "<"  # typed as an answer: asks the question before once more
 
 
-def _with_an_option_per_question(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with one option per question; typer reads them from its signature."""
-    own = [
-        parameter
-        for parameter in inspect.signature(command, eval_str=True).parameters.values()
-        if parameter.kind is not inspect.Parameter.VAR_KEYWORD
-    ]
-    asked = [
-        inspect.Parameter(
-            question.key,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=None,
-            annotation=Annotated[
-                str | None,
-                typer.Option(
-                    f"--{question.name}",
-                    metavar="TEXT" if not question.unit else question.example.replace(" ", ""),
-                    help=question.what + (" Required." if question.required else ""),
-                    rich_help_panel=question.group.capitalize(),
-                ),
-            ],
-        )
-        for question in QUESTIONS
-    ]
-    made: Any = command
-    made.__signature__ = inspect.Signature([*own, *asked])
-    made.__annotations__ = {parameter.name: parameter.annotation for parameter in (*own, *asked)}
-    return command
-
-
-@_with_an_option_per_question
 def new_rig(
+    figures: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="NAME=VALUE...", help="Figures with their unit, such as bore=63mm 'mass=200 kg'."),
+    ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="YAML file to write.")] = Path("my_rig.yaml"),
     overwrite: OverwriteFile = False,
-    **texts: str | None,
 ) -> None:
     """Write the file of your rig from its nameplates, data sheets and drawings.
 
-    Give figures with their unit: `--bore "63 mm"`. If a required figure is missing, the command asks on a terminal;
+    Give figures with their unit: `bore=63mm`. If a required figure is missing, the command asks on a terminal;
     Enter skips what you do not know. The file marks every value as given, computed or assumed, and holds a range for
     every uncertain one. Check it next with `hydro check-rig`.
     """
@@ -63,15 +37,15 @@ def new_rig(
     from hydro_env.files import write_text
 
     check_new_file(output, overwrite)
-    given = {key: text for key, text in texts.items() if text is not None}
+    given = _named_figures(figures or [])
     required = {question.key for question in QUESTIONS if question.required}
     if not required <= given.keys() and sys.stdin.isatty():
         try:
             _ask([question for question in QUESTIONS if question.key not in given], given)
             text, rig = written_rig(answers_from(given), given, str(output))
         except (ConfigurationError, EOFError, KeyboardInterrupt) as error:
-            options = " ".join(f'--{key.replace("_", "-")} "{answer}"' for key, answer in given.items())
-            print(f"\nNothing was written. Your answers as options, to go on with: {options}", file=sys.stderr)
+            again = " ".join(f'{key.replace("_", "-")}="{answer}"' for key, answer in given.items())
+            print(f"\nNothing was written. Your answers, to go on with: hydro new-rig {again}", file=sys.stderr)
             if isinstance(error, EOFError):
                 raise ConfigurationError("new-rig: the input has ended") from None
             raise
@@ -82,6 +56,39 @@ def new_rig(
         f"{output}: {len(given)} values given, ranges for {len(rig.randomisation)} uncertain ones",
         f"next: hydro check-rig --rig {output}",
     )
+
+
+def _all_figures() -> str:
+    """Every figure that the command takes, for its help."""
+    lines = []
+    for group, questions in groupby(QUESTIONS, lambda question: question.group):
+        names = [f"- `{one.name}={one.example.replace(' ', '')}`: {one.what}" for one in questions]
+        lines += [f"\n**{group.capitalize()}**\n", *names]
+    return "\n".join(lines)
+
+
+new_rig.__doc__ = f"{inspect.getdoc(new_rig)}\n{_all_figures()}"
+
+
+def _named_figures(words: Sequence[str]) -> dict[str, str]:
+    """The values of ``NAME=VALUE``, by the keys of the questions.
+
+    Raises:
+        ConfigurationError: a word has another form, or its name is unknown or given twice.
+    """
+    names = {question.name: question.key for question in QUESTIONS}
+    given: dict[str, str] = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        name = name.strip().lstrip("-").replace("_", "-")
+        if not value:
+            raise ConfigurationError(f"new-rig '{word[:60]}': must be NAME=VALUE, such as bore=63mm")
+        if name not in names:
+            raise ConfigurationError(f"new-rig {word[:60]}: {unknown(name, names, 'figure')}")
+        if names[name] in given:
+            raise ConfigurationError(f"new-rig {word[:60]}: '{name}' is given twice")
+        given[names[name]] = value
+    return given
 
 
 def _ask(questions: list[Question], texts: dict[str, str]) -> None:

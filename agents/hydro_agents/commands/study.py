@@ -128,15 +128,17 @@ def train(
     agent: Agents = None,
     task: Task = None,
     rig: Rig = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="For PPO: control periods, instead of the study's.")] = None,
+    steps: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="For PPO: control periods, instead of the study's. For gains: sets to try, instead of 2800."
+        ),
+    ] = None,
     objective: Annotated[
         Objective | None,
         typer.Option(
             help="For gains: mean (mean absolute error) or equal (geometric mean over the families; the default)."
         ),
-    ] = None,
-    evaluations: Annotated[
-        int | None, typer.Option(min=1, help="For gains: number of sets of gains to try, instead of 2800.")
     ] = None,
     start: Annotated[
         Path | None, typer.Option(help="For gains: YAML file with the gains where the search starts.")
@@ -162,15 +164,15 @@ def train(
     seed = study.seed if seed is None else seed
     part = what.lower()
     classical = part in CONTROLLERS
-    _refuse("--steps", steps is not None and (classical or part == "head"), part)
+    _refuse("--steps", steps is not None and part == "head", part)
     _refuse("--agent", agent is not None and part != "head", part)
-    for option, value in (("--objective", objective), ("--evaluations", evaluations), ("--start", start)):
+    for option, value in (("--objective", objective), ("--start", start)):
         _refuse(option, value is not None and not classical, part)
     if part == "head":
         file = _head(study, output, seed, resume, overwrite, named_agents(agent))
     elif classical:
         aim = objective or Objective.EQUAL
-        file = _gains(study, part, output, aim, evaluations, start, seed, resume, overwrite)
+        file = _gains(study, part, output, aim, steps, start, seed, resume, overwrite)
     else:
         kinds = [study.controllers[name].kind for name in study.trained]
         short = {name: kind for name, kind in zip(study.trained, kinds, strict=True) if kinds.count(kind) == 1}
@@ -254,7 +256,7 @@ def _gains(
     kind: str,
     folder: Path,
     objective: Objective,
-    evaluations: int | None,
+    steps: int | None,
     start: Path | None,
     seed: int,
     resume: bool,
@@ -266,7 +268,7 @@ def _gains(
     from hydro_agents.study.training import TUNING_LOG, tune_gains
     from hydro_env.files import read_yaml, validate
 
-    budget = TuningSettings(objective=objective.value, evaluations=evaluations or EVALUATIONS)
+    budget = TuningSettings(objective=objective.value, evaluations=steps or EVALUATIONS)
     path, log = folder / f"{kind}.yaml", folder / TUNING_LOG
     first = validate(CONTROLLERS[kind][1], read_yaml(start), str(start)) if start is not None else None
     with _training(folder, kind, [path.name, log.name], [log.name], log.name, resume, overwrite) as display:

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from hydro_agents.detection.sheet import Sheet
 from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled, inline
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import COMMAND, SENSORS, SPOOL
 
-SPOOL, COMMAND = SENSORS.index("spool_position"), len(SENSORS)  # rows of a window; the command follows the sensors
 LONGEST_GAP = 5  # samples; a reading that stays at the lower end of its range for longer is valid
 
 FAR_FROM_END, FAR_FROM_END_SPOOL = 0.05, 0.3

@@ -1,7 +1,7 @@
 """What a leak detector is: it reads windows of measured signals and gives one reading for each.
 
 A detector is any object with ``threshold``, ``refuses`` and ``read`` (:class:`Detector`). The leakage protocol and
-``hydro alarms`` take any detector through this interface; ``hydro diagnose`` reads its estimator and head through it. A
+``hydro alarms`` take any detector through this interface, and ``hydro diagnose --detector`` one beside its estimator. A
 detector of your own::
 
     class PressureDrop:
@@ -17,8 +17,8 @@ detector of your own::
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
@@ -36,9 +36,13 @@ HALF_WIDTH = 1.645  # half width of a 90 % interval, in standard deviations
 
 SMOOTHED = 7  # readings of a recorded supply or tank pressure that are averaged: their noise adds up in the travel
 
-RECORDED = ("supply.pressure", "supply.tank_pressure")  # unknowns that recorded pressures replace
+AUXILIARY = ("supply_pressure", "tank_pressure", "flow", "oil_temperature")
+"""Further signals that a recording may hold, Pa, m³/s and °C: they drive the model, or a balance of volumes, and are
+not among the five of a window. The flow is that into chamber a: of a flow meter, or of a pump with known displacement.
+"""
 
-NO_COMMANDS = "commands are missing in the window"
+RECORDED = {"supply.pressure": "supply_pressure", "supply.tank_pressure": "tank_pressure"}
+"""Unknowns that recorded pressures replace, and these pressures."""
 
 
 class Cause(IntEnum):
@@ -61,6 +65,28 @@ class Cause(IntEnum):
     RETURN_LINE = 5, "return line", "raised pressure in the return line"
     UNKNOWN = 6, "cannot tell", "unlike all that the detector knows"
     UNDETERMINED = 7, "cannot tell", "the window does not determine the leak"
+
+
+class Why(IntEnum):
+    """Why a window has no answer, and the words for it."""
+
+    words: str
+
+    def __new__(cls, number: int, words: str = "") -> Why:
+        """A reason with its words."""
+        why = int.__new__(cls, number)
+        why._value_, why.words = number, words
+        return why
+
+    ANSWERED = 0
+    NO_COMMANDS = 1, "commands are missing in the window"
+    NOT_READ = 2, "not read: the model does not explain the liveliest windows"
+    MISFIT = 3, "the model does not explain the readings"
+    UNDETERMINED = 4, "the window does not determine the leak; more motion is needed"
+    AT_REST = 5, "at rest a worn valve and a leak look alike; move the axis"
+    NOT_ASKED = 6, "the estimator has read a window of this axis within the last minute"
+    OUTSIDE = 7, "unlike all that the leakage head was trained on"
+    FEW_WINDOWS = 8, "the recording holds fewer than 2 windows with all commands"
 
 
 VERDICTS = tuple(dict.fromkeys(cause.word for cause in Cause))
@@ -89,9 +115,8 @@ class Windows:
     begin: Floats  # (N,), s; NaN: unknown
     end: Floats  # (N,), s
 
-    beside: Floats | None = None
-    """(N, 4, T) in SI units and °C, in the order of :data:`~hydro_rig.recordings.columns.BESIDE`: supply and tank
-    pressure, flow into chamber a, temperature of the oil. NaN: not recorded; ``None``: none of them."""
+    auxiliary: Mapping[str, Floats] = field(default_factory=dict)
+    """The recorded ones of :data:`AUXILIARY` by name, each (N, T); NaN: not recorded."""
 
     @classmethod
     def of(cls, signals: NDArray[Any]) -> Windows:
@@ -102,12 +127,12 @@ class Windows:
     @classmethod
     def joined(cls, parts: Sequence[Windows]) -> Windows:
         """Several sets of windows of the same length as one."""
-        rows = next((part.beside.shape[1] for part in parts if part.beside is not None), 0)
-        sides = [np.full((len(p), rows, p.samples), np.nan) if p.beside is None else p.beside for p in parts]
         signals, begin, end = (
             np.concatenate([getattr(part, name) for part in parts]) for name in ("signals", "begin", "end")
         )
-        return cls(signals, begin, end, np.concatenate(sides) if rows else None)
+        recorded = [name for name in AUXILIARY if any(name in part.auxiliary for part in parts)]
+        auxiliary = {name: np.concatenate([part.auxiliary_signal(name) for part in parts]) for name in recorded}
+        return cls(signals, begin, end, auxiliary)
 
     def __len__(self) -> int:
         return len(self.signals)
@@ -121,6 +146,11 @@ class Windows:
         """One signal, (N, T), by its name in :data:`~hydro_agents.detection.features.SIGNALS`."""
         return self.signals[:, SIGNALS.index(name)]
 
+    def auxiliary_signal(self, name: str) -> Floats:
+        """One of :data:`AUXILIARY`, (N, T); NaN: not recorded."""
+        absent = np.full((len(self), self.samples), np.nan)
+        return self.auxiliary.get(name, absent)
+
     @property
     def commanded(self) -> NDArray[np.bool_]:
         """Windows whose commands are all known, (N,): a simulation needs every command."""
@@ -129,23 +159,22 @@ class Windows:
     @property
     def boundary(self) -> Floats | None:
         """Recorded supply and tank pressure, (N, 2, T), Pa, smoothed and without gaps; NaN: not recorded."""
-        if self.beside is None:
+        if not self.auxiliary:
             return None
-        return _smooth(self.beside[:, :2])
+        return _smooth(np.stack([self.auxiliary_signal(name) for name in RECORDED.values()], axis=1))
 
     def unrecorded(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """The unknowns without those that pressures recorded in every window replace."""
-        if self.beside is None:
-            return names
-        whole = np.asarray(np.isfinite(self.beside[:, :2]).any(axis=2).all(axis=0))
-        recorded = {name for name, known in zip(RECORDED, whole, strict=True) if known}
-        return tuple(name for name in names if name not in recorded)
+
+        def everywhere(signal: str) -> bool:
+            return bool(np.isfinite(self.auxiliary_signal(signal)).any(axis=1).all())
+
+        return tuple(name for name in names if name not in RECORDED or not everywhere(RECORDED[name]))
 
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
         """Some of the windows."""
-        parts = {field.name: getattr(self, field.name) for field in fields(self)}
-        chosen_parts: dict[str, Any] = {n: None if values is None else values[chosen] for n, values in parts.items()}
-        return Windows(**chosen_parts)
+        auxiliary = {name: values[chosen] for name, values in self.auxiliary.items()}
+        return Windows(self.signals[chosen], self.begin[chosen], self.end[chosen], auxiliary)
 
 
 def _smooth(values: Floats) -> Floats:
@@ -209,7 +238,7 @@ class Reading(NamedTuple):
     high_lpm: Floats
     cause: NDArray[np.int8]  # Cause that it names besides a leak past the piston; UNKNOWN, UNDETERMINED: no answer
     fault: tuple[str, ...]  # the same in words, with sizes if it knows them; empty: none
-    why: tuple[str, ...]  # the reason for no answer; empty for an answer
+    why: NDArray[np.int8]  # Why there is no answer
 
     @classmethod
     def of(cls, score: ArrayLike, cause: ArrayLike | None = None, **known: Any) -> Reading:
@@ -217,22 +246,39 @@ class Reading(NamedTuple):
 
         Args:
             score: (N,), NaN: no answer.
-            cause: (N,); default: ``NONE``, or ``UNDETERMINED`` without a score.
-            known: other fields by name.
+            cause: (N,), or one for all; default: ``NONE``, or ``UNDETERMINED`` without a score.
+            known: other fields by name, each (N,), or one value for all.
+
+        Raises:
+            ValueError: a field has another length.
         """
         score = np.asarray(score, dtype=np.float64)
         if cause is None:
             cause = np.where(np.isnan(score), Cause.UNDETERMINED, Cause.NONE)
-        unknown, no_text = np.full(len(score), np.nan), ("",) * len(score)
-        values: dict[str, Any] = {
-            name: no_text if name in ("fault", "why") else known.get(name, unknown) for name in cls._fields
-        }
-        return cls(**(values | known | {"score": score, "cause": np.asarray(cause, dtype=np.int8)}))
+        values: dict[str, Any] = {"fault": "", "why": Why.ANSWERED} | known | {"score": score, "cause": cause}
+        kinds = {"fault": object, "cause": np.int8, "why": np.int8}
+
+        def every(name: str) -> Any:
+            kind = kinds.get(name, np.float64)
+            whole = np.broadcast_to(np.asarray(values.get(name, np.nan), dtype=kind), score.shape)
+            return tuple(whole.tolist()) if kind is object else whole.copy()
+
+        return cls(*(every(name) for name in cls._fields))
 
     @property
     def answers(self) -> NDArray[np.bool_]:
         """Windows for which the detector gives an answer, (N,)."""
         return np.asarray(np.isfinite(self.score) & (self.cause < Cause.UNKNOWN))
+
+    @property
+    def sized(self) -> NDArray[np.bool_]:
+        """Windows with an answer that gives the size of the leak with an interval, (N,)."""
+        return np.asarray(self.answers & np.isfinite(self.flow_lpm + self.low_lpm + self.high_lpm))
+
+    @property
+    def remarks(self) -> list[str]:
+        """The reason for no answer of each window in words; empty for an answer."""
+        return [Why(why).words for why in self.why.tolist()]
 
     def followed_by(self, other: Reading) -> Reading:
         """The windows of this reading and then those of another one."""
@@ -254,9 +300,9 @@ class Reading(NamedTuple):
             result.append(tuple(whole.tolist()) if isinstance(values, tuple) else whole)
         return Reading(*result)
 
-    def among(self, chosen: NDArray[np.int64], count: int, why: str) -> Reading:
+    def among(self, chosen: NDArray[np.int64], count: int, why: Why) -> Reading:
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""
-        return Reading.of(np.full(count, np.nan), why=(why,) * count).replaced(chosen, self)
+        return Reading.of(np.full(count, np.nan), why=why).replaced(chosen, self)
 
 
 class Detector(Protocol):

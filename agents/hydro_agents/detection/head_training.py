@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.dataset import LEAKS, Windows
+from hydro_agents.detection.dataset import LEAKS, Plan, Windows
 from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import (
@@ -147,7 +147,7 @@ class _Job:
         progress: Progress | None,
     ) -> None:
         self.settings, self.seed, self.checkpoint, self.progress = settings, seed, checkpoint, progress
-        self.plan = settings.plan(config, controllers)
+        self.plan = Plan(config, controllers, settings)
         self.network = make_network(settings.width)
         rate, decay = settings.learning_rate, settings.weight_decay
         self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)

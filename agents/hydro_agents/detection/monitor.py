@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Observation, as_batch, check_layout
-from hydro_agents.detection.detector import Cause, Reading, Windows, logit
+from hydro_agents.detection.detector import Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, HeadState, LeakageEstimate, LeakageHead
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
 
 HEAD_FILE = "leakage_head"
-
-OUTSIDE = "unlike all that the leakage head was trained on"
 
 OTHER_CAUSES = tuple(cause for cause in Cause if Cause.INTERNAL_LEAK < cause < Cause.UNKNOWN)
 """Causes that the head names besides a leak past the piston."""
@@ -61,7 +59,7 @@ class HeadDetector:
                 " and ".join(cause.in_full for cause, above in zip(OTHER_CAUSES, row, strict=True) if above)
                 for row in (excess > 0.0).tolist()
             ),
-            why=tuple(np.where(outside, OUTSIDE, "").tolist()),
+            why=np.where(outside, Why.OUTSIDE, Why.ANSWERED),
         )
 
     def _excess(self, found: LeakageEstimate) -> Any:

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from pydantic import ConfigDict, Field
 
-from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LARGEST_WIDTH, SHORTEST_WINDOW
 from hydro_agents.running.seeds import THRESHOLDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT
 from hydro_env.task.sensors import SENSORS
-
-if TYPE_CHECKING:
-    from hydro_agents.detection.dataset import Plan
 
 RISE = 0.05  # part of the training during which the learning rate rises
 
@@ -89,9 +83,3 @@ class HeadTrainingSettings(Group):
     def longest_window(self, config: TaskConfig) -> int:
         """Samples of the longest window."""
         return round(self.longest * config.steps)
-
-    def plan(self, config: TaskConfig, controllers: Sequence[Controller]) -> Plan:
-        """What the windows are made of."""
-        from hydro_agents.detection.dataset import Plan
-
-        return Plan(config, controllers, self)

@@ -1,1 +1,5 @@
-"""Evaluation: the robustness protocol, control metrics, statistics."""
+"""Compares controllers, and detectors of leaks, under conditions: a protocol's jobs, their rows, tables, intervals.
+
+Comes in: a protocol (YAML or Python) and participants by name; goes out: one CSV table per question, each figure with
+its interval. Open ``conditions.py`` first (a protocol and its parts), then ``runner.py`` (jobs to tables).
+"""

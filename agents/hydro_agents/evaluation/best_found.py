@@ -6,18 +6,12 @@ rig can measure the true state.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.evaluate import ProtocolSettings
-from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.prediction import (
     SCHEDULED,
     Prediction,
@@ -27,8 +21,6 @@ from hydro_agents.evaluation.prediction import (
     random_changes,
     true_schedule,
 )
-from hydro_agents.evaluation.robustness_protocol import PairedCondition, RobustnessProtocol
-from hydro_agents.evaluation.runner import run
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
@@ -37,7 +29,6 @@ from hydro_env.task.signals import POSITION
 from hydro_env.types import Floats
 
 Told = Literal["truth", "nominal"]
-Continuation = Literal["hold", "speed", "acceleration"]
 
 
 class BoundSettings(Group):
@@ -49,23 +40,15 @@ class BoundSettings(Group):
     preview: int | None = Field(
         None, ge=0, le=1000, description="control periods of the reference that are known; default: the task's preview"
     )
-    beyond_preview: Continuation = Field(
-        "acceleration", description="continuation of the reference beyond the preview; hold: a constant position"
-    )
     aim: Literal["axis", "sensor"] = Field(
         "sensor",
         description="which position follows the reference: the true one, or the one that the biased sensor reads",
     )
-    effort: float = Field(2e-7, ge=0.0, le=1.0, description="m; cost of a change of the command by 1, squared")
-    correction_time: float = Field(
-        0.02,
-        ge=0.0,
-        le=10.0,
-        description="s; filter time of the model error that corrects the nominal plant's prediction",
-    )
-    seed: int = Field(0, ge=0, le=2**32 - 1, description="of the random changes")
     threads: int | None = Field(None, ge=1, le=1024, description="default: one per core; does not change results")
 
+
+EFFORT = 2e-7  # m; cost of a change of the command by 1, squared
+CORRECTION_TIME = 0.02  # s; filter time of the model error that corrects the nominal plant's prediction
 
 EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)
 """m; one Gauss–Newton step for each of these limits: its cost is quadratic below the limit, linear above."""
@@ -79,7 +62,6 @@ def best_found(
     cases: Cases,
     told: Told = "truth",
     settings: BoundSettings | dict[str, Any] | None = None,
-    progress: Callable[[int], None] | None = None,
     chunk: int = 64,
 ) -> Rollout:
     """Run every case under the best commands that the search finds in each control period.
@@ -93,7 +75,6 @@ def best_found(
         cases: the episodes. A case's result depends on neither the others nor the chunk.
         told: ``"truth"`` or ``"nominal"``.
         settings: :class:`BoundSettings` or its fields.
-        progress: called with the number of finished cases.
         chunk: cases that run together.
 
     Raises:
@@ -105,7 +86,7 @@ def best_found(
         settings = validate(BoundSettings, settings or {}, "best found")
     searcher = BestFound(config, told, settings)
     try:
-        return run_cases(config, searcher, cases, chunk=chunk, progress=progress)
+        return run_cases(config, searcher, cases, chunk=chunk)
     finally:
         searcher.close()
 
@@ -119,15 +100,11 @@ class BestFound:
         settings: size of the search.
     """
 
-    sees: Mapping[str, str] = {"leak": "as told", "state": "true", "signals": "none", "note": "no controller"}
-    """Its inputs, for tables of controllers."""
-
     def __init__(self, config: TaskConfig, told: Told, settings: BoundSettings) -> None:
         self.config = config
         self.told = told
         self.settings = settings
         self._known = max(config.preview_samples, default=0) if settings.preview is None else settings.preview
-        self._order = get_args(Continuation).index(settings.beyond_preview)
         self._prediction: Prediction | None = None
 
     def begin(self, axes: Axes) -> None:
@@ -145,7 +122,7 @@ class BestFound:
         offset = axes.column("bias")[:, POSITION] if settings.aim == "sensor" and config.sensors.enabled else 0.0
         self._target = axes.reference - np.reshape(offset, (-1, 1))
         self._plan = np.repeat(axes.column("command")[:, None], settings.horizon, axis=1)
-        self._generator = np.random.default_rng(settings.seed)
+        self._generator = np.random.default_rng(0)
         self._drift: Floats | None = None
         self._expected: Floats | None = None
 
@@ -162,14 +139,14 @@ class BestFound:
         now, before = axes.state.copy(), axes.column("command").copy()
         if self.told == "nominal":
             self._correct(now)
-        target = continued(self._target, step, self._known, settings.horizon, self._order)
+        target = continued(self._target, step, self._known, settings.horizon)
         plan = np.concatenate([self._plan[:, 1:], self._plan[:, -1:]], axis=1)
         for _ in range(max(settings.iterations, 1)):
             tried = self._candidates(now, before, plan, target, step)
             positions = prediction.positions(now, before, tried, step, self._drift)
             cost = np.abs(target[:, None, :] - positions).mean(axis=2)
             changes = np.diff(tried, axis=2, prepend=np.broadcast_to(before[:, None, None], (*tried.shape[:2], 1)))
-            cost += settings.effort * (changes**2).mean(axis=2)
+            cost += EFFORT * (changes**2).mean(axis=2)
             plan = tried[np.arange(len(tried)), np.argmin(cost, axis=1)]
         self._plan = plan
         action = plan[:, :1].astype(np.float32)
@@ -192,7 +169,7 @@ class BestFound:
             error = target - positions
             for even in EVEN_ERRORS:
                 weight = 1.0 / np.maximum(np.abs(error), even)
-                found = bounded_least_squares(jacobian, error, weight, plan, before, settings.effort)
+                found = bounded_least_squares(jacobian, error, weight, plan, before, EFFORT)
                 tried += [plan + length * (found - plan) for length in STEP_LENGTHS]
         changes = random_changes(self._generator, settings.samples, settings.horizon, CHANGE_SIZES)
         random = np.clip(plan[:, None, :] + changes, -1.0, 1.0)
@@ -204,82 +181,5 @@ class BestFound:
             self._drift = np.zeros_like(now)
             return
         assert self._drift is not None
-        blend = self.config.control_period / (self.config.control_period + self.settings.correction_time)
+        blend = self.config.control_period / (self.config.control_period + CORRECTION_TIME)
         self._drift = self._drift + blend * (now - self._expected - self._drift)
-
-
-Progress = Callable[[str, int, int], None]
-
-TRUTH, NOMINAL = "told the truth", "told the nominal plant"
-
-
-class ComparisonSettings(ProtocolSettings):
-    """Cases of a comparison, and the size of the search."""
-
-    leak_levels: tuple[float, ...] = Field((0.01, 0.3, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
-    plants: int = Field(3, ge=3, le=1000, description="per level and family")
-    validation: bool = Field(False, description="use validation seeds instead of test seeds")
-    search: BoundSettings = BoundSettings()
-
-
-def compare(
-    config: TaskConfig,
-    controllers: Mapping[str, Controller],
-    settings: ComparisonSettings,
-    progress: Progress | None = None,
-) -> pd.DataFrame:
-    """Errors of controllers and of the best found on the same cases, one row per case.
-
-    Columns: ``controller``, ``leakage_flow_lpm``, ``family``, ``plant``, ``error_mm`` (mean of |error|, of the position
-    that the sensor would read without noise), ``true_error_mm`` (of the true position), ``valve_travel_per_s``,
-    ``failed``.
-    """
-    told: tuple[tuple[str, Told], ...] = ((NOMINAL, "nominal"), (TRUTH, "truth"))
-    searches = {name: partial(best_found, told=which, settings=settings.search) for name, which in told}
-    results = run(
-        _protocol(config, settings, ("tracking", "best_found")),
-        Participants(controllers, searches=searches),
-        jobs=1,
-        progress=progress,
-    )
-    return _errors(pd.concat([results.part("tracking"), results.part("best_found")], ignore_index=True))
-
-
-def summary(frame: pd.DataFrame, by: str) -> pd.DataFrame:
-    """Mean errors in mm by ``family`` or ``leakage_flow_lpm``, one column per controller; last row: over all.
-
-    The column ``floor`` holds the true error of the best found that knows the true plant, but not the sensor's bias.
-    """
-    table = frame.pivot_table("error_mm", by, "controller", sort=False)
-    base = str(frame["controller"].iloc[0])
-    true = frame.pivot_table("true_error_mm", by, "controller", sort=False)
-    table[f"{base}, true position"], table["floor, true position"] = true[base], true[TRUTH]
-    table.loc["mean"] = table.mean()
-    return table
-
-
-def travel(frame: pd.DataFrame) -> pd.DataFrame:
-    """Mean valve travel in full strokes per second by ``family``, one column per controller; last row: over all."""
-    table = frame.pivot_table("valve_travel_per_s", "family", "controller", sort=False)
-    table.loc["mean"] = table.mean()
-    return table
-
-
-def _protocol(config: TaskConfig, settings: ComparisonSettings, parts: tuple[str, ...]) -> RobustnessProtocol:
-    """Some parts on the cases of the settings."""
-    return RobustnessProtocol(
-        task=config,
-        parts=parts,
-        conditions={"task": PairedCondition()},
-        seeds="THRESHOLDS" if settings.validation else "EVALUATION",
-        bound_conditions=("task",),
-        bound_plants=settings.plants,
-        **settings.model_dump(include={"leak_levels", "families", "plants"}),
-    )
-
-
-def _errors(cases: pd.DataFrame) -> pd.DataFrame:
-    """Errors in the frame of the sensor and of the true position, with what they cost."""
-    shown = cases[["leakage_flow_lpm", "family", "plant", "controller"]]
-    errors = {"error_mm": cases["mean_error_sensor_mm"], "true_error_mm": cases["mean_error_mm"]}
-    return shown.assign(**errors, valve_travel_per_s=cases["valve_travel_per_s"], failed=cases["failed"])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,12 +21,58 @@ from hydro_agents.running.statistics import (
     plant_weights,
     seed_weights,
 )
+from hydro_env.types import Floats
 
-Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
+
+ALL = "all"
+"""Name of what is over all conditions."""
 
 LEAST_ROOM = 0.02
 """Below this share of the baseline's error between baseline and best found there is no score: it would be noise."""
+
+
+class Sample(NamedTuple):
+    """A metric of a controller on some plants and situations, with the weights of its resamplings."""
+
+    values: Floats  # (S, U, K)
+    weights: Weights
+
+    @property
+    def mean(self) -> Floats:
+        """Mean in every resampling, (R + 1,)."""
+        return means(self.values, self.weights)
+
+    @property
+    def present(self) -> Mask:
+        """Whether any training seed has the case, (U, K)."""
+        return np.asarray(~np.isnan(self.values).all(axis=0))
+
+    @property
+    def expected(self) -> Floats:
+        """Mean over the training seeds that have the case, (U, K)."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.nansum(self.values, axis=0) / (~np.isnan(self.values)).sum(axis=0))
+
+    @property
+    def plants(self) -> int:
+        """Number of plants with a case."""
+        return int(self.present.any(axis=1).sum())
+
+    @property
+    def dense(self) -> Sample:
+        """The same without the plants that have no case."""
+        used = self.present.any(axis=1)
+        return Sample(self.values[:, used], self.weights._replace(plants=self.weights.plants[:, used]))
+
+    def where(self, kept: Mask) -> Sample:
+        """The same without the values of other cases."""
+        return self._replace(values=np.where(kept, self.values, np.nan))
+
+    def part(self, rows: Mask, columns: Mask) -> Sample:
+        """The same on a part of its plants and situations."""
+        weights = self.weights._replace(plants=self.weights.plants[:, rows])
+        return Sample(self.values[:, rows][:, :, columns], weights)
 
 
 class Grid:
@@ -46,15 +93,16 @@ class Grid:
         self.family: NDArray[np.str_] = plants["family"].to_numpy().astype(str)
         self.condition: NDArray[np.str_] = situations["condition"].to_numpy().astype(str)
         self.leak = situations["leakage_flow_lpm"].to_numpy(dtype=np.float64)
+        self.all_plants: Mask = np.ones(len(plants), dtype=np.bool_)
+        self.all_situations: Mask = np.ones(len(situations), dtype=np.bool_)
         self._plants = pd.MultiIndex.from_frame(plants)
         self._situations = pd.MultiIndex.from_frame(situations)
         self._rows = {name: cases[cases["controller"] == name] for name in self.controllers}
         self._plant_weights = plant_weights(self.family)
-        self._known: dict[tuple[str, str], Array] = {}
-        bound = None if bound is None else bound.assign(training_seed=0)
-        self._best = {} if bound is None else {name: self._array(bound, name) for name in (ERROR, ERROR_SENSOR)}
+        self._made: dict[tuple[str, str], Floats] = {}
+        self._bound = None if bound is None else bound.assign(training_seed=0)
 
-    def _array(self, rows: pd.DataFrame, metric: str) -> Array:
+    def _array(self, rows: pd.DataFrame, metric: str) -> Floats:
         seeds = {seed: index for index, seed in enumerate(sorted(rows["training_seed"].unique()))}
         filled = np.full((len(seeds), len(self._plants), len(self._situations)), np.nan)
         plant = self._plants.get_indexer(pd.MultiIndex.from_frame(rows[["family", "plant"]]))
@@ -64,155 +112,146 @@ class Grid:
         filled[seed[kept], plant[kept], situation[kept]] = rows[metric].to_numpy(dtype=np.float64)[kept]
         return filled
 
-    def values(self, controller: str, metric: str) -> Array:
+    def values(self, controller: str, metric: str) -> Floats:
         """A metric of a controller, (S, U, K)."""
-        if (controller, metric) not in self._known:
-            self._known[controller, metric] = self._array(self._rows[controller], metric)
-        return self._known[controller, metric]
+        if (controller, metric) not in self._made:
+            self._made[controller, metric] = self._array(self._rows[controller], metric)
+        return self._made[controller, metric]
 
-    def weights(self, controller: str, seeds: int, plants: Mask | NDArray[np.intp] | slice = slice(None)) -> Weights:
+    def weights(self, controller: str, seeds: int, plants: Mask) -> Weights:
         """Weights of a controller's training seeds, and of some plants; the latter are the same for all controllers."""
         number = self.controllers.index(controller)
         return Weights(seed_weights(seeds, RESAMPLES, number), self._plant_weights[:, plants])
 
+    def sample(self, controller: str, metric: str, plants: Mask, situations: Mask) -> Sample:
+        """A metric of a controller on some plants and situations."""
+        rows, columns = np.ix_(plants, situations)
+        values = self.values(controller, metric)[:, rows, columns]
+        return Sample(values, self.weights(controller, len(values), plants))
+
     def mean(self, controller: str, metric: str, plants: Mask, situations: Mask) -> Interval:
         """Mean of a metric over some plants and situations of a controller."""
-        chosen = self.values(controller, metric)[:, plants][:, :, situations]
-        used = np.flatnonzero(~np.isnan(chosen).all(axis=(0, 2)))
-        weights = self.weights(controller, len(chosen), np.flatnonzero(plants)[used])
-        return interval(means(chosen[:, used], weights), len(used))
+        chosen = self.sample(controller, metric, plants, situations).dense
+        return interval(chosen.mean, chosen.plants)
+
+    def under(self, condition: str) -> Mask:
+        """The situations of a condition, or all of them."""
+        return self.all_situations if condition == ALL else np.asarray(self.condition == condition)
+
+    def pair(self, controller: str, against: str, metric: str, *part: Mask) -> tuple[Sample, Sample]:
+        """A metric of two controllers on their common cases of some plants and situations."""
+        mine, theirs = (self.sample(name, metric, *part) for name in (controller, against))
+        common = mine.present & theirs.present
+        return mine.where(common), theirs.where(common)
 
     def ratio(self, controller: str, against: str, metric: str) -> Interval:
         """Ratio of the means of a metric over the plants that both controllers have."""
-        mine, theirs = self.values(controller, metric), self.values(against, metric)
-        absent = np.isnan(mine).all(axis=0) | np.isnan(theirs).all(axis=0)
-        one, other = (
-            means(np.where(absent, np.nan, values), self.weights(name, len(values)))
-            for name, values in ((controller, mine), (against, theirs))
-        )
-        return interval(one / other, int(np.any(~absent, axis=1).sum()))
+        mine, theirs = self.pair(controller, against, metric, self.all_plants, self.all_situations)
+        return interval(mine.mean / theirs.mean, mine.plants)
 
     def compare(self, controller: str, against: str, plants: Mask, situations: Mask) -> dict[str, float]:
         """Columns of one row of a comparison over some plants and situations of both controllers."""
-        part = np.ix_(plants, situations)
-        mine, theirs = self._pair(controller, against, ERROR, part)
-        sensed = self._pair(controller, against, ERROR_SENSOR, part)
-        absent = np.isnan(mine).all(axis=0)
-        weights, their_weights = (
-            self.weights(name, len(values), plants) for name, values in ((controller, mine), (against, theirs))
-        )
-        strata = (self.family[plants], self.condition[situations])
-        count, searched = int(np.any(~absent, axis=1).sum()), self._searched(part)
-        expected = _mean_over_seeds(theirs)
-        ratios = mine / expected
-        better = np.where(np.isnan(ratios), np.nan, mine < expected)
-        found = {
-            "ratio": means(mine, weights) / means(theirs, their_weights),
-            "equal_weight": _geometric_mean(_ratios(mine, theirs, weights, their_weights, *strata)),
-            "ratio_sensor": means(sensed[0], weights) / means(sensed[1], their_weights),
-            "equal_weight_sensor": _geometric_mean(_ratios(*sensed, weights, their_weights, *strata)),
-            "iqm_ratio": interquartile_means(ratios, weights),
-            "share_better": means(better, weights),
-            "probability_of_improvement": improvements(mine, theirs, weights, their_weights.seeds),
-            "gap": self._gap(mine, theirs, weights, their_weights, part),
-            "score": self._score(*sensed, weights, their_weights, part, strata),
+        mine, theirs = self.pair(controller, against, ERROR, plants, situations)
+        sensed, their_sensed = self.pair(controller, against, ERROR_SENSOR, plants, situations)
+        kinds = list(self._kinds(plants, situations))
+        ratios = mine.values / theirs.expected
+        better = np.where(np.isnan(ratios), np.nan, mine.values < theirs.expected)
+        statistics = {
+            "ratio": mine.mean / theirs.mean,
+            "equal_weight": _geometric_mean(_ratios(mine, theirs, kinds)),
+            "ratio_sensor": sensed.mean / their_sensed.mean,
+            "equal_weight_sensor": _geometric_mean(_ratios(sensed, their_sensed, kinds)),
+            "iqm_ratio": interquartile_means(ratios, mine.weights),
+            "share_better": means(better, mine.weights),
+            "probability_of_improvement": improvements(mine.values, theirs.values, mine.weights, theirs.weights.seeds),
         }
         row: dict[str, float] = {}
-        for name, resampled in found.items():
-            row |= interval(resampled, searched if name in ("gap", "score") else count).named(name)
-        row["worst_ratio"] = float(np.nanmax(ratios, initial=-np.inf)) if not absent.all() else np.nan
+        for name, resampled in statistics.items():
+            row |= interval(resampled, mine.plants).named(name)
+        row |= self._to_the_best(mine, theirs, ERROR, plants, situations, _gap).named("gap")
+        row |= self._to_the_best(sensed, their_sensed, ERROR_SENSOR, plants, situations, _score, kinds).named("score")
+        row["worst_ratio"] = float(np.nanmax(ratios, initial=-np.inf)) if mine.plants else np.nan
         for name, metric in COMPARED.items():
-            row[name] = _ratio(*(self.values(who, metric.name)[:, part[0], part[1]] for who in (controller, against)))
-        row["cases"] = int((~np.isnan(mine)).sum())
-        return row
+            row[name] = _ratio(*self.pair(controller, against, metric.name, plants, situations))
+        return row | {"cases": int((~np.isnan(mine.values)).sum())}
 
-    def _pair(self, controller: str, against: str, metric: str, part: Any) -> tuple[Array, Array]:
-        """A metric of both controllers on a part of the grid, on their common cases."""
-        mine, theirs = (self.values(name, metric)[:, part[0], part[1]] for name in (controller, against))
-        absent = np.isnan(mine).all(axis=0) | np.isnan(theirs).all(axis=0)
-        return np.where(absent, np.nan, mine), np.where(absent, np.nan, theirs)
+    def comparisons(self, column: str, parts: Iterable[tuple[str, Mask, Mask]]) -> pd.DataFrame:
+        """Each controller against the first on named parts of the grid, one row each; the name is in ``column``."""
+        rows, baseline = [], self.controllers[0]
+        for controller in self.controllers[1:]:
+            for name, plants, situations in parts:
+                row = self.compare(controller, baseline, plants, situations)
+                if row["cases"]:
+                    rows.append({"controller": controller, "against": baseline, column: name, **row})
+        return pd.DataFrame(rows)
 
-    def _searched(self, part: Any) -> int:
-        """Smallest number of plants with a best found in a family of a part of the grid."""
-        if not self._best:
-            return 0
-        there = ~np.isnan(self._best[ERROR][0][part]).all(axis=1)
-        _, counts = np.unique(self.family[part[0][:, 0]][there], return_counts=True)
-        return int(min(counts, default=0))
+    def corrected(self, pairs: Mapping[str, str]) -> pd.DataFrame:
+        """Each policy against the controller that it corrects, unless that is the first one; ``pairs``: their names."""
+        rows = []
+        for name, base in pairs.items():
+            if {name, base} <= set(self.controllers) and base != self.controllers[0]:
+                row = self.compare(name, base, self.all_plants, self.all_situations)
+                rows.append({"controller": name, "against": base, **row})
+        return pd.DataFrame(rows)
 
-    def _with_best(self, mine: Array, theirs: Array, metric: str, part: Any) -> tuple[Array, Array, Array]:
-        """Errors of a controller, the baseline and the best found on the cases that all of them have."""
-        best = self._best[metric][:, part[0], part[1]]
-        mine, theirs = (np.where(np.isnan(best), np.nan, values) for values in (mine, theirs))
-        return mine, theirs, np.where(np.isnan(_mean_over_seeds(theirs)), np.nan, best)
+    def _kinds(self, plants: Mask, situations: Mask) -> Iterator[tuple[Mask, Mask]]:
+        """The plants of each family, and the situations of each condition."""
+        families, conditions = self.family[plants], self.condition[situations]
+        for condition in dict.fromkeys(conditions.tolist()):
+            for family in dict.fromkeys(families.tolist()):
+                yield families == family, conditions == condition
 
-    def _gap(self, mine: Array, theirs: Array, weights: Weights, their_weights: Weights, part: Any) -> Array:
-        """(baseline − x) / (baseline − best found) of the mean true errors, on the cases of the bound."""
-        if not self._best:
-            return np.full(len(weights.plants), np.nan)
-        mine, theirs, best = self._with_best(mine, theirs, ERROR, part)
-        base = means(theirs, their_weights)
-        return np.asarray((base - means(mine, weights)) / (base - means(best, _one_seed(weights))))
+    def _to_the_best(
+        self, mine: Sample, theirs: Sample, metric: str, plants: Mask, situations: Mask, statistic: Any, *more: Any
+    ) -> Interval:
+        """A statistic of a controller, the baseline and the best found, on the cases that all of them have.
 
-    def _score(
-        self, mine: Array, theirs: Array, weights: Weights, their_weights: Weights, part: Any, strata: Any
-    ) -> Array:
-        """0 for the baseline, 100 for the best found: Σ (1 − ratio) / Σ (1 − ratio of the best found) over the kinds.
-
-        The sums run over kinds of reference and conditions; a ratio is that of the mean errors in the frame of the
-        sensor, to the baseline's. Each kind thus counts as much as it can be improved: one at which the baseline is
-        near the best found has little weight, while a mean of scores per kind would divide by almost nothing. A
-        geometric mean would let one kind with an error near zero, such as slow sines, decide the score.
+        There is an interval if every family that has a best found has it on enough plants.
         """
-        if not self._best:
-            return np.full(len(weights.plants), np.nan)
-        mine, theirs, best = self._with_best(mine, theirs, ERROR_SENSOR, part)
-        closed, room = (
-            np.mean(1.0 - _ratios(values, theirs, own, their_weights, *strata), axis=0)
-            for values, own in ((mine, weights), (best, _one_seed(weights)))
-        )
-        return np.asarray(100.0 * closed / np.where(room > LEAST_ROOM, room, np.nan))
+        if self._bound is None:
+            return Interval(np.nan, np.nan, np.nan)
+        rows, columns = np.ix_(plants, situations)
+        one_seed = mine.weights._replace(seeds=np.ones((len(mine.weights.plants), 1)))
+        best = Sample(self._array(self._bound, metric)[:, rows, columns], one_seed)
+        searched = self.family[plants][best.present.any(axis=1)]
+        _, counts = np.unique(searched, return_counts=True)
+        mine, theirs = mine.where(best.present), theirs.where(best.present)
+        best = best.where(theirs.present)
+        return interval(statistic(mine, theirs, best, *more), int(min(counts, default=0)))
 
 
-def _one_seed(weights: Weights) -> Weights:
-    return Weights(np.ones((len(weights.plants), 1)), weights.plants)
+def _gap(mine: Sample, theirs: Sample, best: Sample) -> Floats:
+    """(baseline − x) / (baseline − best found) of the mean true errors."""
+    return np.asarray((theirs.mean - mine.mean) / (theirs.mean - best.mean))
 
 
-def _ratios(
-    mine: Array,
-    theirs: Array,
-    weights: Weights,
-    their_weights: Weights,
-    families: NDArray[np.str_],
-    conditions: NDArray[np.str_],
-) -> Array:
-    """Ratio of the mean errors for each condition and family that has cases, in every resampling: (rows, R + 1)."""
-    found = []
-    for condition in dict.fromkeys(conditions.tolist()):
-        for family in dict.fromkeys(families.tolist()):
-            rows, columns = families == family, conditions == condition
-            one, other = (values[:, rows][:, :, columns] for values in (mine, theirs))
-            if not (np.isnan(one).all() or np.isnan(other).all()):
-                own, base = (Weights(each.seeds, each.plants[:, rows]) for each in (weights, their_weights))
-                found.append(means(one, own) / means(other, base))
-    return np.array(found) if found else np.full((1, len(weights.plants)), np.nan)
+def _score(mine: Sample, theirs: Sample, best: Sample, kinds: list[tuple[Mask, Mask]]) -> Floats:
+    """0 for the baseline, 100 for the best found: Σ (1 − ratio) / Σ (1 − ratio of the best found) over the kinds.
+
+    The sums run over kinds of reference and conditions; a ratio is that of the mean errors in the frame of the sensor,
+    to the baseline's. Each kind thus counts as much as it can be improved: one at which the baseline is near the best
+    found has little weight, while a mean of scores per kind would divide by almost nothing. A geometric mean would let
+    one kind with an error near zero, such as slow sines, decide the score.
+    """
+    closed, room = (np.mean(1.0 - _ratios(each, theirs, kinds), axis=0) for each in (mine, best))
+    return np.asarray(100.0 * closed / np.where(room > LEAST_ROOM, room, np.nan))
 
 
-def _geometric_mean(ratios: Array) -> Array:
+def _ratios(mine: Sample, theirs: Sample, kinds: list[tuple[Mask, Mask]]) -> Floats:
+    """Ratio of the mean errors for each kind that has cases, in every resampling: (rows, R + 1)."""
+    pairs = [(mine.part(*kind), theirs.part(*kind)) for kind in kinds]
+    ratios = [own.mean / base.mean for own, base in pairs if own.plants and base.plants]
+    return np.array(ratios) if ratios else np.full((1, len(mine.weights.plants)), np.nan)
+
+
+def _geometric_mean(ratios: Floats) -> Floats:
     """Over the rows, all with the same weight."""
     return np.asarray(np.exp(np.mean(np.log(ratios), axis=0)))
 
 
-def _mean_over_seeds(values: Array) -> Array:
-    there = ~np.isnan(values)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.nansum(values, axis=0) / there.sum(axis=0))
-
-
-def _ratio(one: Array, other: Array) -> float:
-    """Ratio of the means of two metrics on their common cases."""
-    absent = np.isnan(one).all(axis=0) | np.isnan(other).all(axis=0)
-    if absent.all():
+def _ratio(mine: Sample, theirs: Sample) -> float:
+    """Ratio of the means of a metric; NaN without cases, and to a mean of zero."""
+    if not mine.plants:
         return float("nan")
-    mine, theirs = (float(np.nanmean(np.where(absent, np.nan, values))) for values in (one, other))
-    return mine / theirs if theirs != 0.0 else float("nan")
+    own, base = float(np.nanmean(mine.values)), float(np.nanmean(theirs.values))
+    return own / base if base != 0.0 else float("nan")

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar, cast
 
 import pandas as pd
 from pydantic import Field, StringConstraints, model_validator
 
 from hydro_agents.running.jobs import Columns, Job
-from hydro_agents.running.tasks import Surroundings, read_task
+from hydro_agents.running.tasks import Surroundings, mappings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file
@@ -44,8 +44,8 @@ class Cell:
 
 def columns_of(table: pd.DataFrame) -> Columns:
     """The columns of a table as the result of a job; texts as arrays of fixed width, which a file can hold."""
-    found = {str(name): table[name].to_numpy() for name in table}
-    return {name: values.astype(str) if values.dtype == object else values for name, values in found.items()}
+    columns = {str(name): table[name].to_numpy() for name in table}
+    return {name: values.astype(str) if values.dtype == object else values for name, values in columns.items()}
 
 
 class Part(NamedTuple):
@@ -57,24 +57,24 @@ class Part(NamedTuple):
     """
 
     table: str  # name of the table of its rows
-    cells: str  # module:function of this package that yields its cells
+    cells: str  # module:function that yields its cells; the module without its package is one of this room
     kinds: tuple[str, ...] = ("robustness",)  # of protocols that may have it
 
 
 PARTS = {
     "tracking": Part("cases", "tracking:tracking", ("robustness", "study")),
     "episodes": Part("detection", "detection:episodes", ("study",)),
-    "standstill": Part("limit_cycles", "limit_cycles:standstill", ("robustness", "study")),
+    "standstill": Part("limit_cycles", "tracking:standstill", ("robustness", "study")),
     "best_found": Part("bound", "tracking:best", ("robustness", "study")),
     "frequency": Part("frequency", "experiments:frequency"),
     "force_step": Part("force_step", "experiments:force_step"),
     "force_sine": Part("force_sine", "experiments:force_sine"),
     "hold": Part("standstill", "experiments:hold"),
-    "pause": Part("pauses", "transitions:pause"),
-    "take_over": Part("take_over", "transitions:take_over"),
+    "pause": Part("pauses", "experiments:pause"),
+    "take_over": Part("take_over", "experiments:take_over"),
     "windows": Part("windows", "leak_protocol:windows", ("leakage",)),
-    "leak_bound": Part("bound", "leak_bound:leak_bound", ("leakage",)),
-    "leak_price": Part("leak_price", "leak_price:price"),
+    "leak_bound": Part("bound", "hydro_rig.estimation.leak_bound:leak_bound", ("leakage",)),
+    "leak_price": Part("leak_price", "experiments:price"),
 }
 """Every part by its name. Its module is imported when a protocol has the part."""
 
@@ -82,8 +82,8 @@ PARTS = {
 def cells_of(part: str) -> Callable[[Any, Any], Iterator[Cell]]:
     """The function that yields the cells of a part from a protocol and its participants."""
     module, _, name = PARTS[part].cells.partition(":")
-    found: Callable[[Any, Any], Iterator[Cell]] = getattr(import_module(f"hydro_agents.evaluation.{module}"), name)
-    return found
+    package = "" if "." in module else f"{__package__}."
+    return cast("Callable[[Any, Any], Iterator[Cell]]", getattr(import_module(package + module), name))
 
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
@@ -145,10 +145,9 @@ class Protocol(Group, Generic[AnyCondition]):
             if "task" in values:
                 values["task"] = read_task(values.pop("task"), file)
         cls.prepare(values, file, errors)
-        conditions = values.get("conditions")
-        for condition in conditions.values() if isinstance(conditions, dict) else ():
+        for condition in mappings(values.get("conditions")).values():
             with kept(errors):
-                if isinstance(condition, dict) and isinstance(condition.get("rig"), str):
+                if isinstance(condition.get("rig"), str):
                     condition["rig"] = str(config_file("rigs", condition.pop("rig"), file.parent))
         with kept(errors):
             protocol = validate(cls, values, str(path))

@@ -22,7 +22,7 @@ from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.conditions import Name
 from hydro_agents.evaluation.detection import LeakBounds, detection_curves, detection_rates, detection_summary
 from hydro_agents.evaluation.limit_cycles import counted
-from hydro_agents.evaluation.metrics import FRAMES, METRICS
+from hydro_agents.evaluation.metrics import ERROR, FRAMES, METRICS
 from hydro_agents.evaluation.participants import participants, split_name
 from hydro_agents.evaluation.robustness_protocol import (
     PairedCases,
@@ -33,7 +33,7 @@ from hydro_agents.evaluation.robustness_protocol import (
 from hydro_agents.evaluation.runner import FAILED, Results, run, table, tables_of
 from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
-from hydro_agents.running.statistics import Interval, conditional_value_at_risk
+from hydro_agents.running.statistics import conditional_value_at_risk, ratio_interval
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 from hydro_env.mistakes import known_name
@@ -71,17 +71,14 @@ class ProtocolSettings(PairedCases):
     detection_episodes: int = Field(4000, ge=100, le=200_000, description="per controller, half of them healthy")
 
 
-class StudyProtocol(PairedProtocol):
+class StudyProtocol(ProtocolSettings, PairedProtocol):
     """The evaluation of a study as a protocol with one condition: the task itself."""
 
     kind: Literal["study"] = "study"
     title: str = "Evaluation"
     seeds: PlantSeeds = "EVALUATION"
     plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
-    standstill_plants: int = 8
     bound_conditions: tuple[Name, ...] = ("task",)
-    bound_plants: int = 0
-    detection_episodes: int = 4000
 
     def asked(self) -> tuple[str, ...]:
         """Tracking, standstills and the best found; detection needs a head, which the participants have."""
@@ -90,11 +87,11 @@ class StudyProtocol(PairedProtocol):
 
     def bound_levels(self, name: str) -> Sequence[float]:
         """The smallest and the largest leak."""
-        return self.standstills_in(name)[0]
+        return self.standstill_levels(name)
 
-    def standstills_in(self, name: str) -> tuple[Sequence[float], int]:
+    def standstill_levels(self, name: str) -> Sequence[float]:
         """The smallest and the largest leak."""
-        return sorted({min(self.leak_levels), max(self.leak_levels)}), self.standstill_plants
+        return sorted({min(self.leak_levels), max(self.leak_levels)})
 
 
 @dataclass(frozen=True)
@@ -105,6 +102,7 @@ class Evaluation:
     levels: pd.DataFrame  # per controller and level: means, intervals, worst case, CVaR of every metric
     families: pd.DataFrame  # the same per controller and family
     ratios: pd.DataFrame  # per controller against the first: overall, per level, per family
+    growth: pd.DataFrame  # per controller and family: error at the largest leak over that at the smallest
     score: pd.DataFrame  # per controller: 0 is the first, 100 the best found; with mean errors over all cases
     bound: pd.DataFrame  # one row per case of the best found
     limit_cycles: pd.DataFrame  # one row per controller, training seed, level, plant: an axis at rest without noise
@@ -174,9 +172,12 @@ def evaluate(
         warnings.warn(message, stacklevel=2)
     if not controllers.keys() - errors.keys():
         raise ControllerError("; ".join(errors.values()))
-    failed = pd.MultiIndex.from_tuples([split_name(name) for name in errors], names=["controller", "training_seed"])
-    rows = {part: table[~table.set_index(failed.names).index.isin(failed)] for part, table in results.rows.items()}
-    results = replace(results, rows={part: table.reset_index(drop=True) for part, table in rows.items()})
+    failed = {split_name(name) for name in errors}
+    rows = {}
+    for part, frame in results.rows.items():
+        kept = [who not in failed for who in zip(frame["controller"], frame["training_seed"], strict=True)]
+        rows[part] = frame[kept].reset_index(drop=True)
+    results = replace(results, rows=rows)
     tables = {name: results.table(name) for name in tables_of("study")}
     return Evaluation(**tables, bounds=LeakBounds.of(config), errors=errors)
 
@@ -211,20 +212,38 @@ def ratios(results: Results) -> pd.DataFrame:
     return ratio_table(results.part("tracking"), results.grid.controllers)
 
 
+@table("growth", KIND)
+def growth(results: Results) -> pd.DataFrame:
+    """Mean error of every controller at the largest leak over that at the smallest; over all families, and of each."""
+    return growth_of(results.part("tracking"))
+
+
+def growth_of(cases: pd.DataFrame) -> pd.DataFrame:
+    """The growth of the mean error with the leak, on the same plants; empty with one leak."""
+    rows = []
+    several = cases["leakage_flow_lpm"].nunique() > 1
+    for name, own in cases.groupby("controller", sort=False) if several else ():
+        for family in ("all", *own["family"].unique()):
+            chosen = own if family == "all" else own[own["family"] == family]
+            errors = chosen.pivot_table(ERROR, "plant", "leakage_flow_lpm").to_numpy()
+            ratio = ratio_interval(errors[:, -1], errors[:, 0])
+            rows.append({"controller": name, "family": family, **ratio.columns("ratio")})
+    return pd.DataFrame(rows)
+
+
 @table("score", KIND)
 def score(results: Results) -> pd.DataFrame:
     """Score of every controller (0: the first, 100: the best found) on ``cases`` cases; errors over all its cases."""
     bound, grid = results.part("best_found"), results.grid
     if bound.empty:
         return bound
-    plants, leaks = np.ones(len(grid.family), dtype=np.bool_), np.ones(len(grid.leak), dtype=np.bool_)
     rows = []
     for name, own in results.part("tracking").groupby("controller", sort=False):
-        found = Interval(0.0, np.nan, np.nan)
+        row = {"score": 0.0, "score_low": np.nan, "score_high": np.nan}
         if name != grid.controllers[0]:
-            found = Interval(*_figures(grid.compare(str(name), grid.controllers[0], plants, leaks), "score"))
-        errors = own[list(FRAMES)].mean()
-        rows.append({"controller": name, **found.columns("score"), **errors, "cases": len(bound)})
+            row = grid.compare(str(name), grid.controllers[0], grid.all_plants, grid.all_situations)
+        figures = {"score": row["score"], "low": row["score_low"], "high": row["score_high"]}
+        rows.append({"controller": name, **figures, **own[list(FRAMES)].mean(), "cases": len(bound)})
     return pd.DataFrame(rows)
 
 
@@ -275,8 +294,8 @@ def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
     """Every metric per controller and value of the column ``by``: mean with interval, worst case, mean of the worst."""
     grid, rows = Grid(cases), []
     for (controller, group), frame in cases.groupby(["controller", by], sort=False):
-        plants = grid.family == group if by == "family" else np.ones(len(grid.family), dtype=np.bool_)
-        situations = grid.leak == group if by != "family" else np.ones(len(grid.leak), dtype=np.bool_)
+        plants = grid.family == group if by == "family" else grid.all_plants
+        situations = grid.leak == group if by != "family" else grid.all_situations
         for metric, about in METRICS.items():
             rows.append(
                 {
@@ -300,20 +319,21 @@ def ratio_table(cases: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
     large steps outweigh the rest).
     """
     grid, rows = Grid(cases), []
-    plants, leaks = np.ones(len(grid.family), dtype=np.bool_), np.ones(len(grid.leak), dtype=np.bool_)
-    parts = [("all", "", plants, leaks)]
-    parts += [("level", str(leak), plants, grid.leak == leak) for leak in cases["leakage_flow_lpm"].unique()]
-    parts += [("family", str(family), grid.family == family, leaks) for family in cases["family"].unique()]
+    parts = [("all", "", grid.all_plants, grid.all_situations)]
+    parts += [("level", str(leak), grid.all_plants, grid.leak == leak) for leak in cases["leakage_flow_lpm"].unique()]
+    parts += [("family", str(name), grid.family == name, grid.all_situations) for name in cases["family"].unique()]
     for name in names[1:]:
-        found = [grid.compare(name, names[0], *part) for _, _, *part in parts]
-        for (group, value, *_), row in zip(parts, found, strict=True):
-            rows.append((name, names[0], group, value, *_figures(row, "ratio"), row["share_better"]))
-            rows[-1] += _figures(row, "ratio_sensor")
-        both = (*_figures(found[0], "equal_weight"), np.nan, *_figures(found[0], "equal_weight_sensor"))
-        rows.append((name, names[0], "equal_weight", "geometric mean of the families' ratios", *both))
+        pair = {"controller": name, "against": names[0]}
+        compared = [grid.compare(name, names[0], *where) for _, _, *where in parts]
+        for (group, value, *_), row in zip(parts, compared, strict=True):
+            rows.append({**pair, "group": group, "value": value, **_ratios(row, "ratio", row["share_better"])})
+        about = {"group": "equal_weight", "value": "geometric mean of the families' ratios"}
+        rows.append({**pair, **about, **_ratios(compared[0], "equal_weight", np.nan)})
     return pd.DataFrame(rows, columns=RATIO_COLUMNS)
 
 
-def _figures(row: Mapping[str, float], name: str) -> tuple[float, ...]:
-    """A column of a comparison with its interval."""
-    return tuple(row[f"{name}{end}"] for end in ("", "_low", "_high"))
+def _ratios(row: Mapping[str, float], name: str, better: float) -> dict[str, float]:
+    """A ratio of a comparison in both frames, each with its interval."""
+    true = {"ratio": row[name], "low": row[f"{name}_low"], "high": row[f"{name}_high"]}
+    sensed = {f"ratio_sensor{end}": row[f"{name}_sensor{end}"] for end in ("", "_low", "_high")}
+    return {**true, "share_of_cases_better": better, **sensed}

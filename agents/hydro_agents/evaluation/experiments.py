@@ -1,11 +1,11 @@
-"""Experiments about the task alone: frequency response, stiffness, and standstill under noise.
+"""Experiments about the task alone, as parts of a robustness protocol; frequency response and stiffness.
 
-Each is a list of runs (:mod:`hydro_agents.evaluation.sweeps`) and a part of a robustness protocol.
+Each is a list of runs (:mod:`hydro_agents.evaluation.sweeps`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -15,11 +15,18 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Cell, columns_of
-from hydro_agents.evaluation.leak_price import full_force, full_speed, working_place
-from hydro_agents.evaluation.limit_cycles import limit_cycles
-from hydro_agents.evaluation.participants import Participants, split_name
+from hydro_agents.evaluation.leak_price import full_force, full_speed, leak_price, working_place
+from hydro_agents.evaluation.participants import split_name
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.sweeps import Experiment, Run, sine_fit
+from hydro_agents.evaluation.transitions import (
+    STANDSTILL_LEAKS,
+    TAKEN_OVER,
+    TakesOver,
+    motions,
+    moves_after_pauses,
+    standstills,
+)
 from hydro_agents.running.cases import Rollout
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.tasks import noiseless, own_reference
@@ -42,28 +49,19 @@ SETTLING, WATCHED = 0.5, 0.5
 """s: time until the response is steady (and two cycles), and length of the fit (at least three cycles)."""
 
 
-def sine_references(
-    config: TaskConfig,
-    frequencies: Sequence[float] = FREQUENCIES,
-    amplitude: float | None = None,
-    place: float | None = None,
-) -> Iterator[Run]:
-    """Sines of the reference, with the preview and with the preview hidden.
+def sine_references(config: TaskConfig) -> Iterator[Run]:
+    """Sines of the reference about the working position, with the preview and with the preview hidden.
 
     Columns: preview (whether the controller sees it), frequency_hz, amplitude_mm, gain (1), phase_deg, rest (root mean
-    square of the residual, as a share of the amplitude).
-
-    Args:
-        config: the task.
-        frequencies: Hz.
-        amplitude: m, of the reference; default: a share of the range, smaller if the speed would be too high.
-        place: m, centre of the sines; default :func:`~hydro_agents.evaluation.leak_price.working_place`.
+    square of the residual, as a share of the amplitude). The amplitude is smaller where the speed would be too high.
     """
-    centre = working_place(config.plant) if place is None else place
+    centre = working_place(config.plant)
     low, high = reachable_range(config.plant)
-    for frequency in [f for f in frequencies if 3.0 * f * config.control_period <= 1.0]:
+    for frequency in FREQUENCIES:
+        if 3.0 * frequency * config.control_period > 1.0:
+            continue
         largest = SPEED_SHARE * full_speed(config.plant, centre) / (2.0 * np.pi * frequency)
-        size = min(AMPLITUDE_SHARE * (high - low), largest) if amplitude is None else amplitude
+        size = min(AMPLITUDE_SHARE * (high - low), largest)
         time, first = _samples(frequency, config.control_period)
         task = own_reference(config, centre + size * np.sin(2.0 * np.pi * frequency * time))
         for preview in (True, False) if config.references.preview_times else (False,):
@@ -94,7 +92,7 @@ def _response(preview: bool, frequency: float, size: float, first: int, rollout:
 
 
 def _continuous_phase(table: pd.DataFrame) -> pd.DataFrame:
-    parts = table.groupby(["controller", "preview", "leakage_flow_lpm", "seed"], sort=False)
+    parts = table.groupby(["preview", "leakage_flow_lpm", "seed"], sort=False)
     table["phase_deg"] = parts["phase_deg"].transform(lambda phase: np.unwrap(phase, period=360.0))
     return table
 
@@ -103,7 +101,7 @@ def bandwidths(table: pd.DataFrame) -> pd.DataFrame:
     """Frequencies at which the gain falls below −3 dB and the phase below −90°, and the highest gain.
 
     Args:
-        table: of the experiment ``frequency``.
+        table: of the experiment ``frequency``, with the column ``controller``.
 
     Returns:
         Per controller, preview and leak: minus_3_db_hz, minus_90_deg_hz (medians of the plants; infinity: beyond the
@@ -113,11 +111,9 @@ def bandwidths(table: pd.DataFrame) -> pd.DataFrame:
     for key, frame in table.assign(gain_db=20.0 * np.log10(table["gain"])).groupby(by, sort=False):
         row: dict[str, Any] = dict(zip(by, key, strict=True))
         for name, column, level in (("minus_3_db_hz", "gain_db", -3.0), ("minus_90_deg_hz", "phase_deg", -90.0)):
-            found = [
-                crossing(plant["frequency_hz"].to_numpy(dtype=np.float64), plant[column].to_numpy(), level)
-                for _, plant in frame.groupby("seed", sort=False)
-            ]
-            row |= {name: float(np.median(found)), f"{name}_lowest": min(found)}
+            plants = frame.groupby("seed", sort=False)
+            crossings = [crossing(own["frequency_hz"].to_numpy(), own[column].to_numpy(), level) for _, own in plants]
+            row |= {name: float(np.median(crossings)), f"{name}_lowest": min(crossings)}
         rows.append(row | {"peak_gain": float(frame["gain"].max())})
     return pd.DataFrame(rows)
 
@@ -146,20 +142,15 @@ SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)  # Hz; force sines
 SINE_SETTLING, SINE_WATCHED = 0.5, 1.0  # s (and two cycles each)
 
 
-def sudden_force(config: TaskConfig, force: float | None = None, place: float | None = None) -> Iterator[Run]:
-    """A sudden external force on an axis at rest, without sensor noise, which would hide the recovery.
+def sudden_force(config: TaskConfig) -> Iterator[Run]:
+    """A sudden external force of drawn sign on an axis at rest, without sensor noise, which would hide the recovery.
 
     Columns: force_n, peak_mm (largest deviation), recovery_s (until the deviation stays within a tenth of the peak
     about its final value; NaN if not by the end, as in a limit cycle), remaining_mm (deviation at the end, absolute),
     static_mm_per_kn and dynamic_mm_per_kn (remaining and largest deviation per force).
-
-    Args:
-        config: the task.
-        force: N; default: a fifth of the force of the supply. Its sign is drawn.
-        place: m, where the axis is held; default :func:`~hydro_agents.evaluation.leak_price.working_place`.
     """
-    newtons = FORCE_SHARE * full_force(config.plant) if force is None else force
-    task = _with_force(noiseless(config), place, BEFORE + AFTER, "step", newtons, BEFORE / (BEFORE + AFTER))
+    newtons, begin = FORCE_SHARE * full_force(config.plant), BEFORE / (BEFORE + AFTER)
+    task = _with_force(noiseless(config), newtons, BEFORE + AFTER, kind="step", start_range=(begin, begin))
     yield Run((task,), partial(_recovery, config, newtons))
 
 
@@ -183,21 +174,17 @@ def _recovery(config: TaskConfig, newtons: float, rollout: Rollout) -> dict[str,
     }
 
 
-def sine_forces(
-    config: TaskConfig,
-    frequencies: Sequence[float] = SINE_FREQUENCIES,
-    force: float | None = None,
-    place: float | None = None,
-) -> Iterator[Run]:
+def sine_forces(config: TaskConfig) -> Iterator[Run]:
     """Sines of the external force: amplitude of the position per amplitude of the force.
 
-    Columns: frequency_hz, force_n, compliance_mm_per_kn. Arguments as for :func:`sudden_force`; frequencies in Hz.
+    Columns: frequency_hz, force_n, compliance_mm_per_kn.
     """
-    newtons = FORCE_SHARE * full_force(config.plant) if force is None else force
-    for frequency in frequencies:
+    newtons = FORCE_SHARE * full_force(config.plant)
+    for frequency in SINE_FREQUENCIES:
         settling = max(SINE_SETTLING, 2.0 / frequency)
         cycles = max(round(SINE_WATCHED * frequency), 2)
-        task = _with_force(config, place, settling + cycles / frequency, "sine", newtons, 0.0, frequency)
+        sine = {"kind": "sine", "start_range": (0.0, 0.0), "frequency_range": (frequency, frequency)}
+        task = _with_force(config, newtons, settling + cycles / frequency, **sine)
         yield Run((task,), partial(_compliance, frequency, newtons, round(settling / config.control_period)))
 
 
@@ -206,75 +193,11 @@ def _compliance(frequency: float, newtons: float, first: int, rollout: Rollout) 
     return {"frequency_hz": frequency, "force_n": newtons, "compliance_mm_per_kn": 1e6 * np.abs(answer) / newtons}
 
 
-def _with_force(
-    config: TaskConfig,
-    place: float | None,
-    duration: float,
-    kind: str,
-    newtons: float,
-    start: float,
-    frequency: float = 1.0,
-) -> TaskConfig:
-    """The task of holding one position (m) against an external force (N) that begins after a share of the episode."""
-    position = working_place(config.plant) if place is None else place
-    disturbance = {
-        "kind": kind,
-        "force_range": (newtons, newtons),
-        "force_share": (0.0, 0.0),
-        "start_range": (start, start),
-        "frequency_range": (frequency, frequency),
-    }
-    held = own_reference(config, np.full(round(duration / config.control_period) + 1, position))
-    return task_config(held, disturbance=disturbance)
-
-
-# Standstill under noise -----------------------------------------------------------------------------------------------
-
-STANDSTILL_LEAKS = (0.01, 0.3, 1.0, 4.0, 8.0)  # l/min at 100 bar
-PLACES = (0.0, 0.3, -0.3)  # held positions: shares of the range that the supply can hold
-
-KICK, KICK_SHARE = 0.5, 0.01
-"""s until the reference returns from a first step, and the step's share of the range of references."""
-
-REST, HELD = 1.5, 6.0  # s from then until the evaluation, and length of the evaluation
-
-
-def standstills(config: TaskConfig, places: Sequence[float] = PLACES) -> Iterator[Run]:
-    """A held position, once without and once with the noise of the sensors.
-
-    With sensor noise every stiff loop moves a little, and its response to noise looks like a limit cycle. Without
-    noise, an axis comes to rest after a small step of the reference unless it oscillates by itself: the remaining
-    motion is the limit cycle. The run with noise gives residual motion, valve travel and offset.
-
-    Columns: place_mm, limit_cycle (an oscillation that lasts without noise and exceeds one step of the position
-    sensor), amplitude_um and frequency_hz (without noise), unrest_um (root mean square of the position's motion under
-    noise), offset_um (mean of |reference − reading|, frame of the sensor), valve_travel_per_s (full strokes), failed.
-
-    Args:
-        config: the task.
-        places: shares of the range that the supply of the nominal rig can hold.
-    """
-    period = config.control_period
-    for place in places:
-        position = working_place(config.plant, place)
-        reference = np.full(round((KICK + REST + HELD) / period) + 1, position)
-        kicked = reference.copy()
-        kicked[round(0.1 / period) : round((0.1 + KICK) / period)] += KICK_SHARE * abs(working_place(config.plant, 1.0))
-        tasks = own_reference(noiseless(config), kicked), own_reference(config, reference)
-        yield Run(tasks, partial(_unrest, config, position))
-
-
-def _unrest(config: TaskConfig, position: float, resting: Rollout, noisy: Rollout) -> dict[str, Any]:
-    judged = round(HELD / config.control_period)
-    held, spool = (values[:, -judged:].astype(np.float64) for values in (noisy.position, noisy.spool))
-    return {
-        "place_mm": 1e3 * position,
-        **limit_cycles(resting.position[:, -judged:], config),
-        "unrest_um": 1e6 * held.std(axis=1),
-        "offset_um": 1e6 * np.abs(held.mean(axis=1) + noisy.position_bias - position),
-        "valve_travel_per_s": np.abs(np.diff(spool, axis=1)).sum(axis=1) / HELD,
-        "failed": np.maximum(resting.failed_at, noisy.failed_at) >= 0,
-    }
+def _with_force(config: TaskConfig, newtons: float, duration: float, **disturbance: Any) -> TaskConfig:
+    """The task of holding the working position for some time (s) against an external force (N)."""
+    held = np.full(round(duration / config.control_period) + 1, working_place(config.plant))
+    force = {"force_range": (newtons, newtons), "force_share": (0.0, 0.0), **disturbance}
+    return task_config(own_reference(config, held), disturbance=force)
 
 
 # Parts of a protocol --------------------------------------------------------------------------------------------------
@@ -284,27 +207,52 @@ EXPERIMENTS = {
     "force_step": Experiment(sudden_force, plants=8),
     "force_sine": Experiment(sine_forces),
     "hold": Experiment(standstills, STANDSTILL_LEAKS, plants=8),
+    "pause": Experiment(moves_after_pauses, (0.05, 2.0), plants=12),
 }
 """Experiments by the names of their parts."""
 
+TAKE_OVER = Experiment(motions, (0.05, 2.0, 6.0), plants=8)
 
-def _cells(experiment: str, protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
-    """An experiment on every controller; of several training seeds the first one takes part."""
+Pair = tuple[Controller, Controller]  # the baseline, and the one that is measured
+
+
+def _cells(work: Callable[..., Columns], arguments: tuple[str, ...], protocol: Any, chosen: Any) -> Iterator[Cell]:
+    """An experiment on every controller of a robustness protocol; of several training seeds the first takes part."""
     controllers: dict[str, Controller] = {}
     for name, controller in chosen.controllers.items():
         controllers.setdefault(split_name(name)[0], controller)
+    baseline = next(iter(controllers.values()))
     for name, controller in controllers.items():
-        job = Job(measured, controller, (experiment, protocol.task), fingerprint(controller))
+        digest = fingerprint(baseline, controller) if work is taken_over else fingerprint(controller)
+        job = Job(work, (baseline, controller), (protocol.task, *arguments), digest)
         yield Cell(name, known={"controller": name}, jobs=(job,))
 
 
-frequency, force_step, force_sine, hold = (partial(_cells, name) for name in EXPERIMENTS)
-
-
-def measured(controller: Controller, experiment: str, config: TaskConfig) -> Columns:
-    """The table of an experiment on one controller.
+def measured(pair: Pair, config: TaskConfig, experiment: str) -> Columns:
+    """The table of an experiment on the second of two controllers.
 
     Raises:
         ControllerError: the controller raises an exception or returns no finite commands.
     """
-    return columns_of(EXPERIMENTS[experiment](config, {"": controller}).drop(columns="controller"))
+    return columns_of(EXPERIMENTS[experiment](config, pair[1]))
+
+
+def taken_over(pair: Pair, config: TaskConfig) -> Columns:
+    """The second of two controllers takes over from the first, beside itself from the start (never_switched_um)."""
+    switched = TAKE_OVER(config, TakesOver(*pair, periods=round(TAKEN_OVER / config.control_period)))
+    return columns_of(switched.assign(never_switched_um=TAKE_OVER(config, pair[1])["largest_um"]))
+
+
+def price(protocol: RobustnessProtocol, chosen: object) -> Iterator[Cell]:
+    """The part ``leak_price``; no controller takes part."""
+    del chosen
+    yield Cell("leak", jobs=(Job(leak_costs, None, (protocol.task,), digest="plant"),))
+
+
+def leak_costs(_: None, config: TaskConfig) -> Columns:
+    """The table of the cost of a leak."""
+    return columns_of(leak_price(config))
+
+
+frequency, force_step, force_sine, hold, pause = (partial(_cells, measured, (name,)) for name in EXPERIMENTS)
+take_over = partial(_cells, taken_over, ())

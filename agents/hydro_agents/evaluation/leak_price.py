@@ -5,16 +5,12 @@ A leak costs power from the supply, and reserve of speed and force. No controlle
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
 
-from hydro_agents.evaluation.conditions import Cell, columns_of
-from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.running.jobs import Columns, Job
 from hydro_env import PlantParameters, TaskConfig, equilibrium
 from hydro_env.errors import HydroError
 from hydro_env.plant.analysis import force_limits, full_pressure_forces, reachable_range, speed_limits
@@ -25,7 +21,6 @@ from hydro_env.plant.states import STATE_NAMES
 from hydro_env.units import FULL_VOLTAGE
 
 PRICE_LEAKS = (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 6.0, 8.0)  # l/min at 100 bar
-
 
 PLACE = 0.3
 """Working position: share of the range that the supply of the nominal rig can hold, outwards from mid-stroke.
@@ -50,25 +45,24 @@ def full_speed(plant: PlantParameters, position: float) -> float:
     return min(speed_limits(plant, plant.load.spring_stiffness * position + plant.load.external_force))
 
 
-def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS, place: float | None = None) -> pd.DataFrame:
+def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS) -> pd.DataFrame:
     """Cost of a leak on the nominal rig of a task, with the leakage law of the task.
 
     Args:
         config: the task.
         leaks: l/min at 100 bar.
-        place: m, where the axis is held; default :func:`working_place`.
 
     Returns:
-        Per leak: leakage_flow_lpm, place_mm, holding_power_w (flow through the valve times supply pressure),
-        holding_command (1 = 10 V); speed_out_mm_s and speed_back_mm_s (steady speed at full command against the spring
-        at this place), force_out_n and force_back_n (largest load that the axis can still hold at full command). NaN if
-        the leak is too large to hold the place.
+        Per leak: leakage_flow_lpm, place_mm (:func:`working_place`), holding_power_w (flow through the valve times
+        supply pressure), holding_command (1 = 10 V); speed_out_mm_s and speed_back_mm_s (steady speed at full command
+        against the spring at this place), force_out_n and force_back_n (largest load that the axis can still hold at
+        full command). NaN if the leak is too large to hold the place.
     """
-    position = working_place(config.plant) if place is None else place
+    position = working_place(config.plant)
     load = config.plant.load.spring_stiffness * position + config.plant.load.external_force
     rows = []
     for leak in leaks:
-        plant = _leaking(config, leak)
+        plant = config.plant.replace(leakage=leak_past_piston(leak, config.leakage.law))
         power, command = _holding(plant, position)
         row = {"leakage_flow_lpm": leak, "place_mm": 1e3 * position, "holding_power_w": power}
         row["holding_command"] = command
@@ -77,11 +71,6 @@ def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS, place: 
             row[f"force_{name}_n"] = stall_force(plant, direction)
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _leaking(config: TaskConfig, leak: float) -> PlantParameters:
-    """The nominal plant with a leak (l/min at 100 bar) of the task's law."""
-    return config.plant.replace(leakage=leak_past_piston(leak, config.leakage.law))
 
 
 def _flows(plant: PlantParameters, **state: float) -> Derived:
@@ -116,14 +105,8 @@ def full_command_speed(plant: PlantParameters, direction: float, force: float) -
     def speeds(pressure_a: float) -> tuple[float, float]:
         """Speeds at which the flow of chamber a, and that of chamber b, balances."""
         pressure_b = (c.area_a * pressure_a - force) / c.area_b
-        q = _flows(
-            plant,
-            pressure_a=pressure_a,
-            pressure_b=pressure_b,
-            supply_pressure=supply,
-            spool_position=direction,
-            gas_volume=1.0,
-        )
+        pressures = {"pressure_a": pressure_a, "pressure_b": pressure_b, "supply_pressure": supply}
+        q = _flows(plant, **pressures, spool_position=direction, gas_volume=1.0)
         return (q.flow_a - q.leakage_flow) / c.area_a, (q.flow_b - q.leakage_flow + q.external_leakage_flow) / c.area_b
 
     # Chamber a cannot exceed the supply, nor can chamber b; a load beyond that moves the axis backwards.
@@ -138,14 +121,3 @@ def stall_force(plant: PlantParameters, direction: float) -> float:
     limit = full_pressure_forces(plant)
     tight = limit.extending if direction > 0.0 else -limit.retracting
     return float(direction * brentq(lambda force: full_command_speed(plant, direction, force), 0.0, 1.05 * tight))
-
-
-def price(protocol: RobustnessProtocol, chosen: object) -> Iterator[Cell]:
-    """The part ``leak_price``; no controller takes part."""
-    del chosen
-    yield Cell("leak", jobs=(Job(leak_costs, None, (protocol.task,), digest="plant"),))
-
-
-def leak_costs(_: Any, config: TaskConfig) -> Columns:
-    """The table of the cost of a leak."""
-    return columns_of(leak_price(config))

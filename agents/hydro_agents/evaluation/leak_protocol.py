@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -121,36 +121,31 @@ class LeakProtocol(Protocol[LeakCondition]):
         """The first ``count`` cases of a level; every level and condition has the same plants."""
         condition, task = self.conditions[name], self.task_in(name)
         seeds = np.array((LEAK_THRESHOLDS if validation else LEAKAGE).take(count))
-        healthy = np.full(count, level == HEALTHY)
-        if level == DRAWN:
-            healthy = np.arange(count) % 2 == 0
+        healthy = np.arange(count) % 2 == 0 if level == DRAWN else np.full(count, level == HEALTHY)
         share = np.array([np.random.default_rng([int(seed), 11]).random() for seed in seeds])
-        (a, b), (c, d) = np.log(task.leakage.healthy_range), np.log(task.leakage.faulty_range)
-        drawn = np.exp(np.where(healthy, a + share * (b - a), c + share * (d - c)))
-        flow = np.where(healthy | (level == DRAWN), drawn, level)
+        ranges = np.where(healthy[:, None], task.leakage.healthy_range, task.leakage.faulty_range)
+        low, high = np.log(ranges).T
+        flow = np.exp(low + share * (high - low)) if level in (HEALTHY, DRAWN) else np.full(count, level)
         faults = {fault: np.full(count, size) for fault, size in condition.faults.items()}
         return Cases(seeds, flow, None, condition.parameters_on(task) or None, faults or None)
 
     def table(self) -> pd.DataFrame:
         """One row per condition: group, label, controller of the axes, changes (JSON)."""
         own = set(LeakCondition.model_fields) - set(Surroundings.model_fields) - {"faults"}
-        rows: list[dict[str, Any]] = []
+        rows = []
         for name, condition in self.conditions.items():
             changes = condition.model_dump(mode="json", exclude_defaults=True, exclude=own)
             rows.append(
                 {
                     "condition": name,
-                    "group": condition.group,
-                    "label": condition.label or name,
-                    "acting": condition.acting,
-                    "motion": condition.motion,
-                    "begins": condition.begins,
+                    **condition.model_dump(include={"group", "label", "acting", "motion", "begins"}),
                     "duration_s": condition.duration,
                     "trained": ACTING[condition.acting].trained,
                     "changes": json.dumps(changes, ensure_ascii=False) if changes else "",
                 }
             )
-        return pd.DataFrame(rows)
+        table = pd.DataFrame(rows)
+        return table.assign(label=table["label"].where(table["label"] != "", table["condition"]))
 
 
 READ = ("score", "probability", "flow_lpm", "low_lpm", "high_lpm")
@@ -167,29 +162,31 @@ class Detectors:
 def windows(protocol: LeakProtocol, chosen: Detectors) -> Iterator[Cell]:
     """Every detector on the windows of every condition; healthy validation windows of the base set its threshold."""
     for name, condition in protocol.conditions.items():
-        config, known = protocol.task_in(name), protocol.known_task(name)
-        samples = round(condition.duration / config.control_period)
+        samples = round(condition.duration / protocol.task_in(name).control_period)
         for reader, detector in chosen.detectors.items():
             reads = protocol.reads(name, reader)
-            reason = detector.refuses(known, samples) if reads else ""
-            if name == protocol.base and detector.threshold is None and (reason or not reads):
+            reason = detector.refuses(protocol.known_task(name), samples) if reads else ""
+            if reads and not reason:
+                yield from _cells(protocol, name, reader, detector, samples)
+            elif name == protocol.base and detector.threshold is None:
                 yield Cell(reader, name, jobs=(Job(without_threshold),))
             elif reason:
                 yield Cell(reader, name, refused=reason)
-            if reason or not reads:
-                continue
-            choice, digest = protocol.detectors[reader], fingerprint(detector)
-            count = max(round(condition.share * choice.windows), 1)
-            groups = [(level, count, False) for level in protocol.levels_in(name)]
-            if name == protocol.base:
-                groups.append((HEALTHY, choice.validation_windows, True))
-            for level, number, validation in groups:
-                cases = protocol.cases_in(name, level, number, validation)
-                parts = [cases.part(first, first + choice.batch) for first in range(0, number, choice.batch)]
-                arguments = (config, known, condition.acting, samples)
-                jobs = tuple(Job(read, detector, (*arguments, part), digest) for part in parts)
-                place = {"detector": reader, "condition": name, "level": level, "validation": validation}
-                yield Cell(reader, name, place, jobs)
+
+
+def _cells(protocol: LeakProtocol, name: str, reader: str, detector: Detector, samples: int) -> Iterator[Cell]:
+    """A detector on the windows of one condition, a cell per level."""
+    condition, choice, digest = protocol.conditions[name], protocol.detectors[reader], fingerprint(detector)
+    count = max(round(condition.share * choice.windows), 1)
+    groups = [(level, count, False) for level in protocol.levels_in(name)]
+    if name == protocol.base:
+        groups.append((HEALTHY, choice.validation_windows, True))
+    for level, number, validation in groups:
+        fixed = (protocol.task_in(name), protocol.known_task(name), condition.acting, samples)
+        cases = protocol.cases_in(name, level, number, validation).chunks(choice.batch)
+        jobs = tuple(Job(read, detector, (*fixed, part), digest) for part in cases)
+        place = {"detector": reader, "condition": name, "level": level, "validation": validation}
+        yield Cell(reader, name, place, jobs)
 
 
 def without_threshold(_: None) -> Columns:
@@ -227,11 +224,11 @@ def read(detector: Detector, config: TaskConfig, known: TaskConfig, acting: str,
         raise
     except ConfigurationError as error:
         raise ConfigurationError(f"the condition cannot begin: {error}") from None
-    columns |= {name: np.full(len(cases), np.nan) for name in (*READ, "otherwise")}
-    if reading is not None:
-        for name in READ:
-            columns[name][good] = np.where(reading.answers, getattr(reading, name), np.nan)
-        columns["otherwise"][good] = reading.cause
+    for name in (*READ, "otherwise"):
+        columns[name] = np.full(len(cases), np.nan)
+        if reading is not None:
+            values = reading.cause if name == "otherwise" else np.where(reading.answers, getattr(reading, name), np.nan)
+            columns[name][good] = values
     return columns
 
 

@@ -6,7 +6,7 @@ noise: a small step of the reference and back excites it, then it must come to r
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,19 +14,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.evaluation.metrics import SETTLING_BAND
-from hydro_agents.evaluation.participants import Participants
-from hydro_agents.evaluation.robustness_protocol import PairedProtocol
-from hydro_agents.evaluation.tracking import begun, paired_cells
 from hydro_agents.running.cases import Cases, Rollout, run_cases
-from hydro_agents.running.jobs import Columns
 from hydro_agents.running.seeds import SeedRange
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
-
-Array = NDArray[np.floating[Any]]
 
 LEAST_CYCLES = 3  # smallest number of cycles in the evaluated time; a slower motion is drift
 LASTING = 0.5  # an oscillation whose last third has less than this share of its amplitude is decaying
@@ -45,7 +38,7 @@ class LimitCycle(NamedTuple):
     sustained: bool
 
 
-def find_limit_cycle(position: Array, period: float, floor: float) -> LimitCycle:
+def find_limit_cycle(position: NDArray[Any], period: float, floor: float) -> LimitCycle:
     """The oscillation of an axis that should be at rest; slow drift does not count.
 
     Args:
@@ -62,45 +55,40 @@ def find_limit_cycle(position: Array, period: float, floor: float) -> LimitCycle
     return LimitCycle(amplitude, cycles / (len(values) * period), sustained)
 
 
+def kicked(config: TaskConfig, place: float, step: float, kick: float, duration: float) -> TaskConfig:
+    """The task without noise, with constant force and leak: a place (m) with a step (m) of the reference and back.
+
+    The step begins after 0.1 s and lasts for ``kick`` (s).
+    """
+    begin, end, last = (round(time / config.control_period) for time in (BEFORE, BEFORE + kick, duration))
+    steps = np.repeat([0.0, step, 0.0], [begin, end - begin, last + 1 - end])
+    return own_reference(noiseless(config), place + steps)
+
+
 def standstill_task(config: TaskConfig) -> TaskConfig:
     """The task without noise, with constant force and leak, and with a small step about mid-stroke and back.
 
     The step is as small as the task's steps can be.
     """
-    count = [round(time / config.control_period) for time in (BEFORE, KICK, SETTLING + JUDGED)]
-    count[-1] += 1  # the sample at the end of the last period
-    return own_reference(noiseless(config), np.repeat([0.0, config.references.step_range[0], 0.0], count))
+    return kicked(config, 0.0, config.references.step_range[0], KICK, BEFORE + KICK + SETTLING + JUDGED)
 
 
-def limit_cycles(position: Array, config: TaskConfig) -> dict[str, NDArray[Any]]:
+def limit_cycles(position: NDArray[Any], config: TaskConfig) -> dict[str, NDArray[Any]]:
     """Limit cycles of true positions (N, T) in m at a constant reference; the floor is one step of the sensor."""
-    cycles = [find_limit_cycle(row, config.control_period, config.sensors.position.resolution) for row in position]
-    sustained = np.array([cycle.sustained for cycle in cycles])
+    floor = config.sensors.position.resolution
+    cycles = pd.DataFrame([find_limit_cycle(row, config.control_period, floor) for row in position])
     return {
-        "limit_cycle": sustained,
-        "amplitude_um": np.array([1e6 * cycle.amplitude for cycle in cycles]),
-        "frequency_hz": np.where(sustained, [cycle.frequency for cycle in cycles], np.nan),
+        "limit_cycle": cycles["sustained"].to_numpy(),
+        "amplitude_um": 1e6 * cycles["amplitude"].to_numpy(),
+        "frequency_hz": cycles["frequency"].where(cycles["sustained"]).to_numpy(),
     }
 
 
 def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArray[np.float64]]:
     """Of every case, arrays (N,): limit_cycle (1: it oscillates without noise), amplitude_um, frequency_hz, failed."""
     judged = round(JUDGED / config.control_period)
-    found = limit_cycles(rollout.position[:, -judged:], config) | {"failed": rollout.failed_at >= 0}
-    return {name: values.astype(np.float64) for name, values in found.items()}
-
-
-def standstill(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
-    """Every controller after a small step of the reference and back, under every condition."""
-    for condition in protocol.conditions:
-        task, cases = standstill_task(protocol.task_in(condition)), protocol.standstill_cases_in(condition)
-        yield from paired_cells(protocol, chosen, condition, task, *cases, work=at_rest)
-
-
-def at_rest(controller: Controller, config: TaskConfig, cases: Cases, families: NDArray[np.str_]) -> Columns:
-    """Limit cycles of cases whose task is a standstill."""
-    del families
-    return standstill_metrics(begun(run_cases, config, controller, cases), config)
+    columns = limit_cycles(rollout.position[:, -judged:], config) | {"failed": rollout.failed_at >= 0}
+    return {name: values.astype(np.float64) for name, values in columns.items()}
 
 
 # Counted per controller ---------------------------------------------------------------------------------------------
@@ -137,30 +125,30 @@ def counted_at_rest(controller: Controller, config: TaskConfig, seeds: SeedRange
     return counted(pd.DataFrame(standstill_metrics(rollout, task)))
 
 
-def comes_to_rest(found: Mapping[str, Any]) -> bool:
+def comes_to_rest(counts: Mapping[str, Any]) -> bool:
     """Whether all standstills of :func:`counted` are without a limit cycle and without a failure."""
-    return bool(found["limit_cycles"] == 0 and found["failures"] == 0)
+    return bool(counts["limit_cycles"] == 0 and counts["failures"] == 0)
 
 
-def is_broken(found: Mapping[str, Any]) -> bool:
+def is_broken(counts: Mapping[str, Any]) -> bool:
     """Whether :func:`counted` shows a controller that cannot do the axis.
 
     At half of the standstills or more it has a limit cycle or fails, and some axis fails or leaves the band in which it
     would count as settled.
     """
-    often = 2 * (found["limit_cycles"] + found["failures"]) >= found["standstills"]
-    return bool(often and (found["failures"] > 0 or found["largest_amplitude_um"] > 1e6 * SETTLING_BAND))
+    often = 2 * (counts["limit_cycles"] + counts["failures"]) >= counts["standstills"]
+    return bool(often and (counts["failures"] > 0 or counts["largest_amplitude_um"] > 1e6 * SETTLING_BAND))
 
 
-def rest_text(found: Mapping[str, Any]) -> str:
+def rest_text(counts: Mapping[str, Any]) -> str:
     """What :func:`counted` found, as a phrase: limit cycle at 14 of 16 standstills, up to 7.9 mm."""
-    places, parts = int(found["standstills"]), []
-    if found["limit_cycles"]:
-        size = amplitude_text(found["largest_amplitude_um"])
-        parts.append(f"limit cycle at {int(found['limit_cycles'])} of {places} standstills, up to {size}")
-    if found["failures"]:
-        parts.append(f"failure at {int(found['failures'])} of {places} standstills")
-    return " and ".join(parts) or f"no limit cycle at {places} standstills"
+    places, parts = f"of {int(counts['standstills'])} standstills", []
+    if counts["limit_cycles"]:
+        size = amplitude_text(counts["largest_amplitude_um"])
+        parts.append(f"limit cycle at {int(counts['limit_cycles'])} {places}, up to {size}")
+    if counts["failures"]:
+        parts.append(f"failure at {int(counts['failures'])} {places}")
+    return " and ".join(parts) or f"no limit cycle at {places.removeprefix('of ')}"
 
 
 def amplitude_text(micrometres: float) -> str:
@@ -168,9 +156,9 @@ def amplitude_text(micrometres: float) -> str:
     return f"{number(micrometres / 1e3, digits=2)} mm" if micrometres >= 1e3 else f"{number(micrometres, 0)} µm"
 
 
-def rest_warning(controller: str, found: Mapping[str, Any], baseline: bool) -> str:
+def rest_warning(controller: str, counts: Mapping[str, Any], baseline: bool) -> str:
     """One line about a controller that does not come to rest; empty for one that does."""
-    if comes_to_rest(found):
+    if comes_to_rest(counts):
         return ""
-    which = "a broken controller" if is_broken(found) else "a controller that does not come to rest"
-    return f"{controller}: {rest_text(found)}{f': ratios to it compare with {which}' if baseline else ''}"
+    which = "a broken controller" if is_broken(counts) else "a controller that does not come to rest"
+    return f"{controller}: {rest_text(counts)}{f': ratios to it compare with {which}' if baseline else ''}"

@@ -60,6 +60,11 @@ def _name(kind: str) -> str:
     return NAMES.get(kind, kind.upper())
 
 
+def _base(controller: Controller) -> Controller | None:
+    """The controller that a policy corrects."""
+    return getattr(getattr(controller, "features", None), "base", None)
+
+
 def _called(controller: Controller) -> str:
     """The name of a corrected controller."""
     kinds = [kind for kind, (registered, _) in CONTROLLERS.items() if type(controller) is registered]
@@ -74,6 +79,12 @@ class Participants:
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
     head: LeakageHead | None = None  # watches the episodes of a study
     searches: Mapping[str, Callable[[TaskConfig, Cases], Rollout]] | None = None  # default: the best found, by name
+
+    @property
+    def corrected(self) -> dict[str, str]:
+        """Names of the policies, and of the controller that each corrects."""
+        bases = {split_name(name)[0]: _base(controller) for name, controller in self.controllers.items()}
+        return {name: _called(base) for name, base in bases.items() if base is not None}
 
     def of(self, name: str, condition: str, protocol: PairedProtocol) -> Controller | str:
         """The controller that runs under a condition, or the reason why none can.
@@ -163,7 +174,7 @@ def sees(name: str, controller: Controller, task: TaskConfig) -> Sees:
         ConfigurationError: its ``sees`` has unknown keys or values that are not texts.
     """
     check_predict(controller)
-    base = getattr(getattr(controller, "features", None), "base", None)
+    base = _base(controller)
     layout = getattr(getattr(controller, "features", controller), "layout", None)
     layout = layout if isinstance(layout, ObservationLayout) else ObservationLayout.of(task)
     ahead = max(layout.preview_times, default=0.0)

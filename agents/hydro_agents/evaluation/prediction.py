@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
 from hydro_env.axes import Axes
@@ -32,11 +31,7 @@ from hydro_env.task.settings import settings_of
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 
-SCHEDULED = (
-    *LEAK_COLUMNS,
-    Coefficients._fields.index("external_force"),
-    *FAULT_COLUMNS,
-)
+SCHEDULED = (*LEAK_COLUMNS, Coefficients._fields.index("external_force"), *FAULT_COLUMNS)
 """Coefficients that change during an episode."""
 
 POSITION = State._fields.index("position")
@@ -142,8 +137,7 @@ class Prediction:
         states = state[None].copy()
         voltage = FULL_VOLTAGE * np.stack([before, command], axis=1)[None]
         self._advance(states, voltage, np.zeros((1, self.count, N_PEAKS)), step)
-        after: Floats = states[0]
-        return after
+        return np.asarray(states[0])
 
     def close(self) -> None:
         """Stop the worker threads; may be called more than once."""
@@ -250,30 +244,28 @@ def random_changes(generator: np.random.Generator, count: int, horizon: int, siz
     last = first + 1 + generator.integers(0, horizon, count)
     period = np.arange(horizon)
     inside = (period >= first[:, None]) & (period < last[:, None])
-    size = np.resize(np.asarray(sizes, dtype=np.float64), count) * generator.uniform(-1.0, 1.0, count)
-    changes: Floats = inside * size[:, None]
-    return changes
+    size = np.resize(np.asarray(sizes), count) * generator.uniform(-1.0, 1.0, count)
+    return np.asarray(inside * size[:, None])
 
 
 BENDING = 5  # periods for which the reference beyond the preview keeps its acceleration; then it keeps its speed
 
 
-def continued(reference: Floats, step: int, known: int, horizon: int, order: int) -> Floats:
+def continued(reference: Floats, step: int, known: int, horizon: int) -> Floats:
     """The reference at the next ``horizon`` samples (N, H), as known at a step and extrapolated beyond the preview.
 
     Args:
         reference: of the whole episode, (N, samples).
         step: present sample.
         known: samples after it that are known.
-        horizon: samples wanted.
-        order: beyond, the reference keeps its last value (0), its last speed (1), or for a while its last acceleration
-            too (2). The last differences must agree on both: a jump is no speed, and a kink no acceleration.
+        horizon: samples wanted. Beyond the preview the reference keeps its last speed, and for a while its last
+            acceleration too, if the last differences agree on them: a jump is no speed, and a kink no acceleration.
     """
     samples = reference.shape[1] - 1
     times = step + 1 + np.arange(horizon)
     end = step + known
     ahead: Floats = reference[:, np.minimum(np.minimum(times, end), samples)]
-    if order == 0 or step + horizon <= end:
+    if step + horizon <= end:
         return ahead
     last = np.clip(end - np.arange(4), 0, samples)
     speeds = -np.diff(reference[:, last], axis=1)
@@ -281,18 +273,13 @@ def continued(reference: Floats, step: int, known: int, horizon: int, order: int
     steady = (new * old > 0.0) & (np.abs(new) < 2.0 * np.abs(old))
     beyond = np.maximum(times - end, 0)
     ahead += np.where(steady, new, _agreed(new, old))[:, None] * beyond
-    if order == 2:
-        bends = -np.diff(speeds, axis=1)
-        ahead += _agreed(bends[:, 0], bends[:, 1])[:, None] * _bent(beyond)
+    bends = -np.diff(speeds, axis=1)
+    acting = np.minimum(beyond, BENDING)
+    bent = 0.5 * acting * (acting + 1) + BENDING * (beyond - acting)  # by a unit of acceleration that lasts BENDING
+    ahead += _agreed(bends[:, 0], bends[:, 1])[:, None] * bent
     return ahead
 
 
 def _agreed(a: Floats, b: Floats) -> Floats:
     """The smaller of two numbers of the same sign, else 0."""
     return np.where(a * b > 0.0, np.where(np.abs(a) < np.abs(b), a, b), 0.0)
-
-
-def _bent(beyond: NDArray[np.int64]) -> Floats:
-    """Displacement after ``beyond`` periods of a unit of acceleration that lasts BENDING periods."""
-    acting = np.minimum(beyond, BENDING)
-    return np.asarray(0.5 * acting * (acting + 1) + BENDING * (beyond - acting), dtype=np.float64)

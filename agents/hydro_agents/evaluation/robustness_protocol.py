@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -16,10 +16,9 @@ from hydro_agents.evaluation.conditions import Condition, Name, Protocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
-from hydro_agents.running.tasks import Factor, read_settings
+from hydro_agents.running.tasks import Factor, mappings, read_settings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
-from hydro_env.folders import config_file
 from hydro_env.mistakes import kept, known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.reference_signals import MOVING_FAMILIES
@@ -76,20 +75,10 @@ def paired(levels: Sequence[float], families: Sequence[str], plants: int, seeds:
 
     A family has the same plants at every level; families have different plants.
     """
-    rows = [
-        (level, family, plant, seeds.of_family(REFERENCE_FAMILIES.index(family), plant))
-        for level in levels
-        for family in families
-        for plant in range(plants)
-    ]
-    return pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant", "seed"])
-
-
-def cases_of(table: pd.DataFrame) -> Cases:
-    """The cases of a table of :func:`paired`."""
-    families = table["family"].to_numpy().astype(str)
-    drawn = None if (families == "user").all() else families
-    return Cases(table["seed"].to_numpy(np.int64), table["leakage_flow_lpm"].to_numpy(dtype=np.float64), drawn)
+    rows = product(levels, families, range(plants))
+    table = pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant"])
+    numbers = table["family"].map(REFERENCE_FAMILIES.index)
+    return table.assign(seed=seeds.of_family(numbers, table["plant"]))
 
 
 class PairedCases(Group):
@@ -104,19 +93,18 @@ class PairedCases(Group):
         check_grid(self.leak_levels, self.families)
         return self
 
-    def cases(self, seeds: SeedRange) -> tuple[Cases, pd.DataFrame]:
-        """The cases, and a table with leak, family, plant and seed of each."""
-        table = paired(self.leak_levels, self.families, self.plants, seeds)
-        return cases_of(table), table
-
 
 class PairedProtocol(PairedCases, Protocol[PairedCondition]):
-    """A protocol whose conditions have paired cases."""
+    """A protocol whose conditions have paired cases.
+
+    A plant has the same seed at every leak level and in every condition.
+    """
 
     seeds: PlantSeeds = Field("ROBUSTNESS", description="of the plants: a range of the ledger of seeds, by its name")
     chunk: int = Field(2048, ge=1, description="cases of a job")
     bound_conditions: tuple[Name, ...] = Field((), description="conditions under which the best found is computed")
     bound_plants: int = Field(2, ge=0, le=SEEDS_PER_FAMILY, description="of them, per level and family: it is slow")
+    standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per level; 0: no search")
 
     def changed_task(self, name: str) -> TaskConfig:
         """The task with the changes of a condition; a condition whose only reference is 'user' draws no other."""
@@ -130,41 +118,47 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
         """Parameters that a condition fixes in every plant, for the option ``parameters`` of ``reset``."""
         return self.conditions[name].parameters_on(self.task_in(name))
 
-    def cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
-        """The cases of a condition, and a table with leak, family, plant and seed of each.
+    def levels_in(self, name: str) -> Sequence[float]:
+        """Leak levels of a condition."""
+        return self.conditions[name].leak_levels or self.leak_levels
 
-        A plant has the same seed at every leak level and in every condition.
-        """
+    def standstill_levels(self, name: str) -> Sequence[float]:
+        """Leak levels of the search for limit cycles under a condition."""
+        raise NotImplementedError
+
+    def bound_levels(self, name: str) -> Sequence[float]:
+        """Leak levels of the best found under a condition: all of the condition."""
+        return self.levels_in(name)
+
+    def cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
+        """The cases of a condition, and a table with leak, family, plant and seed of each."""
         condition = self.conditions[name]
-        families = condition.families or self.families
-        levels, plants = condition.leak_levels or self.leak_levels, condition.plants or self.plants
-        table = paired(levels, families, plants, LEDGER[self.seeds])
-        return self.cases_of(name, table), table
+        families, plants = condition.families or self.families, condition.plants or self.plants
+        return self._with_cases(name, paired(self.levels_in(name), families, plants, LEDGER[self.seeds]))
 
     def standstill_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
         """The cases of the search for limit cycles under a condition, and their table as in :meth:`cases_in`."""
-        levels, plants = self.standstills_in(name)
-        table = paired(levels, ("user",), plants, LEDGER[self.seeds])
-        return self.cases_of(name, table), table
-
-    def standstills_in(self, name: str) -> tuple[Sequence[float], int]:
-        """Leak levels of the search for limit cycles under a condition, and its plants per level."""
-        raise NotImplementedError
+        levels, plants = self.standstill_levels(name), self.standstill_plants
+        return self._with_cases(name, paired(levels, ("user",), plants, LEDGER[self.seeds]))
 
     def bound_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
         """The cases of a condition for the best found, and their table as in :meth:`cases_in`."""
         _, table = self.cases_in(name)
         kept = (table["plant"] < self.bound_plants) & table["leakage_flow_lpm"].isin(self.bound_levels(name))
-        table = table[kept].reset_index(drop=True)
-        return self.cases_of(name, table), table
-
-    def bound_levels(self, name: str) -> Sequence[float]:
-        """Leak levels of the best found under a condition: all of the condition."""
-        return self.conditions[name].leak_levels or self.leak_levels
+        return self._with_cases(name, table[kept].reset_index(drop=True))
 
     def cases_of(self, name: str, table: pd.DataFrame) -> Cases:
-        """The cases of such a table under a condition."""
-        return replace(cases_of(table), parameters=self.parameters_in(name))
+        """The cases of a table of :func:`paired` under a condition."""
+        families = table["family"].to_numpy().astype(str)
+        return Cases(
+            table["seed"].to_numpy(np.int64),
+            table["leakage_flow_lpm"].to_numpy(np.float64),
+            None if (families == "user").all() else families,
+            self.parameters_in(name),
+        )
+
+    def _with_cases(self, name: str, table: pd.DataFrame) -> tuple[Cases, pd.DataFrame]:
+        return self.cases_of(name, table), table
 
 
 EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "pause", "take_over", "leak_price")
@@ -183,15 +177,13 @@ class Sweep(Group):
     def conditions(self) -> dict[str, dict[str, Any]]:
         """One condition per parameter and factor, as a mapping."""
         shared = self.model_dump(exclude={"factors"}, exclude_none=True)
-        return {
-            f"{path.split('.')[1]}_x{factor:g}": {
-                **shared,
-                "label": f"{path.split('.')[1].replace('_', ' ')} × {factor:g}",
-                "factors": {path: factor},
-            }
-            for path, factors in self.factors.items()
-            for factor in factors
-        }
+        conditions = {}
+        for path, factors in self.factors.items():
+            name = path.split(".")[1]
+            for factor in factors:
+                label = f"{name.replace('_', ' ')} × {factor:g}"
+                conditions[f"{name}_x{factor:g}"] = {**shared, "label": label, "factors": {path: factor}}
+        return conditions
 
 
 class RobustnessProtocol(PairedProtocol):
@@ -204,7 +196,6 @@ class RobustnessProtocol(PairedProtocol):
         (0.03, 1.0, 8.0),
         description="l/min; search for limit cycles under each condition without its own leak levels",
     )
-    standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per level; 0: no search")
     experiments: bool = Field(True, description="also frequency response, stiffness, standstill, price of the leak")
     worst: int = Field(10, ge=1, le=1000, description="worst cases that the tables list per controller")
 
@@ -218,12 +209,12 @@ class RobustnessProtocol(PairedProtocol):
 
     def asked(self) -> tuple[str, ...]:
         """The parts that the other keys ask for."""
-        wanted = {
-            "standstill": self.standstill_plants > 0,
-            "best_found": bool(self.bound_conditions and self.bound_plants),
-            **dict.fromkeys(EXPERIMENTS, self.experiments),
-        }
-        return ("tracking", *(name for name, asked in wanted.items() if asked))
+        parts = ["tracking"]
+        if self.standstill_plants:
+            parts.append("standstill")
+        if self.bound_conditions and self.bound_plants:
+            parts.append("best_found")
+        return (*parts, *(EXPERIMENTS if self.experiments else ()))
 
     @classmethod
     def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
@@ -235,44 +226,35 @@ class RobustnessProtocol(PairedProtocol):
             if twice is not None:
                 raise ConfigurationError(f"{file}: conditions.{twice}: is also in sweep")
             values["conditions"] = conditions = {**conditions, **swept}
-        for condition in conditions.values() if isinstance(conditions, dict) else ():
-            chosen = condition.get("controllers") if isinstance(condition, dict) else None
+        for condition in mappings(conditions).values():
+            chosen = condition.get("controllers")
             with kept(errors):
                 read_settings(chosen, file)
-            for choice in chosen.values() if isinstance(chosen, dict) else ():
-                if isinstance(choice, dict) and isinstance(choice.get("weights"), str):
-                    shipped = pretrained_folder() / choice["weights"]
-                    own = file.parent / choice["weights"]
+            for choice in mappings(chosen).values():
+                if isinstance(weights := choice.get("weights"), str):
+                    shipped = pretrained_folder() / weights
+                    own = file.parent / weights
                     choice["weights"] = str(shipped if shipped.with_suffix(".safetensors").exists() else own)
 
-    def standstills_in(self, name: str) -> tuple[Sequence[float], int]:
+    def standstill_levels(self, name: str) -> Sequence[float]:
         """The leaks of the condition, or else those of the protocol."""
-        return self.conditions[name].leak_levels or self.standstill_leak_levels, self.standstill_plants
+        return self.conditions[name].leak_levels or self.standstill_leak_levels
 
     def table(self) -> pd.DataFrame:
         """One row per condition: group, label, description, changes (JSON), control period, number of cases."""
         unchanged = {"group", "label", "description", "controllers"}
-        return pd.DataFrame(
-            [
+        rows = []
+        for name, condition in self.conditions.items():
+            changes = condition.model_dump(mode="json", exclude_defaults=True, exclude=unchanged)
+            rows.append(
                 {
                     "condition": name,
                     "group": condition.group,
                     "label": condition.label or name,
                     "description": condition.description,
-                    "changes": json.dumps(condition.model_dump(mode="json", exclude_defaults=True, exclude=unchanged)),
+                    "changes": json.dumps(changes),
                     "control_period_s": self.task_in(name).control_period,
                     "cases": len(self.cases_in(name)[1]),
                 }
-                for name, condition in self.conditions.items()
-            ]
-        )
-
-
-def protocol_named(name: str) -> tuple[RobustnessProtocol, Path]:
-    """A protocol by its name in ``configs/protocols`` or by the path of a YAML file, and that file.
-
-    Raises:
-        ConfigurationError: the protocol does not exist or is wrong.
-    """
-    file = config_file("protocols", name)
-    return RobustnessProtocol.from_yaml(file), file
+            )
+        return pd.DataFrame(rows)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from hydro_agents.evaluation.comparison import ALL
 from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
 from hydro_agents.evaluation.participants import sees_table
 from hydro_agents.evaluation.runner import FAILED, Results, table
@@ -12,7 +13,6 @@ from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.statistics import interquartile_means, interval, means
 
 KIND = "robustness"
-ALL = "all"
 LEAK_GROUP = "leak"
 CLOSED = ("gap", "score", "score_low", "score_high")  # 0 for the baseline; all other figures of the ranking are ratios
 PROFILE_RATIOS = {"best": np.geomspace(1.0, 10.0, 41), "baseline": np.geomspace(0.2, 5.0, 41)}
@@ -45,16 +45,10 @@ def summary(results: Results) -> pd.DataFrame:
     for controller in grid.controllers:
         own = cases[cases["controller"] == controller]
         for metric, about in METRICS.items():
-            values = grid.values(controller, metric)
             for condition in (ALL, *dict.fromkeys(grid.condition.tolist())):
-                chosen = values[:, :, (grid.condition == condition) | (condition == ALL)]
-                there = ~np.isnan(chosen)
-                if not there.any():
+                chosen = grid.sample(controller, metric, grid.all_plants, grid.under(condition)).dense
+                if not chosen.plants:
                     continue
-                used = np.asarray(there.any(axis=(0, 2)))
-                weights = grid.weights(controller, len(chosen), used)
-                mean = interval(means(chosen[:, used], weights), int(used.sum()))
-                middle = interval(interquartile_means(chosen[:, used], weights), int(used.sum()))
                 part = own if condition == ALL else own[own["condition"] == condition]
                 worst = part.loc[part[metric].idxmax()]
                 rows.append(
@@ -63,14 +57,14 @@ def summary(results: Results) -> pd.DataFrame:
                         "condition": condition,
                         "metric": metric,
                         "unit": about.unit,
-                        **mean.named("mean"),
-                        **middle.named("iqm"),
+                        **interval(chosen.mean, chosen.plants).named("mean"),
+                        **interval(interquartile_means(*chosen), chosen.plants).named("iqm"),
                         "worst": float(worst[metric]),
                         "worst_seed": int(worst["seed"]),
                         "worst_family": worst["family"],
                         "worst_leakage_flow_lpm": worst["leakage_flow_lpm"],
-                        "cases": int(there.sum()),
-                        "training_seeds": len(values),
+                        "cases": int((~np.isnan(chosen.values)).sum()),
+                        "training_seeds": len(chosen.values),
                     }
                 )
     return pd.DataFrame(rows)
@@ -79,15 +73,9 @@ def summary(results: Results) -> pd.DataFrame:
 @table("comparison", KIND)
 def comparison(results: Results) -> pd.DataFrame:
     """Each controller against the first, over all conditions and under each."""
-    grid, rows = results.grid, []
-    everybody = np.ones(len(grid.family), dtype=np.bool_)
-    for controller in grid.controllers[1:]:
-        for condition in (ALL, *dict.fromkeys(grid.condition.tolist())):
-            situations = (grid.condition == condition) | (condition == ALL)
-            row = grid.compare(controller, grid.controllers[0], everybody, situations)
-            if row["cases"]:
-                rows.append({"controller": controller, "against": grid.controllers[0], "condition": condition, **row})
-    return pd.DataFrame(rows)
+    grid = results.grid
+    conditions = (ALL, *dict.fromkeys(grid.condition.tolist()))
+    return grid.comparisons("condition", [(name, grid.all_plants, grid.under(name)) for name in conditions])
 
 
 @table("families", KIND)
@@ -98,14 +86,15 @@ def families(results: Results) -> pd.DataFrame:
     """
     grid, cases = results.grid, results.part("tracking")
     leaks = cases.loc[cases["group"] == LEAK_GROUP, "condition"].unique()
-    situations = np.isin(grid.condition, leaks) if len(leaks) else np.ones(len(grid.condition), dtype=np.bool_)
-    rows = []
-    for controller in grid.controllers[1:]:
-        for family in dict.fromkeys(grid.family.tolist()):
-            row = grid.compare(controller, grid.controllers[0], grid.family == family, situations)
-            if row["cases"]:
-                rows.append({"controller": controller, "against": grid.controllers[0], "family": family, **row})
-    return pd.DataFrame(rows)
+    situations = np.isin(grid.condition, leaks) if len(leaks) else grid.all_situations
+    names = dict.fromkeys(grid.family.tolist())
+    return grid.comparisons("family", [(name, grid.family == name, situations) for name in names])
+
+
+@table("corrected", KIND)
+def corrected(results: Results) -> pd.DataFrame:
+    """Each policy against the controller that it corrects, over all conditions, if that one is not the baseline."""
+    return results.grid.corrected(results.participants.corrected)
 
 
 @table("ranking", KIND)
@@ -114,31 +103,27 @@ def ranking(results: Results) -> pd.DataFrame:
     grid, compared = results.grid, results.table("comparison")
     cases, cycles, baseline = results.part("tracking"), results.part("standstill"), grid.controllers[0]
     statuses = results.status[results.status["condition"].isin(list(results.protocol.conditions))]
-    by_condition = cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack()
-    best = by_condition.idxmin(axis=1)
+    best = cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack().idxmin(axis=1)
     equal = [f"equal_weight{frame}{end}" for frame in ("", "_sensor") for end in ("", "_low", "_high")]
-    copied = (*equal, "worst_ratio", *COMPARED, *CLOSED)
+    copied = {name: name for name in (*equal, "worst_ratio", *COMPARED, *CLOSED)} | {"mean_ratio": "ratio"}
+    figures = {baseline: {name: 0.0 if name in CLOSED else 1.0 for name in copied.values()}}
+    if len(compared):
+        figures |= compared[compared["condition"] == ALL].set_index("controller").to_dict("index")
     rows = []
     for controller in grid.controllers:
-        if controller == baseline:
-            shared = {name: 0.0 if name in CLOSED else 1.0 for name in (*copied, "mean_ratio")}
-        else:
-            found = compared[(compared["controller"] == controller) & (compared["condition"] == ALL)]
-            row = found.iloc[0].to_dict() if len(found) else {}
-            shared = {name: row.get(name, np.nan) for name in copied} | {"mean_ratio": row.get("ratio", np.nan)}
         own = cases[cases["controller"] == controller]
-        still = cycles[cycles["controller"] == controller] if len(cycles) else None
+        still = cycles[cycles["controller"] == controller] if len(cycles) else pd.DataFrame({"limit_cycle": []})
         mine = statuses[statuses["controller"].str.partition(SEED_MARK)[0] == controller]
         rows.append(
             {
                 "controller": controller,
-                **shared,
+                **{name: figures.get(controller, {}).get(source, np.nan) for name, source in copied.items()},
                 "best_in": int((best == controller).sum()),
                 "conditions": int(own["condition"].nunique()),
                 "failures": int(own["failed"].sum()),
                 "failed_conditions": int((mine["status"] == FAILED).sum()),
-                "limit_cycles": int(still["limit_cycle"].sum()) if still is not None else 0,
-                "standstills": len(still) if still is not None else 0,
+                "limit_cycles": int(still["limit_cycle"].sum()),
+                "standstills": len(still),
                 "training_seeds": int(own["training_seed"].nunique()),
             }
         )
@@ -156,7 +141,7 @@ def profiles(results: Results) -> pd.DataFrame:
     """
     grid = results.grid
     errors = {name: grid.values(name, ERROR) for name in grid.controllers}
-    expected = np.array([np.nanmean(np.where(np.isnan(v), np.inf, v), axis=0) for v in errors.values()])
+    expected = np.array([np.where(np.isnan(values), np.inf, values).mean(axis=0) for values in errors.values()])
     shared = np.isfinite(expected).all(axis=0)
     references = {"best": expected.min(axis=0), "baseline": expected[0]}
     used = shared.any(axis=1)
@@ -168,14 +153,7 @@ def profiles(results: Results) -> pd.DataFrame:
             for tau in ratios:
                 inside = np.where(np.isnan(relative), np.nan, relative <= tau * (1.0 + 1e-12))
                 share = interval(means(inside, weights), int(used.sum()))
-                rows.append(
-                    {
-                        "controller": name,
-                        "against": against,
-                        "tau": float(tau),
-                        **share.columns("share"),
-                    }
-                )
+                rows.append({"controller": name, "against": against, "tau": float(tau), **share.columns("share")})
     return pd.DataFrame(rows)
 
 

@@ -10,12 +10,13 @@ The rows of each part are a table too (:data:`~hydro_agents.evaluation.condition
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
+from operator import methodcaller
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -23,7 +24,7 @@ import pandas as pd
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.conditions import PARTS, Cell, Protocol, cells_of
 from hydro_agents.running.cases import ControllerError
-from hydro_agents.running.jobs import Job, Report, run_jobs
+from hydro_agents.running.jobs import Job, JobResult, Report, run_jobs
 from hydro_env.files import write_whole
 
 DONE, NOT_APPLICABLE, FAILED = "done", "not applicable", "failed"
@@ -59,8 +60,8 @@ class Results:
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Every table of this kind of protocol by the name of its CSV file; without those that are empty."""
-        found = {name: self.table(name) for name in tables_of(self.protocol.kind)}
-        return {name: table for name, table in found.items() if not table.empty}
+        made = {name: self.table(name) for name in tables_of(self.protocol.kind)}
+        return {name: table for name, table in made.items() if not table.empty}
 
     def write(self, folder: Path) -> None:
         """Write the tables as CSV.
@@ -72,16 +73,10 @@ class Results:
             write_whole(folder / f"{name}.csv", table.to_csv(index=False).encode())
 
     @property
-    def working(self) -> set[str]:
-        """Names, with training seeds, of the participants that failed nowhere."""
-        names = self.status[self.protocol.who]
-        return set(names) - set(names[self.status["status"] == FAILED])
-
-    @property
     def errors(self) -> list[str]:
         """One line per failure."""
-        failed = self.status[self.status["status"] == FAILED]
-        return [f"{row[self.protocol.who]} under {row['condition']}: {row['message']}" for _, row in failed.iterrows()]
+        failed = self.status[self.status["status"] == FAILED].to_dict("records")
+        return [f"{row[self.protocol.who]} under {row['condition']}: {row['message']}" for row in failed]
 
 
 TableFunction = Callable[[Results], pd.DataFrame]
@@ -104,8 +99,7 @@ def table(name: str, *kinds: str) -> Callable[[TableFunction], TableFunction]:
 @table("conditions", "robustness", "leakage")
 def conditions(results: Results) -> pd.DataFrame:
     """One row per condition: its changes of the task, and how it is shown."""
-    made: pd.DataFrame = results.protocol.table()
-    return made
+    return pd.DataFrame(results.protocol.table())
 
 
 @table("status", "robustness", "leakage")
@@ -117,12 +111,8 @@ def status(results: Results) -> pd.DataFrame:
 def tables_of(kind: str) -> dict[str, TableFunction]:
     """Tables of a kind of protocol by name: the rows of its parts, then those that are made of them."""
     import_module(f"hydro_agents.evaluation.{_MODULES[kind]}")
-    rows = {part.table: _rows_of(name) for name, part in PARTS.items() if kind in part.kinds}
+    rows = {part.table: methodcaller("part", name) for name, part in PARTS.items() if kind in part.kinds}
     return {**rows, **_TABLES[kind]}
-
-
-def _rows_of(part: str) -> TableFunction:
-    return lambda results: results.part(part)
 
 
 def run(
@@ -149,39 +139,58 @@ def run(
         ControllerError: every participant failed in every condition.
         ConfigurationError: a file cannot be written.
     """
-    cells = [(part, cell) for part in protocol.measured for cell in cells_of(part)(protocol, chosen)]
-    # Equal jobs run once: conditions that differ only in their references share the search for limit cycles.
-    keys = {id(job): key for key, job in _keys(cells)}
-    listed = {keys[id(job)]: job for _, cell in cells for job in cell.jobs}
-    results, reused = run_jobs(listed, folder, jobs, progress)
-    frames: dict[str, list[pd.DataFrame]] = {}
-    refused = [(cell.participant, cell.condition, NOT_APPLICABLE, cell.refused) for _, cell in cells if cell.refused]
-    ran = []
-    for part, cell in cells:
-        answers = [results[keys[id(job)]] for job in cell.jobs]
-        error = next((answer.error for answer in answers if answer.error), "")
-        if cell.condition or error:
-            ran += [(cell.participant, cell.condition or part, FAILED if error else DONE, error)] if answers else []
-        if answers and not error:
-            columns = {name: np.concatenate([each.metrics[name] for each in answers]) for name in answers[0].metrics}
-            frames.setdefault(part, []).append(pd.DataFrame({**cell.known, **columns}))
-    statuses = _statuses(protocol.who, [*refused, *ran])
-    if protocol.measured[0] not in frames:
+    planned = plan(protocol, chosen)
+    listed = {key: job for each in planned for key, job in each.jobs}
+    answers, reused = run_jobs(listed, folder, jobs, progress)
+    rows, statuses = collect(planned, answers, protocol.who)
+    if protocol.measured[0] not in rows:
         reasons = statuses[statuses["message"] != ""].drop_duplicates(protocol.who)
-        told = "; ".join(f"{row[protocol.who]}: {row['message']}" for row in reasons.to_dict("records"))
-        raise ControllerError(f"no {protocol.who} ran under any condition; {told}")
-    rows = {part: pd.concat(each, ignore_index=True) for part, each in frames.items()}
+        lines = "; ".join(f"{row[protocol.who]}: {row['message']}" for row in reasons.to_dict("records"))
+        raise ControllerError(f"no {protocol.who} ran under any condition; {lines}")
     return Results(protocol, chosen, rows, statuses, reused, facts)
 
 
-def _keys(cells: Sequence[tuple[str, Cell]]) -> Iterator[tuple[str, Job]]:
-    for place, (part, cell) in enumerate(cells):
-        for number, job in enumerate(cell.jobs):
-            yield (job.file if job.digest else f"{part}|{place}|{number}"), job
+class Planned(NamedTuple):
+    """A cell of a part, and its jobs by their keys."""
+
+    part: str
+    cell: Cell
+    jobs: Sequence[tuple[str, Job]]
 
 
-def _statuses(who: str, rows: Sequence[tuple[str, str, str, str]]) -> pd.DataFrame:
-    """One row per participant and condition: the first failure if any part failed."""
-    table = pd.DataFrame(rows, columns=[who, "condition", "status", "message"])
+def plan(protocol: Protocol[Any], chosen: Any) -> list[Planned]:
+    """The cells of all parts.
+
+    Equal jobs have one key and run once: conditions that differ only in their references share the search for limit
+    cycles.
+    """
+    planned: list[Planned] = []
+    for part in protocol.measured:
+        for cell in cells_of(part)(protocol, chosen):
+            own = f"{part}|{len(planned)}"
+            jobs = [(job.file if job.digest else f"{own}|{number}", job) for number, job in enumerate(cell.jobs)]
+            planned.append(Planned(part, cell, jobs))
+    return planned
+
+
+def collect(
+    planned: Sequence[Planned], answers: Mapping[str, JobResult], who: str
+) -> tuple[dict[str, pd.DataFrame], pd.DataFrame]:
+    """The rows of each part that has some, and what became of every participant under every condition."""
+    frames: dict[str, list[pd.DataFrame]] = {}
+    refused, ran = [], []
+    for part, cell, jobs in planned:
+        own = [answers[key] for key, _ in jobs]
+        error = next((answer.error for answer in own if answer.error), "")
+        if cell.refused:
+            refused.append((cell.participant, cell.condition, NOT_APPLICABLE, cell.refused))
+        elif cell.condition or error:
+            ran.append((cell.participant, cell.condition or part, FAILED if error else DONE, error))
+        if own and not error:
+            columns = {name: np.concatenate([answer.metrics[name] for answer in own]) for name in own[0].metrics}
+            frames.setdefault(part, []).append(pd.DataFrame({**cell.known, **columns}))
+    rows = {part: pd.concat(each, ignore_index=True) for part, each in frames.items()}
+    # One row per participant and condition: the first failure if any part failed.
+    table = pd.DataFrame([*refused, *ran], columns=[who, "condition", "status", "message"])
     table = table.sort_values("message", key=lambda messages: messages == "", kind="stable")
-    return table.drop_duplicates([who, "condition"]).sort_index(ignore_index=True)
+    return rows, table.drop_duplicates([who, "condition"]).sort_index(ignore_index=True)

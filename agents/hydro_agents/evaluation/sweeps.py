@@ -1,4 +1,4 @@
-"""The skeleton of all experiments: controllers on the same plants at several leaks; with fits of sines."""
+"""The skeleton of all experiments: a controller on the same plants at several leaks; with fits of sines."""
 
 from __future__ import annotations
 
@@ -30,48 +30,32 @@ class Run(NamedTuple):
 class Experiment(NamedTuple):
     """An experiment with a controller in the loop: a list of runs, as rows of one table."""
 
-    runs: Callable[..., Iterable[Run]]  # from the task and further arguments
+    runs: Callable[[TaskConfig], Iterable[Run]]
     leaks: Sequence[float] = LEAKS  # l/min at 100 bar
     plants: int = 4
-    finish: Callable[[pd.DataFrame], pd.DataFrame] | None = None  # completes the table
+    finish: Callable[[pd.DataFrame], pd.DataFrame] = lambda table: table  # completes the table
 
-    def __call__(
-        self,
-        config: TaskConfig,
-        controllers: Mapping[str, Controller],
-        leaks: Sequence[float] | None = None,
-        plants: int | None = None,
-        first_seed: int = EXPERIMENT_AXES.first,
-        **options: Any,
-    ) -> pd.DataFrame:
-        """Run every controller on the same plants at every leak.
+    def __call__(self, config: TaskConfig, controller: Controller) -> pd.DataFrame:
+        """Run the controller on the same plants at every leak.
 
         Args:
             config: the task, for its plants, sensors and timing.
-            controllers: by name.
-            leaks: l/min at 100 bar; default: those of the experiment.
-            plants: number of plants, drawn; default: that of the experiment.
-            first_seed: seed of the first plant.
-            options: further arguments of ``runs``.
+            controller: the controller.
 
         Returns:
-            One row per run, controller, leak and plant: controller, leakage_flow_lpm, seed, and the columns of the
-            experiment.
+            One row per run, leak and plant: leakage_flow_lpm, seed, and the columns of the experiment.
 
         Raises:
-            ControllerError: a controller raises an exception or returns no finite commands.
+            ControllerError: the controller raises an exception or returns no finite commands.
         """
-        levels, count = leaks or self.leaks, plants or self.plants
-        cases = Cases(np.tile(np.arange(first_seed, first_seed + count), len(levels)), np.repeat(levels, count))
+        seeds, leaks = EXPERIMENT_AXES.take(self.plants), np.repeat(self.leaks, self.plants)
+        cases = Cases(np.tile(seeds, len(self.leaks)), leaks)
         tables = []
-        for run in self.runs(config, **options):
-            for name, controller in controllers.items():
-                acting = HiddenPreview(controller, config) if run.hidden_preview else controller
-                found = run.measure(*(run_cases(task, acting, cases) for task in run.tasks))
-                known = {"leakage_flow_lpm": cases.leakage_flow_lpm, "seed": cases.seeds}
-                tables.append(pd.DataFrame({"controller": name, **known, **found}))
-        table = pd.concat(tables, ignore_index=True)
-        return table if self.finish is None else self.finish(table)
+        for run in self.runs(config):
+            acting = HiddenPreview(controller, config) if run.hidden_preview else controller
+            columns = run.measure(*(run_cases(task, acting, cases) for task in run.tasks))
+            tables.append(pd.DataFrame({"leakage_flow_lpm": leaks, "seed": cases.seeds, **columns}))
+        return self.finish(pd.concat(tables, ignore_index=True))
 
 
 def sine_fit(values: Observation, time: Floats, frequency: float) -> tuple[NDArray[np.complex128], Floats]:
@@ -98,13 +82,12 @@ class HiddenPreview:
 
     def __init__(self, controller: Controller, config: TaskConfig) -> None:
         self.controller = controller
-        names = observation_layout(config)[0]
-        self.columns = [column for column, name in enumerate(names) if name.startswith("reference_preview_")]
+        self.hidden = [name.startswith("reference_preview_") for name in observation_layout(config)[0]]
 
     def predict(
         self, observation: Observation, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:
         """Commands of the controller; see :class:`~hydro_agents.controllers.base.Controller`."""
-        shown = np.array(observation)
-        shown[..., self.columns] = 0.0
-        return self.controller.predict(shown, state, episode_start, deterministic)
+        return self.controller.predict(
+            np.where(self.hidden, 0.0, observation).astype(observation.dtype), state, episode_start, deterministic
+        )

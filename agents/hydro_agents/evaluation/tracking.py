@@ -1,4 +1,4 @@
-"""Parts that run controllers, and the search for the best commands, on paired cases."""
+"""Parts of a protocol on paired cases: controllers in motion and at rest, and the search for the best commands."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.evaluation.best_found import best_found
 from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.limit_cycles import standstill_metrics, standstill_task
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import PairedProtocol
@@ -27,38 +28,35 @@ BestFound = Callable[[TaskConfig, Cases], Rollout]  # runs cases under the best 
 def tracking(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller on the cases of every condition."""
     for condition in protocol.conditions:
-        yield from paired_cells(protocol, chosen, condition, protocol.task_in(condition), *protocol.cases_in(condition))
+        task = protocol.task_in(condition)
+        yield from _of_controllers(protocol, chosen, condition, tracked, task, *protocol.cases_in(condition))
+
+
+def standstill(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
+    """Every controller after a small step of the reference and back, under every condition."""
+    for condition in protocol.conditions:
+        task = standstill_task(protocol.task_in(condition))
+        yield from _of_controllers(protocol, chosen, condition, at_rest, task, *protocol.standstill_cases_in(condition))
 
 
 def best(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Searches for the best commands, on some cases of the conditions that the protocol names."""
-    from hydro_agents.evaluation.best_found import best_found
-
     # One thread: as many jobs as cores run side by side.
     searches = chosen.searches or {BEST_FOUND: partial(best_found, settings={"threads": 1})}
     for condition in protocol.bound_conditions:
-        cases, table = protocol.bound_cases_in(condition)
+        task, cases = protocol.task_in(condition), protocol.bound_cases_in(condition)
         for name, search in searches.items():
-            arguments = (protocol.task_in(condition), cases, table)
-            yield _cell(protocol, name, condition, search, *arguments, work=searched)
+            yield _cell(protocol, name, condition, search, searched, task, *cases)
 
 
-def paired_cells(
-    protocol: PairedProtocol,
-    chosen: Participants,
-    condition: str,
-    task: TaskConfig,
-    cases: Cases,
-    table: pd.DataFrame,
-    work: Callable[..., Columns] | None = None,
-) -> Iterator[Cell]:
-    """Every controller on some cases of a condition; ``work`` measures them (default: :func:`tracked`)."""
+def _of_controllers(protocol: PairedProtocol, chosen: Participants, condition: str, *measured: Any) -> Iterator[Cell]:
+    """Every controller under a condition; the rest as for :func:`_cell`."""
     for name in chosen.controllers:
         controller = chosen.of(name, condition, protocol)
         if isinstance(controller, str):
             yield Cell(name, condition, refused=controller)
         else:
-            yield _cell(protocol, name, condition, controller, task, cases, table, work or tracked)
+            yield _cell(protocol, name, condition, controller, *measured)
 
 
 def _cell(
@@ -66,19 +64,15 @@ def _cell(
     name: str,
     condition: str,
     participant: Any,
+    work: Callable[..., Columns],
     task: TaskConfig,
     cases: Cases,
     table: pd.DataFrame,
-    work: Callable[..., Columns],
 ) -> Cell:
-    """The cases of one participant in chunks, with their table."""
+    """The cases of one participant in chunks, which ``work`` measures, with their table."""
     controller, seed = split_name(name)
-    digest, families = fingerprint(participant), table["family"].to_numpy().astype(str)
-    jobs = []
-    for first in range(0, len(cases), protocol.chunk):
-        last = first + protocol.chunk
-        arguments = (task, cases.part(first, last), families[first:last])
-        jobs.append(Job(work, participant, arguments, digest))
+    digest = fingerprint(participant)
+    jobs = tuple(Job(work, participant, (task, part), digest) for part in cases.chunks(protocol.chunk))
     known = {
         **{str(column): table[column].to_numpy() for column in table},
         "condition": condition,
@@ -86,25 +80,30 @@ def _cell(
         "controller": controller,
         "training_seed": seed,
     }
-    return Cell(name, condition, known, tuple(jobs))
+    return Cell(name, condition, known, jobs)
 
 
-def tracked(controller: Controller, config: TaskConfig, cases: Cases, families: NDArray[np.str_]) -> Columns:
+def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
     """The metrics of cases under a controller.
 
     Raises:
         ControllerError: the controller failed.
         ConfigurationError: an episode cannot begin.
     """
-    return _metrics(begun(run_cases, config, controller, cases), config, families)
+    return _metrics(_begun(run_cases, config, controller, cases), config, cases)
 
 
-def searched(search: BestFound, config: TaskConfig, cases: Cases, families: NDArray[np.str_]) -> Columns:
+def searched(search: BestFound, config: TaskConfig, cases: Cases) -> Columns:
     """The same under the best commands that a search finds."""
-    return _metrics(begun(search, config, cases), config, families)
+    return _metrics(_begun(search, config, cases), config, cases)
 
 
-def begun(run: Callable[..., Rollout], *arguments: Any) -> Rollout:
+def at_rest(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
+    """Limit cycles of cases whose task is a standstill."""
+    return standstill_metrics(_begun(run_cases, config, controller, cases), config)
+
+
+def _begun(run: Callable[..., Rollout], *arguments: Any) -> Rollout:
     """What a function runs; an error at its start names the condition."""
     try:
         return run(*arguments)
@@ -114,10 +113,11 @@ def begun(run: Callable[..., Rollout], *arguments: Any) -> Rollout:
         raise ConfigurationError(f"the condition cannot begin: {error}") from None
 
 
-def _metrics(rollout: Rollout, config: TaskConfig, families: NDArray[np.str_]) -> Columns:
+def _metrics(rollout: Rollout, config: TaskConfig, cases: Cases) -> Columns:
+    families = np.full(len(cases), "user") if cases.families is None else cases.families
     preview = max(config.references.preview_times, default=0.0)
-    found = rollout_metrics(rollout, families, config.control_period, preview)
-    return {name: values.astype(np.float64) for name, values in found.items()}
+    metrics = rollout_metrics(rollout, families, config.control_period, preview)
+    return {name: values.astype(np.float64) for name, values in metrics.items()}
 
 
 def replay(protocol: PairedProtocol, chosen: Participants, row: Mapping[Any, Any]) -> Rollout:
@@ -132,18 +132,10 @@ def replay(protocol: PairedProtocol, chosen: Participants, row: Mapping[Any, Any
     Raises:
         ControllerError: the controller cannot run under this condition.
     """
-    condition = str(row["condition"])
-    name = next(
-        name for name in chosen.controllers if split_name(name) == (row["controller"], int(row["training_seed"]))
-    )
+    condition, who = str(row["condition"]), (row["controller"], int(row["training_seed"]))
+    name = next(name for name in chosen.controllers if split_name(name) == who)
     controller = chosen.of(name, condition, protocol)
     if isinstance(controller, str):
         raise ControllerError(f"{name} under {condition}: {controller}")
-    family = str(row["family"])
-    cases = Cases(
-        np.array([row["seed"]], dtype=np.int64),
-        np.array([row["leakage_flow_lpm"]], dtype=np.float64),
-        None if family == "user" else np.array([family]),
-        protocol.parameters_in(condition),
-    )
-    return run_cases(protocol.task_in(condition), controller, cases)
+    case = protocol.cases_of(condition, pd.DataFrame([row]))
+    return run_cases(protocol.task_in(condition), controller, case)

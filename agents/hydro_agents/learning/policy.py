@@ -219,9 +219,9 @@ class PolicyController:
 
         inputs = (env.observation_space.shape or (0,))[0]
         needed = self.features.size if self.critic is None else self.critic[0][0].shape[1]
-        privileged = getattr(env, "privileged_critic", False)
+        privileged = getattr(env, "told_critic", False)
         if inputs != needed and not (self.critic is None and privileged):
-            more = ", privileged_critic=True" if needed > self.features.size else ""
+            more = ", told_critic=True" if needed > self.features.size else ""
             raise ConfigurationError(
                 f"to_sb3: the environment gives inputs of shape ({inputs},), the policy needs ({needed},): "
                 f"AxisVecEnv(config, count, features=policy.features{more}) gives them"

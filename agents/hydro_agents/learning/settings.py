@@ -139,7 +139,7 @@ class RecurrentPPOSettings(PPOSettings):
     lstm_cells: int = Field(64, ge=1, le=4096, description="of the recurrent layer of the actor, and of the critic's")
 
     @model_validator(mode="after")
-    def _no_privileged_critic(self) -> Self:
+    def _no_told_critic(self) -> Self:
         if self.told_critic:
             raise ValueError("told_critic: a recurrent policy cannot have one")
         return self

@@ -91,7 +91,7 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
         settings.reward_scale,
         paired=settings.residual and settings.paired,
         stagger=True,
-        privileged_critic=isinstance(settings, PPOSettings) and settings.told_critic,
+        told_critic=isinstance(settings, PPOSettings) and settings.told_critic,
         prices=settings.prices,
     )
 

@@ -125,32 +125,28 @@ def tune(
         "task": described[0] if len(tasks) == 1 else hashlib.sha256(json.dumps(described).encode()).hexdigest(),
     }
     done = _read(log, settings) if log is not None and resume else []
-    optimiser = CMA(
-        space.point(base),
-        _SIGMA,
-        bounds=np.tile([0.0, 1.0], (len(space.names), 1)),
-        seed=seed,
-        population_size=population,
-    )
-    rows, best = list(done), None
+    bounds = np.tile([0.0, 1.0], (len(space.names), 1))
+    optimiser = CMA(space.point(base), _SIGMA, bounds=bounds, seed=seed, population_size=population)
+    rows: list[list[Score]] = []
+    best: Tuned | None = None
     generations = -(-evaluations // population)
     for generation in range(generations):
         points = [optimiser.ask() for _ in range(population)]
         gains = [_gains(group, {**base.model_dump(), **space.values(point)}) for point in points]
-        if generation < len(done):
-            costed = done[generation]
-        else:
-            costed = _costed(kind, gains, tasks, cases, seed, at_once=generation > len(done))
-            rows.append(costed)
-        costs = [getattr(score, objective) for score in costed]
+        known = generation < len(done)
+        scores = done[generation] if known else _costed(kind, gains, tasks, cases, seed, generation > len(done))
+        costs = [getattr(score, objective) for score in scores]
         leader = int(np.argmin(costs))
-        found = gains[leader]
-        if found is not None and (best is None or costs[leader] < getattr(best.score, objective)):
-            best = Tuned(found, costed[leader], 0)
+        leading = gains[leader]
+        if leading is not None and (best is None or costs[leader] < getattr(best.score, objective)):
+            best = Tuned(leading, scores[leader], 0)
         optimiser.tell(list(zip(points, costs, strict=True)))
-        if generation >= len(done) and log is not None:
+        rows.append(scores)
+        if known:
+            continue
+        if log is not None:
             _write(log, settings, rows)
-        if best is not None and generation >= len(done) and progress is not None:
+        if best is not None and progress is not None:
             progress(Tuned(best.gains, best.score, (generation + 1) * population))
     if best is None:
         raise ConfigurationError(f"{kind}: none of {generations * population} candidates could control the axis")

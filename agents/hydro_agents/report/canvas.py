@@ -10,9 +10,10 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 from typing import Any, ClassVar
 
-import matplotlib
+import matplotlib.style
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -22,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
-from hydro_agents.report.hover import name_categories, with_values
+from hydro_agents.report.hover import name_categories, thinned_rows, with_values
 from hydro_agents.report.palette import NEUTRALS, Look, themed
 from hydro_agents.running.text import number, setting
 
@@ -39,38 +40,19 @@ INK, GREY, PALE, PAPER = (NEUTRALS[name].light for name in ("ink", "grey", "line
 MOST_POINTS = 4000
 """Largest number of points of a line of samples; a longer one shows the lowest and highest value of each stretch."""
 
-STYLE: Any = {
-    "svg.hashsalt": "hydro_env",
-    "svg.fonttype": "path",  # letters as outlines: the browser needs no font
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.labelsize": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.edgecolor": GREY,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": PALE,
-    "grid.linewidth": 0.6,
-    "xtick.color": GREY,
-    "ytick.color": GREY,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "legend.columnspacing": 1.4,
-    "legend.borderpad": 0.2,
-    "lines.linewidth": 1.6,
-    "lines.markersize": 5.0,
-    "errorbar.capsize": 2.5,
+MARKED_LEAKS = (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
+"""Ticks of a scale of many leaks, l/min at 100 bar."""
+
+MOST_TOLD = 12
+"""Largest number of points of a curve in the text for readers who cannot see the figure."""
+
+STYLE = Path(__file__).with_name("figures.mplstyle")
+COLOURS_OF: dict[str, Any] = {
+    INK: ("axes.labelcolor", "text.color", "xtick.labelcolor", "ytick.labelcolor"),
+    GREY: ("axes.edgecolor", "xtick.color", "ytick.color"),
+    PALE: ("grid.color",),
 }
+"""Settings of matplotlib by their colour."""
 
 
 @dataclass(frozen=True)
@@ -92,17 +74,16 @@ def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: s
     """Files (``svg``, ``png``) of a figure of a size (inches) that ``paint`` draws."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(STYLE)
+        matplotlib.style.use(STYLE)
+        matplotlib.rcParams.update({name: colour for colour, names in COLOURS_OF.items() for name in names})
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         paint(figure)
         files = []
         for kind in kinds:
             file = io.BytesIO()
-            nothing: dict[str, Any] = dict.fromkeys(
-                ("Date", "Creator", "Format", "Type") if kind == "svg" else ["Software"]
-            )
-            figure.savefig(file, format=kind, dpi=120, metadata=nothing, facecolor=PAPER)
+            left_out = ("Date", "Creator", "Format", "Type") if kind == "svg" else ("Software",)
+            figure.savefig(file, format=kind, dpi=120, metadata=dict.fromkeys(left_out), facecolor=PAPER)
             files.append(with_values(file.getvalue(), figure) if kind == "svg" else file.getvalue())
     return files
 
@@ -143,7 +124,9 @@ def _shortened(path: str) -> str:
     return re.sub(lines, lambda match: re.sub(r"\s+L ", " ", match.group(0)), rounded)
 
 
-def one_panel(key: str, title: str, note: str, alt: str, paint: Callable[[Axes], None], height: float = HEIGHT) -> Plot:
+def one_panel(
+    key: str, title: str, note: str, alt: str, paint: Callable[[Axes], object], height: float = HEIGHT
+) -> Plot:
     """A figure of one panel that ``paint`` draws, with a legend above."""
 
     def painted(figure: Figure) -> None:
@@ -158,13 +141,14 @@ def curve_plot(
     key: str,
     title: str,
     note: str,
-    curves: Mapping[str, pd.Series | pd.DataFrame],
+    curves: Mapping[str, Any],
     looks: Mapping[Any, Look],
     unit: str,
-    finish: Callable[[Axes], None],
+    finish: Callable[[Axes], object] | None = None,
     per: str = " l/min",
-    levels: bool = False,
     apart: float = 0.0,
+    drawn: str = "line",
+    **options: Any,
 ) -> Plot:
     """A figure of one panel with a curve per participant.
 
@@ -172,69 +156,68 @@ def curve_plot(
         key: name of its file.
         title: of the figure.
         note: how to read it.
-        curves: values over their index; a frame has the columns ``value``, ``low`` and ``high``, which become bars.
+        curves: by participant, a series over its index; or a frame with the columns ``value``, ``low`` and ``high``,
+            which become bars. Texts in the index are categories, the same for all participants.
         looks: of the participants.
         unit: of the values, after a space.
-        finish: sets scales and labels of the axes when the curves are drawn.
+        finish: sets scales of the axes when the curves are drawn.
         per: unit of the index, after a space.
-        levels: whether the index holds leaks, to be shown with a tight seal at the left end.
-        apart: distance of the participants' bars, in units of the axis.
+        apart: distance of the participants' bars, in units of the axis; rows have their own.
+        drawn: ``line``; ``levels``: a line over leaks, with a tight seal at the left end; ``plain``: without markers;
+            ``steps``; ``points``; ``rows``: a row for each category, from top to bottom; ``leaks``: a line over the
+            logarithm of leaks.
+        options: of ``Axes.set``, such as labels and limits.
     """
-    frames = {
-        name: curve.to_frame("value") if isinstance(curve, pd.Series) else curve for name, curve in curves.items()
-    }
+    frames = {name: curve.to_frame("value") if curve.ndim == 1 else curve for name, curve in curves.items()}
+    index = next(iter(frames.values())).index
 
     def paint(axes: Axes) -> None:
-        known = sorted({float(x) for frame in frames.values() for x in frame.index})
-        places = level_axis(axes, known) if levels else {x: x for x in known}
-        for index, (name, frame) in enumerate(frames.items()):
-            at = np.array([places[float(x)] for x in frame.index]) + dodge(len(frames), index, apart)
-            if "low" in frame:
-                bars(axes, at, frame, looks[name], name)
-            else:
-                axes.plot(at, frame["value"], marker=looks[name].marker, label=name, **looks[name].stroke)
-        if levels:
-            axes.margins(x=0.06)  # no marker is cut at the edge
-        finish(axes)
+        gap = min(0.24, 0.7 / len(frames)) if drawn == "rows" else apart
+        values = sorted({x for frame in frames.values() for x in frame.index})
+        places = _axis_of(axes, drawn, values, list(index))
+        for count, (name, frame) in enumerate(frames.items()):
+            look = looks[name]
+            at = np.array([places.get(x, x) for x in frame.index]) + dodge(len(frames), count, gap)
+            if drawn == "steps":
+                axes.step(at, frame["value"], where="post", label=name, **look.stroke)
+            elif "low" not in frame:
+                marker = "" if drawn == "plain" else look.marker
+                axes.plot(at, frame["value"], marker=marker, label=name, **look.stroke)
+            elif frame["value"].notna().any():
+                bars(axes, at, frame, look, name, drawn)
+        if drawn == "leaks":
+            log_leak_axis(axes, [leak for leak in values if len(values) < 8 or leak in MARKED_LEAKS])
+        if finish is not None:
+            finish(axes)
+        axes.set(**options)
 
-    rows = {name: [(f"{setting(x)}{per}", y) for x, y in frame["value"].items()] for name, frame in frames.items()}
-    return one_panel(key, title, note, description(title, rows, unit), paint)
-
-
-def rows_plot(
-    key: str,
-    title: str,
-    note: str,
-    parts: Mapping[str, pd.DataFrame],
-    looks: Mapping[Any, Look],
-    unit: str,
-    finish: Callable[[Axes], None],
-) -> Plot:
-    """A figure of one panel: rows from top to bottom, in each a point with its interval for every participant.
-
-    Args:
-        key: name of its file.
-        title: of the figure.
-        note: how to read it.
-        parts: by participant: columns ``value``, ``low`` and ``high``, NaN where there is none; the index holds the
-            labels of the rows, the same for all participants.
-        looks: of the participants.
-        unit: of the values, after a space.
-        finish: sets scale and label of the axis when the points are drawn.
-    """
-    labels = [str(label) for label in next(iter(parts.values())).index]
-
-    def paint(axes: Axes) -> None:
-        apart = min(0.24, 0.7 / len(parts))
-        for index, (name, part) in enumerate(parts.items()):
-            if part["value"].notna().any():
-                bars(axes, np.arange(len(labels)) + dodge(len(parts), index, apart), part, looks[name], name, "rows")
-        row_axis(axes, labels)
-        finish(axes)
-
-    rows = {name: list(part["value"].dropna().items()) for name, part in parts.items()}
-    height = max(HEIGHT, 0.9 + 0.25 * len(labels) * max(1.2, 0.6 * len(parts)))
+    height = HEIGHT
+    if drawn == "rows":
+        height = max(HEIGHT, 0.9 + 0.25 * len(index) * max(1.2, 0.6 * len(frames)))
+    rows = {name: _points(frame["value"].dropna(), per) for name, frame in frames.items()}
     return one_panel(key, title, note, description(title, rows, unit), paint, height)
+
+
+def _axis_of(axes: Axes, drawn: str, values: list[Any], labels: list[Any]) -> dict[Any, float]:
+    """The axis of the index of curves; returns the places of those values that do not stand at themselves."""
+    if drawn == "levels":
+        places = level_axis(axes, values)
+        axes.margins(x=0.06)  # no marker is cut at the edge
+        return places
+    if drawn == "rows":
+        row_axis(axes, labels)
+    elif isinstance(labels[0], str):
+        name_categories(axes.xaxis, range(len(labels)), labels)
+        axes.grid(visible=False, axis="x")
+    else:
+        return {}
+    return {label: place for place, label in enumerate(labels)}
+
+
+def _points(values: Any, per: str) -> list[tuple[str, float]]:
+    """Labels and values of a curve, of a long one evenly thinned."""
+    values = values.iloc[thinned_rows(len(values), MOST_TOLD)]
+    return [(x if isinstance(x, str) else f"{setting(x)}{per}", y) for x, y in values.items()]
 
 
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
@@ -292,14 +275,14 @@ def row_axis(axes: Axes, labels: Sequence[str]) -> None:
     axes.grid(visible=False, axis="y")
 
 
-def bars(axes: Axes, places: Any, frame: pd.DataFrame, look: Look, label: str, kind: str = "line") -> None:
+def bars(axes: Axes, places: Any, frame: pd.DataFrame, look: Look, label: str, drawn: str = "line") -> None:
     """Draw values with their intervals (columns value, low, high): as a line, as points, or as points in rows."""
-    value, low, high = (frame[name].to_numpy(dtype=np.float64) for name in ("value", "low", "high"))
+    value, low, high = frame[["value", "low", "high"]].to_numpy(dtype=np.float64).T
     lengths = np.maximum(np.nan_to_num(np.array([value - low, high - value])), 0.0)
-    at: dict[str, Any] = {"x": value, "y": places, "xerr": lengths}
-    if kind != "rows":
-        at = {"x": places, "y": value, "yerr": lengths}
-    line = look.line if kind == "line" else "none"
+    at: dict[str, Any] = {"x": places, "y": value, "yerr": lengths}
+    if drawn == "rows":
+        at = {"x": value, "y": places, "xerr": lengths}
+    line = "none" if drawn in ("rows", "points") else look.line
     axes.errorbar(**at, color=look.colour, marker=look.marker, label=label, linestyle=line)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -25,6 +25,9 @@ ALL = "all"
 
 NAME_COLUMNS = ("controller", "against")
 """Columns that hold names of controllers."""
+
+RUNS = {"examples", "traces"}
+"""Parts with single runs, which hold names of controllers too."""
 
 CORRECTS = "corrects "
 """Beginning of a note about the inputs of a controller that corrects another one."""
@@ -105,9 +108,9 @@ class Content:
     def corrects(self) -> dict[str, str]:
         """Controllers that correct another one, and its name."""
         table = self.table("sees")
-        notes = {} if table.empty else dict(zip(table["controller"], table["note"].fillna(""), strict=True))
-        found = {str(who): str(note).removeprefix(CORRECTS) for who, note in notes.items() if note.startswith(CORRECTS)}
-        return found | self.other("corrects", {})
+        notes = {} if table.empty else table.dropna(subset=["note"]).set_index("controller")["note"].to_dict()
+        noted = {who: note.removeprefix(CORRECTS) for who, note in notes.items() if note.startswith(CORRECTS)}
+        return noted | self.other("corrects", {})
 
     def with_full_names(self) -> Content:
         """The same with names that tell what a policy corrects: "PPO on flow linearisation" instead of "PPO"."""
@@ -119,12 +122,9 @@ class Content:
             key: table.assign(**{c: table[c].replace(names) for c in columns.get(key, NAME_COLUMNS) if c in table})
             for key, table in self.tables.items()
         }
-        others = dict(self.others) | {
-            key: [each.renamed(names) for each in part]
-            for key, part in self.others.items()
-            if isinstance(part, Sequence) and not isinstance(part, str) and all(hasattr(x, "renamed") for x in part)
-        }
-        others["corrects"] = {names[name]: base for name, base in self.corrects.items()}
+        others = dict(self.others) | {"corrects": {names[name]: base for name, base in self.corrects.items()}}
+        for key in self.others.keys() & RUNS:
+            others[key] = [run.renamed(names) for run in self.others[key]]
         return replace(self, tables=tables, others=others)
 
     # Conditions -------------------------------------------------------------------------------------------------------
@@ -162,7 +162,7 @@ class Content:
     def row(self, table: str, **wanted: Any) -> dict[str, Any]:
         """The first of :meth:`rows`; empty if there is none."""
         rows = self.rows(table, **wanted)
-        return {str(key): value for key, value in rows.iloc[0].to_dict().items()} if len(rows) else {}
+        return rows.iloc[0].to_dict() if len(rows) else {}
 
     def against(self, controller: str, condition: str = ALL) -> dict[str, Any]:
         """The row of the comparison with the baseline; empty if there is none."""
@@ -186,8 +186,8 @@ def interval(row: Mapping[Any, Any], column: str, factor: float = 1.0) -> Interv
 def intervals(table: pd.DataFrame, column: str, by: str | None = None, factor: float = 1.0) -> pd.DataFrame:
     """A column with its intervals, see :func:`interval`, as ``value``, ``low``, ``high``, over the column ``by``."""
     ends = (f"{column}_{end}" if f"{column}_{end}" in table else end for end in ("low", "high"))
-    found = (table if by is None else table.set_index(by))[[column, *ends]].astype(np.float64)
-    return factor * found.set_axis(["value", "low", "high"], axis=1)
+    parts = (table if by is None else table.set_index(by))[[column, *ends]].astype(np.float64)
+    return factor * parts.set_axis(["value", "low", "high"], axis=1)
 
 
 def verdict(value: Interval) -> str:
@@ -199,11 +199,15 @@ def verdict(value: Interval) -> str:
 
 def interval_text(value: Interval, unit: str = "", decimals: int | None = None) -> str:
     """Value, unit, and interval in brackets if there is one."""
-    if decimals is None:
-        decimals = decimals_for(value.value)
-    middle, low, high = (number(part, decimals) for part in value)
+    places = decimals_for(value.value) if decimals is None else decimals
+    middle, low, high = (number(part, places) for part in value)
     unit = f" {unit}" if unit else ""
     return f"{middle}{unit}" if np.isnan(value.low) else f"{middle}{unit} ({low} to {high})"
+
+
+def shown(row: Mapping[Any, Any], column: str, decimals: int | None = None, factor: float = 1.0, unit: str = "") -> str:
+    """A column with its interval as text; see :func:`interval` and :func:`interval_text`."""
+    return interval_text(interval(row, column, factor), unit, decimals)
 
 
 def percent(share: Interval) -> str:

@@ -26,7 +26,7 @@ TITLE, TITLE_SIZE = 44, 24
 FORMATS = (".mp4", ".gif", ".webp")
 
 GIF_COLOURS = 96
-GIF_TICK = 10  # ms; durations in a GIF are multiples of it
+TICKS = {".gif": 10, ".webp": 1}  # ms; durations of frames are multiples of it
 
 
 @dataclass(frozen=True)
@@ -97,24 +97,26 @@ def film(
         columns: number of panels side by side.
     """
     size = film_size(len(shown), width, columns)
-    rows = math.ceil(len(shown) / columns)
-    font = ImageFont.load_default(size=TITLE_SIZE)
-    for pictures in zip(
-        *(panel_frames(config, panel, seed, options, periods_per_frame) for panel in shown), strict=True
-    ):
-        sheet = Image.new("RGB", (columns * WIDTH, rows * (HEIGHT + TITLE)), PAPER)
-        draw = ImageDraw.Draw(sheet)
-        for index, (panel, picture) in enumerate(zip(shown, pictures, strict=True)):
-            left, top = index % columns * WIDTH, index // columns * (HEIGHT + TITLE)
-            sheet.paste(Image.fromarray(picture), (left, top + TITLE))
-            draw.text((left + 34, top + TITLE / 2), panel.title, INK, font, anchor="lm")
-        yield sheet.resize(size, Image.Resampling.LANCZOS)
+    titles = [_title(panel.title) for panel in shown]
+    empty = np.full((TITLE + HEIGHT, WIDTH, 3), PAPER, dtype=np.uint8)
+    episodes = [panel_frames(config, panel, seed, options, periods_per_frame) for panel in shown]
+    for pictures in zip(*episodes, strict=True):
+        cells = [np.vstack(cell) for cell in zip(titles, pictures, strict=True)]
+        cells += [empty] * (-len(cells) % columns)
+        rows = [np.hstack(cells[first : first + columns]) for first in range(0, len(cells), columns)]
+        yield Image.fromarray(np.vstack(rows)).resize(size, Image.Resampling.LANCZOS)
+
+
+def _title(text: str) -> Pixels:
+    """The strip above a panel."""
+    strip = Image.new("RGB", (WIDTH, TITLE), PAPER)
+    ImageDraw.Draw(strip).text((34, TITLE / 2), text, INK, ImageFont.load_default(size=TITLE_SIZE), anchor="lm")
+    return np.asarray(strip)
 
 
 def film_size(panel_count: int, width: int, columns: int) -> tuple[int, int]:
     """Width and height in pixels, both even, as codecs require."""
-    rows = math.ceil(panel_count / columns)
-    height = width * rows * (HEIGHT + TITLE) / (columns * WIDTH)
+    height = width * math.ceil(panel_count / columns) * (HEIGHT + TITLE) / (columns * WIDTH)
     return width // 2 * 2, round(height / 2) * 2
 
 
@@ -141,7 +143,7 @@ def frame_rate(path: Path, control_period: float, frames_per_second: float, spee
         ConfigurationError: the format has no such rate.
     """
     ideal = speed / (frames_per_second * control_period)
-    tick = {".gif": GIF_TICK, ".webp": 1}.get(path.suffix.lower(), 0)
+    tick = TICKS.get(path.suffix.lower(), 0)
     for periods in sorted(range(1, int(4 * ideal) + 40), key=lambda count: abs(count - ideal)):
         shown = 1e3 * periods * control_period / speed
         if not tick or (shown >= tick and abs(shown / tick - round(shown / tick)) < 1e-6):
@@ -164,27 +166,22 @@ def write_film(path: Path, frames: Iterator[Image.Image], milliseconds: float) -
         ConfigurationError: MP4 needs ``imageio-ffmpeg``, or the file cannot be written.
     """
     unfinished = path.with_name(f".unfinished-{path.name}")
+    first = next(frames)
+    loop: dict[str, Any] = {"save_all": True, "duration": round(milliseconds), "loop": 0}
     try:
         if path.suffix.lower() == ".mp4":
-            _write_mp4(unfinished, frames, milliseconds)
+            _write_mp4(unfinished, chain([first], frames), first.size, milliseconds)
+        elif path.suffix.lower() == ".gif":
+            octree = Image.Quantize.FASTOCTREE  # keeps the colours of small things, such as the arrows of the leak
+            later = (frame.quantize(GIF_COLOURS, octree) for frame in frames)
+            first.quantize(GIF_COLOURS, octree).save(unfinished, append_images=later, optimize=True, **loop)
         else:
-            _write_loop(unfinished, frames, milliseconds)
+            first.save(unfinished, append_images=frames, quality=70, method=4, **loop)
         os.replace(unfinished, path)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         unfinished.unlink(missing_ok=True)
-
-
-def _write_loop(path: Path, frames: Iterator[Image.Image], milliseconds: float) -> None:
-    first = next(frames)
-    options: dict[str, Any] = {"save_all": True, "duration": round(milliseconds), "loop": 0}
-    if path.suffix.lower() == ".gif":
-        octree = Image.Quantize.FASTOCTREE  # keeps the colours of small things, such as the arrows of the leak
-        later = (frame.quantize(GIF_COLOURS, octree) for frame in frames)
-        first.quantize(GIF_COLOURS, octree).save(path, append_images=later, optimize=True, **options)
-    else:
-        first.save(path, append_images=frames, quality=70, method=4, **options)
 
 
 def check_mp4() -> None:
@@ -199,22 +196,14 @@ def check_mp4() -> None:
         raise ConfigurationError('MP4 needs ffmpeg: pip install "hydro_env[video]"; GIF and WebP do not') from None
 
 
-def _write_mp4(path: Path, frames: Iterator[Image.Image], milliseconds: float) -> None:
+def _write_mp4(path: Path, frames: Iterator[Image.Image], size: tuple[int, int], milliseconds: float) -> None:
     import imageio_ffmpeg
 
-    first = next(frames)
-    film = imageio_ffmpeg.write_frames(
-        str(path),
-        first.size,
-        fps=1e3 / milliseconds,
-        codec="libx264",
-        quality=7,
-        macro_block_size=2,
-        ffmpeg_log_level="error",
-    )
+    options = {"codec": "libx264", "quality": 7, "macro_block_size": 2, "ffmpeg_log_level": "error"}
+    film = imageio_ffmpeg.write_frames(str(path), size, fps=1e3 / milliseconds, **options)
     film.send(None)  # starts the encoder
     try:
-        for frame in chain([first], frames):
+        for frame in frames:
             film.send(np.ascontiguousarray(frame))
     finally:
         film.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from html import escape
 from typing import Any
 
@@ -12,6 +11,7 @@ from matplotlib.axis import Axis
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from hydro_agents.running.text import number
 
@@ -38,18 +38,11 @@ def name_categories(axis: Axis, places: Any, labels: Any) -> None:
 
 def with_values(svg: bytes, figure: Figure) -> bytes:
     """The drawing of a figure with the values of its lines."""
-    marks = "".join(_marks(figure))
-    if not marks:
-        return svg
-    group = f'<g id="values" fill="none" pointer-events="all">{marks}</g>\n</svg>'
-    return svg.decode().replace("</svg>", group).encode()
-
-
-def _marks(figure: Figure) -> Iterator[str]:
-    labels = _labels(figure)
+    panels = figure.get_axes()
+    labels = _labels(panels)
     height = 72.0 * figure.get_figheight()
-    for axes in figure.findobj(Axes):
-        assert isinstance(axes, Axes)
+    marks = []
+    for axes in panels:
         for line in axes.lines:
             if line.get_transform() != axes.transData or np.size(line.get_xdata(orig=False)) == 0:
                 continue  # lines that mark a place have no values
@@ -58,20 +51,21 @@ def _marks(figure: Figure) -> Iterator[str]:
                 across, up = 72.0 / figure.dpi * axes.transData.transform((x, y))
                 text = escape("\n".join(filter(None, (name, _value(axes, "x", x), _value(axes, "y", y)))))
                 place = f'cx="{across:.1f}" cy="{height - up:.1f}" r="{REACH}"'
-                yield f"<circle {place}><title>{text}</title></circle>"
+                marks.append(f"<circle {place}><title>{text}</title></circle>")
+    group = f'<g id="values" fill="none" pointer-events="all">{"".join(marks)}</g>\n</svg>'
+    return svg.decode().replace("</svg>", group).encode() if marks else svg
 
 
-def _labels(figure: Figure) -> dict[Any, str]:
+def _labels(panels: list[Axes]) -> dict[Any, str]:
     """Names of lines, and of their colours for the same lines in another panel."""
-    known: dict[Any, str] = {}
-    for axes in figure.findobj(Axes):
-        assert isinstance(axes, Axes)
+    names: dict[Any, str] = {}
+    for axes in panels:
         groups = [(box[0], box.get_label()) for box in axes.containers if isinstance(box, ErrorbarContainer)]
         for line, label in [*((line, line.get_label()) for line in axes.lines), *groups]:
             if isinstance(line, Line2D) and label and not str(label).startswith("_"):
-                known[line] = str(label)
-                known.setdefault(line.get_color(), str(label))
-    return known
+                names[line] = str(label)
+                names.setdefault(line.get_color(), str(label))
+    return names
 
 
 def _points(axes: Axes, line: Line2D) -> list[tuple[float, float]]:
@@ -81,15 +75,19 @@ def _points(axes: Axes, line: Line2D) -> list[tuple[float, float]]:
         return []
     (left, right), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
     seen = np.flatnonzero((x >= left) & (x <= right) & (y >= bottom) & (y <= top))
-    chosen = seen[np.unique(np.linspace(0, len(seen) - 1, MOST_POINTS).astype(np.int64))] if len(seen) else seen
+    chosen = seen[thinned_rows(len(seen), MOST_POINTS)]
     return list(zip(x[chosen].tolist(), y[chosen].tolist(), strict=True))
+
+
+def thinned_rows(count: int, most: int) -> NDArray[np.int64]:
+    """Numbers of at most ``most`` rows, evenly from the first to the last."""
+    return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)
 
 
 def _value(axes: Axes, which: str, value: float) -> str:
     """A coordinate as text, with the label of its axis: "leak 0.3 l/min at 100 bar"."""
     group = axes.get_shared_x_axes() if which == "x" else axes.get_shared_y_axes()
-    own = getattr(axes, f"get_{which}label")()
-    words = own or next(filter(None, (getattr(other, f"get_{which}label")() for other in group.get_siblings(axes))), "")
-    name, _, unit = " ".join(words.split()).partition(", ")
-    named = getattr(axes, f"fmt_{which}data")
-    return " ".join(filter(None, (name, named(value) if named else number(value), unit)))
+    labels = [getattr(each, f"get_{which}label")() for each in (axes, *group.get_siblings(axes))]
+    name, _, unit = " ".join(next(filter(None, labels), "").split()).partition(", ")
+    text = getattr(axes, f"fmt_{which}data") or number
+    return " ".join(filter(None, (name, text(value), unit)))

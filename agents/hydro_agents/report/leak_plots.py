@@ -3,49 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
-from hydro_agents.report.canvas import (
-    GREY,
-    INK,
-    Plot,
-    bars,
-    curve_plot,
-    description,
-    log_leak_axis,
-    one_panel,
-    rows_plot,
-    ticks,
-)
+from hydro_agents.report.canvas import GREY, INK, Plot, curve_plot, ticks
 from hydro_agents.report.content import Content, interval, intervals
+
+REPORTED, FALSE = "windows in which it is reported, %", "healthy windows reported as leaking, %"
 
 
 def detection_plot(content: Content) -> list[Plot]:
     """Share found at 1 % false alarms over the size of the leak."""
     table = content.rows("detection", condition=content.base).sort_values("level")
     table = table[table["level"] > HEALTHY]
-    curves = {
-        name: intervals(own, "at_1_percent", "level", 100.0)
-        for name in content.detectors
-        if len(own := table[table["detector"] == name])
-    }
-    if not curves:
+    if table.empty:
         return []
-
-    def finish(axes: Axes) -> None:
-        log_leak_axis(axes, sorted(float(level) for level in table["level"].unique()))
-        axes.set(ylabel="windows in which it is found, %", ylim=(0.0, 103.0))
+    parts = {name: table[table["detector"] == name] for name in content.detectors}
+    curves = {name: intervals(own, "at_1_percent", "level", 100.0) for name, own in parts.items() if len(own)}
 
     note = (
         f"{content.label(content.base).capitalize()}, one window each; threshold at 1 % false alarms on validation "
         "axes. Bars: 95 % interval."
     )
-    title = "Smallest leak that is found"
-    return [curve_plot("detection", title, note, curves, content.looks, " %", finish, per="")]
+    named = ("detection", "Smallest leak that is found", note)
+    options: dict[str, Any] = {"ylabel": "windows in which it is found, %", "ylim": (0.0, 103.0)}
+    return [curve_plot(*named, curves, content.looks, " %", per="", drawn="leaks", **options)]
 
 
 def _rows_plot(
@@ -61,44 +47,26 @@ def _rows_plot(
     limit: float | None = 100.0,
     names: Mapping[str, str] | None = None,
 ) -> list[Plot]:
-    """A share at a leak: conditions from top to bottom, a point with its interval for each detector.
-
-    Args:
-        content: of the page.
-        key: name of the figure's file.
-        title: of the figure.
-        note: how to read it.
-        label: of the axis.
-        conditions: names; those without a value are left out.
-        level: leak, l/min at 100 bar.
-        column: table, and its column with the share.
-        lines: styles of vertical lines, by their places in percent.
-        limit: end of the axis in percent.
-        names: texts of the conditions, instead of their labels.
-    """
+    """A share of the windows at a leak (``level``): conditions from top to bottom, those without a value left out."""
+    table, share = column
+    texts = [(names or {}).get(where, content.label(where)) for where in conditions]
     frames = {}
     for name in content.detectors:
-        cells = (content.cell(column[0], name, where, level) for where in conditions)
-        frames[name] = pd.DataFrame([interval(cell, column[1], 100.0)._asdict() for cell in cells])
-    if not conditions or not frames:
+        cells = [content.cell(table, name, where, level) for where in conditions]
+        rows = [interval(cell, share, 100.0)._asdict() for cell in cells]
+        frames[name] = pd.DataFrame(rows, index=texts, columns=["value", "low", "high"])
+    known = np.any([frame["value"].notna() for frame in frames.values()], axis=0)
+    if not np.any(known):
         return []
-    shown = np.any([frame["value"].notna() for frame in frames.values()], axis=0)
-    if not shown.any():
-        return []
-    texts = [(names or {}).get(where, content.label(where)) for where in np.array(conditions)[shown].tolist()]
-    parts = {name: frame[shown].set_axis(texts) for name, frame in frames.items()}
 
     def finish(axes: Axes) -> None:
         for value, style in (lines or {}).items():
             axes.axvline(value, color=GREY, linewidth=0.9, linestyle=style)
-        axes.set_xlabel(label)
         if limit is not None:
             axes.set_xlim(-0.02 * limit, 1.03 * limit)
 
-    return [rows_plot(key, title, note, parts, content.looks, " %", finish)]
-
-
-REPORTED, FALSE = "windows in which it is reported, %", "healthy windows reported as leaking, %"
+    parts = {name: frame[known] for name, frame in frames.items()}
+    return [curve_plot(key, title, note, parts, content.looks, " %", finish, drawn="rows", xlabel=label)]
 
 
 def motion_plots(content: Content) -> list[Plot]:
@@ -119,16 +87,16 @@ def fault_plots(content: Content) -> list[Plot]:
     conditions = content.in_groups("fault", "plant", "rig")
     taken = "Faults and changes mistaken for a leak past the piston"
     healthy = "Healthy seal with one other fault or change: share of windows in which a leak is reported; line: 10 %."
-    beside = "A leak of 0.3 l/min together with the same faults"
+    both = "A leak of 0.3 l/min together with the same faults"
     leaking = "Share of windows in which the leak is reported in spite of the fault."
     return [
         *_rows_plot(content, "fault-taken", taken, healthy, FALSE, conditions, HEALTHY, lines={10.0: "--"}),
-        *_rows_plot(content, "fault-beside", beside, leaking, REPORTED, conditions, 0.3),
+        *_rows_plot(content, "fault-beside", both, leaking, REPORTED, conditions, 0.3),
     ]
 
 
 def coverage_plots(content: Content) -> list[Plot]:
-    """Coverage of the 90 % intervals at 0.3 l/min: by law, motion and controller, and beside faults."""
+    """Coverage of the 90 % intervals at 0.3 l/min: by law, motion and controller, and with other faults."""
     sides = {
         "Laws, motions, controllers": content.in_groups("levels", "law", "motion", "controller"),
         "Other faults and plants": content.in_groups("fault", "plant", "rig"),
@@ -144,50 +112,43 @@ def coverage_plots(content: Content) -> list[Plot]:
 
 def size_plot(content: Content) -> list[Plot]:
     """Size error over the leak, with the Cramér–Rao bound."""
-    table = content.table("sizes")
-    table = table[(table["condition"] == content.base) & (table["level"] > HEALTHY)].sort_values("level")
-    known = table[table["rms_log10"].notna()].set_index("level")
-    curves = {name: own for name in content.detectors if len(own := known[known["detector"] == name]["rms_log10"])}
-    if not curves:
+    table = content.rows("sizes", condition=content.base)
+    table = table[table["level"] > HEALTHY].sort_values("level")
+    estimated = table.dropna(subset=["rms_log10"]).set_index("level")
+    if estimated.empty:
         return []
+    parts = {name: estimated[estimated["detector"] == name]["rms_log10"] for name in content.detectors}
+    curves = {name: own for name, own in parts.items() if len(own)}
     bound = table.dropna(subset=["bound_rms_log10"]).drop_duplicates("level")
 
     def finish(axes: Axes) -> None:
         if len(bound):
             axes.plot(bound["level"], bound["bound_rms_log10"], color=INK, linestyle=":", label="Cramér–Rao bound")
-        log_leak_axis(axes, sorted(float(level) for level in table["level"].unique()))
-        axes.set(yscale="log", ylabel="error of the size, RMS of log10")
 
-    title = "Accuracy of the estimated size"
     note = "0.05 is about 12 %. The bound is the smallest error that any method can have on such windows."
-    return [curve_plot("size", title, note, curves, content.looks, "", finish, per="")]
+    named = ("size", "Accuracy of the estimated size", note)
+    options: dict[str, Any] = {"yscale": "log", "ylabel": "error of the size, RMS of log10"}
+    return [curve_plot(*named, curves, content.looks, "", finish, per="", drawn="leaks", **options)]
 
 
 def reliability_plot(content: Content) -> list[Plot]:
     """Probability of the detector against the frequency of leaks."""
-    table = content.table("reliability")
+    table = content.rows("reliability", condition=content.base)
     if table.empty:
         return []
-    table = table[table["condition"] == content.base]
-    parts = {str(name): part for name, part in table.groupby("detector", sort=False)}
+    table = table.assign(probability=100.0 * table["probability"])
+    parts = dict(list(table.groupby("detector", sort=False)))
+    curves = {name: intervals(part, "frequency", "probability", 100.0) for name, part in parts.items()}
 
-    def paint(axes: Axes) -> None:
-        axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9)
-        for name, part in parts.items():
-            frame = intervals(part, "frequency", factor=100.0)
-            bars(axes, 100.0 * part["probability"], frame, content.looks[name], name)
+    def finish(axes: Axes) -> None:
+        axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9, zorder=1.5)
         ticks(axes.xaxis, (0, 20, 40, 60, 80, 100))
-        axes.set(xlabel="probability of the detector, %", ylabel="windows that leak, %")
-        axes.set(xlim=(-3, 103), ylim=(-3, 103))
+        axes.set(xlabel="probability of the detector, %", xlim=(-3, 103), ylabel="windows that leak, %", ylim=(-3, 103))
 
-    title = "Calibration of the probability"
     errors = ", ".join(f"{name} {part['error'].iloc[0]:.3f}" for name, part in parts.items())
     note = f"Half of the axes healthy, the others with leaks of all sizes. Mean distance from the line: {errors}."
-    rows = {
-        name: [(f"{100.0 * p:.0f} %", 100.0 * f) for p, f in zip(part["probability"], part["frequency"], strict=True)]
-        for name, part in parts.items()
-    }
-    return [one_panel("reliability", title, note, description(title, rows, " %"), paint)]
+    title = "Calibration of the probability"
+    return [curve_plot("reliability", title, note, curves, content.looks, " %", finish, per=" %")]
 
 
 def masking_rows(content: Content) -> pd.DataFrame:
@@ -199,11 +160,8 @@ def masking_rows(content: Content) -> pd.DataFrame:
 def masking_plot(content: Content) -> list[Plot]:
     """Detection of a small leak by controller; the controller with the smallest error comes first."""
     table = masking_rows(content)
-    if table.empty:
-        return []
-    errors = table.groupby("condition")["error_mm"].mean().sort_values()
-    acting = table.drop_duplicates("condition").set_index("condition")["acting"]
-    names = {str(where): f"{acting[where]} ({error:.2g} mm)" for where, error in errors.items()}
+    errors = table.groupby(["condition", "acting"])["error_mm"].mean().sort_values()
+    names = {where: f"{acting} ({error:.2g} mm)" for (where, acting), error in errors.items()}
     note = "In brackets: mean position error. Windows from the start of the motion; threshold at 1 % false alarms."
     title, label = "0.1 l/min found, by controller", "windows in which it is found, %"
     share = ("detection", "at_1_percent")

@@ -9,8 +9,7 @@ from markupsafe import Markup
 
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
-from hydro_agents.report.content import Content, interval, interval_text
-from hydro_agents.report.leak_findings import findings_of
+from hydro_agents.report.content import Content, interval_text, shown
 from hydro_agents.report.leak_plots import (
     coverage_plots,
     detection_plot,
@@ -22,7 +21,7 @@ from hydro_agents.report.leak_plots import (
     size_plot,
 )
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.sections import Block, Fold, Points, Text, cards, section
+from hydro_agents.report.sections import Block, Cards, Fold, Points, Text, section
 from hydro_agents.report.shared import problems
 from hydro_agents.running.text import Cell, Table, number, setting
 
@@ -41,6 +40,11 @@ LEAKAGE = (
     "run",
 )
 """Sections of the page, in order."""
+
+SURE, TOO_OFTEN = 95.0, 10.0
+"""Percentages of windows: a leak counts as found; a condition is named for its false alarms."""
+
+MOST_NAMED = 5  # conditions in a cell
 
 SHOWN_LEAK = 0.3
 """l/min at 100 bar, of the table of verdicts with a leak."""
@@ -63,19 +67,18 @@ def leak_introduction(content: Content) -> list[Block]:
 
 @section("Findings", needs=("detection",), heading=False)
 def leak_findings(content: Content) -> list[Block]:
-    """The findings as cards, their limits, and what did not run."""
-    return [
-        cards(findings_of(content)),
-        Text(
-            Markup(
-                "These sizes are those of faults in service, not of acceptance tests. Makers accept 0.06&nbsp;ml/min "
-                "for a new seal of a 40&nbsp;mm bore; a seal counts as healthy here up to 0.03&nbsp;l/min, 500 times "
-                "as much. A seal that passes here may fail an acceptance test."
-            ),
-            "caution",
-        ),
-        *problems(content),
-    ]
+    """The smallest leak that is found, the findings on each detector, their limits, and what did not run."""
+    limits = Markup(
+        "These sizes are those of faults in service, not of acceptance tests. Makers accept 0.06&nbsp;ml/min for a new "
+        "seal of a 40&nbsp;mm bore; a seal counts as healthy here up to 0.03&nbsp;l/min, 500 times as much. A seal "
+        "that passes here may fail an acceptance test."
+    )
+    smallest = np.nanmin([*(smallest_found(content, name) for name in content.detectors), np.inf])
+    duration = setting(content.conditions["duration_s"][content.base])
+    sentence = f"A leak of {setting(smallest)} l/min is found within {duration} s of ordinary motion."
+    if not np.isfinite(smallest):
+        sentence = "No size of leak is found reliably."
+    return [Cards([sentence]), findings_table(content), Text(limits, "caution"), *problems(content)]
 
 
 @section("Smallest detectable leak, and accuracy of its size", needs=("detection", "sizes"))
@@ -157,6 +160,52 @@ def leak_method(content: Content) -> list[Block]:
 # Tables -------------------------------------------------------------------------------------------------------------
 
 
+def smallest_found(content: Content, detector: str) -> float:
+    """The smallest leak such that it and every larger one is found in 95 % of the windows; NaN if there is none."""
+    table = content.rows("detection", detector=detector, condition=content.base)
+    shares = table[table["level"] > HEALTHY].set_index("level")["at_1_percent"].sort_index()
+    missed = shares.index[100.0 * shares < SURE].max() if len(shares) else np.nan
+    return float(shares.index[~(shares.index <= missed)].min())
+
+
+def findings_table(content: Content) -> Table:
+    """Each detector: smallest leak, false alarms, worst condition, confusions, and where it stays silent."""
+    rows = []
+    for name in content.detectors:
+        smallest = smallest_found(content, name)
+        healthy = content.cell("detection", name, content.base, HEALTHY)
+        others = {where: content.share(name, where, HEALTHY) for where in content.in_groups("motion", "controller")}
+        others = {where: share for where, share in others.items() if np.isfinite(share.value)}
+        worst = max(others, key=lambda where: others[where].value, default="")
+        changed = {where: content.share(name, where, HEALTHY) for where in content.in_groups("fault", "plant", "rig")}
+        wrong = sorted((w for w in changed if changed[w].value > TOO_OFTEN), key=lambda where: -changed[where].value)
+        own = content.rows("detection", detector=name)
+        silent = own[own["cannot_tell"] > 0.5]["condition"].unique()
+        rows.append(
+            (
+                name,
+                setting(smallest) if np.isfinite(smallest) else "none",
+                shown(healthy, "flagged", 1, 100.0),
+                number(healthy.get("per_hour", np.nan), 0),
+                f"{interval_text(others[worst], decimals=1)}, {content.label(worst)}" if worst else "–",
+                _named([f"{content.label(where)} {number(changed[where].value, 0)} %" for where in wrong]),
+                _named([content.label(where) for where in silent]),
+            )
+        )
+    header = (
+        "Detector", f"leak found in {SURE:.0f} % of the windows, at 1 % false alarms, l/min",
+        "false alarms, % of healthy windows", "per hour", "the worst motion or controller, %",
+        f"mistaken for a leak in over {TOO_OFTEN:.0f} % of the windows", "“cannot tell” in over half of the windows",
+    )  # fmt: skip
+    return Table("What each detector finds, and where it is wrong or silent", header, rows, style="words")
+
+
+def _named(labels: list[str]) -> str:
+    """The first of some conditions, and the number of the others."""
+    more = f" and {len(labels) - MOST_NAMED} more" if len(labels) > MOST_NAMED else ""
+    return f"{', '.join(labels[:MOST_NAMED])}{more}" or "none"
+
+
 def level_text(level: float) -> str:
     """A leak level as text."""
     return "healthy" if level == HEALTHY else f"{setting(level)} l/min" if level > 0.0 else "drawn"
@@ -167,21 +216,19 @@ def confusion_tables(content: Content) -> dict[str, Table]:
     table = content.table("verdicts")
     verdicts = tuple(name for name in table if name not in ("detector", "condition", "level"))
     conditions = [content.base, *content.in_groups("fault", "plant", "rig")]
-    found = {}
-    for detector in content.detectors:
-        for level in sorted(level for level in table["level"].unique() if level in (HEALTHY, SHOWN_LEAK)):
-            rows: list[tuple[str | Cell, ...]] = []
-            for condition in conditions:
-                shares = content.cell("verdicts", detector, condition, level)
-                right = right_verdicts(content, condition, level)
-                if shares:
-                    cells = (_share_cell(verdict, right, float(shares[verdict])) for verdict in verdicts)
-                    rows.append((content.label(condition), *cells))
-            beside = "healthy seal" if level == HEALTHY else f"with a leak of {setting(level)} l/min"
-            if len(rows) > 1:
-                caption = f"{detector}: {beside}; share of windows, %"
-                found[caption] = Table("", ("True state", *verdicts), rows, style="heat")
-    return found
+    tables = {}
+    for (detector, level), own in table.groupby(["detector", "level"], sort=False):
+        rows: list[tuple[str | Cell, ...]] = []
+        shares = own.set_index("condition")
+        for condition in [each for each in conditions if each in shares.index]:
+            right = right_verdicts(content, condition, level)
+            cells = (_share_cell(verdict, right, shares[verdict][condition]) for verdict in verdicts)
+            rows.append((content.label(condition), *cells))
+        if len(rows) > 1 and level in (HEALTHY, SHOWN_LEAK):
+            seal = "healthy seal" if level == HEALTHY else f"with a leak of {setting(level)} l/min"
+            caption = f"{detector}: {seal}; share of windows, %"
+            tables[caption] = Table("", ("True state", *verdicts), rows, style="heat")
+    return tables
 
 
 def _share_cell(verdict: str, right: tuple[str, ...], share: float) -> Cell:
@@ -202,17 +249,16 @@ def detection_tables(content: Content) -> list[Table]:
     """Share of windows reported as a leak, by condition and level; one table per detector."""
     tables = []
     for detector in content.detectors:
-        mine = content.rows("detection", detector=detector)
-        levels = sorted(level for level in mine["level"].unique() if level != DRAWN)
+        own = content.rows("detection", detector=detector)
+        own = own[own["level"] != DRAWN].set_index(["condition", "level"])
+        shares = 100.0 * own["flagged"].unstack().reindex(own.index.unique("condition"))
         rows = []
-        for condition in mine["condition"].unique():
-            cells = {level: content.cell("detection", detector, condition, level) for level in levels}
-            if any(cells.values()):
-                shares = [number(interval(cell, "flagged", 100.0).value, 1) for cell in cells.values()]
-                healthy = content.cell("detection", detector, condition, HEALTHY)
-                hourly, silent = (float(healthy.get(key, np.nan)) for key in ("per_hour", "cannot_tell"))
-                rows.append((content.label(str(condition)), *shares, number(hourly, 0), number(100.0 * silent, 1)))
-        header = ("Condition", *map(level_text, levels), "false alarms per hour", "cannot tell, healthy")
+        for condition, cells in shares.iterrows():
+            healthy = content.cell("detection", detector, condition, HEALTHY)
+            hourly, silent = (healthy.get(key, np.nan) for key in ("per_hour", "cannot_tell"))
+            found = (number(cell, 1) for cell in cells)
+            rows.append((content.label(condition), *found, number(hourly, 0), number(100.0 * silent, 1)))
+        header = ("Condition", *map(level_text, shares), "false alarms per hour", "cannot tell, healthy")
         caption = f"{detector}: share of windows reported as a leak past the piston, %"
         tables.append(Table(caption, header, rows, style="dense"))
     return tables
@@ -222,19 +268,18 @@ def size_tables(content: Content) -> list[Table]:
     """Size error, its ratio to the bound, and coverage of the intervals; one table per detector."""
     tables = []
     for detector in content.detectors:
-        mine = content.rows("sizes", detector=detector)
-        mine = mine[mine["level"] != HEALTHY]
+        own = content.rows("sizes", detector=detector)
         rows = [
             (
-                f"{content.label(str(row['condition']))}, {level_text(row['level'])}",
+                f"{content.label(row['condition'])}, {level_text(row['level'])}",
                 number(row["rms_log10"], 3),
                 number(row["median_error_lpm"], 4),
                 number(row["bound_lpm"], 4),
                 number(row["ratio_to_bound"], 1),
-                interval_text(interval(row, "coverage", 100.0), decimals=0),
+                shown(row, "coverage", 0, 100.0),
                 number(100.0 * row["told"] / row["windows"], 0),
             )
-            for row in mine.to_dict("records")
+            for row in own[own["level"] != HEALTHY].to_dict("records")
         ]
         header = (
             "Condition, leak", "error, RMS log10", "median error, l/min", "bound, l/min", "error ÷ bound",
@@ -247,24 +292,15 @@ def size_tables(content: Content) -> list[Table]:
 def masking_table(content: Content) -> Table:
     """Detection of small leaks, position error and bound, one row per controller."""
     table = masking_rows(content)
-    shares = table[table["level"] <= 0.3].pivot_table(
-        index="condition", columns=["detector", "level"], values="at_1_percent", sort=False
-    )
+    shares = table[table["level"] <= 0.3].pivot_table("at_1_percent", "condition", ["detector", "level"], sort=False)
     # A single controller allows no comparison.
-    shares = shares.loc[:, shares.notna().sum() >= min(2, len(shares))]
-    columns = [(name, level) for name in content.detectors for level in sorted(table["level"].unique())]
-    columns = [column for column in columns if column in shares.columns]
+    shares = 100.0 * shares.loc[:, shares.notna().sum() >= min(2, len(shares))]
+    columns = sorted(shares.columns, key=lambda column: (content.detectors.index(column[0]), column[1]))
     rows = []
-    for condition, frame in table.groupby("condition", sort=False):
-        bounds = {row["level"]: row["bound_lpm"] for row in frame.to_dict("records")}
-        rows.append(
-            (
-                str(frame["acting"].iloc[0]),
-                number(float(frame["error_mm"].mean()), 3),
-                number(bounds.get(0.3, np.nan), 4),
-                *(number(100.0 * float(shares.loc[condition, column]), 0) for column in columns),
-            )
-        )
+    for condition, own in table.groupby("condition", sort=False):
+        bounds = own.set_index("level")["bound_lpm"].to_dict()
+        numbers = (number(own["error_mm"].mean(), 3), number(bounds.get(0.3, np.nan), 4))
+        rows.append((own["acting"].iloc[0], *numbers, *(number(shares.loc[condition, each], 0) for each in columns)))
     sizes = (f"{name}: {setting(level)}" for name, level in columns)
     header = ("Controller", "error, mm", "bound at 0.3, l/min", *sizes)
     caption = "Found at 1 % false alarms, %, by size of the leak in l/min"

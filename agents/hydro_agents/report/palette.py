@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any, NamedTuple
 
 
@@ -27,14 +28,14 @@ NEUTRALS = {
     "pale": Colour("#f6f6f8", "#1f2128"),
 }
 
-SERIES = (
-    Colour("#0072b2", "#56b4e9"),
-    Colour("#d55e00", "#f58f3c"),
-    Colour("#00805c", "#3fc196"),
-    Colour("#b3508a", "#e592c1"),
-    Colour("#8a6d00", "#d6b53c"),
-    Colour("#6a4fb3", "#ab97ec"),
-)
+SERIES = {
+    "blue": Colour("#0072b2", "#56b4e9"),
+    "orange": Colour("#d55e00", "#f58f3c"),
+    "green": Colour("#00805c", "#3fc196"),
+    "purple": Colour("#b3508a", "#e592c1"),
+    "gold": Colour("#8a6d00", "#d6b53c"),
+    "violet": Colour("#6a4fb3", "#ab97ec"),
+}
 """Controllers, detectors and other things side by side: after Okabe and Ito, for colour-blind readers."""
 
 LEAKS = {
@@ -47,7 +48,12 @@ LEAKS = {
 }
 """By leak in l/min at 100 bar: from a tight seal (dark) to a severe leak (light)."""
 
-MEANINGS = {"better": SERIES[0], "worse": SERIES[1], "good": SERIES[2], "doubtful": SERIES[4]}
+MEANINGS = {
+    "better": SERIES["blue"],
+    "worse": SERIES["orange"],
+    "good": SERIES["green"],
+    "doubtful": SERIES["gold"],
+}
 """Judgements in tables and verdicts."""
 
 STRONGEST = 50
@@ -71,7 +77,8 @@ class Look:
         return {"color": self.colour, "linestyle": self.line}
 
 
-COLOURS = tuple(colour.light for colour in SERIES)
+COLOURS = {name: colour.light for name, colour in SERIES.items()}
+"""The light colours of SERIES, by name."""
 
 MARKERS, LINES = "osD^vP", ("-", "--", "-.", ":")
 
@@ -79,17 +86,15 @@ _DASHES: tuple[Any, ...] = ("-", (0, (7, 1.5)), (0, (4, 1.2)), (0, (5, 1.2, 1, 1
 
 LEAK_LOOKS = {
     leak: Look(colour.light, marker, line)
-    for (leak, colour), marker, line in zip(LEAKS.items(), "osD^vP", _DASHES, strict=True)
+    for (leak, colour), marker, line in zip(LEAKS.items(), MARKERS, _DASHES, strict=True)
 }
 """By leak, from a tight seal (dark) to a severe leak (light); neighbours differ in their dashes too."""
 
 
 def looks_of(names: Iterable[Any]) -> dict[Any, Look]:
     """The look of each controller, by its position in the list."""
-    return {
-        name: Look(COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)], LINES[i % len(LINES)])
-        for i, name in enumerate(names)
-    }
+    looks = zip(cycle(COLOURS.values()), cycle(MARKERS), cycle(LINES))
+    return {name: Look(*look) for name, look in zip(names, looks, strict=False)}
 
 
 # Themes --------------------------------------------------------------------------------------------------------------
@@ -97,7 +102,7 @@ def looks_of(names: Iterable[Any]) -> dict[Any, Look]:
 
 def _variables() -> dict[str, Colour]:
     """Every colour by the name of its CSS variable."""
-    series = {f"series-{number}": colour for number, colour in enumerate(SERIES, 1)}
+    series = {f"series-{number}": colour for number, colour in enumerate(SERIES.values(), 1)}
     leaks = {f"leak-{number}": colour for number, colour in enumerate(LEAKS.values(), 1)}
     return {**NEUTRALS, **series, **leaks, **MEANINGS}
 

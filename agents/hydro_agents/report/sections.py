@@ -16,6 +16,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import ClassVar, NamedTuple, TypeAlias
 
@@ -28,18 +29,9 @@ from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
 
 TEMPLATE = Path(__file__).parent / "page.html.j2"
-MODULES = tuple(
-    f"hydro_agents.report.{name}"
-    for name in ("shared", "study_detection", "training_plots", "experiments", "robustness", "leakage", "study")
-)
+PARTS = ("shared", "recorded", "study_detection", "training_plots", "experiments")
+MODULES = tuple(f"hydro_agents.report.{name}" for name in (*PARTS, "robustness", "leakage", "study"))
 """Modules whose sections any list may name; parts of pages first, as a page's own module is loaded with its command."""
-
-
-class Finding(NamedTuple):
-    """A summary, and the numbers."""
-
-    lead: str
-    text: str
 
 
 @dataclass(frozen=True)
@@ -61,19 +53,15 @@ class Points:
 
 @dataclass(frozen=True)
 class Cards:
-    """Findings side by side."""
+    """Findings side by side, a sentence each."""
 
     kind: ClassVar[str] = "cards"
-    lines: Sequence[Finding]
+    sentences: Sequence[str]
 
-
-def cards(findings: Iterable[Finding]) -> Cards:
-    """Findings with every number on one line with its unit or its ×."""
-
-    def unbroken_words(text: str) -> str:
-        return re.sub(r"(?<=\d) (?=×|µm|ms\b|Hz|W\b)", "\u00a0", unbroken(text))
-
-    return Cards([Finding(*map(unbroken_words, one)) for one in findings])
+    @property
+    def lines(self) -> list[str]:
+        """The sentences with every number on one line with its unit or its ×."""
+        return [re.sub(r"(?<=\d) (?=×|µm|ms\b|Hz|W\b)", "\u00a0", unbroken(text)) for text in self.sentences]
 
 
 @dataclass(frozen=True)
@@ -215,33 +203,30 @@ def render_page(
 
 def arranged(blocks: Sequence[Block]) -> list[Block]:
     """The blocks with neighbouring figures in a grid; wide ones stand alone."""
-    found: list[Block] = []
+    result: list[Block] = []
     for block in blocks:
-        if isinstance(block, Plot) and not block.wide:
-            last = found[-1] if found else None
-            if isinstance(last, Grid):
-                found[-1] = Grid((*last.plots, block))
-            else:
-                found.append(Grid((block,)))
-        elif isinstance(block, Fold):
-            found.append(replace(block, blocks=arranged(block.blocks)))
+        if isinstance(block, Fold):
+            block = replace(block, blocks=arranged(block.blocks))
         elif isinstance(block, Choice):
-            found.append(replace(block, blocks={value: arranged(part) for value, part in block.blocks.items()}))
-        else:
-            found.append(block)
-    return found
+            block = replace(block, blocks={value: arranged(part) for value, part in block.blocks.items()})
+        elif isinstance(block, Plot) and not block.wide:
+            last = result[-1] if result else None
+            block = Grid((*last.plots, block) if isinstance(last, Grid) else (block,))
+            result = result[: len(result) - isinstance(last, Grid)]
+        result.append(block)
+    return result
 
 
 def plots_of(blocks: Iterable[Block]) -> list[Plot]:
     """All figures in some blocks."""
-    found: list[Plot] = []
+    plots: list[Plot] = []
     for block in blocks:
         if isinstance(block, Plot):
-            found.append(block)
+            plots.append(block)
         elif isinstance(block, Grid):
-            found += block.plots
+            plots += block.plots
         elif isinstance(block, Fold):
-            found += plots_of(block.blocks)
+            plots += plots_of(block.blocks)
         elif isinstance(block, Choice):
-            found += [plot for part in block.blocks.values() for plot in plots_of(part)]
-    return found
+            plots += plots_of(chain.from_iterable(block.blocks.values()))
+    return plots

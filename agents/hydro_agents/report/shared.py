@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.report.canvas import HEIGHT, INK, Plot, curve_plot, description, log_leak_axis, one_panel, row_axis
+from hydro_agents.report.canvas import HEIGHT, INK, Plot, curve_plot, description, one_panel, row_axis
 from hydro_agents.report.content import Content
 from hydro_agents.report.palette import looks_of
 from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section
 from hydro_agents.running.statistics import Interval
-from hydro_agents.running.text import Table, duration, listed, number, setting
+from hydro_agents.running.text import Table, duration, number, setting
 
 RESERVES = {
     "speed out": "speed_out_mm_s",
@@ -56,14 +56,16 @@ def introduction(content: Content) -> list[Block]:
     sentences = [
         f"Positioning of a hydraulic servo axis while its piston seal leaks{detects}.",
         f"Controllers: {', '.join(content.controllers)}; baseline: {content.baseline}.",
-        *(
-            f"{name} is a policy that adds a correction to the command of {base}."
-            for name, base in content.corrects.items()
-            if name in content.controllers
-        ),
-        "All ran on the same plants, references and noise. Everything here is simulated; no real rig was measured.",
     ]
-    return [Text(" ".join(sentences), "soft")]
+    sentences += [
+        f"{name} is a policy that adds a correction to the command of {base}."
+        for name, base in content.corrects.items()
+        if name in content.controllers
+    ]
+    all_ran = (
+        "All ran on the same plants, references and noise. Everything here is simulated; no real rig was measured."
+    )
+    return [Text(" ".join([*sentences, all_ran]), "soft")]
 
 
 def score_text(baseline: str) -> str:
@@ -101,11 +103,11 @@ def problems(content: Content) -> list[Block]:
     status = content.table("status")
     lines = [f"Left out: {message}" for message in errors.values()]
     if len(status):
-        who = next(name for name in ("controller", "detector") if name in status)
+        who = "controller" if "controller" in status else "detector"
         for row in status[status["status"] == "failed"].to_dict("records"):
-            lines.append(f"{row[who]} failed under {content.label(str(row['condition']))}: {row['message']}")
+            lines.append(f"{row[who]} failed under {content.label(row['condition'])}: {row['message']}")
         for name, frame in status[status["status"] == NOT_RUN].groupby(who, sort=False):
-            where = ", ".join(content.label(str(condition)) for condition in frame["condition"])
+            where = ", ".join(map(content.label, frame["condition"]))
             lines.append(f"{name} did not run under {where}: {frame['message'].iloc[0]}.")
     return [Fold("Some parts did not run", [Points(lines)], bool(errors), "caution")] if lines else []
 
@@ -116,15 +118,12 @@ def problems(content: Content) -> list[Block]:
 @section("Cost of a leak", needs=("leak_price",))
 def leak_price(content: Content) -> list[Block]:
     """Power, reserve and energy over the leak."""
-    return [
-        Text(
-            "Even if the axis holds its position, a leak has its cost: the supply delivers the lost oil, which is "
-            "missing at full command. Power and reserve: steady state of the nominal rig, the same for any controller."
-        ),
-        *price_plots(content.table("leak_price")),
-        price_table(content.table("leak_price")),
-        *energy_table(content),
-    ]
+    note = (
+        "Even if the axis holds its position, a leak has its cost: the supply delivers the lost oil, which is missing "
+        "at full command. Power and reserve: steady state of the nominal rig, the same for any controller."
+    )
+    table = content.table("leak_price")
+    return [Text(note), *price_plots(table), price_table(table), *energy_table(content)]
 
 
 def price_plots(table: pd.DataFrame) -> list[Plot]:
@@ -134,25 +133,17 @@ def price_plots(table: pd.DataFrame) -> list[Plot]:
         table: of :func:`~hydro_agents.evaluation.leak_price.leak_price`.
     """
     table = table.set_index("leakage_flow_lpm")
-    marks = [float(leak) for leak in table.index if leak in (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)]
-    shares = {name: 100.0 * table[column] / float(table[column].iloc[0]) for name, column in RESERVES.items()}
+    shares = {name: 100.0 * table[column] / table[column].iloc[0] for name, column in RESERVES.items()}
     power = table["holding_power_w"]
-
-    def finish_power(axes: Axes) -> None:
-        axes.set(ylabel="power from the supply, W", ylim=(0.0, 1.07 * float(power.max())))
-        log_leak_axis(axes, marks)
-
-    def finish_left(axes: Axes) -> None:
-        axes.set(ylabel="reserve, % of the tight seal", ylim=(0.0, 105.0))
-        log_leak_axis(axes, marks)
-
-    held = f"Power to hold {number(float(table['place_mm'].iloc[0]), 0)} mm"
+    held = ("price-power", f"Power to hold {number(table['place_mm'].iloc[0], 0)} mm")
     flow = "Flow through the valve times supply pressure."
-    at_full = "At full command: steady speed at this place, and the largest load that the axis can hold."
-    reserve, looks = "Reserve of speed and force", looks_of(RESERVES)
+    left = ("price-left", "Reserve of speed and force")
+    full = "At full command: steady speed at this place, and the largest load that the axis can hold."
+    watts: dict[str, Any] = {"ylabel": "power from the supply, W", "ylim": (0.0, 1.07 * power.max())}
+    percent: dict[str, Any] = {"ylabel": "reserve, % of the tight seal", "ylim": (0.0, 105.0)}
     return [
-        curve_plot("price-power", held, flow, {"": power}, looks_of([""]), " W", finish_power),
-        curve_plot("price-left", reserve, at_full, shares, looks, " %", finish_left),
+        curve_plot(*held, flow, {"": power}, looks_of([""]), " W", drawn="leaks", **watts),
+        curve_plot(*left, full, shares, looks_of(RESERVES), " %", drawn="leaks", **percent),
     ]
 
 
@@ -168,57 +159,14 @@ def price_table(table: pd.DataFrame) -> Table:
 
 def energy_table(content: Content) -> list[Table]:
     """Energy that a run takes from the supply at each leak, under every controller."""
-    leaks, summary = content.in_groups("leak"), content.table("summary")
-    if not leaks:
+    leaks = content.in_groups("leak")
+    energy = content.rows("summary", metric="supply_energy_j")
+    if not leaks or energy.empty:
         return []
-    energy = summary[summary["metric"] == "supply_energy_j"].set_index(["controller", "condition"])["mean"]
-    rows = [
-        (name, *(number(float(energy.get((name, leak), np.nan)), 0) for leak in leaks))
-        for name in content.controllers
-        if any((name, leak) in energy.index for leak in leaks)
-    ]
+    means = energy.pivot_table("mean", "controller", "condition").reindex(content.controllers).reindex(columns=leaks)
+    rows = [(name, *(number(mean, 0) for mean in own)) for name, own in means.dropna(how="all").iterrows()]
     header = ("Controller", *map(content.label, leaks))
     return [Table("Energy from the supply, J per run, by leak", header, rows, style="dense")] if rows else []
-
-
-def price_sentence(table: pd.DataFrame, leak: float) -> str:
-    """The cost of one leak, as a sentence; empty if the table does not contain the leak."""
-    rows = table[table["leakage_flow_lpm"] == leak] if len(table) else table
-    if rows.empty:
-        return ""
-    row, tight = rows.iloc[0], table.iloc[0]
-    left = [f"{name} {number(100.0 * row[column] / tight[column], 0)} %" for name, column in RESERVES.items()]
-    held = float(row["holding_power_w"])
-    power = f"takes {number(held)} W" if np.isfinite(held) else "is impossible"
-    return (
-        f"With any controller, holding {number(float(row['place_mm']), 0)} mm {power} from the supply. Reserve at full "
-        f"command, relative to the tightest seal: {listed(left)}."
-    )
-
-
-# Recordings ---------------------------------------------------------------------------------------------------------
-
-MEANING = {"severe": "rules out a verdict", "fault": "a sensor is faulty", "note": "does not matter much"}
-"""What the weight of a finding about a recording means."""
-
-
-@section("The recording", needs=("protocol",))
-def recording(content: Content) -> list[Block]:
-    """What is wrong with a recording, and facts about it."""
-    blocks: list[Block] = [Text("Nothing is wrong with time stamps, units, signs, chambers and sensors.")]
-    if content.has("findings"):
-        table = content.table("findings")
-        blocks = [
-            Text("Checks before any verdict: time stamps, units, signs, chambers, and each sensor."),
-            Table("", tuple(table.columns), list(table.itertuples(index=False, name=None)), style="words"),
-        ]
-    return [*blocks, Table("", ("Fact", "Value"), list(content.facts.items()), style="words")]
-
-
-def findings_frame(findings: Iterable[Any]) -> pd.DataFrame:
-    """Findings about a recording (:class:`hydro_rig.recordings.findings.Finding`) as texts."""
-    rows = [(each.signal, each.line().removeprefix(f"{each.signal} "), MEANING[each.weight]) for each in findings]
-    return pd.DataFrame(rows, columns=["Signal", "Finding", "For the verdict"])
 
 
 # Method -------------------------------------------------------------------------------------------------------------
@@ -241,12 +189,12 @@ def run(content: Content) -> list[Block]:
 
 def conditions_table(table: pd.DataFrame) -> Table:
     """Changes of each condition."""
-    columns = [name for name in CONDITION_COLUMNS if name in table and (table[name].fillna("").astype(str) != "").any()]
-    rows = [tuple(_text(row[name]) for name in columns) for row in table[columns].fillna("").to_dict("records")]
-    return Table("", tuple(CONDITION_COLUMNS[name] for name in columns), rows, style="words")
+    texts = table.reindex(columns=CONDITION_COLUMNS).astype(object).fillna("").map(_text)
+    texts = texts.loc[:, (texts != "").any()].rename(columns=CONDITION_COLUMNS)
+    return Table("", tuple(texts), list(texts.itertuples(index=False, name=None)), style="words")
 
 
 def _text(value: object) -> str:
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
-    return setting(float(value)) if isinstance(value, float) else str(value)
+    return setting(value) if isinstance(value, float) else str(value)

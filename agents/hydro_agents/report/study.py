@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.evaluate import Evaluation
-from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
+from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text, is_broken
 from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
-from hydro_agents.report.content import Content, interval, interval_text, verdict
-from hydro_agents.report.sections import Block, Choice, Fold, Points, Text, cards, section
-from hydro_agents.report.shared import price_sentence, problems, score_plot, score_text
-from hydro_agents.report.study_findings import caution, failed_runs, findings_of, scores
+from hydro_agents.report.content import Content, interval, shown, verdict
+from hydro_agents.report.findings import findings_of
+from hydro_agents.report.sections import Block, Choice, Fold, Points, Text, section
+from hydro_agents.report.shared import problems, score_plot, score_text
 from hydro_agents.report.study_plots import tracking_plots
 from hydro_agents.report.traces import Example, example_limits, example_plot
 from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
-from hydro_agents.running.statistics import RESAMPLES, conditional_value_at_risk
-from hydro_agents.running.text import Table, decimals_for, family_name, listed, number, setting, span
+from hydro_agents.running.statistics import LEAST_SAMPLES, RESAMPLES, conditional_value_at_risk
+from hydro_agents.running.text import Table, decimals_for, family_name, number, setting, span
 
 STUDY = (
     "introduction",
@@ -34,6 +35,8 @@ STUDY = (
 )
 """Sections of the page, in order."""
 
+FEW_PLANTS = 12
+"""With fewer plants the intervals are rough; the page says so."""
 
 OVERVIEW = tuple(metric for metric in METRICS.values() if metric.cost or metric.name in FRAMES)
 """Metrics side by side: an error is no result without its cost."""
@@ -70,8 +73,8 @@ def content_of(
             controller, on the plants of the training curve).
     """
     run = pd.DataFrame((facts or {}).items(), columns=["key", "value"])
-    found = {**tables_of(evaluation), **(tables or {}), "protocol": run}
-    return Content(found, others={"bounds": evaluation.bounds, "errors": evaluation.errors, **others})
+    everything = {**tables_of(evaluation), **(tables or {}), "protocol": run}
+    return Content(everything, others={"bounds": evaluation.bounds, "errors": evaluation.errors, **others})
 
 
 # Sections -----------------------------------------------------------------------------------------------------------
@@ -79,154 +82,158 @@ def content_of(
 
 @section("Findings", needs=("levels",), heading=False)
 def study_findings(content: Content) -> list[Block]:
-    """What failed, a warning about few plants, and the findings as cards."""
-    few = caution(content)
+    """What failed, warnings, and the findings as cards."""
+    failed = content.table("cases").groupby("controller", sort=False)["failed"].agg(["sum", "count"]).astype(int)
+    counts = ", ".join(f"{name} {row['sum']} of {row['count']}" for name, row in failed.iterrows())
     return [
         *problems(content),
-        *([Text(few, "caution")] if few else []),
-        cards(findings_of(content)),
-        Text(f"In brackets: 95 % intervals. {failed_runs(content)}", "soft"),
+        *(Text(warning, "caution") for warning in warnings_of(content)),
+        *findings_of(content),
+        Text(f"In brackets: 95 % intervals. Failed runs (end stop or pressure limit): {counts}.", "soft"),
     ]
+
+
+def warnings_of(content: Content) -> list[str]:
+    """A baseline that cannot hold the axis, few plants, and runs with seeds that may have trained a controller."""
+    warnings = []
+    base = content.controllers[0]
+    standstills = content.row("limit_cycle_summary", controller=base)
+    if standstills and is_broken(standstills):
+        warnings.append(f"{base} cannot hold this axis: ratios to it compare with a broken controller.")
+    plants = content.table("cases")["plant"].nunique()
+    if plants < FEW_PLANTS:
+        what = "without intervals" if plants < LEAST_SAMPLES else "with rough intervals"
+        few = f"{plants} plants per leak size and kind of reference are too few for a decision"
+        warnings.append(f"A small run, {what}: {few}.")
+    seeds = pd.concat([content.table(name)["seed"] for name in ("cases", "detection") if content.has(name)])
+    if not seeds.isin(TEST_SEEDS).all():
+        warnings.append("Some runs used seeds outside the test seeds: a controller may have been trained on them.")
+    return warnings
 
 
 @section("Positioning", needs=("levels", "families"))
 def positioning(content: Content) -> list[Block]:
     """Errors and costs by leak and kind of reference."""
-    blocks: list[Block] = [
-        Text(
-            f"{FRAMES_TEXT} Each run lasts one episode; a plant is one draw of the uncertain parameters. "
-            "Leaks are in l/min at 100 bar across the piston; up to "
-            f"{setting(content.bounds.healthy_up_to)} l/min a seal counts as healthy."
-        ),
-        overview(content),
-        *score_plot(content, scores(content)),
-        *tracking_plots(content),
-        Text(
-            "“Worst 5 %” is the mean over the worst twentieth of the runs (conditional value at risk, CVaR); “worst "
-            "run” is the largest value of all.",
-            "soft",
-        ),
-        Fold("Mean errors with intervals", [metric_table(content, by, "mean_error_mm") for by in BY]),
-    ]
-    ratios = ratio_tables(content)
-    if ratios:
-        note = "A controller “wins” or “loses” only if the whole interval is on one side of 1."
-        blocks.append(Fold("Ratios of errors, with verdicts", [Text(note), *ratios]))
-    note = (
-        "The settling time includes only standstills in which the axis settled: read it together with the share of the "
-        "others."
+    healthy = setting(content.bounds.healthy_up_to)
+    terms = (
+        f"{FRAMES_TEXT} Each run lasts one episode; a plant is one draw of the uncertain parameters. Leaks are in "
+        f"l/min at 100 bar across the piston; up to {healthy} l/min a seal counts as healthy."
     )
-    blocks.append(Fold("All other metrics by leak size", [Text(note), *metric_tables(content, "levels")]))
-    blocks.append(Fold("All other metrics by kind of reference", metric_tables(content, "families")))
-    return blocks
+    tails = "“Worst 5 %” is the mean over the worst twentieth of the runs; “worst run” is the largest value of all."
+    settled = (
+        "The settling time includes only standstills in which the axis settled: read it with the share of the others."
+    )
+    wins = "A controller “wins” or “loses” only if the whole interval is on one side of 1."
+    scores = {name: interval(content.row("score", controller=name), "score") for name in content.controllers[1:]}
+    ratios = ratio_tables(content)
+    return [
+        Text(terms),
+        overview(content),
+        *growth_table(content),
+        *score_plot(content, scores),
+        *tracking_plots(content),
+        Text(tails, "soft"),
+        *([Fold("Ratios of errors, with verdicts", [Text(wins), *ratios])] if ratios else []),
+        Fold("All metrics by leak size", [Text(settled), *metric_tables(content, "levels")]),
+        Fold("All metrics by kind of reference", metric_tables(content, "families")),
+    ]
 
 
 @section("One leak at a time", needs=("cases",))
 def one_leak(content: Content) -> list[Block]:
     """Errors, costs and single runs at each leak; an episode has the same scale at every leak."""
     examples: list[Example] = content.other("examples", [])
-    limits = {
-        title: example_limits([example for example in examples if example.title == title])
-        for title in {example.title for example in examples}
-    }
-    blocks: dict[str, Sequence[Block]] = {}
-    for level, table in level_tables(content).items():
-        sentence = price_sentence(content.table("leak_price"), level)
-        blocks[setting(level)] = [
-            table,
-            *([Text(sentence)] if sentence else []),
-            *(
-                example_plot(example, f"run-{number}", content.looks, limits[example.title])
-                for number, example in enumerate(examples)
-                if example.leak == level
-            ),
-        ]
-    return [
-        Text("Means over all runs with this leak. Single runs: the same plant, reference and noise at every leak."),
-        Choice("Leak", "l/min at 100 bar", blocks),
-    ]
+    plots: dict[float, list[Block]] = {}
+    for count, example in enumerate(examples):
+        limits = example_limits([other for other in examples if other.title == example.title])
+        plots.setdefault(example.leak, []).append(example_plot(example, f"run-{count}", content.looks, limits))
+    note = "Means over all runs with this leak. Single runs: the same plant, reference and noise at every leak."
+    blocks = {setting(leak): [table, *plots.get(leak, [])] for leak, table in level_tables(content).items()}
+    return [Text(note), Choice("Leak", "l/min at 100 bar", blocks)]
 
 
 @section("How it was measured", needs=("cases",))
 def study_method(content: Content) -> list[Block]:
-    """The method as sentences, with numbers from the tables, and what the terms mean."""
-    cases = content.table("cases")
-    levels = [setting(level) for level in sorted(cases["leakage_flow_lpm"].unique())]
-    families = [family_name(str(name)) for name in cases["family"].unique()]
-    runs = len(cases.drop_duplicates(["leakage_flow_lpm", "family", "plant"]))
-    seeds = cases.groupby("controller", sort=False)["training_seed"].nunique()
-    several = [f"{count} of {name}" for name, count in seeds.items() if count > 1]
-    shared = f" Training seeds, each with all runs: {listed(several)}; intervals include them." if several else ""
+    """What was run, on which seeds, and what the terms mean."""
     sentences = [
-        f"Tracking: {runs} runs per controller.{shared} For each kind of reference ({listed(families)}) there are "
-        f"{cases['plant'].nunique()} plants, each run at every leak size ({listed(levels)} l/min at 100 bar across the "
-        "piston).",
-        "Every controller runs on the same plants, references and sensor noise: all comparisons are paired.",
-        _seeds_sentence(content),
+        "Every controller runs on the same plants, references and sensor noise: all comparisons are paired. A seed "
+        "fixes plant, reference and noise.",
         *([score_text(content.baseline)] if content.has("score") else []),
-        f"Intervals of means and ratios: 95 %, bootstrap over plants ({RESAMPLES} resamplings); of shares: 95 %, "
-        "Wilson. About one in twenty of many such intervals misses its true value.",
+        f"Intervals of means and ratios: 95 %, bootstrap over plants ({RESAMPLES} resamplings) and training seeds; of "
+        "shares: 95 %, Wilson. About one in twenty of many such intervals misses its true value.",
     ]
     if content.has("limit_cycles"):
-        still = content.table("limit_cycles")
-        leaks = listed([setting(level) for level in sorted(still["leakage_flow_lpm"].unique())])
         sentences.append(
-            f"Standstills: {still['plant'].nunique()} plants, each at {leaks} l/min, without sensor noise. The "
-            "reference makes a small step and returns; then the axis must come to rest. A limit cycle has at least "
-            f"{LEAST_CYCLES} periods within {JUDGED:g} s, is larger than one step of the position sensor, and does "
-            "not decay."
+            "Standstills, without sensor noise: the reference makes a small step and returns; then the axis must come "
+            f"to rest. A limit cycle has at least {LEAST_CYCLES} periods within {JUDGED:g} s, is larger than one step "
+            "of the position sensor, and does not decay."
         )
     if content.has("detection_summary"):
-        row = content.table("detection_summary").iloc[0]
         sentences.append(
-            f"Detection: {int(row['healthy_episodes'])} healthy and {int(row['leaking_episodes'])} leaking episodes "
-            f"per controller, on other plants (seeds {_span(content.table('detection')['seed'])}); leak sizes are "
-            "log-uniform, kinds of reference are drawn at random. The network reads the signals of one whole episode."
+            "Detection, on other plants: leak sizes are log-uniform, kinds of reference are drawn at random. The "
+            "network reads the signals of one whole episode."
         )
-    return [Points(sentences), definitions(), terms(content)]
-
-
-def _span(seeds: pd.Series | range) -> str:
-    return span(min(seeds), max(seeds))
-
-
-def _seeds_sentence(content: Content) -> str:
-    """Sentence about the seeds used, and whether all of them are test seeds."""
-    tables = [content.table(name)["seed"] for name in ("cases", "detection") if content.has(name)]
-    inside = all(min(seeds) >= TEST_SEEDS.start and max(seeds) < TEST_SEEDS.stop for seeds in tables)
-    kept = "so no plant used here took part in training or in setting thresholds"
-    broken = "but some runs here used seeds outside the test seeds; a controller may have been trained on them"
-    return (
-        f"A seed fixes plant, reference and noise. Tracking uses seeds {_span(content.table('cases')['seed'])}; "
-        f"training uses {_span(TRAINING_SEEDS)}, validation {_span(VALIDATION_SEEDS)}, {kept if inside else broken}."
-    )
+    return [Points(sentences), extent_table(content), terms(content)]
 
 
 # Tables -------------------------------------------------------------------------------------------------------------
 
 
+def extent_table(content: Content) -> Table:
+    """What was run: numbers of runs, plants, leaks, seeds."""
+    cases, still, detection = (content.table(name) for name in ("cases", "limit_cycles", "detection"))
+    trainings = cases.groupby("controller", sort=False)["training_seed"].nunique()
+    rows = {
+        "Runs of each controller": len(cases.drop_duplicates(["leakage_flow_lpm", "family", "plant"])),
+        "Kinds of reference": ", ".join(map(family_name, cases["family"].unique())),
+        "Plants for each kind": cases["plant"].nunique(),
+        "Leaks of each plant, l/min at 100 bar": _leaks(cases),
+        "Training seeds of each controller": ", ".join(f"{name} {count}" for name, count in trainings.items()),
+        "Seeds of tracking": _seeds(cases["seed"]),
+        "Seeds of training, not used here": _seeds(TRAINING_SEEDS),
+        "Seeds of validation, not used here": _seeds(VALIDATION_SEEDS),
+    }
+    if len(still):
+        rows |= {"Standstills: plants": still["plant"].nunique(), "Standstills: leaks, l/min": _leaks(still)}
+    if content.has("detection_summary"):
+        row = content.table("detection_summary").iloc[0]
+        rows["Detection: healthy and leaking episodes"] = f"{row['healthy_episodes']} and {row['leaking_episodes']}"
+        rows["Seeds of detection"] = _seeds(detection["seed"])
+    return Table(
+        "What was run", ("", "Number"), [(what, str(n)) for what, n in rows.items()], style="words", folded=False
+    )
+
+
+def _seeds(seeds: pd.Series | range) -> str:
+    return span(min(seeds), max(seeds))
+
+
+def _leaks(table: pd.DataFrame) -> str:
+    return ", ".join(map(setting, sorted(table["leakage_flow_lpm"].unique())))
+
+
 def overview(content: Content) -> Table:
     """One row per controller over all runs: score, errors, ratios to the first one, worst cases, and costs."""
-    rows, scored = [], content.has("score")
+    rows, scored, still = [], content.has("score"), content.has("limit_cycle_summary")
     for name in content.controllers:
         own, ratio = content.rows("cases", controller=name), content.row("ratios", controller=name, group="all")
         accuracy, repeatability, *costs = _means(own)
+        score = [shown(content.row("score", controller=name), "score", 0)] * scored
         tail = number(conditional_value_at_risk(own["mean_error_mm"].to_numpy()))
-        still = [_limit_cycles(content, name)] if content.has("limit_cycle_summary") else []
-        score = [interval_text(interval(content.row("score", controller=name), "score"), decimals=0)] * scored
-        true, sensed = (interval_text(interval(ratio, column), decimals=3) for column in ("ratio", "ratio_sensor"))
-        rows.append((name, *score, accuracy, true, tail, repeatability, sensed, *costs, *still))
+        errors = (accuracy, shown(ratio, "ratio", 3), tail, repeatability, shown(ratio, "ratio_sensor", 3))
+        rows.append((name, *score, *errors, *costs, *([_limit_cycles(content, name)] * still)))
     accuracy, repeatability, *others = _overview_header()
-    others += ["limit cycles at rest"] if content.has("limit_cycle_summary") else []
-    divided, score = f"÷ {content.baseline}'s", ["score"] * scored
-    header = ("Controller", *score, accuracy, divided, "worst 5 %, mm", repeatability, divided, *others)
+    divided = f"÷ {content.baseline}'s"
+    errors = (accuracy, divided, "worst 5 %, mm", repeatability, divided)
+    header = ("Controller", *["score"] * scored, *errors, *others, *["limit cycles at rest"] * still)
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")
 
 
 def _limit_cycles(content: Content, name: str) -> str:
     row = content.row("limit_cycle_summary", controller=name)
     size = f" (to {amplitude_text(row['largest_amplitude_um'])})" if row["limit_cycles"] else ""
-    return f"{row['limit_cycles']} of {row['standstills']}{size}"
+    failed = f", {row['failures']} failed" if row["failures"] else ""
+    return f"{row['limit_cycles']} of {row['standstills']}{size}{failed}"
 
 
 def level_tables(content: Content) -> dict[float, Table]:
@@ -234,43 +241,57 @@ def level_tables(content: Content) -> dict[float, Table]:
     tables = {}
     for leak, cases in content.table("cases").groupby("leakage_flow_lpm"):
         rows = [(name, *_means(cases[cases["controller"] == name])) for name in content.controllers]
-        caption = f"Leak of {setting(float(leak))} l/min"
-        tables[float(leak)] = Table(caption, ("Controller", *_overview_header()), rows, style="dense")
+        header = ("Controller", *_overview_header())
+        tables[float(leak)] = Table(f"Leak of {setting(leak)} l/min", header, rows, style="dense")
     return tables
 
 
-def _overview_header() -> tuple[str, ...]:
+def _overview_header() -> list[str]:
     labels = (f"{FRAMES[metric.name]}, mm" if metric.name in FRAMES else metric.label for metric in OVERVIEW)
-    return tuple(label[0].lower() + label[1:] for label in labels)
+    return [label[0].lower() + label[1:] for label in labels]
 
 
-def _means(cases: pd.DataFrame) -> tuple[str, ...]:
-    return tuple(number(metric.factor * float(cases[metric.name].mean())) for metric in OVERVIEW)
+def _means(cases: pd.DataFrame) -> list[str]:
+    return [number(metric.factor * cases[metric.name].mean()) for metric in OVERVIEW]
+
+
+def growth_table(content: Content) -> list[Table]:
+    """Mean error at the largest leak over that at the smallest, on the same plants; none with one leak."""
+    table, leaks = content.table("growth"), content.table("cases")["leakage_flow_lpm"]
+    if table.empty:
+        return []
+    rows = []
+    for name in content.controllers:
+        own = content.rows("growth", controller=name).to_dict("records")
+        rows.append((name, *(shown(row, "ratio") for row in own)))
+    header = ("Controller", "all runs", *map(family_name, table["family"].unique()[1:]))
+    least, most = setting(leaks.min()), setting(leaks.max())
+    return [Table(f"Mean error with {most} l/min ÷ mean error with {least} l/min, same plants", header, rows)]
 
 
 def metric_table(content: Content, by: str, metric: str) -> Table:
     """Mean with interval, worst 5 % and worst run of every controller, by the rows of a table of BY."""
     column, first, words = BY[by]
-    table, shown, names = content.rows(by, metric=metric), METRICS[metric], content.controllers
-    means = shown.factor * table["mean"].abs()
+    table, each, names = content.rows(by, metric=metric), METRICS[metric], content.controllers
+    means = each.factor * table["mean"].abs()
     decimals = decimals_for(float(means[means > 0.0].median()))
     rows = []
     for value in table[table["mean"].notna()][column].unique():
-        cells = [setting(value) if by == "levels" else family_name(str(value))]
+        cells = [setting(value) if by == "levels" else family_name(value)]
         for name in names:
             row = content.row(by, metric=metric, controller=name, **{column: value})
-            cells.append(interval_text(interval(row, "mean", shown.factor), decimals=decimals))
-            cells += [number(shown.factor * float(row[key]), decimals) for key in ("cvar_5_percent", "worst")]
+            tails = (number(each.factor * row[key], decimals) for key in ("cvar_5_percent", "worst"))
+            cells += [shown(row, "mean", decimals, each.factor), *tails]
         rows.append(tuple(cells))
     header = (first, *("mean (95 % interval)", "worst 5 %", "worst run") * len(names))
-    return Table(f"{shown.label}, by {words}", header, rows, tuple((name, 3) for name in names))
+    return Table(f"{each.label}, by {words}", header, rows, tuple((name, 3) for name in names))
 
 
 def metric_tables(content: Content, by: str) -> list[Table]:
-    """All other metrics that have a value, and the failures if there are any."""
+    """All metrics that have a value, and the failures if there are any."""
     table = content.table(by)
-    shown = table["mean"].notna() & ((table["metric"] != "failed") | (table["mean"] > 0.0))
-    valued = set(table[shown]["metric"]) - {"mean_error_mm"}
+    has_value = table["mean"].notna() & ((table["metric"] != "failed") | (table["mean"] > 0.0))
+    valued = set(table[has_value]["metric"])
     return [metric_table(content, by, metric) for metric in METRICS if metric in valued]
 
 
@@ -278,45 +299,39 @@ def ratio_tables(content: Content) -> list[Table]:
     """Ratios of errors to the first controller, with verdicts; none with one controller."""
     tables = []
     for name in content.controllers[1:]:
-        rows, against = [], content.row("ratios", controller=name)["against"]
+        rows = []
         for row in content.rows("ratios", controller=name).to_dict("records"):
-            value, ratio = str(row["value"]), interval(row, "ratio")
-            label = family_name(value) or "all runs"
-            label = f"leak of {setting(float(value))} l/min" if row["group"] == "level" else label
-            better = number(100.0 * float(row["share_of_cases_better"]), 0)
-            text = interval_text(ratio, decimals=3)
-            rows.append((label, text, VERDICTS[verdict(ratio)], better if better == "–" else f"{better} %"))
+            label = family_name(row["value"]) or "all runs"
+            if row["group"] == "level":
+                label = f"leak of {setting(float(row['value']))} l/min"
+            better = 100.0 * row["share_of_cases_better"]
+            wins = VERDICTS[verdict(interval(row, "ratio"))]
+            rows.append((label, shown(row, "ratio", 3), wins, "–" if np.isnan(better) else f"{number(better, 0)} %"))
+        against = content.row("ratios", controller=name)["against"]
         header = ("Runs", "ratio (95 % interval)", f"{name} …", "better in")
         tables.append(Table(f"Mean error of {name} over mean error of {against}", header, rows))
     return tables
 
 
-def definitions() -> Table:
-    """Definitions of the metrics."""
+def terms(content: Content) -> Table:
+    """What the words of the page mean: metrics of a run, and others."""
     rows = []
     for metric in METRICS.values():
-        meaning = metric.meaning if metric.unit == "1" else f"{metric.meaning}; {metric.unit}"
-        rows.append((metric.word, meaning, metric.name))
-    return Table("Metrics of a run", ("Name", "meaning", "in the CSV files"), rows, style="words")
-
-
-def terms(content: Content) -> Table:
-    """What the words of the page mean."""
-    rows = [
-        ("Ratio", "mean error of one controller divided by that of another, on the same runs; below 1 is better"),
-        ("Worst 5 %", "conditional value at risk (CVaR): mean over the worst 5 % of the runs"),
-    ]
+        unit = "" if metric.unit == "1" else f"; {metric.unit}"
+        rows.append((metric.word, f"{metric.meaning}{unit}", metric.name))
+    meanings = {
+        "Ratio": "mean error of one controller divided by that of another, on the same runs; below 1 is better",
+        "Worst 5 %": "conditional value at risk (CVaR): mean over the worst 5 % of the runs",
+    }
     if content.has("detection_summary"):
         healthy = setting(content.bounds.healthy_up_to)
-        rows += [
-            ("False alarm", f"an episode with a healthy seal (up to {healthy} l/min) that is flagged"),
-            ("Detection rate", "share of leaking episodes that are flagged; also called recall"),
-            ("Precision", "share of flagged episodes that leak; depends on how common leaks are"),
-            (
-                "ROC, area under it",
-                "detection rate over false-alarm rate for all thresholds; the area (AUROC) is the probability that a "
-                "leaking episode gets a higher score than a healthy one: 1 is perfect, 0.5 is chance",
-            ),
-            ("Average precision", "precision averaged over recall; chance gives the share of leaking episodes"),
-        ]
-    return Table("Terms", ("Term", "Meaning"), rows, style="words")
+        meanings |= {
+            "False alarm": f"an episode with a healthy seal (up to {healthy} l/min) that is flagged",
+            "Detection rate": "share of leaking episodes that are flagged; also called recall",
+            "Precision": "share of flagged episodes that leak; depends on how common leaks are",
+            "ROC, area under it": "detection rate over false-alarm rate for all thresholds; the area (AUROC) is the "
+            "probability that a leaking episode gets a higher score than a healthy one: 1 is perfect, 0.5 is chance",
+            "Average precision": "precision averaged over recall; chance gives the share of leaking episodes",
+        }
+    rows += [(term, meaning, "") for term, meaning in meanings.items()]
+    return Table("Metrics of a run, and terms", ("Name", "meaning", "in the CSV files"), rows, style="words")

@@ -1,4 +1,4 @@
-"""The section of a study about the leakage head: detection rate, ROC, precision and recall, estimated size."""
+"""The section of a study about the leakage head: detection rate, ROC, estimated size."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from hydro_agents.report.canvas import GREY, INK, PALE, PAPER, Array, Plot, bars, description, dodge, one_panel, ticks
+from hydro_agents.report.canvas import GREY, INK, PALE, PAPER, Plot, curve_plot, one_panel, ticks
 from hydro_agents.report.content import Content, interval, intervals, percent
-from hydro_agents.report.hover import name_categories
+from hydro_agents.report.hover import thinned_rows
 from hydro_agents.report.sections import Block, Fold, Text, section
 from hydro_agents.running.text import Table, number, setting
 
-FEWEST_FALSE_ALARMS = 1e-3
-"""Lowest false-alarm rate in the ROC."""
+FEWEST_FALSE_ALARMS = 0.1
+"""Lowest false-alarm rate in the ROC, percent."""
 
 POINTS = 350
 """Dots per controller."""
@@ -55,7 +55,9 @@ def detection(content: Content) -> list[Block]:
             "spool position, command) and estimates the probability of a leak and its size. A leak is flagged if the "
             "probability reaches the threshold. The head never reads the leak itself."
         ),
-        *(_rates(content), _roc(content), _size(content), _precision_recall(content)),
+        _rates(content),
+        _roc(content),
+        _size(content),
         Fold("Detection in numbers", tables),
     ]
 
@@ -66,9 +68,9 @@ def detection(content: Content) -> list[Block]:
 def _rate_table(content: Content, group: str, caption: str, first: str) -> Table:
     rows = []
     for value, part in content.rows("detection_rates", group=group).groupby("value", sort=False):
-        each = part.set_index("controller").loc[content.controllers].to_dict("records")
-        cells = (percent(interval(row, "flagged_share")) for row in each)
-        rows.append((str(value), *cells, str(int(each[0]["episodes"]))))
+        own = part.set_index("controller").loc[content.controllers].to_dict("records")
+        cells = (percent(interval(row, "flagged_share")) for row in own)
+        rows.append((value, *cells, str(int(own[0]["episodes"]))))
     return Table(caption, (first, *content.controllers, "episodes"), rows)
 
 
@@ -76,11 +78,11 @@ def _summary_table(content: Content) -> Table:
     summary, bounds = content.table("detection_summary"), content.bounds
     names = {"above": bounds.leaking_above, "moderate": bounds.moderate_from}
     rows = [
-        (label.format(**names), *(number(factor * float(value), decimals) + unit for value in summary[key]))
+        (label.format(**names), *(number(factor * value, decimals) + unit for value in summary[key]))
         for key, (label, factor, decimals, unit) in SUMMARY.items()
         if key in summary
     ]
-    return Table("Detection, summary", ("Quantity", *map(str, summary["controller"])), rows)
+    return Table("Detection, summary", ("Quantity", *summary["controller"]), rows)
 
 
 # Figures ------------------------------------------------------------------------------------------------------------
@@ -90,101 +92,58 @@ def _rates(content: Content) -> Plot:
     rates = content.table("detection_rates")
     by_size = (rates["group"] == "range") & ~rates["value"].str.startswith("≥")
     rates = rates[(rates["value"] == "healthy") | by_size]
-    values = list(rates["value"].unique())
     parts = {
         name: intervals(rates[rates["controller"] == name], "flagged_share", "value", 100.0) for name in content.looks
     }
 
-    def paint(axes: Axes) -> None:
+    def finish(axes: Axes) -> None:
         axes.axvline(0.5, color=GREY, linewidth=0.8, linestyle=":")
-        for index, (name, part) in enumerate(parts.items()):
-            places = np.array([values.index(value) for value in part.index]) + dodge(len(parts), index, 0.16)
-            bars(axes, places, part, content.looks[name], name, "points")
-        name_categories(axes.xaxis, range(len(values)), values)
-        axes.grid(visible=False, axis="x")
         axes.set(xlabel="leak, l/min at 100 bar", ylabel="flagged, % of episodes", ylim=(-2.0, 102.0))
 
-    title = "Flagged episodes by leak size"
-    rows = {name: list(part["value"].items()) for name, part in parts.items()}
     note = "Bars: 95 % interval. Flags on healthy seals (left) are false alarms."
-    return one_panel("rates", title, note, description(title, rows, " %"), paint)
-
-
-def _curve(content: Content, controller: str, name: str) -> tuple[Array, Array]:
-    part = content.rows("curves", controller=controller, curve=name)
-    return part["x"].to_numpy(dtype=np.float64), part["y"].to_numpy(dtype=np.float64)
-
-
-def _corners(x: Array, y: Array) -> tuple[Array, Array]:
-    """A staircase from its left end, without the points on its straight stretches."""
-    start = int(np.flatnonzero(x == x[0])[-1])
-    x, y = x[start:], y[start:]
-    kept = np.ones(len(x), dtype=np.bool_)
-    kept[1:-1] = ~(((x[1:-1] == x[:-2]) & (x[1:-1] == x[2:])) | ((y[1:-1] == y[:-2]) & (y[1:-1] == y[2:])))
-    return x[kept], y[kept]
+    named = ("rates", "Flagged episodes by leak size", note)
+    return curve_plot(*named, parts, content.looks, " %", finish, apart=0.16, drawn="points")
 
 
 def _operating_point(content: Content, controller: str) -> tuple[float, float]:
-    """False-alarm rate and detection rate of all leaks at the head's threshold."""
+    """False-alarm rate and detection rate of all leaks at the head's threshold, percent."""
     part, bounds = content.rows("detection", controller=controller), content.bounds
-    flow, flagged = part["leakage_flow_lpm"].to_numpy(), part["flagged"].to_numpy(dtype=np.float64)
-    return float(flagged[flow <= bounds.healthy_up_to].mean()), float(flagged[flow > bounds.leaking_above].mean())
+    flow, flagged = part["leakage_flow_lpm"], 100.0 * part["flagged"]
+    return flagged[flow <= bounds.healthy_up_to].mean(), flagged[flow > bounds.leaking_above].mean()
 
 
 def _from_summary(content: Content, column: str, decimals: int) -> str:
     """One number of every controller, as text."""
-    rows = content.table("detection_summary")
-    return ", ".join(
-        f"{name} {number(value, decimals)}" for name, value in zip(rows["controller"], rows[column], strict=True)
-    )
+    values = content.table("detection_summary").set_index("controller")[column]
+    return ", ".join(f"{name} {number(value, decimals)}" for name, value in values.items())
 
 
 def _roc(content: Content) -> Plot:
-    def paint(axes: Axes) -> None:
-        axes.axvline(1e-2, color=GREY, linewidth=0.9, linestyle="--")
-        axes.text(1.08e-2, 5.0, "1 %", color=GREY, fontsize=8.5)
-        chance = np.geomspace(FEWEST_FALSE_ALARMS, 1.0, 60)
-        axes.plot(chance, 100.0 * chance, color=GREY, linewidth=0.8, linestyle=":", label="chance")
+    curves = {}
+    for name in content.looks:
+        roc = 100.0 * content.rows("curves", controller=name, curve="roc")[["x", "y"]]
+        curves[name] = roc.set_index(roc["x"].clip(lower=FEWEST_FALSE_ALARMS))["y"]
+
+    def finish(axes: Axes) -> None:
+        axes.axvline(1.0, color=GREY, linewidth=0.9, linestyle="--")
+        axes.text(1.08, 5.0, "1 %", color=GREY, fontsize=8.5)
+        chance = np.geomspace(FEWEST_FALSE_ALARMS, 100.0, 60)
+        axes.plot(chance, chance, color=GREY, linewidth=0.8, linestyle=":", label="chance")
         for name, look in content.looks.items():
-            x, y = _corners(*_curve(content, name, "roc"))
-            axes.step(np.maximum(x, FEWEST_FALSE_ALARMS), 100.0 * y, where="post", label=name, **look.stroke)
             alarms, detected = _operating_point(content, name)
             point: dict[str, Any] = {"color": look.colour, "markeredgecolor": PAPER, "markersize": 7.5}
-            axes.plot(max(alarms, FEWEST_FALSE_ALARMS), 100.0 * detected, look.marker, **point, clip_on=False)
-        axes.set(xscale="log", xlim=(FEWEST_FALSE_ALARMS, 1.0), ylim=(0.0, 102.0))
-        axes.set_xticks([1e-3, 1e-2, 1e-1, 1.0], ["0.1", "1", "10", "100"])
+            axes.plot(max(alarms, FEWEST_FALSE_ALARMS), detected, look.marker, **point, clip_on=False)
+        axes.set(xscale="log", xlim=(FEWEST_FALSE_ALARMS, 100.0), ylim=(0.0, 102.0))
+        ticks(axes.xaxis, (0.1, 1.0, 10.0, 100.0))
         axes.set(xlabel="false alarms, % of healthy episodes", ylabel="leaks flagged, %")
 
-    title = "Leaks flagged against false alarms"
-    areas = _from_summary(content, "auroc", 3)
     note = (
         f"All leaks above {setting(content.bounds.leaking_above)} l/min, every threshold (receiver operating "
-        f"characteristic, ROC). Marked: the threshold in use. Area under the curve on linear axes: {areas}."
+        "characteristic, ROC). Marked: the threshold in use. Area under the curve on linear axes: "
+        f"{_from_summary(content, 'auroc', 3)}."
     )
-    return one_panel("roc", title, note, f"{title}. Area under the curve: {areas}.", paint)
-
-
-def _precision_recall(content: Content) -> Plot:
-    row = content.table("detection_summary").iloc[0]
-    share = float(row["leaking_episodes"] / (row["leaking_episodes"] + row["healthy_episodes"]))
-
-    def paint(axes: Axes) -> None:
-        axes.axhline(100.0 * share, color=GREY, linewidth=0.8, linestyle=":", label="chance")
-        for name, look in content.looks.items():
-            x, y = _curve(content, name, "precision_recall")
-            kept = np.unique(np.linspace(0, len(x) - 1, 400).astype(np.int64))
-            axes.plot(100.0 * x[kept], 100.0 * y[kept], label=name, **look.stroke)
-        axes.set(xlabel="recall: leaks flagged, %", ylabel="precision: correct flags, %")
-        axes.set(xlim=(0.0, 101.0), ylim=(0.0, 102.0))
-
-    title = "How many flags are correct"
-    areas = _from_summary(content, "average_precision", 3)
-    note = (
-        f"Precision against recall. Here {100.0 * share:.0f} % of the episodes leak; with rarer leaks fewer "
-        f"flags are correct. Average precision: {areas}."
-    )
-    alt = f"{title}: precision against recall. Average precision: {areas}."
-    return one_panel("precision", title, note, alt, paint)
+    title = "Leaks flagged against false alarms"
+    return curve_plot("roc", title, note, curves, content.looks, " %", finish, " %", drawn="steps")
 
 
 def _size(content: Content) -> Plot:
@@ -200,7 +159,7 @@ def _size(content: Content) -> Plot:
         axes.plot(true, true, color=INK, linewidth=0.9)
         for name, look in content.looks.items():
             part = leaking[leaking["controller"] == name]
-            part = part.iloc[np.unique(np.linspace(0, len(part) - 1, POINTS).astype(np.int64))]
+            part = part.iloc[thinned_rows(len(part), POINTS)]
             dots: dict[str, Any] = {"color": look.colour, "markersize": 2.8, "markeredgewidth": 0.0, "alpha": 0.6}
             estimated = part["estimated_flow_lpm"].clip(bottom, top)
             axes.plot(part["leakage_flow_lpm"], estimated, look.marker, label=name, **dots)

@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from hydro_agents.report.canvas import INK, PALE, Array, Plot, curve_plot, rows_plot, ticks
+from hydro_agents.report.canvas import INK, PALE, Array, Plot, curve_plot, ticks
 from hydro_agents.report.content import Content, intervals
 from hydro_agents.running.statistics import mean_interval
 from hydro_agents.running.text import family_name, number, setting
@@ -47,33 +47,29 @@ def _hint(content: Content) -> str:
 
 def _by_leak(content: Content, metric: str, label: str, title: str, note: str, column: str = "mean") -> Plot:
     """A column of the table ``levels`` for one metric over the leak; a controller alone has its intervals."""
-    curves: dict[str, pd.Series | pd.DataFrame] = {}
+    curves = {}
     for name in content.controllers:
         own = content.rows("levels", metric=metric, controller=name).sort_values("leakage_flow_lpm")
         frame = intervals(own, column, "leakage_flow_lpm")
-        curves[name] = frame if column == "mean" and not content.has("ratios") else frame["value"]
+        curves[name] = frame if column == "mean" and not content.has("ratios") else frame[["value"]]
 
     def finish(axes: Axes) -> None:
         axes.set_ylabel(label)
-        _error_scale(axes, pd.concat(list(curves.values())).to_numpy(dtype=np.float64), "y")
+        _error_scale(axes, pd.concat(curves).to_numpy(), "y")
 
     key, unit = f"level-{metric}-{column}", f" {label.split(', ')[1]}"
-    return curve_plot(key, f"{title} by leak size", note, curves, content.looks, unit, finish, levels=True)
+    return curve_plot(key, f"{title} by leak size", note, curves, content.looks, unit, finish, drawn="levels")
 
 
 def _difference(content: Content) -> Plot:
     """Error minus the baseline's error on the same plants, with intervals of the difference."""
     base, *names = content.controllers
     table = content.table("cases").pivot_table("mean_error_mm", ["leakage_flow_lpm", "plant"], "controller")
-    curves: dict[str, pd.Series | pd.DataFrame] = {
-        name: pd.DataFrame(
-            {
-                level: mean_interval(change.to_numpy()).columns("value")
-                for level, change in (table[name] - table[base]).groupby(level=0)
-            }
-        ).T
-        for name in names
-    }
+    curves = {}
+    for name in names:
+        changes = (table[name] - table[base]).groupby(level=0)
+        rows = {level: mean_interval(change.to_numpy()).columns("value") for level, change in changes}
+        curves[name] = pd.DataFrame(rows).T
 
     def finish(axes: Axes) -> None:
         axes.axhline(0.0, **content.looks[base].stroke, label=base)
@@ -81,7 +77,8 @@ def _difference(content: Content) -> Plot:
 
     title = f"Difference to {base} by leak size"
     note = "On the same plants, references and noise; bars: 95 % interval of the difference. Below 0 is better."
-    return curve_plot("difference", title, note, curves, content.looks, " mm", finish, levels=True, apart=0.03)
+    named = ("difference", title, note)
+    return curve_plot(*named, curves, content.looks, " mm", finish, apart=0.03, drawn="levels")
 
 
 def _by_family(content: Content) -> Plot:
@@ -97,7 +94,7 @@ def _by_family(content: Content) -> Plot:
         _error_scale(axes, pd.concat(parts).to_numpy(), "x")
 
     title, note = "Mean error by kind of reference", "Mean over all leak sizes." + _hint(content)
-    return rows_plot("family", title, note, parts, content.looks, " mm", finish)
+    return curve_plot("family", title, note, parts, content.looks, " mm", finish, drawn="rows")
 
 
 def _error_scale(axes: Axes, values: Array, which: str) -> None:
@@ -118,10 +115,9 @@ def _ratios(content: Content) -> Plot:
     """Error over the baseline's error on the same plants, by kind of reference."""
     table = content.table("ratios")
     table = table[table["group"].isin(["all", "family"])]
-    looks, base = content.looks, str(table["against"].iloc[0])
-    parts = {str(name): intervals(own, "ratio", "value") for name, own in table.groupby("controller", sort=False)}
-    for part in parts.values():
-        part.index = part.index.map(lambda value: family_name(value) if value else "all runs")
+    looks, base = content.looks, table["against"].iloc[0]
+    table = table.assign(value=table["value"].map(lambda value: family_name(value) or "all runs"))
+    parts = {name: intervals(own, "ratio", "value") for name, own in table.groupby("controller", sort=False)}
     alone = next(iter(parts)) if len(parts) == 1 else ""
 
     def finish(axes: Axes) -> None:
@@ -137,7 +133,7 @@ def _ratios(content: Content) -> Plot:
 
     title = "Ratio of errors by kind of reference"
     note = f"Mean error over that of {base} on the same runs; bars: 95 % interval. Left of the line is better."
-    return rows_plot("ratio", title, note, parts, looks, f" × {base}", finish)
+    return curve_plot("ratio", title, note, parts, looks, f" × {base}", finish, drawn="rows")
 
 
 def _ratio_scale(axes: Axes, values: Array) -> None:

@@ -41,6 +41,8 @@ from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
 LEAKS = (HEALTHY_LEAK, 0.3, 1.0, 4.0)  # l/min at 100 bar: a healthy seal, and three leaking ones
 
+OVERDAMPED = "overdamped"  # instead of a damping ratio
+
 BAR, MILLIMETRE, CUBIC_CENTIMETRE, SQUARE_CENTIMETRE = 1e5, 1e-3, 1e-6, 1e-4
 
 
@@ -52,6 +54,7 @@ class Row(NamedTuple):
     at: str  # its condition
     value: float | str  # text if there is no number
     unit: str
+    key: str = ""  # of a figure that a summary uses
 
     def text(self, digits: int) -> str:
         """The value with a number of significant digits."""
@@ -113,136 +116,122 @@ def _can_be_held(parameters: PlantParameters, position: float) -> bool:
 
 
 def _geometry(parameters: PlantParameters) -> list[Row]:
-    c = plant_coefficients(parameters)
+    c, half = plant_coefficients(parameters), 0.5 * parameters.cylinder.stroke
     rows = [
         Row("cylinder", "area a (bore side)", "", c.area_a / SQUARE_CENTIMETRE, "cm²"),
         Row("cylinder", "area b (rod side)", "", c.area_b / SQUARE_CENTIMETRE, "cm²"),
         Row("cylinder", "area ratio a/b", "", c.area_a / c.area_b, "1"),
     ]
-    half = 0.5 * parameters.cylinder.stroke
     for position in (-half, 0.0, half):
-        volumes = chamber_volumes(parameters, position)
-        for name, volume in zip("ab", volumes, strict=True):
-            rows.append(
-                Row("cylinder", f"oil in chamber {name}", _position(position), volume / CUBIC_CENTIMETRE, "cm³")
-            )
+        for name, volume in zip("ab", chamber_volumes(parameters, position), strict=True):
+            at = _position(position)
+            rows.append(Row("cylinder", f"oil in chamber {name}", at, volume / CUBIC_CENTIMETRE, "cm³"))
     return rows
 
 
 def _flows_and_speeds(parameters: PlantParameters) -> list[Row]:
-    c = plant_coefficients(parameters)
-    supply, valve = parameters.supply, parameters.valve
-    edge = c.edge_gain / LITRE_PER_MINUTE * math.sqrt(BAR)
+    c, supply, valve = plant_coefficients(parameters), parameters.supply, parameters.valve
     spool_per_volt = c.drive_rate / c.coil_rate * c.spool_gain
-    free = speed_limits(parameters)
-    limits = force_limits(parameters)
-    flow = c.edge_gain * math.sqrt(0.5 * (supply.pressure - supply.tank_pressure))
-    loaded = (
-        speed_limits(parameters, parameters.load.external_force + limits.extending * 2 / 3).extending,
-        speed_limits(parameters, parameters.load.external_force - limits.retracting * 2 / 3).retracting,
-    )
-    drop = (supply.pressure - supply.tank_pressure) / BAR
+    drop = supply.pressure - supply.tank_pressure
     rated = f"{valve.rated_pressure_drop / BAR:g} bar over both edges"
+    flow = c.edge_gain * math.sqrt(0.5 * drop)
     rows = [
-        Row("valve", "gain K of one edge", "fully open", edge, "l/(min √bar)"),
+        Row("valve", "gain K of one edge", "fully open", c.edge_gain / LITRE_PER_MINUTE * BAR**0.5, "l/(min √bar)"),
         Row("valve", "rated flow", rated, valve.rated_flow / LITRE_PER_MINUTE, "l/min"),
         Row("valve", "spool at 10 V", "full = 1", min(FULL_VOLTAGE * spool_per_volt, 1.0), "1"),
-        *([Row("valve", "dead band", "to each side", valve.overlap / spool_per_volt, "V")] if valve.overlap else []),
-        Row("valve", "no-load flow", f"{drop:g} bar over both edges", flow / LITRE_PER_MINUTE, "l/min"),
+        Row("valve", "dead band", "to each side", valve.overlap / spool_per_volt, "V", "dead band"),
+        Row("valve", "no-load flow", f"{drop / BAR:g} bar over both edges", flow / LITRE_PER_MINUTE, "l/min"),
     ]
-    for direction, speed, slow, area in (
-        ("out", free.extending, loaded[0], c.area_a),
-        ("in", free.retracting, loaded[1], c.area_b),
-    ):
+    rows = [row for row in rows if valve.overlap or row.key != "dead band"]
+    free, limits, external = speed_limits(parameters), force_limits(parameters), parameters.load.external_force
+    slow_out = speed_limits(parameters, external + limits.extending * 2 / 3).extending
+    slow_in = speed_limits(parameters, external - limits.retracting * 2 / 3).retracting
+    ways = (("out", free.extending, slow_out, c.area_a), ("in", free.retracting, slow_in, c.area_b))
+    for way, speed, slow, area in ways:
         flow = speed * area / LITRE_PER_MINUTE
         rows += [
-            Row("speed", f"no-load speed {direction}", "fully open", speed / MILLIMETRE, "mm/s"),
-            Row("speed", f"speed {direction}", "2/3 of force limit", slow / MILLIMETRE, "mm/s"),
-            Row("speed", f"flow from the supply {direction}", "no-load speed", flow, "l/min"),
+            Row("speed", f"no-load speed {way}", "fully open", speed / MILLIMETRE, "mm/s", f"speed {way}"),
+            Row("speed", f"speed {way}", "2/3 of force limit", slow / MILLIMETRE, "mm/s", f"loaded {way}"),
+            Row("speed", f"flow from the supply {way}", "no-load speed", flow, "l/min"),
         ]
     if supply.model != "constant":
         rows.append(Row("speed", "flow of the pump", "", supply.pump_flow / LITRE_PER_MINUTE, "l/min"))
-        for direction, speed, area in (("out", free.extending, c.area_a), ("in", free.retracting, c.area_b)):
-            fed = min(speed, supply.pump_flow / area) / MILLIMETRE
-            rows.append(Row("speed", f"lasting speed {direction}", "fed by the pump alone", fed, "mm/s"))
+        for way, speed, _, area in ways:
+            fed, name = min(speed, supply.pump_flow / area) / MILLIMETRE, f"lasting speed {way}"
+            rows.append(Row("speed", name, "fed by the pump alone", fed, "mm/s", f"lasting {way}"))
     return rows
 
 
 def _forces(parameters: PlantParameters) -> list[Row]:
-    limits = force_limits(parameters)
-    low, high = reachable_range(parameters)
+    limits, (low, high) = force_limits(parameters), reachable_range(parameters)
     stiffness = parameters.load.spring_stiffness
     against = f"spring {stiffness / 1e3:g} N/mm" if stiffness else "stroke"
     pressure = f"{parameters.supply.pressure / BAR:g} bar"
     return [
-        Row("force", "force limit out", pressure, limits.extending / 1e3, "kN"),
-        Row("force", "force limit in", pressure, limits.retracting / 1e3, "kN"),
-        Row("force", "reach in", against, low / MILLIMETRE, "mm"),
-        Row("force", "reach out", against, high / MILLIMETRE, "mm"),
+        Row("force", "force limit out", pressure, limits.extending / 1e3, "kN", "force out"),
+        Row("force", "force limit in", pressure, limits.retracting / 1e3, "kN", "force in"),
+        Row("force", "reach in", against, low / MILLIMETRE, "mm", "reach in"),
+        Row("force", "reach out", against, high / MILLIMETRE, "mm", "reach out"),
     ]
 
 
 def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
-    half = 0.5 * parameters.cylinder.stroke
-    rows = []
-    for position in (-half, -0.5 * half, 0.0, 0.5 * half, half):
-        frequency = closed_port_natural_frequency(parameters, position) / (2 * math.pi)
-        rows.append(Row("oil column", "natural frequency, ports shut", _position(position), frequency, "Hz"))
-    softest = softest_position(parameters)
-    lowest = closed_port_natural_frequency(parameters, softest)
-    rows += [
-        Row("oil column", "lowest natural frequency", _position(softest), lowest / (2 * math.pi), "Hz"),
-        Row("oil column", "the same", _position(softest), lowest, "rad/s"),
-    ]
+    group, half = "oil column", 0.5 * parameters.cylinder.stroke
+
+    def frequency(position: float) -> float:
+        return closed_port_natural_frequency(parameters, position) / (2 * math.pi)
+
+    positions, softest = (-half, -0.5 * half, 0.0, 0.5 * half, half), softest_position(parameters)
+    rows = [Row(group, "natural frequency, ports shut", _position(x), frequency(x), "Hz") for x in positions]
+    lowest, at = closed_port_natural_frequency(parameters, softest), _position(softest)
+    rows.append(Row(group, "lowest natural frequency", at, frequency(softest), "Hz", "lowest frequency"))
+    rows.append(Row(group, "the same", at, lowest, "rad/s"))
     for position in dict.fromkeys((0.0, softest)):
         stiffness = closed_port_stiffness(parameters, position) * MILLIMETRE / 1e3
-        rows.append(Row("oil column", "stiffness, ports shut", _position(position), stiffness, "kN/mm"))
+        rows.append(Row(group, "stiffness, ports shut", _position(position), stiffness, "kN/mm"))
     for leak in LEAKS:
-        damping = _figure(_damping, leaking(parameters, leak), place)
-        rows.append(
-            Row("oil column", "damping ratio, linearised", f"{_position(place)}, {leak_text(leak)}", damping, "1")
-        )
+        damping, at = _figure(_damping, leaking(parameters, leak), place), f"{_position(place)}, {leak_text(leak)}"
+        rows.append(Row(group, "damping ratio, linearised", at, damping, "1", f"damping {leak_text(leak)}"))
     return rows
 
 
 def _loop(task: TaskConfig, place: float) -> list[Row]:
+    group, largest = "position loop", "largest stable gain"
     places = places_in_reach(task.plant)
     span = f"worst, {places[0] / MILLIMETRE:+.0f} to {places[-1] / MILLIMETRE:+.0f} mm"
-    thumb = "gain 2 ζ ω / speed (no sampling)"
-    stable = f"largest stable gain ({1e3 * task.control_period:g} ms, {1e3 * task.command_latency:g} ms late)"
-    found = {leak: weakest(nominal_loops(task, leak)) for leak in LEAKS}
+    timed = f"{largest} ({1e3 * task.control_period:g} ms, {1e3 * task.command_latency:g} ms late)"
+    over_reach = {leak: weakest(nominal_loops(task, leak)) for leak in LEAKS}
     worst = weakest(loops_within_ranges(task))
+    leaky = {leak: beyond_dead_band(leaking(task.plant, leak)) for leak in LEAKS}
+    here = {leak: f"{_position(place)}, {leak_text(leak)}" for leak in LEAKS}
     rows, sampled = [], []
-    for leak, over_reach in found.items():
-        plant, at = beyond_dead_band(leaking(task.plant, leak)), f"{_position(place)}, {leak_text(leak)}"
-        rows.append(Row("position loop", thumb, at, _figure(_rule_of_thumb, plant, place), "1/m"))
-        largest = _figure(partial(_largest_gain, task), plant, place)
-        sampled += [
-            Row("position loop", stable, at, largest, "1/m"),
-            Row("position loop", "largest stable gain", f"{span}, {leak_text(leak)}", _gain(over_reach), "1/m"),
-        ]
+    for leak, plant in leaky.items():
+        healthy = leak == HEALTHY_LEAK
+        thumb, gain = _figure(_rule_of_thumb, plant, place), _figure(partial(_largest_gain, task), plant, place)
+        key = "rule of thumb" if healthy else ""
+        rows.append(Row(group, "gain 2 ζ ω / speed (no sampling)", here[leak], thumb, "1/m", key))
+        sampled.append(Row(group, timed, here[leak], gain, "1/m", "gain here" if healthy else ""))
+        at, key = f"{span}, {leak_text(leak)}", "gain over the reach" if healthy else ""
+        sampled.append(Row(group, largest, at, _gain(over_reach[leak]), "1/m", key))
     within = f"worst of {DRAWN} plants in the ranges, {leak_text(HEALTHY_LEAK)}"
-    sampled.append(Row("position loop", "largest stable gain", within, _gain(worst), "1/m"))
+    sampled.append(Row(group, largest, within, _gain(worst), "1/m", "gain in the ranges"))
     if worst is None or not 0.0 < worst.gain < math.inf:
         return [*rows, *sampled]
-    gain = worst.recommended
-    sampled.append(Row("position loop", "recommended gain", "half of the worst in the ranges", gain, "1/m"))
-    for which, weak in (("own values", found[HEALTHY_LEAK]), ("worst in the ranges", worst)):
+    gain, half = worst.recommended, "half of the worst in the ranges"
+    sampled.append(Row(group, "recommended gain", half, gain, "1/m", "recommended gain"))
+    for which, weak in (("own values", over_reach[HEALTHY_LEAK]), ("worst in the ranges", worst)):
         if weak is not None:
             at, phase = f"recommended gain, {which}", weak.loop.phase_margin(gain)
-            sampled += [
-                Row("position loop", "gain margin", at, _text(weak.gain_margin(gain)), "dB"),
-                Row("position loop", "phase margin", at, _text(phase), "°"),
-            ]
-    for leak in LEAKS:
-        plant, at = beyond_dead_band(leaking(task.plant, leak)), f"{_position(place)}, {leak_text(leak)}"
+            sampled.append(Row(group, "gain margin", at, _text(weak.gain_margin(gain)), "dB", f"gain margin, {which}"))
+            sampled.append(Row(group, "phase margin", at, _text(phase), "°", f"phase margin, {which}"))
+    for leak, plant in leaky.items():
         stiffness = _figure(partial(_static_stiffness, gain), plant, place)
-        sampled.append(Row("position loop", "static stiffness", f"recommended gain, {at}", stiffness, "kN/mm"))
+        sampled.append(Row(group, "static stiffness", f"recommended gain, {here[leak]}", stiffness, "kN/mm"))
     return [*rows, *sampled]
 
 
-def _gain(found: Weakest | None) -> float | str:
-    return "cannot be held" if found is None else _text(found.gain)
+def _gain(loop: Weakest | None) -> float | str:
+    return "cannot be held" if loop is None else _text(loop.gain)
 
 
 def _text(value: float) -> float | str:
@@ -250,30 +239,29 @@ def _text(value: float) -> float | str:
 
 
 def _integration(parameters: PlantParameters, place: float) -> list[Row]:
-    shortest, here = shortest_inner_step(parameters), inner_step(parameters, place)
-    at = {"rest": _position(place), "here": f"{_position(place)} ({_words(here.cause)})"}
+    group, rate, step = "integration", "fastest rate |λ|, bound", "longest stable step"
+    shortest, here, at = shortest_inner_step(parameters), inner_step(parameters, place), _position(place)
     rows = [
-        Row("integration", "fastest rate |λ|, at rest", at["rest"], _figure(_fastest, parameters, place), "1/s"),
-        Row("integration", "fastest rate |λ|, bound", at["here"], here.rate, "1/s"),
-        Row("integration", "fastest rate |λ|, bound", f"whole stroke ({_words(shortest.cause)})", shortest.rate, "1/s"),
-        Row("integration", "longest stable step", at["rest"], 1e3 * here.stable, "ms"),
-        Row("integration", "longest stable step", "whole stroke", 1e3 * shortest.stable, "ms"),
+        Row(group, "fastest rate |λ|, at rest", at, _figure(_fastest, parameters, place), "1/s"),
+        Row(group, rate, f"{at} ({_words(here.cause)})", here.rate, "1/s"),
+        Row(group, rate, f"whole stroke ({_words(shortest.cause)})", shortest.rate, "1/s"),
+        Row(group, step, at, 1e3 * here.stable, "ms"),
+        Row(group, step, "whole stroke", 1e3 * shortest.stable, "ms"),
     ]
-    run = f"±10 V in turn from {_position(place)}"
+    run, period = f"±10 V in turn from {at}", f"{1e3 * PERIOD:g} ms"
     try:
         done = probe(parameters, place)
     except HydroError as error:
-        return [*rows, Row("integration", "inner steps", run, str(error), "")]
-    estimate = f"estimated error ({_words(done.state)})"
+        return [*rows, Row(group, "inner steps", run, str(error), "")]
     enough = "yes" if done.error <= ALLOWED_ERROR else "no"
-    period = f"{1e3 * PERIOD:g} ms"
+    limit = f"error ≤ {ALLOWED_ERROR:g}"
     return [
         *rows,
-        Row("integration", f"inner steps in {period}, mean", run, done.mean_steps, "1"),
-        Row("integration", f"inner steps in {period}, most", run, float(done.most_steps), "1"),
-        Row("integration", "mean inner step", run, 1e3 * PERIOD / done.mean_steps, "ms"),
-        Row("integration", estimate, f"tolerance {TOLERANCE:g}", done.error, "of its range"),
-        Row("integration", "is the inner step small enough", f"error ≤ {ALLOWED_ERROR:g}", enough, ""),
+        Row(group, f"inner steps in {period}, mean", run, done.mean_steps, "1"),
+        Row(group, f"inner steps in {period}, most", run, float(done.most_steps), "1"),
+        Row(group, "mean inner step", run, 1e3 * PERIOD / done.mean_steps, "ms"),
+        Row(group, f"estimated error ({_words(done.state)})", f"tolerance {TOLERANCE:g}", done.error, "of its range"),
+        Row(group, "is the inner step small enough", limit, enough, "", "" if enough == "yes" else "inaccurate"),
     ]
 
 
@@ -288,7 +276,7 @@ def _figure(
     try:
         return _text(compute(parameters, place))
     except ArithmeticError:
-        return "overdamped"
+        return OVERDAMPED
     except HydroError:
         return "cannot be held"
 

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 from rich.padding import Padding
 from rich.table import Table as ConsoleTable
 
-from hydro_agents.rigs.check import BAR, LEAKS, MILLIMETRE, Row, check_rig, leak_text
-from hydro_agents.rigs.remarks import implausible, position_accuracy, stability_note
+from hydro_agents.rigs.check import BAR, LEAKS, MILLIMETRE, OVERDAMPED, Row, check_rig, leak_text
 from hydro_agents.rigs.stable_gain import DRAWN, beyond_dead_band
 from hydro_agents.running.console import PlainConsole, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.tasks import timed_task
 from hydro_agents.running.text import Table, markdown
-from hydro_env import PlantParameters
+from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import read_yaml, write_text
-from hydro_env.plant.analysis import leak_at_test_pressure, speed_limits
-from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.plant.analysis import closed_port_natural_frequency, leak_at_test_pressure, speed_limits
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.parameters import PARAMETER_PATHS, PARAMETER_UNITS
 from hydro_env.task.rig import Rig, read_rig
 from hydro_env.task.sensors import SENSORS
 from hydro_env.units import FULL_VOLTAGE
@@ -53,117 +54,75 @@ USED_WITH = {
 
 def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, str]]:
     """Speeds, forces, frequency, damping, gain and a verdict, each as (name, text)."""
-    by_name: dict[str, list[Row]] = {}
-    for row in rows:
-        by_name.setdefault(row.quantity, []).append(row)
-
-    def first(quantity: str) -> Row:
-        return by_name[quantity][0]
-
-    def text(quantity: str, digits: int = 3) -> str:
-        return first(quantity).text(digits)
-
-    lowest = first("lowest natural frequency")
-    healthy, leaking = leak_text(LEAKS[0]), leak_text(LEAKS[-1])
-    damping = {
-        leak: next(row for row in by_name["damping ratio, linearised"] if leak in row.at) for leak in (healthy, leaking)
-    }
-    return [
-        (
-            "speeds",
-            f"{text('no-load speed out')} mm/s out, {text('no-load speed in')} mm/s in; at 2/3 of the largest force "
-            f"{text('speed out')} and {text('speed in')} mm/s",
-        ),
-        (
-            "forces",
-            f"{text('force limit out')} kN out, {text('force limit in')} kN in; it reaches {text('reach in')} to "
-            f"{text('reach out')} mm",
-        ),
-        ("natural frequency", f"{lowest.text(3)} Hz at the softest place ({lowest.at}), ports shut"),
-        (
-            "damping ratio",
-            f"{damping[healthy].text(2)} with a healthy seal, {damping[leaking].text(2)} with a leak of {leaking}, "
-            "without friction",
-        ),
-        *_gains(by_name, parameters),
-        ("verdict", _verdict(by_name, damping[healthy])),
-    ]
-
-
-def _gains(rows: Mapping[str, Sequence[Row]], parameters: PlantParameters) -> list[tuple[str, str]]:
-    """Gains in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed; beyond a dead band."""
+    figures = {row.key: row for row in rows if row.key}
+    text = {key: row.text(3) for key, row in figures.items()}
+    healthy, leaking = (f"damping {leak_text(leak)}" for leak in (LEAKS[0], LEAKS[-1]))
+    # Gains in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed; beyond a dead band.
     full_speed = sum(speed_limits(beyond_dead_band(parameters))) / 2.0
 
-    def both(value: float | str) -> str:
+    def both(key: str) -> str:
+        value = figures[key].value
         if isinstance(value, str):
             return value
         return f"{value * FULL_VOLTAGE * MILLIMETRE:.3g} V/mm (K_v = {value * full_speed:.3g} 1/s)"
 
-    healthy, within = rows["largest stable gain"][0], rows["largest stable gain"][-1]
-    lines = [
-        (
-            "largest stable gain",
-            f"{both(healthy.value)} with the file's own values, {both(within.value)} on the worst of {DRAWN} plants "
-            "drawn from their ranges; healthy seal",
+    facts = {
+        "speeds": f"{text['speed out']} mm/s out, {text['speed in']} mm/s in; at 2/3 of the largest force "
+        f"{text['loaded out']} and {text['loaded in']} mm/s",
+        "forces": f"{text['force out']} kN out, {text['force in']} kN in; it reaches {text['reach in']} to "
+        f"{text['reach out']} mm",
+        "natural frequency": f"{text['lowest frequency']} Hz at the softest place "
+        f"({figures['lowest frequency'].at}), ports shut",
+        "damping ratio": f"{figures[healthy].text(2)} with a healthy seal, {figures[leaking].text(2)} with a leak of "
+        f"{leak_text(LEAKS[-1])}, without friction",
+        "largest stable gain": f"{both('gain over the reach')} with the file's own values, "
+        f"{both('gain in the ranges')} on the worst of {DRAWN} plants drawn from their ranges; healthy seal",
+    }
+    if "recommended gain" in figures:
+        gain, phase = (
+            [row.text(2) for key, row in figures.items() if key.startswith(margin)]
+            for margin in ("gain margin", "phase margin")
         )
-    ]
-    if recommended := rows.get("recommended gain"):
-        margins = [row.text(2) for row in rows["gain margin"]], [row.text(2) for row in rows["phase margin"]]
-        lines.append(
-            (
-                "recommended gain",
-                f"{both(recommended[0].value)}: half of the worst; gain margin {' and '.join(margins[0])} dB, phase "
-                f"margin {'° and '.join(margins[1])}° (own values and worst)",
-            )
+        facts["recommended gain"] = (
+            f"{both('recommended gain')}: half of the worst; gain margin {' and '.join(gain)} dB, phase margin "
+            f"{'° and '.join(phase)}° (own values and worst)"
         )
-    return lines
+    watch = _watched(figures, figures[healthy].value)
+    return [*facts.items(), ("verdict", "; ".join(["it works", *watch]))]
 
 
-def _verdict(rows: Mapping[str, Sequence[Row]], damping: Row) -> str:
+def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:
+    """What a person must watch on a rig that works."""
     watch = []
-    if dead := rows.get("dead band"):
+    if "dead band" in figures:
         watch.append(
-            f"the valve is overlapped, dead within ±{dead[0].text(3)} V: its amplifier or the controller must add that "
-            "(the PID's overlap_compensation; the others invert it), and the gains above suppose it"
+            f"the valve is overlapped, dead within ±{figures['dead band'].text(3)} V: its amplifier or the controller "
+            "must add that (the PID's overlap_compensation; the others invert it), and the gains above suppose it"
         )
-    for direction in ("out", "in"):
-        lasting = rows.get(f"lasting speed {direction}")
-        full = rows[f"no-load speed {direction}"][0].value
-        if (
-            lasting
-            and isinstance(lasting[0].value, float)
-            and isinstance(full, float)
-            and lasting[0].value < 0.999 * full
-        ):
-            watch.append(f"the pump alone sustains only {lasting[0].text(3)} mm/s {direction}")
-    if isinstance(damping.value, float) and damping.value < WEAK_DAMPING:
+    for way in ("out", "in"):
+        lasting, full = (figures[key].value if key in figures else "" for key in (f"lasting {way}", f"speed {way}"))
+        if isinstance(lasting, float) and isinstance(full, float) and lasting < 0.999 * full:
+            watch.append(f"the pump alone sustains only {lasting:.3g} mm/s {way}")
+    if isinstance(damping, float) and damping < WEAK_DAMPING:
         watch.append("the axis rings: use damping (pressure feedback) or a low gain")
-    small_enough = rows.get("is the inner step small enough")
-    if small_enough and small_enough[0].value != "yes":
+    if "inaccurate" in figures:
         watch.append("the integrator is less accurate than on the paper's rig")
-    if isinstance(damping.value, str) and damping.value != "overdamped":
-        watch.append(f"at the examined position: {damping.value}")
-    return f"it works{'; ' if watch else ''}{'; '.join(watch)}"
+    if isinstance(damping, str) and damping != OVERDAMPED:
+        watch.append(f"at the examined position: {damping}")
+    return watch
 
 
 def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[tuple[str, list[str]]]:
     """Fields that the content of a rig's file lacks and that have an effect, with their default values, by group."""
-    missing = [path.split(".") for path in PARAMETER_PATHS]
-    missing = [[group, field] for group, field in missing if field not in (values.get(group) or {})]
-    own = parameters.model_dump()
-    for path, (choice, needed) in USED_WITH.items():
-        group, field = choice.split(".")
-        if own[group][field] not in needed:
-            missing = [parts for parts in missing if ".".join(parts) != path]
-    result = []
-    for group, fields in groupby(missing, key=lambda path: path[0]):
-        entries = [f"{field} = {_shown(getattr(getattr(parameters, group), field))}" for _, field in fields]
-        result.append((group, entries))
-    return result
-
-
-def _shown(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    own, unset = parameters.model_dump(), []
+    for path in PARAMETER_PATHS:
+        group, field = path.split(".")
+        choice, needed = USED_WITH.get(path, ("", ()))
+        acts = not choice or own[choice.split(".")[0]]["model"] in needed
+        if acts and field not in (values.get(group) or {}):
+            value = own[group][field]
+            unset.append((group, f"{field} = {value:.4g}" if isinstance(value, float) else f"{field} = {value}"))
+    return [(group, [entry for _, entry in entries]) for group, entries in groupby(unset, key=lambda pair: pair[0])]
 
 
 def check_to_console(
@@ -184,42 +143,45 @@ def check_to_console(
     given = read_rig(rig) if rig is not None else Rig(PlantParameters(), {}, {}, "rig")
     task = timed_task(None, rig, period, latency, "check-rig")
     rows = [*check_rig(given.plant, given.source, task), position_accuracy(given, task)]
-    warnings = implausible(given.plant)
-    notes = [note for note in (stability_note(rows),) if note]
+    warnings, note = implausible(given.plant), stability_note(rows)
+    notes = [note] if note else []
     title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(given)}"
     files = []
     if folder is not None:
-        with output_folder(folder, "check-rig", (CSV_FILE, TABLE_FILE), overwrite=overwrite):
-            write_text(folder / CSV_FILE, check_csv(rows))
-            write_text(folder / TABLE_FILE, check_markdown(rows, title, [*warnings, *notes]))
         files = [folder / CSV_FILE, folder / TABLE_FILE]
-    console = PlainConsole()
-    for told in (title, *warnings):
-        console.print(told, soft_wrap=True)
+        with output_folder(folder, "check-rig", (CSV_FILE, TABLE_FILE), overwrite=overwrite):
+            write_text(files[0], check_csv(rows))
+            write_text(files[1], check_markdown(rows, title, [*warnings, *notes]))
     facts = ConsoleTable(box=None, show_header=False, padding=(0, 2, 0, 0))
     for name, text in brief(rows, given.plant):
         facts.add_row(name, text)
+    console = PlainConsole()
+    for line in (title, *warnings):
+        console.print(line, soft_wrap=True)
     console.print(facts)
     for note in notes:
         console.print("", note, sep="\n")
-    for line in _assumed(rig, given.plant):
-        console.print(line)
-    console.print(console_table(_table(rows), left=(0, 1, 3)))
+    for entry in _assumed(rig, given.plant):
+        console.print(entry)
+    first = {row.group: place for place, row in reversed(list(enumerate(rows)))}
+    cells = [(row.quantity, row.at, row.text(4), row.unit) for row in rows]
+    table = Table("", HEADINGS[1:], cells, breaks={place: group for group, place in first.items()})
+    console.print(console_table(table, left=(0, 1, 3)))  # narrow enough for a terminal of 80 columns
     return files
 
 
 def _summary(rig: Rig) -> str:
-    parameters = rig.plant
-    cylinder = parameters.cylinder
+    parameters, cylinder = rig.plant, rig.plant.cylinder
     rods = f"{1e3 * cylinder.rod_diameter:.4g}"
     rods += f" and {1e3 * cylinder.rod_diameter_a:.4g}" if cylinder.rod_diameter_a else ""
-    leak = leak_at_test_pressure(parameters)
-    return (
-        f"{1e3 * cylinder.bore_diameter:.4g}/{rods} x {1e3 * cylinder.stroke:.4g} mm, "
-        f"{parameters.load.mass + cylinder.piston_mass:.4g} kg, {parameters.supply.pressure / BAR:.4g} bar, "
-        f"own leak {leak:.3g} l/min at 100 bar"
-        + "".join(f", no sensor for {name}" for name in SENSORS if rig.sensors.get(f"sensors.{name}.fitted") is False)
-    )
+    absent = [name for name in SENSORS if rig.sensors.get(f"sensors.{name}.fitted") is False]
+    facts = [
+        f"{1e3 * cylinder.bore_diameter:.4g}/{rods} x {1e3 * cylinder.stroke:.4g} mm",
+        f"{parameters.load.mass + cylinder.piston_mass:.4g} kg",
+        f"{parameters.supply.pressure / BAR:.4g} bar",
+        f"own leak {leak_at_test_pressure(parameters):.3g} l/min at 100 bar",
+    ]
+    return ", ".join([*facts, *(f"no sensor for {name}" for name in absent)])
 
 
 def _assumed(rig: Path | None, parameters: PlantParameters) -> list[Padding | str]:
@@ -228,20 +190,14 @@ def _assumed(rig: Path | None, parameters: PlantParameters) -> list[Padding | st
     groups = assumed(read_yaml(rig), parameters)
     if not groups:
         return ["", "The file gives every value."]
-    lines: list[Padding | str] = ["", "Not in the file, taken from the paper's rig (SI units):"]
-    return [*lines, *(Padding(f"{group}: {', '.join(entries)}", (0, 0, 0, 2)) for group, entries in groups)]
-
-
-def _table(rows: list[Row]) -> Table:
-    """The figures by group, narrow enough for a terminal of 80 columns."""
-    first = {row.group: place for place, row in reversed(list(enumerate(rows)))}
-    breaks = {place: group for group, place in first.items()}
-    return Table("", HEADINGS[1:], [(row.quantity, row.at, row.text(4), row.unit) for row in rows], breaks=breaks)
+    lines = [Padding(f"{group}: {', '.join(entries)}", (0, 0, 0, 2)) for group, entries in groups]
+    return ["", "Not in the file, taken from the paper's rig (SI units):", *lines]
 
 
 def check_csv(rows: list[Row]) -> str:
     """All figures with nine digits, one per line."""
-    text: str = pd.DataFrame([row._replace(value=row.text(9)) for row in rows]).to_csv(index=False, lineterminator="\n")
+    table = pd.DataFrame([row._replace(value=row.text(9)) for row in rows]).drop(columns="key")
+    text: str = table.to_csv(index=False, lineterminator="\n")
     return text
 
 
@@ -250,3 +206,97 @@ def check_markdown(rows: list[Row], title: str, remarks: Sequence[str] = ()) -> 
     cells = [(row.group, row.quantity, row.at, row.text(4), row.unit) for row in rows]
     table = markdown(HEADINGS, cells, left=(0, 1, 2, 4))
     return "\n\n".join([f"# {title}", table, NOTE, *remarks]) + "\n"
+
+
+PHASE_STABLE = (
+    "above 2 ζ ω / speed the loop gain at the resonance exceeds 1, and the loop is stable only because valve, sampling "
+    "and latency shift the phase there; this holds around one natural frequency, depends on period and latency, and "
+    "fails when the frequency varies."
+)
+FAR_APART = 2.0  # ratio of the two gains above which the table explains it
+
+
+class Plausible(NamedTuple):
+    """A figure of every rig, the range in which it lies, and the field that is wrong elsewhere."""
+
+    path: str  # of the field
+    name: str
+    compute: Callable[[PlantParameters], float]
+    low: float
+    high: float
+    unit: str  # of the figure
+    meant: str  # the unit that was probably meant
+
+
+PLAUSIBLE = (
+    Plausible("valve.rated_flow", "a full speed of", lambda p: max(speed_limits(p)), 5e-3, 10.0, "m/s", "l/min"),
+    Plausible(
+        "supply.pressure", "a supply of", lambda p: p.supply.pressure / BAR, 15.0, 700.0, "bar", "psi, bar or MPa"
+    ),
+    Plausible(
+        "valve.natural_frequency",
+        "a valve of",
+        lambda p: p.valve.natural_frequency / (2.0 * math.pi),
+        15.0,
+        1000.0,
+        "Hz",
+        "Hz",
+    ),
+    Plausible("fluid.bulk_modulus", "a modulus of", lambda p: p.fluid.bulk_modulus / 1e9, 0.2, 5.0, "GPa", "GPa"),
+    Plausible("fluid.air_fraction", "an air content of", lambda p: 100.0 * p.fluid.air_fraction, 0.0, 15.0, "%", "%"),
+    Plausible(
+        "cylinder.dead_volume",
+        "a dead volume over swept volume of",
+        lambda p: p.cylinder.dead_volume / (plant_coefficients(p).area_a * p.cylinder.stroke),
+        1e-3,
+        20.0,
+        "1",
+        "cm³",
+    ),
+    Plausible(
+        "load.mass",
+        "a natural frequency of",
+        lambda p: closed_port_natural_frequency(p) / (2.0 * math.pi),
+        1.0,
+        3000.0,
+        "Hz",
+        "kg or t",
+    ),
+)
+
+
+def stability_note(rows: Sequence[Row]) -> str:
+    """Why the textbook's gain and the largest stable one differ; empty if they hardly do."""
+    figures = {row.key: row for row in rows}
+    textbook, largest = figures["rule of thumb"], figures["gain here"]
+    if isinstance(textbook.value, str) or isinstance(largest.value, str):
+        return ""
+    ratio = largest.value / textbook.value if textbook.value > 0.0 else 0.0
+    return (
+        f"The largest stable gain is {ratio:.2g} times 2 ζ ω / speed = {textbook.text(3)} 1/m: {PHASE_STABLE}"
+        if ratio >= FAR_APART
+        else ""
+    )
+
+
+def position_accuracy(rig: Rig, task: TaskConfig) -> Row:
+    """The constant error of the position sensor, which no controller sees, and whether it is an assumption."""
+    bias = task.sensors.position.bias
+    origin = "from the file" if "sensors.position.bias" in rig.sensors else "assumed"
+    share = f"{100.0 * bias / rig.plant.cylinder.stroke:.2g} % of stroke"
+    return Row("sensors", "largest constant error, position", f"{origin}: {share}", bias / MILLIMETRE, "mm")
+
+
+def implausible(parameters: PlantParameters) -> list[str]:
+    """A warning for each value that hardly any rig has: the field, its value, what follows, and the likely unit."""
+    warnings = []
+    for figure in PLAUSIBLE:
+        value = figure.compute(parameters)
+        if not figure.low <= value <= figure.high:
+            group, field = figure.path.split(".")
+            own, unit = getattr(getattr(parameters, group), field), PARAMETER_UNITS[figure.path]
+            warnings.append(
+                f"warning: {figure.path} = {own:.4g} {unit} gives {figure.name} {value:.3g} {figure.unit}: "
+                f"{figure.meant} meant?"
+            )
+    return warnings

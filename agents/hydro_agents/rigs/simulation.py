@@ -25,6 +25,7 @@ from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.configuration import LEAKAGE_LIMIT
 from hydro_env.task.rig import read_rig
+from hydro_env.types import Floats
 from hydro_env.units import LITRE_PER_MINUTE
 
 CSV_FILE = "trajectory.csv"
@@ -43,7 +44,7 @@ class NumberTable(NamedTuple):
     """Columns of a file."""
 
     names: tuple[str, ...]  # headings, empty without a line of headings
-    values: NDArray[np.float64]  # (rows, columns)
+    values: Floats  # (rows, columns)
     lines: NDArray[np.int64]  # (rows,), line of the file, from 1
 
 
@@ -59,49 +60,57 @@ def read_table(path: Path) -> NumberTable:
     """
     text = read_text(path, LARGEST_TABLE)
     separator = next((mark for mark in ";\t" if mark in text), ",")
-    rows: list[list[str]] = []
-    lines: list[int] = []
+    rows = _rows(path, text, separator)
+    first, headings = next(iter(rows.items()), (0, []))
+    if any(map(_NUMBER.fullmatch, headings)):
+        headings = []
+    rows = {line: cells for line, cells in rows.items() if line != first or not headings}
+    if not rows:
+        raise ConfigurationError(f"{path}: holds no numbers")
+    width, start = len(headings), first
+    if not headings:
+        width = len(rows[first])
+    for line, cells in rows.items():
+        if len(cells) != width:
+            comma = "; if commas separate columns, decimals need a point" if separator == "," else ""
+            message = f"line {line} has {len(cells)} columns, line {start} has {width}{comma}"
+            raise ConfigurationError(f"{path}: {message}")
+    everything = [cell for cells in rows.values() for cell in cells]
+    if separator == "," and not headings and width > 1 and not any("." in cell for cell in everything):
+        raise ConfigurationError(
+            f"{path}: line {first}: '{','.join(rows[first])}' may be {width} columns or decimals with a comma; "
+            "write decimals with a point, or separate columns by semicolons"
+        )
+    commas = any("," in cell for cell in everything)
+    values = [[_parsed(path, line, cell, commas) for cell in cells] for line, cells in rows.items()]
+    return NumberTable(tuple(headings), np.array(values), np.array(list(rows), dtype=np.int64))
+
+
+def _rows(path: Path, text: str, separator: str) -> dict[int, list[str]]:
+    """Cells by line of the file, without empty lines and comments."""
+    rows = {}
+    reader = csv.reader(text.splitlines(), delimiter=separator)
     try:
-        reader = csv.reader(text.splitlines(), delimiter=separator)
         for row in reader:
             cells = [cell.strip() for cell in row]
             if any(cells) and not cells[0].startswith("#"):
-                rows.append(cells)
-                lines.append(reader.line_num)
+                rows[reader.line_num] = cells
     except csv.Error as error:
         raise ConfigurationError(f"{path}: is not a table: {error}") from None
-    names: tuple[str, ...] = ()
-    if rows and not any(_NUMBER.fullmatch(cell) for cell in rows[0]):
-        names = tuple(rows.pop(0))
-        first_line = lines.pop(0)
-    if not rows:
-        raise ConfigurationError(f"{path}: holds no numbers")
-    width = len(names) or len(rows[0])
-    for row, line in zip(rows, lines, strict=True):
-        if len(row) != width:
-            other = first_line if names else lines[0]
-            raise ConfigurationError(
-                f"{path}: line {line} has {len(row)} columns, line {other} has {width}"
-                + ("; if commas separate columns, decimals need a point" if separator == "," else "")
-            )
-    cells = [cell for row in rows for cell in row]
-    if separator == "," and not names and width > 1 and not any("." in cell for cell in cells):
-        raise ConfigurationError(
-            f"{path}: line {lines[0]}: '{','.join(rows[0])}' may be {width} columns or decimals with a comma; "
-            "write decimals with a point, or separate columns by semicolons"
-        )
-    decimal = "," if any("," in cell for cell in cells) else "."
-    for row, line in zip(rows, lines, strict=True):
-        for cell in row:
-            if not _NUMBER.fullmatch(cell) or not math.isfinite(float(cell.replace(",", "."))):
-                raise ConfigurationError(f"{path}: line {line}: {cell[:40]!r} is not a number")
-            if decimal == "," and "." in cell:
-                raise ConfigurationError(f"{path}: line {line}: '{cell}' has a decimal point, other lines have commas")
-    values = np.array([float(cell.replace(",", ".")) for cell in cells]).reshape(len(rows), width)
-    return NumberTable(names, values, np.array(lines, dtype=np.int64))
+    return rows
 
 
-def input_voltage(signal: str, voltage: float, samples: int, sample_time: float, holding: float) -> NDArray[np.float64]:
+def _parsed(path: Path, line: int, cell: str, commas: bool) -> float:
+    """The number of a cell; with ``commas`` its decimals follow a comma."""
+    if commas and "." in cell and _NUMBER.fullmatch(cell):
+        raise ConfigurationError(f"{path}: line {line}: '{cell}' has a decimal point, other lines have commas")
+    value = float(cell.replace(",", ".")) if _NUMBER.fullmatch(cell) else math.nan
+    if not math.isfinite(value):
+        raise ConfigurationError(f"{path}: line {line}: {cell[:40]!r} is not a number")
+    return value
+
+
+def input_voltage(signal: str, voltage: float, samples: int, sample_time: float, holding: float) -> Floats:
     """A built-in input in V, (samples,): ``voltage`` times a shape, added to the voltage that holds the start.
 
     ``step``: constant after 10 % of the time. ``stop``: constant, and the holding voltage for the last 60 %.
@@ -122,7 +131,7 @@ def input_voltage(signal: str, voltage: float, samples: int, sample_time: float,
     return np.clip(holding + voltage * shape, -LARGEST_VOLTAGE, LARGEST_VOLTAGE)
 
 
-def read_voltage(path: Path) -> NDArray[np.float64]:
+def read_voltage(path: Path) -> Floats:
     """Voltages of a table, one row per sample: the column headed ``voltage``, otherwise the last one.
 
     Raises:

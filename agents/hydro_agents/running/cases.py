@@ -24,6 +24,7 @@ _SPOOL = State._fields.index("spool_position")
 _SUPPLY_PRESSURE = State._fields.index("supply_pressure")
 _SUPPLY_FLOW = Derived._fields.index("supply_flow")
 _POSITION = CHANNELS.index("position")
+_TRACES = ("position", "command", "spool", "supply_power", "reward")
 
 
 class ControllerError(ConfigurationError):
@@ -62,10 +63,26 @@ class Cases:
 
     def part(self, first: int, last: int) -> Cases:
         """The cases from ``first`` to before ``last``."""
-        leak = self.leakage_flow_lpm[first:last] if self.leakage_flow_lpm is not None else None
-        families = self.families[first:last] if self.families is not None else None
-        faults = {name: sizes[first:last] for name, sizes in self.faults.items()} if self.faults is not None else None
-        return Cases(self.seeds[first:last], leak, families, self.parameters, faults)
+        chosen = slice(first, last)
+        leak = self.leakage_flow_lpm[chosen] if self.leakage_flow_lpm is not None else None
+        families = self.families[chosen] if self.families is not None else None
+        faults = {name: sizes[chosen] for name, sizes in self.faults.items()} if self.faults is not None else None
+        return Cases(self.seeds[chosen], leak, families, self.parameters, faults)
+
+    def chunks(self, size: int) -> list[Cases]:
+        """The cases in parts of at most ``size``."""
+        return [self.part(first, first + size) for first in range(0, len(self), size)]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What the cases fix, as the options of ``reset``."""
+        fixed = {
+            "leakage_flow_lpm": self.leakage_flow_lpm,
+            "reference": None if self.families is None else [str(name) for name in self.families],
+            "parameters": self.parameters or None,
+            "faults": self.faults or None,
+        }
+        return {name: value for name, value in fixed.items() if value is not None}
 
     def describe(self, case: int) -> str:
         """Seed, reference and leak of one case, for messages."""
@@ -134,16 +151,15 @@ def run_cases(
         ((4, 100), [-1, -1, -1, -1])
     """
     check_predict(controller)
-    parts = []
-    for first in range(0, len(cases), chunk):
-        parts.append(_run_chunk(config, controller, cases.part(first, first + chunk), signal_columns, states))
+    parts: list[Rollout] = []
+    for part in cases.chunks(chunk):
+        parts.append(_run_chunk(config, controller, part, signal_columns, states))
         if progress is not None:
-            progress(min(first + chunk, len(cases)))
-    joined: dict[str, Any] = {"time": parts[0].time}
+            progress(min(len(parts) * chunk, len(cases)))
+    joined: dict[str, Any] = {}
     for name in Rollout.__dataclass_fields__:
-        if name != "time":
-            values = [getattr(part, name) for part in parts]
-            joined[name] = None if values[0] is None else np.concatenate(values)
+        values = [getattr(part, name) for part in parts]
+        joined[name] = values[0] if name == "time" or values[0] is None else np.concatenate(values)
     return Rollout(**joined)
 
 
@@ -151,21 +167,12 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
     count, steps = len(cases), config.steps
     # NEXT_STEP shows the last sample of an episode before its axis restarts.
     env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
-    options: dict[str, Any] = {}
-    if cases.leakage_flow_lpm is not None:
-        options["leakage_flow_lpm"] = cases.leakage_flow_lpm
-    if cases.families is not None:
-        options["reference"] = [str(name) for name in cases.families]
-    if cases.parameters:
-        options["parameters"] = cases.parameters
-    if cases.faults:
-        options["faults"] = cases.faults
-    observation, _ = env.reset(seed=[int(seed) for seed in cases.seeds], options=options)
+    observation, _ = env.reset(seed=[int(seed) for seed in cases.seeds], options=cases.options)
     axes, memory = env.axes, None
     if isinstance(controller, TrueStateController):
         controller.begin(axes)
     kept = steps if keep_states else 0
-    position, command, spool, power, reward = (np.zeros((count, kept), dtype=np.float32) for _ in range(5))
+    traces = {name: np.zeros((count, kept), dtype=np.float32) for name in _TRACES}
     reference = axes.reference[:, 1 : kept + 1].astype(np.float32)
     signals = np.zeros((steps, count, len(columns)), dtype=np.float32) if columns is not None else None
     failed_at = np.full(count, -1, dtype=np.int64)
@@ -180,41 +187,35 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         action, memory = _act(controller, observation, memory, started, alive, cases, step * config.control_period)
         observation, rewards, terminated, _, _ = env.step(action)
         if keep_states:
-            position[:, step] = axes.column("position")
-            command[:, step] = axes.column("command")
-            spool[:, step] = axes.state[:, _SPOOL]
-            power[:, step] = _supply_power(axes)
-            reward[:, step] = rewards
-            # A failed axis keeps its position, while its reference continues.
-            for array in (position, command, spool, power):
-                array[~alive, step] = array[~alive, step - 1]
-            reward[~alive, step] = 0.0
+            now = _traced(axes) | {"reward": rewards}
+            for name, trace in traces.items():  # a failed axis keeps its values, while its reference continues
+                last = 0.0 if name == "reward" else trace[:, step - 1]
+                trace[:, step] = np.where(alive, now[name], last)
         flow = np.where(alive, axes.column("leak_flow"), flow)
         failed_at[alive & terminated] = step
     env.close()
     return Rollout(
         time=config.control_period * np.arange(1, steps + 1, dtype=np.float64),
-        position=position,
         reference=reference,
-        command=command,
-        spool=spool,
-        supply_power=power,
-        reward=reward,
         failed_at=failed_at,
         position_bias=bias,
         signals=None if signals is None else signals.transpose(1, 2, 0),
         leakage_flow_lpm=flow,
         leakage_class=axes.leakage_class(flow),
+        **traces,
     )
 
 
-def _supply_power(axes: Axes) -> NDArray[np.float64]:
-    """Hydraulic power that each axis draws from its supply now, W, (N,)."""
+def _traced(axes: Axes) -> dict[str, Any]:
+    """What a rollout keeps of the axes in each period."""
     state = np.ascontiguousarray(axes.state)
-    power: NDArray[np.float64] = (
-        state[:, _SUPPLY_PRESSURE] * (derived_array(state, np.ascontiguousarray(axes.coefficient))[:, _SUPPLY_FLOW])
-    )
-    return power
+    flow = derived_array(state, np.ascontiguousarray(axes.coefficient))[:, _SUPPLY_FLOW]
+    return {
+        "position": axes.column("position"),
+        "command": axes.column("command"),
+        "spool": state[:, _SPOOL],
+        "supply_power": state[:, _SUPPLY_PRESSURE] * flow,
+    }
 
 
 def check_predict(controller: Any) -> None:
@@ -223,10 +224,10 @@ def check_predict(controller: Any) -> None:
     Raises:
         ControllerError: the object has no method ``predict``, or is a class.
     """
-    what = type(controller).__name__
     if isinstance(controller, type):
         raise ControllerError(f"{controller.__name__} is a class; a controller must be an instance of it")
     if not callable(getattr(controller, "predict", None)):
+        what = type(controller).__name__
         raise ControllerError(f"{what} has no method predict(observation, state, episode_start, deterministic)")
 
 
@@ -248,30 +249,30 @@ def _act(
         raise ControllerError(f"{when}: predict raised {reason(error)}") from error
     if not isinstance(answer, tuple) or len(answer) != 2:
         raise ControllerError(f"{when}: predict returned {type(answer).__name__}, not a pair (commands, state)")
-    needed = (len(cases), 1)
     try:
         action = np.asarray(answer[0], dtype=np.float64)
         kind = f"of shape {action.shape}"
     except (TypeError, ValueError, RuntimeError):
         action, kind = np.zeros(0), f"that are not numbers ({type(answer[0]).__name__})"
-    if action.shape != needed:
-        raise ControllerError(
-            f"{when}: predict returned commands {kind} for observations of shape {observation.shape}; must be {needed}"
-        )
+    if action.shape != (len(cases), 1):
+        must = f"for observations of shape {observation.shape}; must be ({len(cases)}, 1)"
+        raise ControllerError(f"{when}: predict returned commands {kind} {must}")
     bad = np.flatnonzero(alive & ~np.isfinite(action[:, 0]))
     if len(bad):
         raise ControllerError(f"{cases.describe(bad[0])}, at {time:.3f} s: predict returned {action[bad[0], 0]}")
     return np.where(alive[:, None], action, 0.0), answer[1]
 
 
+def _families(config: TaskConfig) -> list[str]:
+    return [name for name, weight in config.references.weights.items() if weight > 0.0]
+
+
 def validation_cases(config: TaskConfig) -> Cases:
     """One plant for each family of references at three leaks: healthy, incipient, and the largest of the task."""
-    leakage = config.leakage
-    leaks = (math.sqrt(math.prod(leakage.healthy_range)), leakage.class_bounds[1], leakage.faulty_range[1])
-    families = [name for name, weight in config.references.weights.items() if weight > 0.0]
-    grid = [(leak, family) for leak in leaks for family in families]
-    seeds = np.array(LEARNING_CURVE.take(len(grid)))
-    return Cases(seeds, np.array([leak for leak, _ in grid]), np.array([family for _, family in grid]))
+    leakage, families = config.leakage, _families(config)
+    leaks = np.array([math.sqrt(math.prod(leakage.healthy_range)), leakage.class_bounds[1], leakage.faulty_range[1]])
+    seeds = np.array(LEARNING_CURVE.take(len(leaks) * len(families)))
+    return Cases(seeds, np.repeat(leaks, len(families)), np.tile(families, len(leaks)))
 
 
 def validation_errors(config: TaskConfig, controller: Controller) -> tuple[float, float, int]:
@@ -288,7 +289,7 @@ def family_errors(
 
     The error is that of the true position, or, with ``sensor_frame``, of the position with the bias of its sensor.
     """
-    families = [name for name, weight in config.references.weights.items() if weight > 0.0]
+    families = _families(config)
     seeds = np.tile(np.array(SCALES.take(plants, SCALES.count - plants)), len(families))
     run = run_cases(config, controller, Cases(seeds, families=np.repeat(families, plants)))
     position = run.position + run.position_bias[:, None] if sensor_frame else run.position

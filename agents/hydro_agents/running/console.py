@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Column
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from hydro_agents.running.text import Table
+from hydro_agents.running.text import Table, duration
 
 SECONDS_BETWEEN_LINES = 10.0
 SECONDS_OF_SILENCE = 20.0  # off a terminal a line says that the work goes on when nothing has been printed for so long
-LONG_PIECE = 45.0  # s; if the first piece of work takes longer, the rate includes it
+ESTIMATED_FROM = 600.0  # s of a phase from which its remaining time follows
 
 
 class PlainConsole(Console):
@@ -71,53 +71,11 @@ def discard_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-@dataclass
-class _Phase:
-    """Progress of a phase, and the time that it still needs at its rate so far."""
-
-    total: int
-    done: int
-    start: int  # `done` at the first update: a resumed phase does not begin at 0
-    began: float  # s, time of the first update
-    changed: float  # s, time of the latest change of `done`
-    note: str = ""
-    line: float | None = None  # s, time of the latest line about it
-    base: tuple[float, int] | None = None  # time and `done` from which the rate counts
-
-    def update(self, done: int, total: int, now: float, note: str) -> None:
-        self.total, self.note = total, note
-        if done != self.done:
-            self.done, self.changed = done, now
-            if self.base is None and done > self.start:
-                # Imports and compilation come before the first piece; in a long piece they do not matter.
-                self.base = (self.began, self.start) if now - self.began > LONG_PIECE else (now, done)
-
-    def left(self, now: float) -> float | None:
-        """Seconds that are left; ``None`` as long as the rate is unknown."""
-        if self.done >= self.total:
-            return 0.0
-        if self.base is None or self.done <= self.base[1]:
-            return None
-        per_piece = (self.changed - self.base[0]) / (self.done - self.base[1])
-        return max(per_piece * (self.total - self.done) - (now - self.changed), 0.0)
-
-
-def in_words(seconds: float) -> str:
-    """An estimated time in round numbers: 5 s, 40 s, 3 min, 1 h 20 min."""
-    if seconds < 57.5:
-        return f"{max(5 * round(seconds / 5.0), 5)} s"
-    minutes = round(seconds / 60.0)
-    if minutes < 60:
-        return f"{minutes} min"
-    minutes = 5 * round(minutes / 5)
-    return f"{minutes // 60} h" + (f" {minutes % 60} min" if minutes % 60 else "")
-
-
 class ProgressDisplay:
     """Progress of one or more phases, each with its remaining time; use as a context manager.
 
     On a terminal each phase is a bar. Elsewhere (a log, CI, a terminal that cannot move its cursor) a line appears at
-    most every ten seconds, and at least every thirty. The remaining time comes from the rate of the phase itself.
+    most every ten seconds while work is reported, and every twenty while none is.
 
     Args:
         console: where to show it; default: standard output.
@@ -127,21 +85,16 @@ class ProgressDisplay:
     def __init__(self, console: PlainConsole | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self.console = console or PlainConsole()
         self._clock = clock
-        self._began = clock()
-        self._phases: dict[str, _Phase] = {}
-        self._bars: Progress | None = None
+        self._progress = _progress(self.console, clock)
         self._tasks: dict[str, TaskID] = {}
-        self._latest = ""  # phase
-        self._printed = self._began  # time of the latest line
-        self._lock = threading.RLock()
+        self._printed: dict[str, float] = {}  # time of the latest line about a phase
         self._ended = threading.Event()
         # FORCE_COLOR makes Rich believe in a terminal at the other end of a pipe.
-        if self.console.is_interactive and self.console.file.isatty():
-            self._bars = _bars(self.console, self._time_left)
+        self._live = self.console.is_interactive and self.console.file.isatty()
 
     def __enter__(self) -> ProgressDisplay:
-        if self._bars is not None:
-            self._bars.start()
+        if self._live:
+            self._progress.start()
         else:
             threading.Thread(target=self._watch, daemon=True).start()
         return self
@@ -150,33 +103,21 @@ class ProgressDisplay:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._ended.set()
-        if self._bars is not None:
-            self._bars.stop()
+        self._progress.stop()
 
     def update(self, phase: str, done: int, total: int, note: str = "") -> None:
         """Show the progress of a phase; call it with ``done = 0`` before the work, to show the phase at once."""
-        with self._lock:
-            now, self._latest = self._clock(), phase
-            known = self._phases.setdefault(phase, _Phase(total, done, done, now, now))
-            known.update(done, total, now, note)
-            if self._bars is not None:
-                if phase not in self._tasks:
-                    self._tasks[phase] = self._bars.add_task(phase, note="")
-                self._bars.update(self._tasks[phase], completed=done, total=total, note=note)
-            elif known.line is None or done >= total or now - known.line >= SECONDS_BETWEEN_LINES:
-                self._show_line(phase, now)
+        if phase not in self._tasks:
+            self._tasks[phase] = self._progress.add_task(phase, completed=done, total=total, note=note)
+        self._progress.update(self._tasks[phase], completed=done, total=total, note=note)
+        if not self._live and (done >= total or self._silent_for(phase) >= SECONDS_BETWEEN_LINES):
+            self._show_line(phase)
 
     def remind(self) -> None:
-        """Off a terminal: say how far the latest phase is if nothing was printed for a while."""
-        with self._lock:
-            now = self._clock()
-            if now - self._printed < SECONDS_OF_SILENCE:
-                return
-            if self._latest:
-                self._show_line(self._latest, now)
-            else:  # the preparation of the first phase
-                self._printed = now
-                self.console.lines(f"at work for {in_words(now - self._began)}")
+        """Off a terminal: say how far the latest phase is if nothing was printed about it for a while."""
+        phase = next(reversed(self._tasks), None)
+        if phase is not None and self._silent_for(phase) >= SECONDS_OF_SILENCE:
+            self._show_line(phase)
 
     def say(self, text: str) -> None:
         """Print a separate line."""
@@ -186,55 +127,38 @@ class ProgressDisplay:
         while not self._ended.wait(SECONDS_BETWEEN_LINES):
             self.remind()
 
-    def _time_left(self, name: str) -> str:
-        phase, now = self._phases[name], self._clock()
-        left, passed = phase.left(now), now - phase.began
-        return f"{in_words(passed)} so far" if left is None and passed >= SECONDS_OF_SILENCE else _left(left)
+    def _silent_for(self, phase: str) -> float:
+        return self._clock() - self._printed.get(phase, -math.inf)
 
-    def _show_line(self, name: str, now: float) -> None:
+    def _show_line(self, phase: str) -> None:
         """Print how far a phase is: as much as fits into one line, the most important first."""
-        phase = self._phases[name]
-        phase.line = self._printed = now
-        done, total = phase.done, phase.total
-        line = f"{name}: {100 * done / total:3.0f} %" if total > 1 else f"{name}: {'done' if done else 'begun'}"
-        left, passed = phase.left(now), now - phase.began
-        work = f"at work for {in_words(passed)}" if left is None and passed >= SECONDS_OF_SILENCE else ""
-        count = f"{done:,} of {total:,}" if total > 1 else ""
-        for part in (_left(left) or work, phase.note, count):
+        self._printed[phase] = self._clock()
+        task = self._progress.tasks[self._tasks[phase]]
+        done, total = int(task.completed), int(task.total or 0)
+        if total <= 1:
+            line, count = f"{phase}: {'done' if done else 'begun'}", ""
+        else:
+            line, count = f"{phase}: {task.percentage:3.0f} %", f"{done:,} of {total:,}"
+        left = f"{duration(task.time_remaining)} left" if task.time_remaining else ""
+        for part in (left, task.fields["note"], count):
             if part and len(line) + 2 + len(part) <= self.console.width:
                 line += f", {part}"
         self.console.lines(line[: self.console.width], soft_wrap=True)
 
 
-def _left(seconds: float | None) -> str:
-    return "" if seconds is None or seconds <= 0.0 else f"{in_words(seconds)} left"
-
-
-class _TimeLeft(ProgressColumn):
-    """The remaining time; it also falls between two updates."""
-
-    def __init__(self, left: Callable[[str], str]) -> None:
-        super().__init__(Column(no_wrap=True, min_width=11))
-        self._left = left
-
-    def render(self, task: Task) -> Text:
-        return Text(self._left(task.description))
-
-
-def _bars(console: PlainConsole, left: Callable[[str], str]) -> Progress:
+def _progress(console: PlainConsole, clock: Callable[[], float]) -> Progress:
     """Bars that fit into the terminal: a narrow one cuts the note first, then the name, and has shorter bars."""
     bar = 20 if console.width >= 76 else 10
-    name = max(console.width - bar - 24, 8)
+    name = Column(no_wrap=True, overflow="ellipsis", max_width=max(console.width - bar - 24, 8))
+    note = Column(ratio=1, no_wrap=True, overflow="ellipsis")
     return Progress(
-        TextColumn(
-            "{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", max_width=name)
-        ),
+        TextColumn("{task.description}", markup=False, table_column=name),
         BarColumn(bar_width=bar),
         TextColumn("{task.percentage:3.0f} %", markup=False, table_column=Column(no_wrap=True)),
-        _TimeLeft(left),
-        TextColumn(
-            "{task.fields[note]}", markup=False, table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis")
-        ),
+        TimeRemainingColumn(compact=True, table_column=Column(no_wrap=True)),
+        TextColumn("{task.fields[note]}", markup=False, table_column=note),
         console=console,
         expand=True,
+        get_time=clock,
+        speed_estimate_period=ESTIMATED_FROM,
     )

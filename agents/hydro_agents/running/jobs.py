@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import io
-import json
 import random
 import sys
 import warnings
@@ -18,7 +17,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from functools import cache, cached_property
 from multiprocessing import parent_process
 from pathlib import Path
@@ -32,14 +31,17 @@ import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs, parallel_config
 from joblib.parallel import get_active_backend
 from numpy.typing import NDArray
-from pydantic import BaseModel
+from pydantic_core import to_json
 
 from hydro_env import ConfigurationError
 from hydro_env.compiling import SOURCES
 from hydro_env.files import write_whole
 
 JOBS_FOLDER = "jobs"
-CODE = ("controllers", "running", "learning", "estimation", "detection", "evaluation")
+CODE = (
+    *(f"hydro_agents/{room}" for room in ("controllers", "running", "learning", "detection", "evaluation")),
+    *(f"hydro_rig/{room}" for room in ("estimation", "recordings", "monitoring")),
+)
 """Rooms whose code may change the result of a job."""
 
 _JOBS_PER_ROUND = 4
@@ -89,8 +91,8 @@ class Job:
     def file(self) -> str:
         """Name of the result file; it differs for every work, participant, argument and version of the code."""
         name = f"{self.work.__module__}.{self.work.__qualname__}"
-        text = json.dumps([digest_of_code(*CODE), name, self.digest, _plain(self.arguments)])
-        return f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
+        values = to_json([digest_of_code(*CODE), name, self.digest, self.arguments], fallback=np.ndarray.tolist)
+        return f"{hashlib.sha256(values).hexdigest()[:32]}.npz"
 
     def run(self) -> JobResult:
         """Do the work; the message of a configuration error becomes the result."""
@@ -98,19 +100,6 @@ class Job:
             return JobResult(self.work(self.participant, *self.arguments))
         except ConfigurationError as error:
             return JobResult({}, str(error))
-
-
-def _plain(value: Any) -> Any:
-    """An argument of a job as lists, mappings, numbers and texts."""
-    if isinstance(value, BaseModel):
-        return value.model_dump(mode="json")
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _plain(each) for key, each in value.items()}
-    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def fingerprint(*participants: Any) -> str:
@@ -136,14 +125,14 @@ def _fingerprint(participant: Any) -> str:
 
 
 def run_jobs(
-    listed: Mapping[str, Any], folder: Path | None, jobs: int | None, progress: Report | None, at_once: bool = False
+    listed: Mapping[str, Job], folder: Path | None, jobs: int | None, progress: Report | None, at_once: bool = False
 ) -> tuple[dict[str, JobResult], int]:
     """Run jobs, or read the results that are already in a folder; after an interruption, finished results stay there.
 
     Long and short jobs run mixed: the rate of the first ones tells how long all will take.
 
     Args:
-        listed: each :class:`Job` by a unique key.
+        listed: each job by a unique key.
         folder: of the study; results are files in its :data:`JOBS_FOLDER`. ``None`` keeps none.
         jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
         progress: called when a job finishes.
@@ -155,11 +144,9 @@ def run_jobs(
     Raises:
         ConfigurationError: a file cannot be written, or the workers were killed again and again.
     """
-    results: dict[str, JobResult] = {}
-    for key, job in listed.items() if folder is not None else ():
-        found = load_result(folder / JOBS_FOLDER / job.file) if folder is not None and job.digest else None
-        if found is not None:
-            results[key] = found
+    files = {key: folder / JOBS_FOLDER / job.file for key, job in listed.items() if folder is not None and job.digest}
+    stored = {key: load_result(file) for key, file in files.items()}
+    results = {key: result for key, result in stored.items() if result is not None}
     reused = len(results)
 
     def report() -> None:
@@ -172,9 +159,8 @@ def run_jobs(
     with closing(answers_of({key: listed[key] for key in waiting}, jobs, at_once)) as answers:
         for key, result in answers:
             results[key] = result
-            job = listed[key]
-            if folder is not None and job.digest and not result.error:
-                save_result(folder / JOBS_FOLDER / job.file, result)
+            if key in files and not result.error:
+                save_result(files[key], result)
             report()
     return results, reused
 
@@ -201,10 +187,12 @@ def load_result(path: Path) -> JobResult | None:
 
 @cache
 def digest_of_code(*rooms: str) -> str:
-    """Digest of the compiled plant and of some rooms of ``hydro_agents``: the code that results depend on."""
+    """Digest of the compiled plant and of some rooms, such as ``hydro_agents/running``: results depend on them."""
     digest = hashlib.sha256(str(SOURCES).encode())
     for room in rooms:
-        for file in sorted((Path(__file__).resolve().parents[1] / room).glob("*.py")):
+        files = sorted((Path(__file__).resolve().parents[2] / room).glob("*.py"))
+        assert files, f"{room}: has no code"
+        for file in files:
             digest.update(file.read_bytes())
     return digest.hexdigest()
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest, ttest_1samp
 
-Array = NDArray[np.floating[Any]]
+from hydro_env.types import Floats
+
 CONFIDENCE = 0.95
 LEAST_SAMPLES = 3  # for an interval
 RESAMPLES = 1000
@@ -38,7 +39,7 @@ class Interval(NamedTuple):
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
-def seeds_interval(per_seed: Array) -> Interval:
+def seeds_interval(per_seed: Floats) -> Interval:
     """Mean over training seeds with a 95 % interval of Student's t: too few values for a bootstrap."""
     values = np.asarray(per_seed, dtype=np.float64)
     mean = float(values.mean()) if len(values) else np.nan
@@ -50,7 +51,7 @@ def seeds_interval(per_seed: Array) -> Interval:
     return Interval(mean, float(interval.low), float(interval.high))
 
 
-def conditional_value_at_risk(values: Array, share: float = 0.05) -> float:
+def conditional_value_at_risk(values: Floats, share: float = 0.05) -> float:
     """Mean of the worst ``share`` of the values (at least one); larger is worse. NaNs are left out."""
     ordered = np.sort(np.asarray(values, dtype=np.float64)[~np.isnan(values)])[::-1]
     if len(ordered) == 0:
@@ -72,11 +73,11 @@ def share_interval(hits: int, total: int) -> Interval:
 class Weights(NamedTuple):
     """Weights of R resamplings, after a row of ones."""
 
-    seeds: NDArray[np.float64]  # (R + 1, S)
-    plants: NDArray[np.float64]  # (R + 1, U)
+    seeds: Floats  # (R + 1, S)
+    plants: Floats  # (R + 1, U)
 
 
-def plant_weights(strata: NDArray[Any], resamples: int = RESAMPLES, seed: int = 0) -> NDArray[np.float64]:
+def plant_weights(strata: NDArray[Any], resamples: int = RESAMPLES, seed: int = 0) -> Floats:
     """Draw plants with replacement within each stratum; (resamples + 1, U)."""
     generator = np.random.default_rng(seed)
     weights = np.ones((resamples + 1, len(strata)))
@@ -86,27 +87,26 @@ def plant_weights(strata: NDArray[Any], resamples: int = RESAMPLES, seed: int = 
     return weights
 
 
-def seed_weights(count: int, resamples: int = RESAMPLES, seed: int = 0) -> NDArray[np.float64]:
+def seed_weights(count: int, resamples: int = RESAMPLES, seed: int = 0) -> Floats:
     """Draw training seeds with replacement; (resamples + 1, count)."""
     generator = np.random.default_rng([seed, count, 1])
     drawn = generator.multinomial(count, np.full(count, 1.0 / count), resamples)
     return np.concatenate([np.ones((1, count)), drawn])
 
 
-def means(values: Array, weights: Weights) -> Array:
+def means(values: Floats, weights: Weights) -> Floats:
     """Weighted mean of values (S, U, K) in every resampling, (R + 1,); NaN without values."""
     total, count = np.nansum(values, axis=2), np.sum(~np.isnan(values), axis=2)
     with np.errstate(invalid="ignore"):
-        found: Array = _weighted(total, weights) / _weighted(count.astype(np.float64), weights)
-    return found
+        return np.asarray(_weighted(total, weights) / _weighted(count.astype(np.float64), weights))
 
 
-def _weighted(values: Array, weights: Weights) -> Array:
+def _weighted(values: Floats, weights: Weights) -> Floats:
     """Σ over seeds and plants of weight · weight · value (S, U)."""
     return np.asarray(np.sum(weights.seeds * (weights.plants @ values.T), axis=1))
 
 
-def interquartile_means(values: Array, weights: Weights) -> Array:
+def interquartile_means(values: Floats, weights: Weights) -> Floats:
     """Weighted mean of the middle half of values (S, U, K) in every resampling, (R + 1,)."""
     seeds, plants, _ = np.nonzero(~np.isnan(values))
     flat = values[~np.isnan(values)]
@@ -128,7 +128,7 @@ def interquartile_means(values: Array, weights: Weights) -> Array:
     return np.concatenate(parts)
 
 
-def improvements(values: Array, others: Array, weights: Weights, other_seeds: Array) -> Array:
+def improvements(values: Floats, others: Floats, weights: Weights, other_seeds: Floats) -> Floats:
     """Probability that a training seed of one controller beats one of another in the same case, for every resampling.
 
     Equal errors count half (Agarwal et al. 2021, with the case as the task).
@@ -139,15 +139,15 @@ def improvements(values: Array, others: Array, weights: Weights, other_seeds: Ar
         weights: of the seeds of the first controller, and of the plants.
         other_seeds: weights of the seeds of the second controller, (R + 1, S').
     """
-    found = np.zeros(len(other_seeds))
-    for index in range(len(others)):
-        there = np.isnan(values) | np.isnan(others[index])
-        better = np.where(there, np.nan, (values < others[index]) + 0.5 * (values == others[index]))
-        found += other_seeds[:, index] * means(better, weights)
-    return np.asarray(found / other_seeds.sum(axis=1))
+    total = np.zeros(len(other_seeds))
+    for other, weight in zip(others, other_seeds.T, strict=True):
+        absent = np.isnan(values) | np.isnan(other)
+        better = np.where(absent, np.nan, (values < other) + 0.5 * (values == other))
+        total += weight * means(better, weights)
+    return np.asarray(total / other_seeds.sum(axis=1))
 
 
-def interval(resampled: Array, plants: int) -> Interval:
+def interval(resampled: Floats, plants: int) -> Interval:
     """The estimate (first) and the percentiles of the resamplings; no interval with too few plants."""
     values = resampled[1:][np.isfinite(resampled[1:])]
     if plants < LEAST_SAMPLES or len(values) == 0:
@@ -156,13 +156,13 @@ def interval(resampled: Array, plants: int) -> Interval:
     return Interval(float(resampled[0]), float(low), float(high))
 
 
-def mean_interval(per_plant: Array, strata: NDArray[Any] | None = None) -> Interval:
+def mean_interval(per_plant: Floats, strata: NDArray[Any] | None = None) -> Interval:
     """Mean over plants (U,), each of a stratum, with its interval; NaNs are left out."""
     values = np.asarray(per_plant, dtype=np.float64)
     return ratio_interval(values, np.ones(len(values)), strata)
 
 
-def ratio_interval(per_plant: Array, others: Array, strata: NDArray[Any] | None = None) -> Interval:
+def ratio_interval(per_plant: Floats, others: Floats, strata: NDArray[Any] | None = None) -> Interval:
     """Ratio of two means over the same plants (U,), with its paired interval; NaNs are left out."""
     one, other = (np.asarray(values, dtype=np.float64) for values in (per_plant, others))
     kept = ~(np.isnan(one) | np.isnan(other))

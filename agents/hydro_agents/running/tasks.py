@@ -141,6 +141,12 @@ def read_task(given: Any, file: Path) -> Any:
     return given
 
 
+def mappings(values: Any) -> dict[str, dict[str, Any]]:
+    """The entries of a part of a YAML file that are mappings themselves, by name; the others are refused later."""
+    entries = values.items() if isinstance(values, dict) else ()
+    return {name: entry for name, entry in entries if isinstance(entry, dict)}
+
+
 def read_settings(controllers: Any, file: Path) -> dict[str, str]:
     """Replace each controller's ``settings`` by the content of a YAML file, if they are its path relative to ``file``.
 
@@ -152,8 +158,8 @@ def read_settings(controllers: Any, file: Path) -> dict[str, str]:
     """
     sources = {}
     errors: list[ConfigurationError] = []
-    for name, entry in controllers.items() if isinstance(controllers, dict) else ():
-        if isinstance(entry, dict) and isinstance(entry.get("settings"), str):
+    for name, entry in mappings(controllers).items():
+        if isinstance(entry.get("settings"), str):
             sources[name] = str(file.parent / entry.pop("settings"))
             with kept(errors):
                 entry["settings"] = read_yaml(sources[name])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,6 @@ Tensors = Mapping[str, NDArray[Any]]
 FORMAT_VERSION = 1  # of checkpoints, and of weights without a digest, which older versions wrote
 DIGEST_VERSION = 2  # of weights whose JSON holds a digest of tensors and settings
 LARGEST_FILE = 2**31  # largest size of a file of weights or a checkpoint in bytes; a larger one must be a mistake
-CARD = "README.md"  # of a folder of a model hub; its head names the library
 _DESCRIPTION, _DIGEST = "description", "digest"
 _OPTIMISER = "optimiser."
 
@@ -98,12 +97,9 @@ def kind_of_weights(path: str | Path) -> str:
     weights, description = weight_files(weights_in(path) or path)
     if not (weights.is_file() and description.is_file()):
         return ""
-    try:
-        stored = json.loads(_content(description))
-    except ValueError:
-        return ""
-    named = stored.get("format", "") if isinstance(stored, dict) else ""
-    return str(named).removeprefix("hydro_env ")
+    with suppress(ValueError, AttributeError):  # no JSON, or no mapping
+        return str(json.loads(_content(description)).get("format", "")).removeprefix("hydro_env ")
+    return ""
 
 
 def weights_in(path: str | Path) -> Path | None:
@@ -112,18 +108,15 @@ def weights_in(path: str | Path) -> Path | None:
     ``None``: the path is no folder, or one without any file of tensors.
 
     Raises:
-        ConfigurationError: the folder holds several weights, or only those of another library, which the card names.
+        ConfigurationError: the folder holds several weights, or only those of another library.
     """
     folder = Path(path)
-    found = sorted(folder.glob("*.safetensors")) if folder.is_dir() else []
-    own = [one.with_suffix("") for one in found if one.with_suffix(".json").is_file()]
-    if found and not own:
-        head = card.read_text(encoding="utf-8", errors="replace")[:10_000] if (card := folder / CARD).is_file() else ""
-        library = re.search(r"^library_name: *(\S+)", head, flags=re.MULTILINE)
-        made_by = f"; {CARD} names the library {library.group(1)[:60]!r}" if library else ""
-        raise ConfigurationError(f"{folder}: {found[0].name} has no JSON file of hydro_env beside it{made_by}")
+    tensors = sorted(folder.glob("*.safetensors")) if folder.is_dir() else []
+    own = [file.with_suffix("") for file in tensors if file.with_suffix(".json").is_file()]
+    if tensors and not own:
+        raise ConfigurationError(f"{folder}: {tensors[0].name} has no JSON file of hydro_env beside it")
     if len(own) > 1:
-        names = ", ".join(one.name for one in own)
+        names = ", ".join(file.name for file in own)
         raise ConfigurationError(f"{folder}: holds several weights: {names}; name one of them")
     return own[0] if own else None
 
@@ -212,11 +205,10 @@ def _content(path: Path) -> bytes:
 
 def _unpacked(content: bytes, path: Path) -> dict[str, NDArray[Any]]:
     try:
-        tensors: dict[str, NDArray[Any]] = unpack(content)
+        return dict(unpack(content))
     except (SafetensorError, KeyError, TypeError, ValueError, OverflowError) as error:  # KeyError: BF16 and the like
         reason = str(error).replace("\n", " ")
         raise ConfigurationError(f"{path}: damaged or not a safetensors file of NumPy arrays ({reason})") from None
-    return tensors
 
 
 def _described(text: bytes, kind: str, path: Path, versions: tuple[int, ...] = (FORMAT_VERSION,)) -> dict[str, Any]:
@@ -224,11 +216,10 @@ def _described(text: bytes, kind: str, path: Path, versions: tuple[int, ...] = (
         settings: Any = json.loads(text.decode())
     except (ValueError, RecursionError):  # ValueError: also for bytes that are not text, and integers of 5000 digits
         raise ConfigurationError(f"{path}: not a JSON file") from None
-    found = settings.get("format") if isinstance(settings, dict) else None
-    if found != f"hydro_env {kind}" or settings.get("format_version") not in versions:
-        shown = str(found)[:60]
-        known = " or ".join(map(str, versions))
-        raise ConfigurationError(f"{path}: holds {shown!r}: must be 'hydro_env {kind}' of format {known}")
+    named = settings.get("format") if isinstance(settings, dict) else None
+    if named != f"hydro_env {kind}" or settings.get("format_version") not in versions:
+        must = f"'hydro_env {kind}' of format {' or '.join(map(str, versions))}"
+        raise ConfigurationError(f"{path}: holds {str(named)[:60]!r}: must be {must}")
     return dict(settings)
 
 
@@ -250,21 +241,18 @@ def restore_optimiser(optimiser: Any, tensors: Tensors, where: str) -> None:
     import torch
 
     stored = {name: array for name, array in tensors.items() if name.startswith(_OPTIMISER)}
-    state: dict[int, dict[str, Any]] = {}
     wanted: dict[str, NDArray[Any]] = {}
-    if stored:
-        parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
-        for index, parameter in enumerate(parameters):
-            if parameter.requires_grad:
-                like = parameter.detach().cpu().numpy()
-                entry = {"step": np.zeros((), dtype=np.float32), "exp_avg": like, "exp_avg_sq": like}
-                wanted |= {f"{_OPTIMISER}{index}.{name}": array for name, array in entry.items()}
-                state[index] = {}
-        require(stored, wanted, where)
-        unknown = next((name for name in stored if name not in wanted), None)
-        if unknown is not None:
-            raise ConfigurationError(f"{where}: tensor '{unknown}' does not belong to this optimiser")
-    for name in wanted:
+    parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]] if stored else []
+    for index, parameter in enumerate(parameters):
+        if parameter.requires_grad:
+            like = parameter.detach().cpu().numpy()
+            entry = {"step": np.zeros((), dtype=np.float32), "exp_avg": like, "exp_avg_sq": like}
+            wanted |= {f"{_OPTIMISER}{index}.{name}": array for name, array in entry.items()}
+    require(stored, wanted, where)
+    for name in stored.keys() - wanted.keys():
+        raise ConfigurationError(f"{where}: tensor '{name}' does not belong to this optimiser")
+    state: dict[int, dict[str, Any]] = {}
+    for name, array in stored.items():
         _, index_text, key = name.split(".")
-        state[int(index_text)][key] = torch.from_numpy(np.array(stored[name]))
+        state.setdefault(int(index_text), {})[key] = torch.from_numpy(np.array(array))
     optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})

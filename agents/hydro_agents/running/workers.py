@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 import socket
 import subprocess
 import sys
@@ -28,8 +27,6 @@ _TRIALS = {
     "ray": "import ray; ray.init(sys.argv[1], log_to_driver=False)",
 }
 
-_PORT = re.compile(r"(?:(?P<scheme>\w+)://)?(?P<host>[^/:\s]+|\[[^]\s]+\]):(?P<port>\d+)")
-
 
 @contextmanager
 def workers(jobs: int | None = None, backend: str = "loky", address: str | None = None) -> Iterator[None]:
@@ -46,63 +43,44 @@ def workers(jobs: int | None = None, backend: str = "loky", address: str | None 
     """
     if backend not in BACKENDS:
         raise ConfigurationError(f"--backend '{backend}': must be one of {', '.join(BACKENDS)}")
-    if address is not None and not BACKENDS[backend]:
-        raise ConfigurationError(f"--address {address}: needs --backend dask or ray")
+    if address is not None and backend == "loky":
+        raise ConfigurationError(f"--backend loky={address}: takes no address; dask and ray do")
     with ExitStack() as stack:
-        begin = {"loky": _loky, "dask": _dask, "ray": _ray}[backend]
-        options = begin(jobs, address, stack)
+        options: dict[str, Any] = {"n_jobs": jobs or cpu_count()}
+        if backend != "loky":
+            begin, package = {"dask": _dask, "ray": _ray}[backend], _package(backend)
+            where = f"--backend {backend}" if address is None else _reached(address, backend)
+            try:
+                options = begin(package, jobs, address, stack)
+            except ConfigurationError:
+                raise
+            except (OSError, RuntimeError, ValueError) as error:
+                reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+                raise ConfigurationError(f"{where}: does not answer as {backend}: {reason}") from None
         with parallel_config(backend, **options):
             yield
 
 
-def _loky(jobs: int | None, address: str | None, stack: ExitStack) -> dict[str, Any]:
-    del address, stack
-    return {"n_jobs": jobs or cpu_count()}
-
-
-def _dask(jobs: int | None, address: str | None, stack: ExitStack) -> dict[str, Any]:
-    distributed = _package("distributed", "dask")
-    for name in ("distributed.shuffle", "distributed.nanny", "distributed.worker", "distributed.scheduler"):
-        logging.getLogger(name).setLevel(logging.ERROR)  # a cluster that ends says so in a dozen lines
+def _dask(distributed: Any, jobs: int | None, address: str | None, stack: ExitStack) -> dict[str, Any]:
+    for name in ("shuffle", "nanny", "worker", "scheduler"):  # a cluster that ends says so in a dozen lines
+        logging.getLogger(f"distributed.{name}").setLevel(logging.ERROR)
+    where: Any = address
     if address is None:
-        count = jobs or cpu_count()
-        address = stack.enter_context(
-            distributed.LocalCluster(
-                n_workers=count, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR
-            )
-        )
-    else:
-        _reach(address, "dask")
-    try:
-        client = stack.enter_context(distributed.Client(address, timeout=SECONDS))
-        client.wait_for_workers(1, timeout=SECONDS)
-    except TimeoutError:
-        raise ConfigurationError(f"--address {address}: the Dask cluster has no worker after {SECONDS} s") from None
-    except (OSError, ValueError) as error:
-        raise ConfigurationError(f"--address {address}: is no Dask scheduler: {_first_line(error)}") from None
+        size = {"n_workers": jobs or cpu_count(), "threads_per_worker": 1}
+        where = distributed.LocalCluster(**size, dashboard_address=None, silence_logs=logging.ERROR)
+        stack.enter_context(where)
+    client = stack.enter_context(distributed.Client(where, timeout=SECONDS))
+    client.wait_for_workers(1, timeout=SECONDS)
     return {"client": client, "n_jobs": jobs or -1}
 
 
-def _ray(jobs: int | None, address: str | None, stack: ExitStack) -> dict[str, Any]:
-    ray = _package("ray", "ray")
-    quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
-    if address is not None:
-        _reach(address, "ray")
-    try:
-        if address is None:
-            path = os.pathsep.join(map(os.path.abspath, sys.path))  # its processes begin without it
-            ray.init(
-                "local",
-                num_cpus=jobs or cpu_count(),
-                include_dashboard=False,
-                runtime_env={"env_vars": {"PYTHONPATH": path}},
-                **quiet,
-            )
-        else:
-            ray.init(address, **quiet)
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        where = f"--address {address}" if address is not None else "--backend ray"
-        raise ConfigurationError(f"{where}: Ray did not begin: {_first_line(error)}") from None
+def _ray(ray: Any, jobs: int | None, address: str | None, stack: ExitStack) -> dict[str, Any]:
+    own: dict[str, Any] = {}
+    if address is None:
+        path = os.pathsep.join(map(os.path.abspath, sys.path))  # its processes begin without it
+        own = {"num_cpus": jobs or cpu_count(), "include_dashboard": False}
+        own["runtime_env"] = {"env_vars": {"PYTHONPATH": path}}
+    ray.init(address or "local", logging_level=logging.ERROR, log_to_driver=False, **own)
     stack.callback(ray.shutdown)
     import_module("ray.util.joblib").register_ray()
     cores = int(ray.cluster_resources().get("CPU", 0))
@@ -111,37 +89,34 @@ def _ray(jobs: int | None, address: str | None, stack: ExitStack) -> dict[str, A
     return {"n_jobs": jobs or cores}
 
 
-def _package(name: str, backend: str) -> Any:
+def _package(backend: str) -> Any:
     try:
-        return import_module(name)
+        return import_module({"dask": "distributed"}.get(backend, backend))
     except ImportError:
         needs = BACKENDS[backend]
         raise ConfigurationError(f"--backend {backend}: is not installed: pip install '{needs}'") from None
 
 
-def _reach(address: str, backend: str) -> None:
+def _reached(address: str, backend: str) -> str:
     """Connect and leave, in a process of its own: the clients of clusters try for minutes, or end the process.
+
+    Returns:
+        The option, for messages.
 
     Raises:
         ConfigurationError: the address has no port, or nobody answers there.
     """
-    found = _PORT.fullmatch(address)
-    if found is None:
-        raise ConfigurationError(
-            f"--address '{address}': must be HOST:PORT, such as scheduler:8786 or ray://head:10001"
-        )
+    option = f"--backend {backend}={address}"
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if not host or not port.isdecimal():
+        raise ConfigurationError(f"{option}: must be HOST:PORT, such as scheduler:8786 or ray://head:10001")
     try:
-        socket.create_connection((found["host"].strip("[]"), int(found["port"])), SECONDS).close()
+        socket.create_connection((host.strip("[]"), int(port)), SECONDS).close()
         line = [sys.executable, "-c", f"import sys; {_TRIALS[backend]}", address]
-        trial = subprocess.run(line, capture_output=True, text=True, timeout=SECONDS, check=False)
+        subprocess.run(line, capture_output=True, text=True, timeout=SECONDS, check=True)
+    except subprocess.SubprocessError as error:
+        reason = (getattr(error, "stderr", "") or f"not within {SECONDS} s").strip().splitlines()[-1]
+        raise ConfigurationError(f"{option}: does not answer as {backend}: {reason}") from None
     except (OSError, OverflowError, UnicodeError) as error:
-        raise ConfigurationError(f"--address {address}: does not answer: {_first_line(error)}") from None
-    except subprocess.TimeoutExpired:
-        raise ConfigurationError(f"--address {address}: does not answer as {backend} within {SECONDS} s") from None
-    if trial.returncode:
-        reason = (trial.stderr.strip() or "no reason given").splitlines()[-1]
-        raise ConfigurationError(f"--address {address}: does not answer as {backend}: {reason}")
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise ConfigurationError(f"{option}: does not answer: {error}") from None
+    return option

@@ -15,6 +15,7 @@ import pandas as pd
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
+from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.evaluation.limit_cycles import amplitude_text, rest_warning
@@ -120,13 +121,16 @@ def evaluate_study(
     levels = sorted(study.evaluation.leak_levels)
     price = leak_price(study.task, levels)
     write_tables(folder / "tables", evaluation)
-    write_whole(folder / "tables" / "leak_price.csv", price.to_csv(index=False).encode())
     curve = training_curve if training_curve is not None else pd.DataFrame()
     corrects = {name: entry.corrects for name, entry in study.controllers.items() if entry.corrects}
+    further = {"leak_price": price, "corrected": Grid(evaluation.cases).corrected(corrects)}
+    for name, table in further.items():
+        if not table.empty:
+            write_whole(folder / "tables" / f"{name}.csv", table.to_csv(index=False).encode())
     content = content_of(
         evaluation,
         {"command": command, "date": date_now(), "seed": seed, "machine": machine_description(), **package_versions()},
-        {"leak_price": price, "training_curve": curve},
+        {**further, "training_curve": curve},
         examples=example_traces(study.task, working, levels),
         timings=dict(phases.seconds) if phases is not None else {},
         configuration=configuration,

@@ -57,7 +57,7 @@ def write_benchmark(
     """
     least = len(TIERS) * len(SPLITS)
     if benchmark.recordings < least:
-        raise ConfigurationError(f"--recordings = {benchmark.recordings}: must be at least {least}")
+        raise ConfigurationError(f"--count {benchmark.recordings}: must be at least {least}")
     manifest: dict[str, Any] = {
         "name": "leaking axes",
         "version": VERSION,

@@ -23,7 +23,7 @@ from hydro_env import ConfigurationError
 from hydro_env.files import read_json
 from hydro_env.types import Floats
 from hydro_rig.challenge.axes import SPLITS
-from hydro_rig.challenge.files import MANIFEST, digest_of_labels, read_labels, read_table
+from hydro_rig.challenge.files import MANIFEST, digest_of_labels, read_labels
 from hydro_rig.monitoring.alarm_calibration import poisson_interval
 
 BUDGETS = (1.0, 2.0, 5.0, 10.0, 20.0)
@@ -222,7 +222,7 @@ def _sizes(last: pd.DataFrame, labels: pd.DataFrame) -> dict[str, float]:
     return found
 
 
-def labels_of(folder: Path, split: str, labels: Path | None = None) -> pd.DataFrame:
+def labels_of(folder: Path, split: str) -> pd.DataFrame:
     """The labels of a split of a benchmark, checked against the SHA-256 in its ``benchmark.json``.
 
     Raises:
@@ -231,10 +231,10 @@ def labels_of(folder: Path, split: str, labels: Path | None = None) -> pd.DataFr
     if split not in SPLITS:
         raise ConfigurationError(f"--split {split}: must be one of {', '.join(SPLITS)}")
     expected = read_json(folder / MANIFEST).get("labels_sha256", {})
-    table = read_labels(folder, split) if labels is None else read_table(labels)
+    table = read_labels(folder, split)
     table = table.sort_values("recording", ignore_index=True) if "recording" in table else table
     if not isinstance(expected, Mapping) or digest_of_labels(table) != expected.get(split):
-        raise ConfigurationError(f"{labels or folder}: the labels of '{split}' are not those of {folder / MANIFEST}")
+        raise ConfigurationError(f"{folder}: the labels of '{split}' are not those of {folder / MANIFEST}")
     return table
 
 

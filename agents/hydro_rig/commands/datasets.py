@@ -40,12 +40,13 @@ def record(
         Path | None,
         typer.Option(metavar="FOLDER", help="Write the benchmark of leaking axes instead: many axes, with labels."),
     ] = None,
-    recordings: Annotated[int, typer.Option(help="Recordings of the benchmark.")] = 600,
     key: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="A text known to nobody else, from which its test recordings follow."),
     ] = None,
-    episodes: Annotated[int, typer.Option(help="Number of episodes of the data set.")] = 100,
+    count: Annotated[
+        int | None, typer.Option(help="Episodes of a data set, default 100; or recordings of the benchmark, 600.")
+    ] = None,
     task: OwnTask = None,
     rig: Rig = None,
     controller: Annotated[
@@ -95,14 +96,14 @@ def record(
     if (output is None) == (minari is None and benchmark is None):
         raise ConfigurationError("record: needs one of --output FILE, --minari NAME or --benchmark FOLDER")
     if benchmark is not None:
-        _record_benchmark(benchmark, task_config(task, rig=rig), recordings, key, minari)
+        _record_benchmark(benchmark, task_config(task, rig=rig), 600 if count is None else count, key, minari)
         return
     faults = named_faults(fault or [])
     if output is None:
         given = {"leakage_flow_lpm": leakage, "reference": family, "faults": faults or None}
         length = duration if duration is not None else task_config(task, rig=rig).episode_duration
         config = task_config(task, rig=rig, episode_duration=length)
-        _record_dataset(str(minari), config, controller, episodes, seed, given)
+        _record_dataset(str(minari), config, controller, 100 if count is None else count, seed, given)
         return
     check_new_file(output, overwrite)
     config = task_config(exact_task(task, rig), rig=rig, episode_duration=20.0 if duration is None else duration)
@@ -156,9 +157,6 @@ def score(
     ],
     data: Annotated[Path, typer.Option(metavar="FOLDER", help="The benchmark, from `hydro record --benchmark`.")],
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
-    labels: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The labels, where they are not in the folder of the benchmark.")
-    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print all numbers as JSON instead of tables.")] = False,
 ) -> None:
     """Score anyone's leak detector on the benchmark: leaks found, false alarms, delay, causes, calibration.
@@ -172,7 +170,7 @@ def score(
     from hydro_rig.challenge.scores import labels_of, table_of, text_of
     from hydro_rig.challenge.scores import score as scored
 
-    truth = labels_of(data, split, labels)
+    truth = labels_of(data, split)
     scores = [scored(path.stem, read_table(path), truth) for path in predictions]
     if as_json:
         say(json.dumps(json.loads(table_of(scores).to_json(orient="records")), indent=2))

@@ -12,6 +12,7 @@ import typer
 
 from hydro_agents.commands.options import (
     Columns,
+    Json,
     Output,
     Overwrite,
     OwnTask,
@@ -23,7 +24,6 @@ from hydro_agents.commands.options import (
 )
 from hydro_rig.commands.guesses import guesses_shown
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of lines.")]
 Oil = Annotated[
     str,
     typer.Option(
@@ -37,7 +37,15 @@ def diagnose(
     columns: Columns = None,
     task: OwnTask = None,
     rig: Rig = None,
-    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
+    detector: Annotated[
+        str | None,
+        typer.Option(
+            "--detector",
+            "--head",
+            metavar="WEIGHTS|MODULE:ATTRIBUTE",
+            help="Detector beside the estimator: weights of a leakage head, or your own; default: the shipped head.",
+        ),
+    ] = None,
     alarm: Annotated[
         Path | None, typer.Option(help="Settings of an alarm, from `hydro alarms`, that watches the recording.")
     ] = None,
@@ -49,17 +57,16 @@ def diagnose(
     """Judge a recording: healthy, internal leak (with its size), another fault (which), or undecided (why).
 
     First it checks the recording: gaps, jitter, units, signs, exchanged chambers, stuck and saturated sensors. Then two
-    detectors read the leak window by window: an estimator with the simulator as model, and the leakage head. Writes a
-    page (`diagnosis.html`), a picture, the leak over time and the findings as CSV; the last line is the verdict.
-    Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
+    detectors read the leak window by window: an estimator with the simulator as model, and the leakage head or another
+    one (`--detector`). Writes a page (`diagnosis.html`), a picture, the leak over time and the findings as CSV; the
+    last line is the verdict. Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
 
     Exit codes: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell, 2 wrong input.
     """
     from hydro_agents.detection.alarm import AlarmSettings
-    from hydro_agents.detection.head import LeakageHead
     from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import pretrained_folder
     from hydro_env.task.configuration import task_config
+    from hydro_rig.diagnosis.companion import Companion
     from hydro_rig.diagnosis.diagnose import diagnose as diagnose_recording
     from hydro_rig.diagnosis.diagnose import in_json
     from hydro_rig.diagnosis.diagnosis_page import diagnose_to_folder
@@ -67,15 +74,15 @@ def diagnose(
     from hydro_rig.recordings.columns import read_map
 
     config = task_config(task, rig=rig)
-    weights = LeakageHead.load(head or pretrained_folder() / "leakage_head")
+    companion = Companion.named(detector)
     mapped = read_map(columns) if columns is not None else None
     settings = AlarmSettings.load(alarm) if alarm is not None else None
     with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
         progress = display.update if display is not None else None
-        found = diagnose_recording(recording, config, weights, mapped, window, settings, progress)
-    lines = diagnose_to_folder(output, found, overwrite, command_line())
-    say(*([json.dumps(in_json(found), indent=1, ensure_ascii=False)] if as_json else lines))
-    raise typer.Exit(EXIT_CODES[found.verdict.kind])
+        diagnosis = diagnose_recording(recording, config, companion, mapped, window, settings, progress)
+    lines = diagnose_to_folder(output, diagnosis, overwrite, command_line())
+    say(*([json.dumps(in_json(diagnosis), indent=1, ensure_ascii=False)] if as_json else lines))
+    raise typer.Exit(EXIT_CODES[diagnosis.verdict.kind])
 
 
 @side_by_side

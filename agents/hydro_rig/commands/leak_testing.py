@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydro_agents.commands.options import Columns, Overwrite, OwnTask, Rig, command_line, say
-from hydro_rig.commands.diagnosing import Json
+from hydro_agents.commands.options import Columns, Json, Overwrite, OwnTask, Rig, command_line, say
 from hydro_rig.commands.guesses import guesses_shown
 
 if TYPE_CHECKING:
@@ -59,15 +58,9 @@ def leak_test(
     stop: Annotated[
         Stop, typer.Option(help="Stops to press against; none: only moves around the start.", rich_help_panel=_PLAN)
     ] = Stop.BOTH,
-    low: Annotated[
-        float | None, typer.Option("--from", help="Lowest position in mm from mid-stroke.", rich_help_panel=_PLAN)
-    ] = None,
-    high: Annotated[float | None, typer.Option("--to", help="Highest position in mm.", rich_help_panel=_PLAN)] = None,
-    start: Annotated[
-        float | None, typer.Option(help="Where the axis stands, in mm; default: mid-stroke.", rich_help_panel=_PLAN)
-    ] = None,
-    leak: Annotated[
-        float | None, typer.Option(help="Leak of the simulated axes, l/min at 100 bar.", rich_help_panel=_PLAN)
+    between: Annotated[
+        str | None,
+        typer.Option(metavar="LOW..HIGH", help="Allowed positions in mm from mid-stroke.", rich_help_panel=_PLAN),
     ] = None,
     output: Annotated[
         Path | None,
@@ -88,6 +81,7 @@ def leak_test(
     from hydro_env.task.configuration import task_config
 
     config = task_config(task, rig=rig)
+    low, high = _ends(between)
     limits = {
         "duration": duration,
         "speed": _scaled(speed, 1e-3),
@@ -95,15 +89,13 @@ def leak_test(
         "pressure": _scaled(pressure, 1e5),
         "low": _scaled(low, 1e-3),
         "high": _scaled(high, 1e-3),
-        "start": _scaled(start, 1e-3),
-        "leak": leak,
     }
     given = {name: value for name, value in limits.items() if value is not None}
     if recording is None:
         _plan(config, given | {"stop": stop.value}, output or Path("results/leak_test_plan"), as_json, overwrite)
         return
     if given or stop is not Stop.BOTH:
-        option = {"low": "from", "high": "to"}.get(next(iter(given), "stop"), next(iter(given), "stop"))
+        option = next(iter(given), "stop") if between is None else "between"
         raise ConfigurationError(f"--{option}: belongs to the plan; leave out RECORDING, or the option")
     if limit is not None and not 0.0 < limit <= 100.0:
         raise ConfigurationError(f"--limit {limit:g} l/min: must be above 0 and at most 100")
@@ -112,6 +104,17 @@ def leak_test(
 
 def _scaled(value: float | None, factor: float) -> float | None:
     return None if value is None else factor * value
+
+
+def _ends(between: str | None) -> tuple[float | None, float | None]:
+    """Both ends of ``LOW..HIGH``; ``None``: not given."""
+    from hydro_env import ConfigurationError
+
+    low, _, high = (between or "..").partition("..")
+    try:
+        return float(low) if low else None, float(high) if high else None
+    except ValueError:
+        raise ConfigurationError(f"--between {between}: must be positions in mm as -60..60") from None
 
 
 def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json: bool, overwrite: bool) -> None:

@@ -9,61 +9,34 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
-from hydro_agents.detection.detector import NO_COMMANDS, Cause, Detector, Reading, Windows
+from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.detection.detector import Cause, Detector, Reading, Why, Windows
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.looks import looks_at, window_of
-from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import TaskConfig
-from hydro_rig.diagnosis.verdict import EXIT_CODES, UNREAD, Limits, Verdict, by_volume, judge
-from hydro_rig.diagnosis.volume_balance import VolumeLeak, leak_by_volume
+from hydro_rig.diagnosis.companion import Companion, Watched, watched
+from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
+from hydro_rig.diagnosis.verdict import EXIT_CODES, Limits, Verdict
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.result import Estimate, join
-from hydro_rig.estimation.two_stage import TwoStageDetector
-from hydro_rig.identification.data_sheet import contradictions, worst_signal
-from hydro_rig.recordings.columns import BESIDE, ColumnMap
+from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.parts import lively
 from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
-from hydro_rig.recordings.sampling import Sampled, bridged, cut
+from hydro_rig.recordings.sampling import cut
 
 Progress = Callable[[str, int, int], None]
 
 FIRST_WINDOWS = 2  # liveliest windows, which show whether the model describes the rig at all
 
-MOST_GAPS = 20
-"""Longest duration of a recording including gaps, as a multiple of its sampled time; a longer one is not continuous."""
 
+class NamedReading(NamedTuple):
+    """What a detector has read, and its names."""
 
-class Watched(NamedTuple):
-    """Result of the alarm."""
-
-    at: float | None  # s, of the alarm; None: there was none
-    rate: float | None  # false alarms per 100 h for which it was set
-    note: str  # why it did not watch; empty if it watched
-
-    def line(self) -> str:
-        """The alarm in one sentence."""
-        if self.note:
-            return f"The alarm did not watch: {self.note}."
-        rate = f", set for a rate of {self.rate:g} per 100 h in healthy axes," if self.rate is not None else ""
-        when = f"rose at {self.at:.1f} s" if self.at is not None else "stayed silent"
-        return f"The alarm{rate} {when}."
-
-
-def watch(samples: Sampled, detector: Detector, task: TaskConfig, settings: AlarmSettings) -> Watched:
-    """Run an alarm over a recording, as if the axis had been switched on at its start."""
-    rate, count = settings.false_alarms_per_100_h, int(samples.place[-1]) + 1 if len(samples.place) else 0
-    if count < window_of(detector, task):
-        return Watched(None, rate, "the recording is shorter than a window of the detector")
-    if count > MOST_GAPS * len(samples.place):
-        return Watched(None, rate, "most of the time between the first and the last sample was not recorded")
-    signals = np.full((1, len(samples.signals), count), np.nan)
-    signals[0, :, samples.place] = samples.signals.T
-    looks = looks_at(signals, task, detector, settings.interval)
-    raised = LeakAlarm(settings).follow(looks)[0].alarm[0]
-    return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate, "")
+    name: str
+    column: str
+    reading: Reading
+    own: bool = False  # neither the estimator nor the leakage head: its score is shown as well
 
 
 class Diagnosis(NamedTuple):
@@ -73,32 +46,41 @@ class Diagnosis(NamedTuple):
     task: TaskConfig  # that was assumed
     checked: Checked
     windows: Windows
-    estimator: Reading | None
-    head: Reading | None
+    read: Read
+    companion: Companion
     limits: Limits
     verdict: Verdict
     alarm: Watched | None  # None: no settings of an alarm were given
-    note: str  # why the head was not used; empty if it was
-    fitted: Estimate | None  # of the windows with commands; None: none was read
+    note: str  # why the companion was not used; empty if it was
+
+    @property
+    def readings(self) -> list[NamedReading]:
+        """What was read, by detector."""
+        readings, companion = [], self.companion
+        if self.read.estimator is not None:
+            readings.append(NamedReading("estimator", "estimator", self.read.estimator))
+        if self.read.companion is not None:
+            readings.append(NamedReading(companion.name, companion.column, self.read.companion, companion.own))
+        return readings
 
 
 def diagnose(
     path: Path,
     config: TaskConfig,
-    head: LeakageHead | Detector,
+    detector: LeakageHead | Detector | Companion,
     columns: ColumnMap | None = None,
     window: float = 2.0,
     alarm: AlarmSettings | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Read a recording, check it, let both detectors read it, and judge.
+    """Read a recording, check it, let the estimator and another detector read it, and judge.
 
     Args:
         path: the recording, CSV.
         config: the task whose rig was recorded.
-        head: the leakage head, or another detector, that reads beside the estimator.
+        detector: the leakage head, or another detector, that reads beside the estimator.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
-        window: s, of the windows that the estimator reads; the head has its own.
+        window: s, of the windows that the estimator reads; a head has its own.
         alarm: settings of an alarm that watches the recording.
         progress: called with phase, done, total.
 
@@ -118,40 +100,52 @@ def diagnose(
         >>> verdict.kind.value, round(verdict.leak.value, 1)
         ('internal leak', 1.0)
     """
-    second = HeadDetector(head) if isinstance(head, LeakageHead) else head
+    companion = detector if isinstance(detector, Companion) else Companion.of(detector)
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
-    whole, filled = bridged(checked.samples)
-    balance = volume_leak(recording)
-    checked = Checked(whole, [*checked.findings, *filled, *_about_beside(recording, balance)])
-    windows = cut(whole, max(round(window / config.control_period), 2))
-    limits = Limits.of(config)
-    estimator, fitted, reading, watched = None, None, None, None
-    note = second.refuses(config, windows.samples)
-    if not checked.severe and len(windows):
-        fits = 2 * int(windows.commanded.sum())
+    checked.findings.extend(_about_auxiliary(recording))
+    length = max(round(window / config.control_period), 2)
+    note, limits = companion.detector.refuses(config, length), Limits.of(config)
 
-        def done(finished: int) -> None:
-            if progress is not None and fits:
-                progress("estimator", finished, fits)
+    def read(windows: Windows) -> Read:
+        commanded = np.flatnonzero(windows.commanded)
 
-        done(0)
-        estimator, fitted = read_windows(windows, config, done)
-        if fitted is not None:
-            checked = Checked(whole, [*checked.findings, *contradictions(fitted, config)])
-        if not note:
-            chosen = np.flatnonzero(windows.commanded)
-            reading = second.read(windows.part(chosen), config).among(chosen, len(windows), NO_COMMANDS)
-        if alarm is not None and not note:
-            asked: Detector = second
-            if isinstance(head, LeakageHead) and alarm.detector.startswith("two_stage"):
-                asked = TwoStageDetector(head)
-            watched = watch(checked.samples, asked, config, alarm)
-    residual = worst_signal(fitted, config) if fitted is not None else ""
-    verdict = judge(checked.findings, estimator, reading, limits, window, residual)
-    if balance is not None:
-        verdict = by_volume(verdict, balance, limits)
-    return Diagnosis(recording, config, checked, windows, estimator, reading, limits, verdict, watched, note, fitted)
+        def report(done: int) -> None:
+            if progress is not None and len(commanded):
+                progress("estimator", done, 2 * len(commanded))
+
+        if not len(windows):
+            return Read()
+        report(0)
+        estimator, fitted = read_windows(windows, config, report)
+        if note:
+            return Read(estimator, None, fitted)
+        reading = companion.detector.read(windows.part(commanded), config)
+        return Read(estimator, reading.among(commanded, len(windows), Why.NO_COMMANDS), fitted)
+
+    result = judged(
+        checked,
+        config,
+        choose=lambda samples: cut(samples, length),
+        read=read,
+        limits=limits,
+        window=window,
+        balance=volume_leak(flow_blocks(recording)),
+        rows=[recording],
+        companion=companion.name,
+    )
+    return Diagnosis(
+        recording=recording,
+        task=config,
+        checked=result.checked,
+        windows=result.windows,
+        read=result.read,
+        companion=companion,
+        limits=limits,
+        verdict=result.verdict,
+        alarm=None if alarm is None else watched(result.checked, companion, config, alarm),
+        note=note,
+    )
 
 
 def read_windows(
@@ -161,72 +155,57 @@ def read_windows(
 
     ``threads`` is that of :class:`~hydro_rig.estimation.estimator.EstimatorDetector`.
     """
-    detector, count = EstimatorDetector(threads=threads), len(windows)
+    detector = EstimatorDetector(threads=threads)
     commanded = np.flatnonzero(windows.commanded)
     first = commanded[lively(windows.part(commanded), FIRST_WINDOWS)]
     if not len(first):
         return detector.read_and_fit(windows, config)
     hasty = EstimatorDetector(threads=threads, restarts=1)
     reading, fitted = hasty.read_and_fit(windows.part(first), config, progress)
-    others = np.setdiff1d(np.arange(count), first)
+    others = np.setdiff1d(np.arange(len(windows)), first)
     if not len(others):
         return reading, fitted
     if fitted is None or not fitted.holds.any():
-        unread = Reading.of(np.full(len(others), np.nan), Cause.UNKNOWN, why=(UNREAD,) * len(others))
-        return reading.followed_by(unread).among(np.concatenate([first, others]), count, ""), fitted
-    later = None if progress is None else lambda done: progress(2 * len(first) + done)
-    rest, more = detector.read_and_fit(windows.part(others), config, later)
-    whole = reading.followed_by(rest).among(np.concatenate([first, others]), count, "")
-    return whole, fitted if more is None else join([fitted, more])
+        rest = Reading.of(np.full(len(others), np.nan), Cause.UNKNOWN, why=Why.NOT_READ)
+    else:
+        later = None if progress is None else lambda done: progress(2 * len(first) + done)
+        rest, more = detector.read_and_fit(windows.part(others), config, later)
+        fitted = fitted if more is None else join([fitted, more])
+    order = np.argsort(np.concatenate([first, others]))
+    return reading.followed_by(rest).part(order), fitted
 
 
-def volume_leak(recording: Recording) -> VolumeLeak | None:
-    """The leak by the balance of volumes; ``None`` without a flow, the position or one of the pressures."""
-    if recording.beside is None:
-        return None
-    signals = (*recording.signals[:3], recording.beside[BESIDE.index("flow")])
-    step = float(np.median(np.diff(recording.time)))
-    if not all(np.isfinite(values).any() for values in signals) or step <= 0.0:
-        return None
-    time = np.arange(recording.time[0], recording.time[-1], step)
-    # A missing reading stays NaN.
-    position, pressure_a, pressure_b, flow = (np.interp(time, recording.time, values) for values in signals)
-    return leak_by_volume(position, pressure_a, pressure_b, flow, step)
-
-
-def _about_beside(recording: Recording, balance: VolumeLeak | None) -> list[Finding]:
-    """What the further signals of a recording say."""
-    found: list[Finding] = []
-    if recording.beside is None:
-        return found
-    for name, values in zip(BESIDE, recording.beside, strict=True):
+def _about_auxiliary(recording: Recording) -> list[Finding]:
+    """What the further signals of a recording say, but for the flow."""
+    findings: list[Finding] = []
+    for name, values in recording.auxiliary.items():
         if np.isfinite(values).any() and name != "flow":
-            size, unit = (1.0, "°C") if name == "oil_temperature" else (1e-5, "bar")
-            low, high = size * np.nanquantile(values, [0.01, 0.99])
-            more = "a leak past the seal grows as the oil thins" if unit == "°C" else "the model follows it"
-            found.append(Finding(name, f"is {low:.4g} to {high:.4g} {unit}; {more}", Weight.NOTE))
-    if balance is not None:
-        what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
-        found.append(Finding("flow", what, Weight.NOTE))
-    return found
+            warm = name == "oil_temperature"
+            low, high = (1.0 if warm else 1e-5) * np.nanquantile(values, [0.01, 0.99])
+            unit, more = (
+                ("°C", "a leak past the seal grows as the oil thins") if warm else ("bar", "the model follows it")
+            )
+            findings.append(Finding(name, f"is {low:.4g} to {high:.4g} {unit}; {more}", Weight.NOTE))
+    return findings
 
 
 def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:
-    """The readings of both detectors, one row per window; leaks in l/min at 100 bar."""
+    """The readings of all detectors, one row per window; leaks in l/min at 100 bar."""
     columns: dict[str, object] = {
         "begin_s": np.round(diagnosis.windows.begin, 6),
         "end_s": np.round(diagnosis.windows.end, 6),
     }
-    for name, reading in (("estimator", diagnosis.estimator), ("head", diagnosis.head)):
-        if reading is not None:
-            columns |= {
-                f"{name}_leak": np.round(reading.flow_lpm, 5),
-                f"{name}_low": np.round(reading.low_lpm, 5),
-                f"{name}_high": np.round(reading.high_lpm, 5),
-                f"{name}_counts": reading.answers,
-                f"{name}_fault": reading.fault,
-                f"{name}_remark": reading.why,
-            }
+    for _, column, reading, own in diagnosis.readings:
+        if own:
+            columns[f"{column}_score"] = reading.score
+        columns |= {
+            f"{column}_leak": np.round(reading.flow_lpm, 5),
+            f"{column}_low": np.round(reading.low_lpm, 5),
+            f"{column}_high": np.round(reading.high_lpm, 5),
+            f"{column}_counts": reading.answers,
+            f"{column}_fault": reading.fault,
+            f"{column}_remark": reading.remarks,
+        }
     return pd.DataFrame(columns)
 
 
@@ -248,6 +227,6 @@ def in_json(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def findings_table(findings: list[Finding]) -> str:
     """The findings as CSV."""
-    table = pd.DataFrame(findings, columns=list(Finding._fields))
-    text: str = table.to_csv(index=False, lineterminator="\n", float_format="%.6g")
+    table = pd.DataFrame(findings, columns=Finding._fields)
+    text: str = table.drop(columns="code").to_csv(index=False, lineterminator="\n", float_format="%.6g")
     return text

@@ -7,60 +7,43 @@ from textwrap import fill
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Reading
-from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot, render, thinned, with_gaps
+from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot, render
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
-from hydro_agents.report.palette import MEANINGS, looks_of
-from hydro_agents.report.sections import Block, Code, Fold, Points, Text, render_page, section
-from hydro_agents.report.shared import findings_frame
+from hydro_agents.report.palette import MEANINGS, Look, looks_of
+from hydro_agents.report.recorded import paint_course, recording_tables
+from hydro_agents.report.sections import Block, Code, Fold, Text, render_page, section
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, capitalised, number, setting
-from hydro_env import PlantParameters
 from hydro_env.files import write_text, write_whole
-from hydro_env.units import UNITS
-from hydro_rig.diagnosis.diagnose import Diagnosis, findings_table, leak_table
+from hydro_rig.diagnosis.diagnose import Diagnosis, NamedReading, findings_table, leak_table
+from hydro_rig.diagnosis.recording_page import signals_of
 from hydro_rig.diagnosis.verdict import Kind, combined, named_fault
 from hydro_rig.identification.data_sheet import lines_to_paste, residual_table
-from hydro_rig.recordings.findings import Finding, Weight
 
 PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv", "findings.csv", "diagnosis.png"
 FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
 JOB = "diagnose"
 
-DIAGNOSIS = (
-    "diagnosed",
-    "leak_over_time",
-    "recording",
-    "signals",
-    "windows",
-    "judging",
-)  # sections of the page, in order
+DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "signals", "windows", "judging")
+"""Sections of the page, in order."""
 SOURCES = Markup("Numbers: <code>leak.csv</code> and <code>findings.csv</code> beside this page.")
 
-ADVICE = {
-    Kind.HEALTHY: "The piston seal leaks too little to matter for the axis. Record again after some time.",
-    Kind.LEAK: "The piston seal leaks. Plan its replacement by the size and by how fast it grows; record again after "
-    "some time under the same conditions.",
-    Kind.OTHER: "Something besides the piston seal differs from the rig's data sheet. Check the named part "
-    "before the seal.",
-    Kind.UNKNOWN: "This recording gives no answer. The verdict gives the reason; correct it and record again.",
-}
-
+ESTIMATOR = Markup(
+    "<strong>Estimator</strong>: simulates the rig of the data sheet with the recorded commands, and changes leak, "
+    "plant, wear and sensor offsets until it reproduces the readings. If the difference remains above the sensors' "
+    "noise, its reading is not valid."
+)
+HEAD = Markup("<strong>Leakage head</strong>: a network trained on simulated axes. It is faster, and less accurate.")
+OWN = Markup("<strong>{}</strong>: a detector that was given with <code>--detector</code>.")
 JUDGING = (
-    Markup(
-        "<strong>Estimator</strong>: simulates the rig of the data sheet with the recorded commands, and changes leak, "
-        "plant, wear and sensor offsets until it reproduces the readings. If the difference remains above the sensors' "
-        "noise, its reading is not valid."
-    ),
-    Markup("<strong>Leakage head</strong>: a network trained on simulated axes. It is faster, and less accurate."),
     "The estimator decides if it has read at least one window. If its model does not describe the recording, the "
     "verdict is “cannot tell”.",
     "The limits are those of servo faults. Acceptance tests of new cylinders require far less: about 0.06 ml/min for a "
@@ -69,12 +52,8 @@ JUDGING = (
 
 MEND = "These lines in the file of the task (--task) make its data sheet agree with the recording:"
 
-STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse", Kind.OTHER: "doubtful", Kind.UNKNOWN: ""}
-"""Class of the verdict in the style of the pages."""
-
 MOST_ROWS = 200  # largest number of windows in the table of the page; the CSV file holds all
 GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
-COLOUR = {Weight.SEVERE: WORSE, Weight.FAULT: WORSE, Weight.NOTE: GREY}
 LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
 
 
@@ -88,42 +67,35 @@ def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, comm
         render_diagnosis(diagnosis, Origin.now(command)).write(folder / PAGE_FILE)
     lines = [finding.line() for finding in diagnosis.checked.findings]
     lines += [diagnosis.alarm.line()] if diagnosis.alarm is not None else []
-    mend = lines_to_paste(diagnosis.fitted, diagnosis.task) if diagnosis.fitted is not None else ""
+    fitted = diagnosis.read.fitted
+    mend = lines_to_paste(fitted, diagnosis.task) if fitted is not None else ""
     lines += [f"{MEND}\n{mend.rstrip()}"] if mend else []
     return [*lines, str(folder / PAGE_FILE), diagnosis.verdict.line()]
 
 
 def render_diagnosis(diagnosis: Diagnosis, origin: Origin) -> Page:
     """The page."""
-    recording, samples = diagnosis.recording, diagnosis.checked.samples
-    read = [f"{int(reading.answers.sum())} read by the {name}" for name, reading in _readings(diagnosis).items()]
-    facts = {
-        "Recording": recording.source,
-        "Rig assumed": rig_line(diagnosis.task.plant),
-        "Duration": f"{number(float(recording.time[-1]), 2)} s, {len(recording.time)} rows",
-        "Control period": f"{1e3 * samples.period:g} ms, {len(samples.time)} samples",
-        "Windows": ", ".join([f"{len(diagnosis.windows)} windows", *read]),
-    }
-    tables = {
-        "protocol": pd.DataFrame(facts.items(), columns=["key", "value"]),
-        "findings": findings_frame(diagnosis.checked.findings),
-    }
-    content = Content(tables, others={"diagnosis": diagnosis})
+    samples, companion = diagnosis.checked.samples, diagnosis.companion
+    read = [f"{int(each.reading.answers.sum())} read by the {each.name}" for each in diagnosis.readings]
+    tables = recording_tables(
+        diagnosis.recording.source,
+        diagnosis.task.plant,
+        diagnosis.recording.time,
+        diagnosis.checked.findings,
+        Control_period=f"{1e3 * samples.period:g} ms, {len(samples.time)} samples",
+        Windows=", ".join([f"{len(diagnosis.windows)} windows", *read]),
+    )
+    method = (ESTIMATOR, OWN.format(companion.name) if companion.own else HEAD, *JUDGING)
+    parts = {"diagnosis": diagnosis, "verdict": diagnosis.verdict, "judging": method}
+    content = Content(tables, diagnosis.task, others=parts)
     return render_page("Diagnosis of the axis", DIAGNOSIS, content, origin, SOURCES)
-
-
-@section("", needs=("diagnosis",))
-def diagnosed(content: Content) -> list[Block]:
-    """The verdict, and what to do next."""
-    verdict = content.part("diagnosis", Diagnosis).verdict
-    return [Text(capitalised(verdict.line()), f"verdict {STYLES[verdict.kind]}".strip()), Text(ADVICE[verdict.kind])]
 
 
 @section("Leak over time", needs=("diagnosis",))
 def leak_over_time(content: Content) -> list[Block]:
     """The readings and the signals over time."""
     diagnosis = content.part("diagnosis", Diagnosis)
-    lines = [head_line(diagnosis.head), diagnosis.alarm.line() if diagnosis.alarm is not None else ""]
+    lines = [companion_line(diagnosis), diagnosis.alarm.line() if diagnosis.alarm is not None else ""]
     blocks: list[Block] = [_plot(diagnosis), *(Text(line) for line in lines if line)]
     if diagnosis.note:
         blocks.append(Text(f"{capitalised(diagnosis.note)}. Only the estimator was used.", "soft"))
@@ -134,11 +106,12 @@ def leak_over_time(content: Content) -> list[Block]:
 def signals(content: Content) -> list[Block]:
     """What is left of each signal when the model has been fitted, and how the data sheet would agree."""
     diagnosis = content.part("diagnosis", Diagnosis)
-    if diagnosis.fitted is None:
+    fitted = diagnosis.read.fitted
+    if fitted is None:
         return []
-    mend = lines_to_paste(diagnosis.fitted, diagnosis.task)
+    mend = lines_to_paste(fitted, diagnosis.task)
     lines: list[Block] = [Text(MEND), Code(mend)] if mend else []
-    return [residual_table(diagnosis.fitted, diagnosis.task), *lines]
+    return [residual_table(fitted, diagnosis.task), *lines]
 
 
 @section("Window by window", needs=("diagnosis",))
@@ -152,57 +125,49 @@ def windows(content: Content) -> list[Block]:
     return [Fold("All readings", [table, *rest])]
 
 
-@section("How it was judged", needs=("diagnosis",))
-def judging(content: Content) -> list[Block]:
-    """What the detectors do, and the limits."""
-    return [Points(JUDGING)]
-
-
-def rig_line(plant: PlantParameters) -> str:
-    """The nameplate of a rig in one line, by which a person sees whether it is the recorded one."""
-    cylinder, supply = plant.cylinder, plant.supply.pressure / UNITS["Pa"]["bar"]
-    return (
-        f"bore {1e3 * cylinder.bore_diameter:g} mm, rod {1e3 * cylinder.rod_diameter:g} mm, "
-        f"stroke {1e3 * cylinder.stroke:g} mm, supply {supply:g} bar"
-    )
-
-
-def head_line(reading: Reading | None) -> str:
-    """The result of the leakage head for the whole recording, for comparison; empty if it was not used."""
+def companion_line(diagnosis: Diagnosis) -> str:
+    """What the detector beside the estimator says of the whole recording; empty if it was not used."""
+    companion, reading = diagnosis.companion, diagnosis.read.companion
     if reading is None:
         return ""
-    if not reading.answers.any():
-        return "The leakage head gives no valid reading."
-    leak, _ = combined(reading)
+    subject = companion.name if companion.own else f"The {companion.name}"
+    answers = reading.answers
+    if not answers.any():
+        return f"{subject} gives no valid reading."
+    if not reading.sized.any():
+        scores, threshold = reading.score[answers], companion.detector.threshold
+        above = "" if threshold is None else f"; {int((scores >= threshold).sum())} windows reach its threshold"
+        middle = number(float(np.median(scores)), digits=3)
+        return f"{subject} gives no size; its score is {middle}, median of {len(scores)} windows{above}."
     fault = named_fault(reading)
-    return f"The leakage head reads {leak.text()}; other faults that it names: {fault or 'none'}."
-
-
-def _readings(diagnosis: Diagnosis) -> dict[str, Reading]:
-    given = {"estimator": diagnosis.estimator, "leakage head": diagnosis.head}
-    return {name: reading for name, reading in given.items() if reading is not None}
+    return f"{subject} reads {combined(reading)[0].text()}; other faults that it names: {fault or 'none'}."
 
 
 def windows_table(diagnosis: Diagnosis) -> Table | None:
     """The readings of each window; ``None`` without windows."""
-    readings = _readings(diagnosis)
+    readings = diagnosis.readings
     if not readings:
         return None
+    remarks = [each.reading.remarks for each in readings]
     rows = []
     for window in range(min(len(diagnosis.windows), MOST_ROWS)):
         begin, end = diagnosis.windows.begin[window], diagnosis.windows.end[window]
         cells = [f"{number(float(begin), 1)} to {number(float(end), 1)} s"]
-        for reading in readings.values():
-            cells += [_shown(reading, window), reading.fault[window] or reading.why[window]]
+        for each, remark in zip(readings, remarks, strict=True):
+            cells += [_shown(each, window), each.reading.fault[window] or remark[window]]
         rows.append(tuple(cells))
-    header = ("Window", *(text for name in readings for text in (name, "remark")))
+    header = ("Window", *(text for each in readings for text in (each.name, "remark")))
     return Table("Leak in l/min at 100 bar, 90 % interval", header, rows)
 
 
-def _shown(reading: Reading, window: int) -> str:
-    value, low, high = reading.flow_lpm[window], reading.low_lpm[window], reading.high_lpm[window]
-    text = f"{number(value, 3)} [{number(max(low, 0.0), 3)}, {number(max(high, 0.0), 3)}]"
-    return text if reading.answers[window] else "–"
+def _shown(named: NamedReading, window: int) -> str:
+    reading = named.reading
+    if not reading.answers[window]:
+        return "–"
+    if not reading.sized[window]:
+        return f"score {number(float(reading.score[window]), digits=3)}"
+    low, high = (number(max(end[window], 0.0), 3) for end in (reading.low_lpm, reading.high_lpm))
+    return f"{number(reading.flow_lpm[window], 3)} [{low}, {high}]"
 
 
 # The figure ---------------------------------------------------------------------------------------------------------
@@ -224,11 +189,9 @@ def paint(figure: Figure, diagnosis: Diagnosis) -> None:
     """Draw leak, position, pressures, spool and command over time."""
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[1.7, 1, 1, 1])
     paint_leak(axes[0], diagnosis)
-    paint_signals(axes[1:], diagnosis)
-    axes[-1].set_xlabel("time, s")
+    paint_course(axes[1:], signals_of(diagnosis.recording, diagnosis.checked.findings))
     figure.suptitle(_title(diagnosis), fontsize=10, fontweight="bold", x=0.01, ha="left")
-    for axis in axes:  # room for short labels
-        axis.margins(x=0.01)
+    axes[0].margins(x=0.01)
 
 
 def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
@@ -245,12 +208,13 @@ def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
             text, (0.004, height), xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points",
             va="bottom", fontsize=8, color=GREY,
         )  # fmt: skip
-    looks = looks_of(["leakage head", "estimator"])
+    looks = looks_of(["companion", "estimator"])
     middle = 0.5 * (windows.begin + windows.end)
     shift = 0.12 * float(windows.end[0] - windows.begin[0]) if len(middle) else 0.0
-    for name, reading in reversed(_readings(diagnosis).items()):
-        side = -shift if name == "leakage head" else shift
-        _paint_reading(axes, middle + side, reading, looks[name].colour, looks[name].marker, name)
+    for name, column, reading, _ in reversed(diagnosis.readings):
+        estimator = column == "estimator"
+        look = looks["estimator" if estimator else "companion"]
+        _paint_reading(axes, middle + (shift if estimator else -shift), reading, look, name)
     if diagnosis.alarm is not None and diagnosis.alarm.at is not None:
         axes.axvline(diagnosis.alarm.at, color=INK, linestyle="--", linewidth=1.2, label="alarm")
     handles, labels = axes.get_legend_handles_labels()
@@ -260,62 +224,19 @@ def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
         axes.text(0.5, 0.5, "no window was read", transform=axes.transAxes, ha="center", color=GREY)
 
 
-def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, colour: str, marker: str, name: str) -> None:
-    def shown(values: NDArray[Any]) -> NDArray[Any]:
-        clipped: NDArray[Any] = np.clip(values, LOWEST, HIGHEST)
-        return clipped
-
+def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, look: Look, name: str) -> None:
     counts, known = reading.answers, np.isfinite(reading.flow_lpm)
+    ends = [np.clip(values, LOWEST, HIGHEST) for values in (reading.flow_lpm, reading.low_lpm, reading.high_lpm)]
     for chosen, options, label in (
-        (known & counts, {"markerfacecolor": colour}, name),
+        (known & counts, {"markerfacecolor": look.colour}, name),
         (known & ~counts, {"markerfacecolor": PAPER, "alpha": 0.5}, f"{name}, does not count"),
     ):
         if chosen.any():
-            parts = (reading.flow_lpm, reading.low_lpm, reading.high_lpm)
-            value, low, high = (shown(values[chosen]) for values in parts)
+            value, low, high = (values[chosen] for values in ends)
             axes.errorbar(
-                place[chosen], value, yerr=[value - low, high - value], fmt=marker, color=colour, markersize=4.5,
-                capsize=2, linewidth=1.2, label=label, **options,
+                place[chosen], value, yerr=[value - low, high - value], fmt=look.marker, color=look.colour,
+                markersize=4.5, capsize=2, linewidth=1.2, label=label, **options,
             )  # fmt: skip
-
-
-def paint_signals(axes: Any, diagnosis: Diagnosis) -> None:
-    """Draw position, pressures, and spool with command, in mm, bar and %, and mark the findings."""
-    recording = diagnosis.recording
-    position, pressure_a, pressure_b, spool, command = recording.signals
-    looks = list(looks_of(range(2)).values())
-    panels = (
-        ("position, mm", [("position", 1e3 * position)]),
-        ("pressure, bar", [("pressure_a", 1e-5 * pressure_a), ("pressure_b", 1e-5 * pressure_b)]),
-        ("valve, %", [("spool_position", 100 * spool), ("command", 100 * command)]),
-    )
-    for axis, (label, lines) in zip(axes, panels, strict=True):
-        for (name, values), look in zip(lines, looks, strict=False):
-            axis.plot(
-                *with_gaps(*thinned(recording.time, values)), label=name.replace("_", " "), linewidth=1.0, **look.stroke
-            )
-        axis.set_ylabel(label)
-        names = {name for name, _ in lines}
-        for finding in diagnosis.checked.findings:
-            if finding.signal in names or (finding.signal == "time" and "position" in names):
-                _mark(axis, finding, float(recording.time[-1]))
-        if len(lines) > 1:
-            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, frameon=False, fontsize=8)
-
-
-def _mark(axes: Axes, finding: Finding, last: float) -> None:
-    """Shade the first place of a finding, and name it."""
-    if not np.isfinite(finding.begin):
-        return
-    width = max(finding.end - finding.begin, 0.003 * last)
-    axes.axvspan(finding.begin, finding.begin + width, color=COLOUR[finding.weight], alpha=0.35, linewidth=0)
-    words = finding.what.split(",")[0].split(":")[0].split(";")[0]
-    right = finding.begin > 0.6 * last
-    axes.annotate(
-        words[:60], (finding.begin + (0 if right else width), 0.97), xycoords=("data", "axes fraction"),
-        xytext=(-3 if right else 3, 0), textcoords="offset points", ha="right" if right else "left", va="top",
-        fontsize=8, color=INK,
-    )  # fmt: skip
 
 
 def _title(diagnosis: Diagnosis) -> str:

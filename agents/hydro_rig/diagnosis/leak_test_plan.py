@@ -23,9 +23,9 @@ from hydro_agents.running.tasks import own_reference
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
-from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
+from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, own_value
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.leak_test_steps import (
     AROUND,
@@ -59,6 +59,7 @@ WEAR_FACTORS = {"valve.rated_flow": (0.75, 1.25), "valve.edge_ratio": (0.85, 1.1
 ARRIVED = 0.9  # share of the way to where the axis comes to rest, at which it counts as arrived
 MOST_TRAVEL_TIME = 0.7  # largest share of the test that the axis may need to reach the stops
 SAFETY = 0.95  # of the limit of speed, which the largest opening reaches
+SIMULATED_LEAK = 0.01  # l/min at 100 bar, of the simulated axes
 ATTEMPTS = 5  # to find the largest opening
 UNLIMITED = 100.0, 2e8  # m/s and Pa: limits of a trial whose peaks are still to be measured
 FIND, MISS = 2.326, 1.645  # quantiles of the normal distribution: 1 % false alarms, and 95 % found
@@ -74,8 +75,6 @@ class LeakTestSettings(Group):
     stop: Literal["both", "extended", "retracted", "none"] = Field("both", description="stops that it presses against")
     low: float | None = Field(None, description="m, lowest position that the axis may reach; default: no limit")
     high: float | None = Field(None, description="m")
-    start: float | None = Field(None, description="m, where the axis stands at the start; default: where it rests")
-    leak: float = Field(0.01, ge=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar, of the simulated axes")
     plants: int = Field(6, ge=2, le=1000, description="of the training seeds")
 
 
@@ -177,20 +176,26 @@ def plan(config: TaskConfig, settings: LeakTestSettings, progress: Progress | No
     report("plan", 0, total)
     opening, travel = _largest_opening(forms, task, allowed)
     trials = []
-    for number, form in enumerate(forms):
-        report("plan", number + 1, total)
-        steps = rounded(steps_of(form, task.plant, allowed, opening, travel), task.control_period)
-        windows = simulated(task, steps, allowed)
-        position, pressures = _true_course(task, windows)
-        lengths = tuple(np.linspace(0.05, 1.0, 20) * (windows.signals.shape[2] - 1) * task.control_period)
-        known = information(task, windows, priors_of_test(task, _fitted(task)), lengths)
-        beyond = _beyond(task, allowed, steps, position)
-        trials.append(Trial(form, steps, lengths, sigma(known), windows, position, pressures, beyond))
+    for number, form in enumerate(forms, 1):
+        report("plan", number, total)
+        trials.append(_tried(form, task, allowed, opening, travel))
     report("plan", total, total)
     within = [trial for trial in trials if not trial.beyond]
     if not within:
         raise ConfigurationError(_refusal(allowed, trials))
     return Plan(task, allowed, tuple(trials), min(within, key=Trial.mean_bound))
+
+
+def _tried(form: Form, task: TaskConfig, allowed: Allowed, opening: float, travel: tuple[float, ...]) -> Trial:
+    """A form of the test on simulated axes."""
+    steps = rounded(steps_of(form, task.plant, allowed, opening, travel), task.control_period)
+    windows = simulated(task, steps, allowed)
+    position, pressures = _true_course(task, windows)
+    lengths = tuple(np.linspace(0.05, 1.0, 20) * (windows.signals.shape[2] - 1) * task.control_period)
+    fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
+    bound = sigma(information(task, windows, priors_of_test(task, fitted), lengths))
+    beyond = _beyond(task, allowed, steps, position)
+    return Trial(form, steps, lengths, bound, windows, position, pressures, beyond)
 
 
 def _refusal(allowed: Allowed, trials: Sequence[Trial]) -> str:
@@ -199,7 +204,7 @@ def _refusal(allowed: Allowed, trials: Sequence[Trial]) -> str:
     lowest, highest = 1e3 * least.position.min(), 1e3 * least.position.max()
     return (
         f"leak-test: {least.beyond} of {len(least.position)} simulated axes go beyond a limit in every test; they "
-        f"reach {lowest:.0f} to {highest:.0f} mm, {1e-5 * least.pressures.max():.0f} bar: widen --from, --to or "
+        f"reach {lowest:.0f} to {highest:.0f} mm, {1e-5 * least.pressures.max():.0f} bar: widen --between or "
         "--pressure, lower --opening or --duration, or test another --stop"
     )
 
@@ -224,16 +229,12 @@ def _run(
     return known_windows(standing, Played(openings), cases, 0.0, (len(openings) - 2) * task.control_period)
 
 
-def _fitted(task: TaskConfig) -> NDArray[np.bool_]:
-    return np.array([getattr(task.sensors, name).fitted for name in SENSORS])
-
-
 def _true_course(task: TaskConfig, windows: KnownWindows) -> tuple[Floats, Floats]:
     """Position (plants, T) and pressures (plants, 2, T) of simulated axes, without noise."""
     count, samples = windows.count, windows.signals.shape[2]
-    commands = Commands(windows.signals[:, -1], np.full((count, samples - 1), task.control_period))
+    commands = Commands(windows.signals[:, COMMAND], np.full((count, samples - 1), task.control_period))
     read, _ = replay(task, commands, np.arange(count), windows.physical, windows.start, windows.latency)
-    return read[:, 0], read[:, 1:3]
+    return read[:, POSITION], read[:, [PRESSURE_A, PRESSURE_B]]
 
 
 def speeds(position: Floats, period: float) -> Floats:
@@ -244,27 +245,28 @@ def speeds(position: Floats, period: float) -> Floats:
 def _allowed(task: TaskConfig, settings: LeakTestSettings) -> Allowed:
     """The limits, which must lie within the stroke."""
     half, failure = 0.5 * task.plant.cylinder.stroke, task.failure
-    start = resting_place(task.plant) if settings.start is None else settings.start
-    for name, place in (("--start", start), ("--from", settings.low), ("--to", settings.high)):
+    start = resting_place(task.plant)
+    for name, place in (("low", settings.low), ("high", settings.high)):
         if place is not None and not -half <= place <= half:
             raise ConfigurationError(
-                f"{name} {1e3 * place:g} mm: must be within the stroke, {-1e3 * half:g} to {1e3 * half:g} mm"
+                f"--between: {name} end {1e3 * place:g} mm: must be within the stroke, {-1e3 * half:g} to "
+                f"{1e3 * half:g} mm"
             )
     low = -np.inf if settings.low is None else settings.low
     high = np.inf if settings.high is None else settings.high
     if not low < start < high:
-        raise ConfigurationError(f"--start {1e3 * start:g} mm: must lie between --from and --to")
+        raise ConfigurationError(f"--between: {1e3 * start:g} mm, where the axis rests, must lie between its ends")
     return Allowed(
-        settings.duration,
-        settings.opening,
-        failure.end_stop_speed if settings.speed is None else settings.speed,
-        failure.pressure_rating if settings.pressure is None else settings.pressure,
-        settings.stop,
-        low,
-        high,
-        start,
-        settings.leak,
-        settings.plants,
+        duration=settings.duration,
+        opening=settings.opening,
+        speed=failure.end_stop_speed if settings.speed is None else settings.speed,
+        pressure=failure.pressure_rating if settings.pressure is None else settings.pressure,
+        stop=settings.stop,
+        low=low,
+        high=high,
+        start=start,
+        leak=SIMULATED_LEAK,
+        plants=settings.plants,
     )
 
 

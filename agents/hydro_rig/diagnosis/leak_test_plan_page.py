@@ -11,19 +11,20 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from hydro_agents.detection.detector import HALF_WIDTH
-from hydro_agents.report.canvas import GREY, WIDE, make_plot, thinned
+from hydro_agents.report.canvas import GREY, WIDE, make_plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
-from hydro_agents.report.palette import COLOURS, looks_of
+from hydro_agents.report.palette import COLOURS
+from hydro_agents.report.recorded import Line, Signal, paint_course, rig_line
 from hydro_agents.report.sections import Block, Points, Text, render_page, section
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, capitalised, number
 from hydro_env import __version__
 from hydro_env.files import write_text
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.diagnosis.diagnosis_page import rig_line
-from hydro_rig.diagnosis.leak_test_plan import Plan, speeds
+from hydro_rig.diagnosis.leak_test_plan import SIMULATED_LEAK, Plan, speeds
 from hydro_rig.diagnosis.leak_test_steps import RAMP
 from hydro_rig.export.c_files import render as render_code
 from hydro_rig.recordings.simulated import recording_csv
@@ -47,9 +48,9 @@ RUNNING = (
     "first step to the end.",
     Markup("Read the recording with <code>hydro leak-test RECORDING --rig FILE</code>."),
     Markup(
-        "<code>simulated.csv</code> is such a recording of one simulated axis with a leak of {} l/min: try the reading "
-        "with it first."
-    ),
+        "<code>simulated.csv</code> is such a recording of one simulated axis with a leak of {:g} l/min: try the "
+        "reading with it first."
+    ).format(SIMULATED_LEAK),
 )
 
 
@@ -131,24 +132,25 @@ def planned_test(content: Content) -> list[Block]:
     return [
         Text(capitalised(plan_line(plan)) + ".", "verdict"),
         Text(f"Rig: {rig_line(plan.task.plant)}.", "soft"),
-        Text(_limits(plan)),
+        _limits(plan),
         Text(LIMIT_BEFORE, "caution"),
     ]
 
 
-def _limits(plan: Plan) -> str:
+def _limits(plan: Plan) -> Table:
     """What the simulated axes reach, and the limits."""
     limits, best = plan.allowed, plan.best
-    fastest = 1e3 * np.abs(speeds(best.position, plan.task.control_period)).max()
-    low, high = 1e3 * best.position.min(), 1e3 * best.position.max()
-    ends = " to ".join("the stop" if np.isinf(end) else f"{1e3 * end:.0f} mm" for end in (limits.low, limits.high))
-    allowed = "the whole stroke" if np.isinf([limits.low, limits.high]).all() else ends
-    return (
-        f"{len(best.position)} simulated axes with worn valves stay within the limits: up to {fastest:.0f} mm/s (limit "
-        f"{1e3 * limits.speed:.0f}, also against a stop), {1e-5 * best.pressures.max():.0f} bar (limit "
-        f"{1e-5 * limits.pressure:.0f}), from {low:.0f} to {high:.0f} mm (allowed: {allowed}). They start at "
-        f"{1e3 * limits.start:.0f} mm."
-    )
+    fastest = np.abs(speeds(best.position, plan.task.control_period)).max()
+    low, high = (f"{1e3 * end:.0f}" for end in (best.position.min(), best.position.max()))
+    ends = ("the stop" if np.isinf(end) else f"{1e3 * end:.0f}" for end in (limits.low, limits.high))
+    rows = [
+        ("Speed, also against a stop, mm/s", f"{1e3 * fastest:.0f}", f"{1e3 * limits.speed:.0f}"),
+        ("Pressure, bar", f"{1e-5 * best.pressures.max():.0f}", f"{1e-5 * limits.pressure:.0f}"),
+        ("Positions, mm", f"{low} to {high}", " to ".join(ends)),
+        ("Start, mm", f"{1e3 * limits.start:.0f}", ""),
+    ]
+    title = f"{len(best.position)} simulated axes with worn valves"
+    return Table(title, ("", "Reached", "Limit"), rows, folded=False)
 
 
 @section("What happens", needs=("plan",))
@@ -156,7 +158,7 @@ def plan_course(content: Content) -> list[Block]:
     """Commands, positions, pressures, and how the bound falls."""
     plan = content.part("plan", Plan)
     note = (
-        f"Grey: {len(plan.best.position)} simulated axes, with worn valves and a leak of {plan.allowed.leak:g} l/min. "
+        f"{len(plan.best.position)} simulated axes, with worn valves and a leak of {plan.allowed.leak:g} l/min. "
         "The bound is the smallest standard deviation that any method can reach with the readings up to that time."
     )
     alt = f"Opening, position, pressures and bound over time. {plan_line(plan)}"
@@ -169,26 +171,25 @@ def paint_plan(figure: Figure, plan: Plan) -> None:
     """Draw opening, positions, pressures of one axis, and the bound over time."""
     best, period = plan.best, plan.task.control_period
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1, 1, 1.2])
-    openings = plan.commands
-    axes[0].plot(period * np.arange(len(openings)), 100 * openings, color=COLOURS[1], linewidth=1.2)
-    axes[0].set_ylabel("opening, %")
-    time = period * np.arange(best.position.shape[1])
-    for values in best.position:
-        axes[1].plot(*thinned(time, 1e3 * values), color=GREY, linewidth=0.8, alpha=0.7)
-    axes[1].set_ylabel("position, mm")
-    for values, look, name in zip(
-        best.pressures[0], looks_of(range(2)).values(), ("a (bore)", "b (rod)"), strict=False
-    ):
-        axes[2].plot(*thinned(time, 1e-5 * values), label=f"{name}, first axis", linewidth=1.0, **look.stroke)
-    axes[2].set_ylabel("pressure, bar")
-    axes[2].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, frameon=False, fontsize=8)
+    time = period * np.arange(max(len(plan.commands), best.position.shape[1]))
+
+    def line(values: Floats) -> Line:
+        return Line(time[: len(values)], values)
+
+    pressures = {"a (bore), first axis": best.pressures[0, 0], "b (rod), first axis": best.pressures[0, 1]}
+    rows = [
+        Signal("opening, %", {"opening": line(100 * plan.commands)}),
+        Signal("position, mm", {}, [line(1e3 * values) for values in best.position]),
+        Signal("pressure, bar", {name: line(1e-5 * values) for name, values in pressures.items()}),
+    ]
+    paint_course(axes[:3], rows)
+    axes[2].set_xlabel("")
     for values in best.bound:
         axes[3].plot(best.lengths, values, color=GREY, linewidth=0.8, alpha=0.7)
-    axes[3].plot(best.lengths, np.median(best.bound, axis=0), color=COLOURS[0], label="median")
+    axes[3].plot(best.lengths, np.median(best.bound, axis=0), color=COLOURS["blue"], label="median")
     axes[3].set(yscale="log", ylabel="bound, l/min", xlabel="time, s")
     axes[3].legend(frameon=False, fontsize=8)
-    for axis in axes:
-        axis.margins(x=0.01)
+    axes[3].margins(x=0.01)
 
 
 @section("Steps", needs=("plan",))
@@ -233,5 +234,5 @@ def plan_forms(content: Content) -> list[Block]:
 @section("How to run it", needs=("plan",))
 def plan_running(content: Content) -> list[Block]:
     """What to do at the machine."""
-    leak = content.part("plan", Plan).allowed.leak
-    return [Points([line.format(f"{leak:g}") if "{}" in line else line for line in RUNNING])]
+    del content
+    return [Points(RUNNING)]

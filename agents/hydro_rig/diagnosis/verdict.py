@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Reading
+from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import LeakageDraw
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
 from hydro_rig.estimation.estimator import leak_scale
 from hydro_rig.recordings.driving import AXIS
-from hydro_rig.recordings.findings import NOT_RECORDED, Finding, Weight
+from hydro_rig.recordings.findings import Code, Finding, Weight
 
 MOST = 0.5  # share of the windows that counts as "most"
 CHANGED = 3.0
@@ -25,8 +25,7 @@ CHANGED = 3.0
 SHORT = 0.5  # s; the shortest window that is recommended
 SHORTER = f"shorter ones (--window {SHORT:g}) may fit between the gaps, and read the leak less exactly"
 
-
-UNREAD = "not read: the model does not explain the liveliest windows"
+BALANCE = "balance of volumes"  # as the detector that decided
 
 
 class Kind(StrEnum):
@@ -88,15 +87,34 @@ class Verdict(NamedTuple):
         return f"{self.kind.value}: {self.why}{seal}"
 
 
+class Case(NamedTuple):
+    """What the rules judge."""
+
+    severe: Sequence[Finding]  # that rule out a verdict
+    stuck: Sequence[Finding]  # about sensors that stick or lose readings
+    driven: str  # how the axis was driven, to be added to a reason
+    missed: NDArray[np.bool_]  # of the windows that the estimator read, those that its model does not explain
+    residual: str  # which signal differs from the model
+    leader: str  # the detector that decides
+    sized: bool  # whether it gives a size
+    unread: str  # otherwise why not
+    leak: Leak
+    change: str  # of the leak within the recording; empty: none
+    fault: str  # besides the piston seal; empty: none
+    pressures: bool  # whether one was recorded
+    limits: Limits
+
+
 def judge(
     findings: Sequence[Finding],
     estimator: Reading | None,
-    head: Reading | None,
+    companion: Reading | None,
     limits: Limits,
     window: float = 2.0,
     residual: str = "",
+    companion_name: str = "leakage head",
 ) -> Verdict:
-    """The verdict on a recording; the first rule that applies decides.
+    """The verdict on a recording: that of the first of :data:`RULES` which applies.
 
     1. A severe finding about the recording → **cannot tell**: what was found.
     2. The estimator's model explains less than half of the windows → **cannot tell**: the model does not describe this
@@ -111,75 +129,127 @@ def judge(
     7. The interval contains healthy and faulty leaks → **cannot tell**.
 
     The estimator decides if it has run, because its model shows when it is not valid, and its intervals what a
-    recording does not determine; the leakage head decides only where the estimator has not run.
+    recording does not determine; the detector beside it decides only where the estimator has not run.
 
     Args:
         findings: about the recording.
         estimator: readings of the estimator in the order of time; ``None``: it was not used.
-        head: readings of the leakage head in the order of time; ``None``: it was not used.
+        companion: those of the detector beside it; ``None``: it was not used.
         limits: of leaks.
         window: s, length of a window.
         residual: which signal differs from the model; for the reason where it does not hold.
+        companion_name: of the detector beside the estimator.
     """
-    severe = [finding for finding in findings if finding.weight is Weight.SEVERE]
-    driven = "".join(f"; {finding.line()}" for finding in findings if finding.signal == AXIS)
-    if severe:
-        more = (f" (and {len(severe) - 1} more)" if len(severe) > 1 else "") + driven
-        return Verdict(Kind.UNKNOWN, severe[0].line() + more, None, "")
-    sensors = [finding for finding in findings if finding.weight is Weight.FAULT]
-    besides = f"{Cause.SENSOR.word}: {sensors[0].line()}" if sensors else ""
-    blamed = "".join(f"; {finding.line()}" for finding in sensors[:1]) + driven
-    ran, misfits = estimator is not None and any(why != NO_COMMANDS for why in estimator.why), 0.0
-    if estimator is not None and ran:
-        read = np.array([why not in (NO_COMMANDS, UNREAD) for why in estimator.why])
-        missed = estimator.cause[read] == Cause.UNKNOWN
-        misfits = _share(missed)
-        if misfits > MOST:
-            why = "the model does not describe this rig: it explains too little in "
-            why += f"{int(missed.sum())} of the {int(read.sum())} windows that were read"
-            why += f"; {residual}" if residual else ""
-            why += f"; check --rig{blamed}"
-            return Verdict(Kind.UNKNOWN, why, None, "estimator")
-    leader, reading = ("estimator", estimator) if ran else ("leakage head", head)
-    if reading is None or not reading.answers.any():
-        if ran and besides and misfits < MOST:
-            return Verdict(Kind.OTHER, besides, None, leader)
-        return Verdict(Kind.UNKNOWN, _why_nothing(window, estimator, head) + blamed, None, "")
+    nothing = Reading.of(np.zeros(0))
+    estimator, companion = estimator or nothing, companion or nothing
+    ran = bool((estimator.why != Why.NO_COMMANDS).any())
+    tried = ~np.isin(estimator.why, (Why.NO_COMMANDS, Why.NOT_READ))
+    reading = estimator if ran else companion
     leak, change = combined(reading)
-    besides = besides or named_fault(reading)
-    if leak.low > limits.healthy:
-        return Verdict(
-            Kind.LEAK, "; ".join(part for part in (change, besides and f"besides, {besides}") if part), leak, leader
-        )
-    if besides:
-        return Verdict(Kind.OTHER, besides, leak, leader)
-    if leak.high < limits.fault and _without_pressures(findings):
-        why = f"the leak past the piston is {leak.text()}, but without pressures a faulty seal can look healthy"
-        return Verdict(Kind.UNKNOWN, f"{why}; record one pressure at least", leak, leader)
-    if leak.high < limits.fault:
-        return Verdict(Kind.HEALTHY, "", leak, leader)
-    why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
-    return Verdict(Kind.UNKNOWN, why, leak, leader)
+    stuck = [finding for finding in findings if finding.weight is Weight.FAULT]
+    absent = {finding.signal for finding in findings if finding.code is Code.NOT_RECORDED}
+    case = Case(
+        severe=[finding for finding in findings if finding.weight is Weight.SEVERE],
+        stuck=stuck,
+        driven="".join(f"; {finding.line()}" for finding in findings if finding.signal == AXIS),
+        missed=estimator.cause[tried] == Cause.UNKNOWN,
+        residual=residual,
+        leader="estimator" if ran else companion_name,
+        sized=bool(reading.sized.any()),
+        unread=_why_nothing(window, estimator, companion),
+        leak=leak,
+        change=change,
+        fault=f"{Cause.SENSOR.word}: {stuck[0].line()}" if stuck else named_fault(reading),
+        pressures=not {"pressure_a", "pressure_b"} <= absent,
+        limits=limits,
+    )
+    return next(verdict for rule in RULES if (verdict := rule(case)) is not None)
+
+
+def _severe_finding(case: Case) -> Verdict | None:
+    if not case.severe:
+        return None
+    others = len(case.severe) - 1
+    more = f" (and {others} more)" if others else ""
+    return Verdict(Kind.UNKNOWN, f"{case.severe[0].line()}{more}{case.driven}", None, "")
+
+
+def _model_misfits(case: Case) -> Verdict | None:
+    if _share(case.missed) <= MOST:
+        return None
+    why = "the model does not describe this rig: it explains too little in "
+    why += f"{int(case.missed.sum())} of the {len(case.missed)} windows that were read"
+    why += f"; {case.residual}" if case.residual else ""
+    return Verdict(Kind.UNKNOWN, f"{why}; check --rig{_blamed(case)}", None, "estimator")
+
+
+def _nothing_read(case: Case) -> Verdict | None:
+    if case.sized:
+        return None
+    if case.stuck and len(case.missed) and _share(case.missed) < MOST:
+        return Verdict(Kind.OTHER, case.fault, None, case.leader)
+    return Verdict(Kind.UNKNOWN, case.unread + _blamed(case), None, "")
+
+
+def _seal_leaks(case: Case) -> Verdict | None:
+    if case.leak.low <= case.limits.healthy:
+        return None
+    besides = f"besides, {case.fault}" if case.fault else ""
+    return Verdict(Kind.LEAK, "; ".join(part for part in (case.change, besides) if part), case.leak, case.leader)
+
+
+def _another_fault(case: Case) -> Verdict | None:
+    return Verdict(Kind.OTHER, case.fault, case.leak, case.leader) if case.fault else None
+
+
+def _seal_is_tight(case: Case) -> Verdict | None:
+    if case.leak.high >= case.limits.fault:
+        return None
+    if case.pressures:
+        return Verdict(Kind.HEALTHY, "", case.leak, case.leader)
+    why = f"the leak past the piston is {case.leak.text()}, but without pressures a faulty seal can look healthy"
+    return Verdict(Kind.UNKNOWN, f"{why}; record one pressure at least", case.leak, case.leader)
+
+
+def _either(case: Case) -> Verdict:
+    why = f"the leak past the piston is {case.leak.text()}, which may be healthy or faulty; record more motion"
+    return Verdict(Kind.UNKNOWN, why, case.leak, case.leader)
+
+
+RULES: tuple[Callable[[Case], Verdict | None], ...] = (
+    _severe_finding,
+    _model_misfits,
+    _nothing_read,
+    _seal_leaks,
+    _another_fault,
+    _seal_is_tight,
+    _either,
+)
+
+
+def _blamed(case: Case) -> str:
+    """The first faulty sensor and how the axis was driven, to be added to a reason."""
+    return "".join(f"; {finding.line()}" for finding in case.stuck[:1]) + case.driven
 
 
 def by_volume(verdict: Verdict, balance: VolumeLeak, limits: Limits) -> Verdict:
-    """The verdict with a measured flow: where the detectors cannot tell, the balance of volumes decides alone."""
-    if verdict.kind is not Kind.UNKNOWN or balance.why:
+    """The verdict with a measured flow: where the detectors cannot tell, the balance of volumes decides alone.
+
+    The caller makes sure that no severe finding speaks against the signals of the balance, and that it belongs to the
+    piston of the rig (:meth:`~hydro_rig.diagnosis.volume_balance.VolumeLeak.on`).
+    """
+    if verdict.kind is not Kind.UNKNOWN:
         return verdict
+    if balance.why:
+        return verdict._replace(why=f"{verdict.why}; flow {balance.why}")
     leak = Leak(balance.value, balance.low, balance.high)
     why = f"by a balance of volumes over {balance.moves} steady moves, which needs no valve"
     if leak.low > limits.healthy:
-        return Verdict(Kind.LEAK, why, leak, "balance of volumes")
+        return Verdict(Kind.LEAK, why, leak, BALANCE)
     if leak.high < limits.fault:
-        return Verdict(Kind.HEALTHY, why, leak, "balance of volumes")
+        return Verdict(Kind.HEALTHY, why, leak, BALANCE)
     why = f"the leak past the piston is {leak.text()} {why}; it may be healthy or faulty"
-    return Verdict(Kind.UNKNOWN, why, leak, "balance of volumes")
-
-
-def _without_pressures(findings: Sequence[Finding]) -> bool:
-    """Whether neither pressure was recorded."""
-    absent = {finding.signal for finding in findings if finding.what == NOT_RECORDED}
-    return {"pressure_a", "pressure_b"} <= absent
+    return Verdict(Kind.UNKNOWN, why, leak, BALANCE)
 
 
 def named_fault(reading: Reading) -> str:
@@ -193,9 +263,11 @@ def combined(reading: Reading) -> tuple[Leak, str]:
     """The leak of the recording, or of its last third if the leak has changed, and a phrase about the change.
 
     Windows of one axis share its unknown parameters; many windows are therefore no more precise than one. The interval
-    is that of a typical window, widened if the windows scatter more than their intervals.
+    is that of a typical window, widened if the windows scatter more than their intervals. NaN: no window gives a size.
     """
-    leak, low, high = (values[reading.answers] for values in (reading.flow_lpm, reading.low_lpm, reading.high_lpm))
+    leak, low, high = (values[reading.sized] for values in (reading.flow_lpm, reading.low_lpm, reading.high_lpm))
+    if not len(leak):
+        return Leak(np.nan, np.nan, np.nan), ""
     change = ""
     third = len(leak) // 3
     if third >= 2:
@@ -218,12 +290,14 @@ def _share(mask: NDArray[np.bool_]) -> float:
     return float(mask.mean()) if len(mask) else 0.0
 
 
-def _why_nothing(window: float, *readings: Reading | None) -> str:
-    """The most frequent reason of the first detector that ran."""
+def _why_nothing(window: float, *readings: Reading) -> str:
+    """The most frequent reason of the first detector that gives one."""
     for reading in readings:
-        if reading is not None and any(reading.why):
-            why = Counter(why for why in reading.why if why).most_common(1)[0][0]
-            if why != NO_COMMANDS:
-                return why
-            return f"commands are missing in every window; {SHORTER if window > SHORT else 'record without gaps'}"
+        reasons = Counter(reading.why[reading.why != Why.ANSWERED].tolist())
+        if not reasons:
+            continue
+        why = Why(reasons.most_common(1)[0][0])
+        if why is not Why.NO_COMMANDS:
+            return why.words
+        return f"commands are missing in every window; {SHORTER if window > SHORT else 'record without gaps'}"
     return "the recording is shorter than one window"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Reading, Windows
+from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
 from hydro_agents.running.text import number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.analysis import speed_limits
@@ -55,10 +55,6 @@ LEAST_DEVIATION = 0.1
 LARGEST_NULL_SHIFT, LARGEST_BACK_PRESSURE, LARGEST_BIAS = 0.004, 1.5e5, 2.0
 """Limits of a healthy axis: null shift as a fraction of full stroke, return pressure above the data sheet's in Pa, and
 offset of a sensor relative to its data sheet."""
-
-MISFIT = "the model does not explain the readings"
-UNDETERMINED = "the window does not determine the leak; more motion is needed"
-AT_REST = "at rest a worn valve and a leak look alike; move the axis"
 
 
 class Wear(NamedTuple):
@@ -132,7 +128,7 @@ class EstimatorDetector:
         """
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
-            return Reading.of(np.full(len(windows), np.nan), why=(NO_COMMANDS,) * len(windows)), None
+            return Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS), None
         used, expected = windows.part(chosen), task_config(task, **self.changes)
         worn = self._fit(used, expected, True, progress)
         moves = self._with_moving_supply(used, expected, worn)
@@ -147,7 +143,7 @@ class EstimatorDetector:
             value[simple[better]] = plain.value(LEAKAGE)[rows][better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
         reading = self._reading(worn, excess, value, deviation, still, task)
-        return reading.among(chosen, len(windows), NO_COMMANDS), worn
+        return reading.among(chosen, len(windows), Why.NO_COMMANDS), worn
 
     def _at_rest(self, windows: Windows, task: TaskConfig) -> NDArray[np.bool_]:
         """Windows (N,) that stand still and thus cannot show whether the valve is worn."""
@@ -193,7 +189,7 @@ class EstimatorDetector:
         """
         moves = np.zeros(len(windows), dtype=np.bool_)
         odd = np.flatnonzero(~worn.holds | (worn.slow > 0.0).any(axis=1))
-        recorded = windows.beside is not None and bool(np.isfinite(windows.beside[:, 0]).any())
+        recorded = bool(np.isfinite(windows.auxiliary_signal("supply_pressure")).any())
         if recorded or not len(odd):
             return moves
         course = course_of((windows.samples - 1) * task.control_period)
@@ -250,7 +246,7 @@ class EstimatorDetector:
             low_lpm=value - HALF_WIDTH * deviation,
             high_lpm=value + HALF_WIDTH * deviation,
             fault=_in_words(worn, excess > 0.0),
-            why=tuple(np.where(~fits, MISFIT, np.where(known, "", np.where(still, AT_REST, UNDETERMINED))).tolist()),
+            why=np.select([~fits, known, still], [Why.MISFIT, Why.ANSWERED, Why.AT_REST], Why.UNDETERMINED),
         )
 
 

@@ -186,51 +186,6 @@ def sigma(
     return result
 
 
-class Ratio(NamedTuple):
-    """Errors of a detector relative to the bound at one level of the leak."""
-
-    level: float  # l/min at 100 bar
-    windows: int
-    error: float  # root mean square of the errors, l/min
-    bound: float  # root mean square of the bound, l/min
-    ratio: float  # error over bound
-    median_ratio: float  # median of the absolute errors over the median for an estimate at the bound
-
-
-def ratios_to_bound(level: Floats, estimate: Floats, bound: Floats) -> list[Ratio]:
-    """Errors of any detector relative to the bound, by level of the leak; 1 is the physical limit.
-
-    The ratio of root mean squares includes outliers; the ratio of medians is robust against them.
-
-    Args:
-        level: true leaks (N,), l/min at 100 bar.
-        estimate: of the detector, (N,), l/min; NaN (no estimate) is left out.
-        bound: standard deviations of the bound (N,), l/min.
-
-    Raises:
-        ConfigurationError: the arrays differ in shape, or a bound is not above 0.
-    """
-    if not level.shape == estimate.shape == bound.shape or level.ndim != 1:
-        raise ConfigurationError(
-            f"level {level.shape}, estimate {estimate.shape}, bound {bound.shape}: must be (N,) each"
-        )
-    if not (bound > 0.0).all():
-        raise ConfigurationError("ratio to the bound: every bound must be above 0")
-    half_of_normal = 0.6744897501960817  # median of |x| of a standard normal x
-    result = []
-    for value in np.unique(level):
-        here = (level == value) & np.isfinite(estimate)
-        if not here.any():
-            continue
-        error, least = np.abs(estimate[here] - value), bound[here]
-        whole, best = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(least**2))
-        median = np.median(error / least) / half_of_normal
-        result.append(
-            Ratio(float(value), int(here.sum()), float(whole), float(best), float(whole / best), float(median))
-        )
-    return result
-
-
 class UnknownSet(NamedTuple):
     """Some unknowns, and factors on the standard deviations of their priors."""
 

@@ -109,7 +109,7 @@ def _rows_of_sensors(axes: Axes, rows: pd.DataFrame) -> None:
     names = [str(name) for name in rows["sensors"].unique()]
     groups = [rows.loc[rows["sensors"] == name, "sigma_lpm"] for name in names]
     low, median, high = np.array([np.quantile(group, [0.1, 0.5, 0.9]) for group in groups]).T
-    axes.errorbar(median, range(len(names)), xerr=[median - low, high - median], fmt="o", color=COLOURS[0])
+    axes.errorbar(median, range(len(names)), xerr=[median - low, high - median], fmt="o", color=COLOURS["blue"])
     row_axis(axes, names)
     axes.set(xscale="log", xlabel="smallest standard deviation, l/min; 10 to 90 % of the plants")
     decades(axes.xaxis, low.min(), high.max())

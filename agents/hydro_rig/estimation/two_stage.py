@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Windows
+from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import Activity, activity_of
 from hydro_agents.detection.monitor import HeadDetector
@@ -19,8 +19,6 @@ from hydro_env.types import Floats
 from hydro_rig.estimation.estimator import EstimatorDetector
 
 RATION = 60.0  # s; the estimator reads no window of an axis before this time has passed since the last one
-
-NOT_ASKED = "the estimator has read a window of this axis within the last minute"
 
 
 class TwoStageDetector:
@@ -61,7 +59,7 @@ class TwoStageDetector:
         doubtful = ~(moving & first.answers) | (first.cause != Cause.NONE) | seen
         first = first._replace(score=np.where(first.answers, first.flow_lpm, np.nan))
         rows, still = np.flatnonzero(free & doubtful), np.flatnonzero(~moving)
-        unread = Reading.of(np.full(len(still), np.nan), why=(NOT_ASKED,) * len(still))
+        unread = Reading.of(np.full(len(still), np.nan), why=Why.NOT_ASKED)
         result = first.replaced(still, unread)
         if len(rows):
             second = self.estimator.read(windows.part(rows), task)

@@ -86,7 +86,7 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
     Args:
         controller: the controller.
         config: its task.
-        gains: those that become inputs of the graph, of :func:`~hydro_rig.export.variable_gains.variable_gains`;
+        gains: those that become inputs of the graph, of :func:`~hydro_rig.export.controller_folder.variable_gains`;
             the others are constants in it.
 
     Raises:

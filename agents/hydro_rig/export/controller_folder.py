@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import yaml
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.registry import CONTROLLERS, gain_rows
+from hydro_agents.controllers.registry import CONTROLLERS, GainRow, gain_rows
 from hydro_agents.running.cases import validation_cases, validation_errors
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
@@ -21,6 +21,7 @@ from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import compared, csv_text, render
 from hydro_rig.export.c_writer import C_TYPES
 from hydro_rig.export.controller import (
+    GAINS,
     ControllerGraph,
     controller_code,
     controller_graph,
@@ -38,7 +39,7 @@ from hydro_rig.export.exported import (
 )
 from hydro_rig.export.measured import MeasuredController, MeasuredMemory
 from hydro_rig.export.structured_text import structured_text
-from hydro_rig.export.variable_gains import variable_gains
+from hydro_rig.export.tracing import TraceError
 
 LARGEST_DIFFERENCE = 1e-5
 """Largest difference of the command between the exported controller and the one in Python; more is an error."""
@@ -237,3 +238,43 @@ def describe(controller: Any) -> dict[str, Any]:
         facts["layers"] = [list(weight.shape[::-1]) for weight, _ in controller.layers]
         facts["training"] = controller.training
     return facts
+
+
+_CLASSICAL = tuple(kind for kind, _ in CONTROLLERS.values())
+
+
+def variable_gains(controller: Controller, config: TaskConfig) -> list[GainRow]:
+    """The gains that can be changed while the exported code runs.
+
+    A change must have the effect of a new controller with this gain: a gain from which the controller computes other
+    numbers when it is made, or on which it decides, stays a constant.
+    """
+    if not isinstance(own := getattr(controller, "gains", None), Group) or type(controller) not in _CLASSICAL:
+        return []
+    rows = [row for row in gain_rows(own) if isinstance(row.value, float)]
+    if _used(controller, config, rows) is None:
+        rows = [row for row in rows if _used(controller, config, [row])]
+    rows = [row for row in rows if row.name in (_used(controller, config, rows) or ())]
+    text, make = _text_without(controller, config, rows), type(controller)
+    free = []
+    for row in rows:
+        near = own.model_copy(update={row.name: 0.999 * row.value if row.value else 1e-3})
+        if _text_without(make(near, config), config, rows) == text:  # type: ignore[call-arg]
+            free.append(row)
+    return free
+
+
+def _used(controller: Controller, config: TaskConfig, rows: Sequence[GainRow]) -> set[str] | None:
+    """Names of the gains on which the voltage depends, now or later; ``None`` if the controller decides on one."""
+    try:
+        graph = controller_graph(controller, config, rows).graph
+    except (TraceError, TypeError):
+        return None
+    used = graph.used([*graph.outputs.values()])
+    return {row.name for row in rows if used[GAINS + row.name].any()}
+
+
+def _text_without(controller: Controller, config: TaskConfig, rows: Sequence[GainRow]) -> str:
+    """The code without the values of these gains."""
+    graph = controller_graph(controller, config, rows)
+    return controller_code(replace(graph, gains=tuple(row._replace(value=0.0, in_practice="") for row in rows))).source

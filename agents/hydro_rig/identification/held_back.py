@@ -12,12 +12,11 @@ import numpy as np
 from hydro_agents.running.text import number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parameters import to_vector
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.model import Model, noise_of
 from hydro_rig.estimation.unknowns import Prior, priors_of, starts_of
-from hydro_rig.recordings.columns import COMMAND, POSITION
 from hydro_rig.recordings.parts import Stretch
 
 START_FROM = 0.2  # s; the initial state comes from this first part; afterwards the simulation uses only the commands

@@ -16,14 +16,15 @@ from hydro_agents.report.canvas import GREY, WIDE, make_plot, row_axis, thinned
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import COLOURS
+from hydro_agents.report.recorded import findings_frame
 from hydro_agents.report.sections import Block, Text, render_page, section
-from hydro_agents.report.shared import findings_frame
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised, listed, number
 from hydro_env import ConfigurationError, __version__
 from hydro_env.files import read_yaml, write_text
 from hydro_env.folders import page
+from hydro_env.task.sensors import POSITION
 from hydro_rig.identification.found_rig import rig_yaml, shown
 from hydro_rig.identification.held_back import HeldBack
 from hydro_rig.identification.identification_tables import (
@@ -37,7 +38,6 @@ from hydro_rig.identification.identification_tables import (
 )
 from hydro_rig.identification.identify import Identification, as_json
 from hydro_rig.identification.repeatability import share_inside
-from hydro_rig.recordings.columns import POSITION
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
 FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
@@ -221,10 +221,10 @@ def paint_held_back(figure: Figure, part: HeldBack) -> None:
         label, factor = PANELS[row]
         axis = axes[place]
         axis.plot(*thinned(time, factor * part.measured[row]), color=GREY, linewidth=2.4, label="measured", alpha=0.6)
-        axis.plot(*thinned(time, factor * part.simulated[row]), color=COLOURS[0], linewidth=1.1, label="simulated")
+        axis.plot(*thinned(time, factor * part.simulated[row]), color=COLOURS["blue"], linewidth=1.1, label="simulated")
         axis.set_ylabel(label)
     error = 1e3 * (part.simulated[0] - part.measured[0])
-    axes[1].plot(*thinned(time, error), color=COLOURS[1], linewidth=0.9)
+    axes[1].plot(*thinned(time, error), color=COLOURS["orange"], linewidth=0.9)
     axes[1].set_ylabel("simulated −\nmeasured, mm")
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
     axes[-1].set_xlabel("time, s")
@@ -238,7 +238,7 @@ def paint_intervals(figure: Figure, found: Identification) -> None:
     low, middle, high = (_scaled(found, values) for values in (fit.low, fit.values, fit.high))
     places = np.arange(len(names))
     axis.axvspan(-1.7, 1.7, color=GREY, alpha=0.12, linewidth=0)
-    for known, colour, label in ((True, COLOURS[0], "determined"), (False, COLOURS[1], "not determined")):
+    for known, colour, label in ((True, COLOURS["blue"], "determined"), (False, COLOURS["orange"], "not determined")):
         rows = fit.determined == known
         if rows.any():
             reach = np.array([middle - low, high - middle])[:, rows]
@@ -248,7 +248,7 @@ def paint_intervals(figure: Figure, found: Identification) -> None:
     end = min(limit, 6.0)
     axis.set_xlim(-end, end)
     for row in np.flatnonzero(np.abs(middle) > end):  # an arrow at the edge instead of a point beyond it
-        side, colour = np.sign(middle[row]), COLOURS[0 if fit.determined[row] else 1]
+        side, colour = np.sign(middle[row]), COLOURS["blue" if fit.determined[row] else "orange"]
         axis.plot(side * end, places[row], ">" if side > 0 else "<", color=colour, markersize=7.0, clip_on=False)
         words: dict[str, Any] = {"xytext": (-9.0 * side, 0), "textcoords": "offset points", "va": "center"}
         text = f"at {number(float(middle[row]))}"

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from hydro_agents.running.text import Table, listed, number
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import POSITION, SENSORS
 from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_rig.identification.found_rig import TIMING, hull, path_of, share_in_words, shown
 from hydro_rig.identification.held_back import PRESSURES, HeldBack, share_of_all
 from hydro_rig.identification.identify import Identification
-from hydro_rig.recordings.columns import POSITION
 
 MOST_COMBINATIONS = 6  # rows of the table of singular values, the least determined first
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
 from hydro_env.task.rig import Rig
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import POSITION, SENSORS
 from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LATENCY, LEAKAGE, RISE_TIME
 from hydro_rig.identification.advice import Advice, advise
 from hydro_rig.identification.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
@@ -27,7 +27,7 @@ from hydro_rig.identification.found_rig import (
 )
 from hydro_rig.identification.held_back import HeldBack, errors_in_words, share_of_all, simulate_held_back
 from hydro_rig.identification.repeatability import Repeat, repeats_of, share_inside
-from hydro_rig.recordings.columns import POSITION, ColumnMap
+from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.driving import AXIS
 from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.parts import Parts, parts_of

@@ -8,7 +8,7 @@ A reading is that of ``hydro diagnose`` with the estimator alone, of the dozen l
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,27 +16,30 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.detector import Reading, Windows
 from hydro_agents.running.text import number
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.diagnosis.diagnose import read_windows
-from hydro_rig.diagnosis.verdict import Kind, Leak, Limits, Verdict, combined, judge
-from hydro_rig.identification.data_sheet import contradictions, worst_signal
+from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
+from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Limits, Verdict, combined
+from hydro_rig.diagnosis.volume_balance import Blocks, VolumeLeak
 from hydro_rig.monitoring.oil import Oil, referred
-from hydro_rig.recordings.columns import BESIDE, ColumnMap
+from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.files import Columns, pieces, started
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.liveliest import Liveliest, sampled_windows
 from hydro_rig.recordings.quality import check_samples
 from hydro_rig.recordings.recording import Recording, map_for, recording_of
-from hydro_rig.recordings.sampling import bridged, cut
+from hydro_rig.recordings.sampling import Sampled, cut
 
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
 WINDOW = 2.0  # s
 FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
 HOUR = 3600.0  # s
+OIL, NOTHING = "oil_temperature", np.zeros(0)  # the signal of its temperature; readings of a signal without any
+MOST_BLOCKS = 1_000_000  # of a measured flow that are kept, 40 MB: those of six days
 
 _DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
-_TEMPERATURE = BESIDE.index("oil_temperature")
 
 
 class Settings(NamedTuple):
@@ -62,6 +65,7 @@ class Row(NamedTuple):
     temperature: float  # °C, of the oil; NaN: not recorded
     at_40: Leak  # the leak at 100 bar and 40 °C
     reason: str
+    clock_back: float  # s, by which the clock ran back in it or at its begin; 0: never
 
 
 def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Any:
@@ -75,7 +79,7 @@ def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: Colu
         raise ConfigurationError(f"{path}: holds headings but no rows")
     found: dict[str, NDArray[Any]] = {
         name: np.array([getattr(row, name) for row in rows])
-        for name in ("time", "until", "axis", "verdict", "moving", "temperature", "reason")
+        for name in ("time", "until", "axis", "verdict", "moving", "temperature", "reason", "clock_back")
     }
     for name, leaks in (("", [row.leak for row in rows]), ("_40", [row.at_40 for row in rows])):
         for part, values in zip(("size", "low", "high"), np.array(leaks).T, strict=True):
@@ -96,7 +100,7 @@ def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None
     Raises:
         ConfigurationError: the file cannot be read.
     """
-    open_: dict[str, tuple[int, Liveliest, str]] = {}
+    open_: dict[str, tuple[int, Liveliest, float, list[Blocks]]] = {}
     clock = None
     for name, rows in _by_axis(path, axis, columns, how):
         if clock is None:
@@ -104,15 +108,16 @@ def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None
         for hour, part in _by_hour(rows, clock) if how.hourly else [(0, rows)]:
             known = open_.get(name)
             if known is None or known[0] != hour:
-                note = ""
+                back = 0.0
                 if known is not None:
-                    yield row_of(name, known[1], config, how, clock, known[2])
-                    back = known[1].last - part.begin
-                    note = f"clock runs back by {number(back, digits=3)} s at its begin" if back > 0.0 else ""
-                open_[name] = (hour, Liveliest(how.window, config), note)
+                    yield row_of(name, known[1], config, how, clock, *known[2:])
+                    back = max(known[1].last - part.begin, 0.0)
+                open_[name] = (hour, Liveliest(how.window, config), back, [])
             open_[name][1].add(part)
-    for name, (_, live, note) in open_.items():
-        yield row_of(name, live, config, how, clock or 0.0, note)
+            if sum(len(blocks.speed) for blocks in open_[name][3]) < MOST_BLOCKS:
+                open_[name][3].extend(flow_blocks(part))
+    for name, (_, live, back, blocks) in open_.items():
+        yield row_of(name, live, config, how, clock or 0.0, back, blocks)
 
 
 def _by_axis(path: Path, axis: str, columns: ColumnMap | None, how: Settings) -> Iterator[tuple[str, Recording]]:
@@ -163,37 +168,74 @@ def _clock(path: Path, first: float) -> float:
     return (path.stat().st_mtime if begin is None else begin) - first
 
 
-def row_of(axis: str, live: Liveliest, config: TaskConfig, how: Settings, clock: float = 0.0, note: str = "") -> Row:
-    """The row of what was read: the best windows through checks, estimator, oil temperature and verdict."""
+def row_of(
+    axis: str,
+    live: Liveliest,
+    config: TaskConfig,
+    how: Settings,
+    clock: float = 0.0,
+    back: float = 0.0,
+    blocks: Sequence[Blocks] = (),
+) -> Row:
+    """The row of what was read: the best windows, and the blocks of a measured flow.
+
+    ``back``: s, by which the clock ran back before its first row.
+    """
     candidates, seen = live.finish(how.windows)
-    unknown = Leak(np.nan, np.nan, np.nan)
-    limits, findings, temperature = Limits.of(config), seen.findings, np.nan
-    verdict, leak, at_40 = Verdict(Kind.UNKNOWN, "the recording is shorter than one window", None, ""), unknown, unknown
-    samples = sampled_windows(candidates, how.window, config) if candidates else None
-    if samples is not None:
-        checked = check_samples(samples, seen.findings, config)
-        whole, filled = bridged(checked.samples)
-        findings = [*checked.findings, *filled]
-        windows = cut(whole, round(how.window / config.control_period))
-        windows = windows.part(np.isfinite(windows.signals[:, -1]).mean(axis=1) > 0.5)  # without the margins
-        reading, residual = None, ""
-        if not checked.severe and len(windows):
-            read, fitted = read_windows(windows, config, threads=1)
-            warm = np.full(len(windows), np.nan)
-            if windows.beside is not None:
-                values = windows.beside[:, _TEMPERATURE]
-                known = np.isfinite(values).any(axis=1)
-                warm[known] = np.nanmean(values[known], axis=1)
-                temperature = float(np.nanmean(warm)) if known.any() else np.nan
-            reading = referred(read, how.oil, warm, how.between)
-            leak = combined(read)[0] if read.answers.any() else unknown
-            if fitted is not None:
-                findings += contradictions(fitted, config)
-                residual = worst_signal(fitted, config)
-        verdict = judge(findings, reading, None, limits, how.window, residual)
-        at_40 = combined(reading)[0] if reading is not None and reading.answers.any() else unknown
+    leak = at_40 = Leak(np.nan, np.nan, np.nan)
+    findings, temperature = seen.findings, np.nan
+    verdict = Verdict(Kind.UNKNOWN, "the recording is shorter than one window", None, "")
+    if candidates:
+        rows = [candidate.rows for candidate in candidates]
+        temperature = _mean(np.array([_mean(one.auxiliary.get(OIL, NOTHING)) for one in rows]))
+        volume = volume_leak(blocks)
+        at_once = None if volume is None else _referred_leak(volume, how, temperature)
+        checked = check_samples(sampled_windows(candidates, how.window, config), seen.findings, config)
+
+        def choose(samples: Sampled) -> Windows:
+            windows = cut(samples, round(how.window / config.control_period))
+            commanded = np.isfinite(windows.signal("previous_command")).mean(axis=1)
+            return windows.part(commanded > 0.5)  # without the margins
+
+        def read(windows: Windows) -> Read:
+            nonlocal leak
+            if not len(windows):
+                return Read()
+            measured, fitted = read_windows(windows, config, threads=1)
+            leak = combined(measured)[0] if measured.answers.any() else leak
+            warm = np.array([_mean(values) for values in windows.auxiliary_signal(OIL)])
+            return Read(referred(measured, how.oil, warm, how.between), fitted=fitted)
+
+        found = judged(
+            checked,
+            config,
+            choose=choose,
+            read=read,
+            limits=Limits.of(config),
+            window=how.window,
+            balance=at_once,
+            rows=rows,
+        )
+        findings, verdict, reading = found.checked.findings, found.verdict, found.read.estimator
+        if volume is not None and verdict.detector == BALANCE:
+            leak, at_40 = Leak(volume.value, volume.low, volume.high), verdict.leak or at_40
+        elif reading is not None and reading.answers.any():
+            at_40 = combined(reading)[0]
     notes = [finding.line() for finding in findings if finding.signal == "clock"]
     faults = [finding.line() for finding in findings if finding.weight is Weight.FAULT]
+    note = f"clock runs back by {number(back, digits=3)} s at its begin" if back > 0.0 else ""
     reason = "; ".join(dict.fromkeys(part for part in (verdict.why, *faults, *notes, note) if part))
     times = clock + live.first, clock + live.last
-    return Row(*times, axis, verdict.kind, leak, seen.moving, temperature, at_40, reason)
+    return Row(*times, axis, verdict.kind, leak, seen.moving, temperature, at_40, reason, max(back, seen.clock_back))
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else np.nan
+
+
+def _referred_leak(found: VolumeLeak, how: Settings, temperature: float) -> VolumeLeak:
+    """The leak by the balance of volumes at the reference temperature."""
+    one = Reading.of([0.0], flow_lpm=found.value, low_lpm=found.low, high_lpm=found.high)
+    _, _, _, value, low, high, *_ = referred(one, how.oil, np.array([temperature]), how.between)
+    return found._replace(value=float(value[0]), low=float(low[0]), high=float(high[0]))

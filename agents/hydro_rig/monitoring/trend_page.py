@@ -252,8 +252,8 @@ def _wedge(axes: Axes, one: AxisTrend, first: float, last: float) -> float:
         else level.low * (one.limit / level.low) ** ((end - last) / ahead.high)
     )
     corners = [(last, level.low), (last, level.high), (last + ahead.low, one.limit), (end, one.limit), (end, far)]
-    axes.fill(*zip(*corners, strict=True), color=SERIES[0].light, alpha=0.25, linewidth=0)
-    axes.plot([last, last + ahead.value], [level.value, one.limit], color=SERIES[0].light, linewidth=1.2)
+    axes.fill(*zip(*corners, strict=True), color=SERIES["blue"].light, alpha=0.25, linewidth=0)
+    axes.plot([last, last + ahead.value], [level.value, one.limit], color=SERIES["blue"].light, linewidth=1.2)
     axes.plot([last + one.growth.not_before], [one.limit], marker="v", color=INK, markersize=6, linestyle="none")
     axes.axvspan(last, end + 1.0, color=PALE, alpha=0.5, linewidth=0, zorder=-1)
     return end + 1.0

@@ -22,9 +22,12 @@ from hydro_rig.monitoring.oil import Oil
 
 TEXTS = ("time", "until", "axis", "file", "verdict", "reason", "oil", "repaired")
 SIZES = ("size", "low", "high", "moving", "temperature", "size_40", "low_40", "high_40")
-COLUMNS = ("time", "until", "axis", "file", "verdict", *SIZES, "oil", "reason", "bytes", "repaired")
+COLUMNS = ("time", "until", "axis", "file", "verdict", *SIZES, "oil", "reason", "bytes", "clock_back", "repaired")
 """Sizes with the ends of their 90 % intervals in l/min at 100 bar, as measured and at 40 °C; ``moving`` is a share;
-``temperature`` in °C; ``bytes`` of the file: a file that has grown is read again."""
+``temperature`` in °C; ``bytes`` of the file: a file that has grown is read again; ``clock_back``: by how much the clock
+ran back in the row or at its begin, s."""
+
+LATER = ("clock_back", "repaired")  # columns that older tables lack
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mf4", ".mdf", ".tdms", ".mat")
 DECIMALS = 5
@@ -85,10 +88,11 @@ def read_table(path: Path) -> pd.DataFrame:
         return pd.DataFrame({name: pd.Series(dtype=str if name in TEXTS else float) for name in COLUMNS})
     try:
         table = pd.read_csv(path, dtype=dict.fromkeys(TEXTS, str), keep_default_na=False, na_values=[""])
-        missing = [name for name in COLUMNS if name not in table and name != "repaired"]
+        missing = [name for name in COLUMNS if name not in table and name not in LATER]
         if missing:
             raise ConfigurationError(f"{path}: is no table of hydro trend: it has no column '{missing[0]}'")
-        for name in (*SIZES, "bytes"):
+        table = table.assign(**{name: 0.0 if name == "clock_back" else "" for name in LATER if name not in table})
+        for name in (*SIZES, "bytes", "clock_back"):
             table[name] = pd.to_numeric(table[name])
         seconds(table["time"]), seconds(table["until"])
         unknown = [each for each in table["verdict"].dropna().unique() if each not in list(Kind)]
@@ -98,7 +102,6 @@ def read_table(path: Path) -> pd.DataFrame:
         raise
     except (ValueError, OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: is no table of hydro trend: {' '.join(str(error).split())[:200]}") from None
-    table = table if "repaired" in table else table.assign(repaired="")
     texts = {name: table[name].fillna("").astype(str) for name in TEXTS}
     return table.assign(**texts)
 
@@ -111,7 +114,7 @@ def unread(files: Iterable[File], table: pd.DataFrame) -> list[File]:
 
 def with_rows(table: pd.DataFrame, file: File, found: Mapping[str, NDArray[Any]], oil: Oil) -> pd.DataFrame:
     """The table with the rows of a file, in place of older ones of the same file; in the order of axis and time."""
-    fresh = pd.DataFrame({name: found[name] for name in ("axis", "verdict", "reason", *SIZES)})
+    fresh = pd.DataFrame({name: found[name] for name in ("axis", "verdict", "reason", "clock_back", *SIZES)})
     fresh = fresh.assign(
         time=[stamp(value) for value in found["time"]],
         until=[stamp(value) for value in found["until"]],
@@ -120,7 +123,8 @@ def with_rows(table: pd.DataFrame, file: File, found: Mapping[str, NDArray[Any]]
         oil=f"{oil.at_40:g}/{oil.at_100:g}",
         repaired="",
     )
-    fresh[list(SIZES)] = fresh[list(SIZES)].astype(np.float64).round(DECIMALS)
+    numbers = [*SIZES, "clock_back"]
+    fresh[numbers] = fresh[numbers].astype(np.float64).round(DECIMALS)
     old = table[table["file"] == file.name]
     marks = dict(zip(old["time"], old["repaired"], strict=True))
     fresh["repaired"] = [marks.get(when, "") for when in fresh["time"]]

@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import speed_limits
-from hydro_env.task.sensors import Sensor
+from hydro_env.task.sensors import COMMAND, PRESSURE_A, PRESSURE_B, SPOOL, Sensor
 from hydro_env.types import Floats
-from hydro_rig.recordings.columns import COMMAND, MEASURED, UNITS
-from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
+from hydro_rig.recordings.columns import MEASURED, UNITS
+from hydro_rig.recordings.findings import Finding, Mask, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.sampling import Sampled
 
-Found = tuple[NDArray[np.bool_], str, Weight]
+Found = tuple[Mask, str, Weight]
 
 MOST_MISSING = 0.2  # share of a channel
 MOST_SATURATED = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
@@ -33,9 +32,6 @@ LOWEST_PRESSURE = -1.2e5  # Pa; lowest gauge pressure: vacuum minus the error of
 LEAST_SHARE = 0.05  # smallest used fraction of a signal's range
 LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the two chambers reaches
 
-PRESSURES = (MEASURED.index("pressure_a"), MEASURED.index("pressure_b"))
-SPOOL = MEASURED.index("spool_position")
-
 OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
 
@@ -43,7 +39,7 @@ class Channels(NamedTuple):
     """Results of the checks of single channels."""
 
     findings: list[Finding]
-    bad: NDArray[np.bool_]  # (5, T), invalid readings: stuck, lost, saturated, impossible
+    bad: Mask  # (5, T), invalid readings: stuck, lost, saturated, impossible
 
 
 def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
@@ -51,7 +47,7 @@ def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
     findings: list[Finding] = []
     bad = np.zeros(samples.signals.shape, dtype=np.bool_)
 
-    def found(row: int, mask: NDArray[np.bool_], what: str, weight: Weight) -> None:
+    def found(row: int, mask: Mask, what: str, weight: Weight) -> None:
         if mask.any():
             bad[row] |= mask
             findings.append(finding_of(mask, samples.time, MEASURED[row], what, weight))
@@ -89,10 +85,11 @@ def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float)
     """Impossible values; if there are many, with a unit that would fit."""
     lowest = -largest if "pressure" not in signal else LOWEST_PRESSURE
     beyond = np.isfinite(values) & ((values > OVERRANGE * largest) | (values < OVERRANGE * lowest))
-    if beyond.mean() <= MOST_SPIKES:
+    if beyond.mean() <= MOST_SPIKES and signal != "command":  # a command is no reading: no sensor has spikes there
         what = f"has single values from {_shown(signal, np.nanmin(values))} to {_shown(signal, np.nanmax(values))}, "
         return beyond, what + "which are impossible on this rig", Weight.NOTE
-    low, high = np.nanquantile(values, [0.005, 0.995])
+    few = beyond.mean() <= MOST_SPIKES
+    low, high = np.nanquantile(values, [0.0, 1.0] if few else [0.005, 0.995])
     what = f"reads {_shown(signal, low)} to {_shown(signal, high)}, but the rig has "
     what += f"{_shown(signal, lowest)} to {_shown(signal, largest)}"
     if signal == "position" and largest < high <= 2.2 * largest and low >= -0.1 * largest:
@@ -106,7 +103,9 @@ def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float)
 def _too_low_pressures(samples: Sampled, config: TaskConfig) -> list[Finding]:
     """Both pressures are far below the supply: the unit is wrong."""
     highest = [
-        np.nanquantile(samples.signals[row], 0.995) for row in PRESSURES if np.isfinite(samples.signals[row]).any()
+        np.nanquantile(samples.signals[row], 0.995)
+        for row in (PRESSURE_A, PRESSURE_B)
+        if np.isfinite(samples.signals[row]).any()
     ]
     supply = config.plant.supply.pressure
     least = LEAST_PRESSURE * supply
@@ -148,21 +147,19 @@ def _saturated(values: Floats, samples: Sampled, signal: str, config: TaskConfig
     return at_end, what, severe_if(at_end.mean() > MOST_SATURATED)
 
 
-def _under_full_command(samples: Sampled, signal: str) -> NDArray[np.bool_]:
+def _under_full_command(samples: Sampled, signal: str) -> Mask:
     """Samples in which the spool may be at the end of its stroke."""
-    full: NDArray[np.bool_] = (np.abs(samples.signals[COMMAND]) > 0.8) & (signal == "spool_position")
-    return full
+    return np.asarray((np.abs(samples.signals[COMMAND]) > 0.8) & (signal == "spool_position"))
 
 
 def _half_step(sensor: Sensor) -> float:
     return 0.6 * max(sensor.resolution, 1e-6 * (sensor.high - sensor.low))
 
 
-def _at_end(values: Floats, sensor: Sensor) -> NDArray[np.bool_]:
+def _at_end(values: Floats, sensor: Sensor) -> Mask:
     """Readings at either end of a sensor's range."""
     step = _half_step(sensor)
-    at_end: NDArray[np.bool_] = (values >= sensor.high - step) | (values <= sensor.low + step)
-    return at_end
+    return np.asarray((values >= sensor.high - step) | (values <= sensor.low + step))
 
 
 def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
@@ -208,7 +205,7 @@ def _must_change(during: Floats, signal: str, samples: Sampled, config: TaskConf
             return False
         travel = np.cumsum(spool - spool.mean()) * samples.period * np.mean(speed_limits(config.plant))
         return bool(np.ptp(travel) > max(LEAST_TRAVEL, FEWEST_STEPS * config.sensors.position.resolution))
-    other = PRESSURES[0] if signal == "pressure_b" else PRESSURES[1]
+    other = PRESSURE_A if signal == "pressure_b" else PRESSURE_B
     known = during[other][np.isfinite(during[other])]
     if len(known) < 2:
         return bool(swing > ACTIVE_COMMAND)

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
+from hydro_agents.detection.detector import AUXILIARY
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import page
@@ -19,14 +20,6 @@ from hydro_env.units import UNITS as QUANTITIES
 
 MEASURED = (*SENSORS, "command")
 """Names of the signals in a file, in the order of a window's rows."""
-
-POSITION, PRESSURE_A, PRESSURE_B, SPOOL, COMMAND = range(5)
-
-BESIDE = ("supply_pressure", "tank_pressure", "flow", "oil_temperature")
-"""Further signals that a file may hold: they drive the model, or a balance of volumes, and are not part of a window.
-
-The flow is that into chamber a, for example of a flow meter, or the speed of a pump times its displacement.
-"""
 
 ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_position"}
 """Other accepted headings; ``hydro simulate`` writes ``voltage``."""
@@ -110,7 +103,9 @@ class ColumnMap(Group):
 
     def columns(self) -> dict[str, Column]:
         """The given columns by signal."""
-        return {name: getattr(self, name) for name in ("time", *MEASURED, *BESIDE) if getattr(self, name) is not None}
+        return {
+            name: getattr(self, name) for name in ("time", *MEASURED, *AUXILIARY) if getattr(self, name) is not None
+        }
 
 
 def split_heading(heading: str) -> tuple[str, str | None]:
@@ -160,8 +155,8 @@ def own_map(headings: Sequence[str], source: str) -> ColumnMap:
     for place, heading in enumerate(headings, 1):
         name = split_heading(heading)[0].lower()
         name = ALIASES.get(name, name)
-        beside = name in BESIDE and split_heading(heading)[1] is not None
-        if name not in ("time", *MEASURED) and not beside:
+        auxiliary = name in AUXILIARY and split_heading(heading)[1] is not None
+        if name not in ("time", *MEASURED) and not auxiliary:
             continue
         if name in found:
             raise ConfigurationError(f"{source}: two columns have the heading '{name}'; --map FILE selects one")

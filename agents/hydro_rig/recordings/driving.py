@@ -6,10 +6,10 @@ import numpy as np
 
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import closed_port_natural_frequency
+from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.recordings.channels import OVERRANGE
-from hydro_rig.recordings.columns import COMMAND, POSITION
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
 from hydro_rig.recordings.sampling import Sampled, cut
 

@@ -7,7 +7,7 @@ Channels of MDF4 and TDMS have their own time stamps, which are kept. If the sta
 from __future__ import annotations
 
 import importlib
-import io
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,17 +19,9 @@ import pandas as pd
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 from hydro_env.types import Floats
+from hydro_rig.recordings.channel_files import Channel, mdf_pieces, read_mat, read_mdf, read_tdms
 from hydro_rig.recordings.findings import Finding, Weight
-from hydro_rig.recordings.mat_files import Channel, read_mat
-from hydro_rig.recordings.mdf_files import mdf_pieces, read_mdf
-from hydro_rig.recordings.text_tables import (
-    OTHER_ENCODING,
-    csv_errors,
-    csv_options,
-    decimal_of,
-    decoded,
-    found_table,
-)
+from hydro_rig.recordings.text_tables import text_pieces
 
 LARGEST_RECORDING = 200_000_000  # largest size in bytes; about three hours at 200 rows per second as CSV
 ANY_LENGTH = "hydro trend reads CSV, Parquet and MDF4 files of any length"
@@ -38,9 +30,17 @@ LONGEST_STEP = 2.0
 """Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
 
 PIECE = 200_000  # rows that are in memory at once
-BEGINNING = 200_000  # bytes of a text file, in which its headings stand
 
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
+
+
+READERS: dict[str, tuple[str, Callable[[Path, Any], list[Channel]]]] = {
+    ".mf4": ("asammdf", read_mdf),
+    ".mdf": ("asammdf", read_mdf),
+    ".tdms": ("nptdms", read_tdms),
+    ".mat": ("scipy.io", read_mat),
+}
+"""Library and reader of files of channels, by the end of their names."""
 
 
 class Columns(NamedTuple):
@@ -61,20 +61,29 @@ def read_columns(path: Path) -> Columns:
     kind = path.suffix.lower()
     try:
         size = path.stat().st_size
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError:  # an impossible name: the reader says so
+    except (OSError, ValueError):  # the reader says why
         size = 0
     if size > LARGEST_RECORDING:
         raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; {ANY_LENGTH}")
-    if kind not in _READERS:
-        return _read_csv(path)
-    library, read = _READERS[kind]
-    with library_errors(path, library) as module:
-        columns = read(path, module)
+    if kind == ".parquet":
+        with library_errors(path, "pyarrow"):
+            columns = of_table(pd.read_parquet(path, engine="pyarrow"))
+    elif kind in READERS:
+        library, read = READERS[kind]
+        with library_errors(path, library) as module:
+            columns = of_channels(read(path, module))
+    else:
+        return _text_columns(path)
     if not columns.cells or not max(map(len, columns.cells)):
         raise ConfigurationError(f"{path}: holds no numbers")
     return columns
+
+
+def _text_columns(path: Path) -> Columns:
+    ((table, first_line),) = text_pieces(path, None)
+    if not len(table):
+        raise ConfigurationError(f"{path}: holds headings but no rows")
+    return of_table(table, first_line)
 
 
 def pieces(path: Path, rows: int = PIECE) -> Iterator[Columns]:
@@ -84,8 +93,6 @@ def pieces(path: Path, rows: int = PIECE) -> Iterator[Columns]:
         ConfigurationError: as :func:`read_columns`, but not for the size of CSV, Parquet and MDF4 files.
     """
     kind = path.suffix.lower()
-    if not path.is_file():
-        read_text(path)  # says why
     if kind == ".parquet":
         with library_errors(path, "pyarrow.parquet") as parquet, parquet.ParquetFile(path) as file:
             for batch in file.iter_batches(batch_size=rows):
@@ -94,17 +101,11 @@ def pieces(path: Path, rows: int = PIECE) -> Iterator[Columns]:
         with library_errors(path, "asammdf") as asammdf, asammdf.MDF(path) as file:
             for channels in mdf_pieces(file):
                 yield of_channels(channels)
-    elif kind in _READERS:
+    elif kind in READERS:
         yield read_columns(path)
     else:
-        yield from _csv_pieces(path, rows)
-
-
-def _mdf_stamps(file: Any, number: int, rows: int) -> Floats:
-    """The stamps of a group; read in pieces, because the library reads all channels of its records with them."""
-    count = int(file.groups[number].channel_group.cycles_nr)
-    parts = [file.get_master(number, record_offset=k, record_count=min(rows, count - k)) for k in range(0, count, rows)]
-    return np.concatenate([np.zeros(0), *(np.asarray(part, dtype=np.float64) for part in parts)])
+        for table, first_line in text_pieces(path, rows):
+            yield of_table(table, first_line)
 
 
 def started(path: Path) -> float | None:
@@ -115,25 +116,6 @@ def started(path: Path) -> float | None:
         return float(file.header.start_time.timestamp())
 
 
-def _csv_pieces(path: Path, rows: int) -> Iterator[Columns]:
-    try:
-        with open(path, "rb") as file:
-            content = file.read(BEGINNING)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    content = content[: content.rfind(b"\n") + 1] if len(content) == BEGINNING else content
-    encoding, text = decoded(content)
-    found = found_table(text, path)
-    options = csv_options(found, decimal_of(found, text))
-    first_line = found.first_line
-    with csv_errors(path):
-        skipped = {"skiprows": first_line - 1, "encoding": encoding, "encoding_errors": "replace", "chunksize": rows}
-        with pd.read_csv(path, **options, **skipped) as reader:
-            for table in reader:
-                yield of_table(table.set_axis(found.headings, axis=1), first_line)
-                first_line += len(table)
-
-
 @contextmanager
 def library_errors(path: Path, library: str) -> Iterator[Any]:
     """The library that reads a file, and its errors in one line each.
@@ -141,6 +123,8 @@ def library_errors(path: Path, library: str) -> Iterator[Any]:
     Raises:
         ConfigurationError: it is not installed, or any of its errors.
     """
+    if not path.is_file():
+        read_text(path)  # says why
     try:
         module = importlib.import_module(library)
     except ImportError:
@@ -199,17 +183,6 @@ def _interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
     return np.where(inside, between, np.nan)
 
 
-def _read_csv(path: Path) -> Columns:
-    """The table of a text file: its headings stand in the line above the first line of numbers (:func:`find_table`)."""
-    text = read_text(path, LARGEST_RECORDING, OTHER_ENCODING)
-    found = found_table(text, path)
-    with csv_errors(path):
-        table = pd.read_csv(io.StringIO(text[found.start :]), **csv_options(found, decimal_of(found, text)))
-    if not len(table):
-        raise ConfigurationError(f"{path}: holds headings but no rows")
-    return of_table(table.set_axis(found.headings, axis=1), found.first_line)
-
-
 def of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
     """The columns of a table; an index with a name is one of them."""
     table = table.reset_index() if table.index.name is not None else table
@@ -217,52 +190,18 @@ def of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
     return Columns(headings, [table.iloc[:, k] for k in range(len(headings))], [None] * len(headings), first_line)
 
 
-def _read_parquet(path: Path, _: Any) -> Columns:
-    return of_table(pd.read_parquet(path, engine="pyarrow"))
-
-
-def _read_mdf(path: Path, asammdf: Any) -> Columns:
-    with asammdf.MDF(path) as file:
-        return of_channels(read_mdf(file))
-
-
-def _read_tdms(path: Path, nptdms: Any) -> Columns:
-    channels = []
-    for group in nptdms.TdmsFile.read(path).groups():
-        for channel in group.channels():
-            values = channel[:]
-            if not len(values):
-                continue
-            unit = str(channel.properties.get("unit_string", ""))
-            # Only a waveform has stamps; otherwise a column of the file is the time.
-            stamps = channel.time_track() if "wf_increment" in channel.properties else None
-            channels.append(Channel(group.name, channel.name, unit, values, stamps))
-    return of_channels(channels)
-
-
-def _read_mat(path: Path, scipy_io: Any) -> Columns:
-    return of_channels(read_mat(path, scipy_io))
-
-
 def of_channels(channels: Sequence[Channel]) -> Columns:
     """Channels as columns: headings ``name [unit]``, with the group before names that occur twice; time comes first."""
-    names = [channel.name for channel in channels]
-    headings = [
-        (f"{c.group}/{c.name}" if names.count(c.name) > 1 else c.name) + (f" [{c.unit}]" if c.unit else "")
-        for c in channels
-    ]
+    names = Counter(channel.name for channel in channels)
+    headings = []
+    for channel in channels:
+        group = f"{channel.group}/" if names[channel.name] > 1 else ""
+        unit = f" [{channel.unit}]" if channel.unit else ""
+        headings.append(f"{group}{channel.name}{unit}")
     cells = [pd.Series(channel.values) for channel in channels]
     stamps = [channel.stamps for channel in channels]
-    if any(one is not None for one in stamps):
-        longest = max((one for one in stamps if one is not None), key=len)
+    own = [channel.stamps for channel in channels if channel.stamps is not None]
+    if own:
+        longest = max(own, key=len)
         headings, cells, stamps = [TIME_HEADING, *headings], [pd.Series(longest), *cells], [None, *stamps]
     return Columns(headings, cells, stamps, 0)
-
-
-_READERS: dict[str, tuple[str, Callable[[Path, Any], Columns]]] = {
-    ".parquet": ("pyarrow", _read_parquet),
-    ".mf4": ("asammdf", _read_mdf),
-    ".mdf": ("asammdf", _read_mdf),
-    ".tdms": ("nptdms", _read_tdms),
-    ".mat": ("scipy.io", _read_mat),
-}

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import Enum, StrEnum, auto
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.running.text import number
+from hydro_env.types import Floats
 
-NOT_RECORDED = "was not recorded"  # what is found about a signal without a column
+Mask = NDArray[np.bool_]
+"""True where a finding is about a row, (n,)."""
 
 
 class Weight(StrEnum):
@@ -19,6 +21,13 @@ class Weight(StrEnum):
     NOTE = "note"  # no effect
     FAULT = "fault"  # a sensor of the rig is faulty
     SEVERE = "severe"  # no verdict is possible
+
+
+class Code(Enum):
+    """The findings on which code decides; the words of a finding are for people."""
+
+    OTHER = auto()
+    NOT_RECORDED = auto()
 
 
 class Finding(NamedTuple):
@@ -30,6 +39,7 @@ class Finding(NamedTuple):
     begin: float = np.nan  # s, first place; NaN for the whole recording
     end: float = np.nan  # s, end of the first place
     share: float = np.nan  # of the recording, 0 to 1
+    code: Code = Code.OTHER
 
     def line(self) -> str:
         """The finding in one line."""
@@ -42,7 +52,7 @@ class Finding(NamedTuple):
         return ", ".join(parts)
 
 
-def runs_of(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def runs_of(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First index of each run of true values, and the index after its last."""
     edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
@@ -53,7 +63,7 @@ def severe_if(condition: object) -> Weight:
     return Weight.SEVERE if condition else Weight.NOTE
 
 
-def finding_of(mask: NDArray[np.bool_], time: NDArray[np.float64], signal: str, what: str, weight: Weight) -> Finding:
+def finding_of(mask: Mask, time: Floats, signal: str, what: str, weight: Weight) -> Finding:
     """A finding about the rows where ``mask`` (n,) is true (at least one); ``time`` (n,), s."""
     begins, ends = runs_of(mask)
     return Finding(signal, what, weight, float(time[begins[0]]), float(time[ends[0] - 1]), float(mask.mean()))

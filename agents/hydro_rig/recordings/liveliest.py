@@ -6,7 +6,7 @@ these the best dozen. Which windows these are does not depend on the size of the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from hydro_agents.detection.looks import MOVING_FROM
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
+from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_env.types import Floats
-from hydro_rig.recordings.columns import COMMAND, MEASURED
-from hydro_rig.recordings.findings import NOT_RECORDED, Finding, Weight
+from hydro_rig.recordings.findings import Code, Finding, Weight
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import LONGEST_FILL, Sampled, sampled
 
@@ -27,8 +27,6 @@ MARGIN = 5  # rows before and after a window, from which lost rows at its ends a
 SATURATED, MOST_SATURATED = 0.99, 0.5  # of full command; largest share of such rows in a useful window
 LEAST_ROWS = 0.8  # of a whole window
 UNUSABLE = -1e3  # added to the score of a window that lacks commands
-
-_POSITION = MEASURED.index("position")
 
 Places = NDArray[np.int64]
 
@@ -44,11 +42,9 @@ class Candidate(NamedTuple):
 class Overview(NamedTuple):
     """What was seen of the whole recording."""
 
-    begin: float  # s, first and last stamp, by the clock of the file
-    end: float
-    rows: int
     windows: int
     moving: float  # share of the windows in motion; NaN without a position
+    clock_back: float  # s, the most by which the clock ran back; 0: never
     findings: list[Finding]  # about the clock, and signals that were not recorded
 
 
@@ -76,7 +72,7 @@ class Liveliest:
         """The next rows of the recording."""
         if np.isnan(self.first):
             self.first = self.origin = piece.begin
-            self.findings = [finding for finding in piece.findings if finding.what == NOT_RECORDED]
+            self.findings = [finding for finding in piece.findings if finding.code is Code.NOT_RECORDED]
         self.rows += len(piece.time)
         self.last = piece.begin + float(piece.time[-1])
         rows = piece if self.rest is None else _joined(self.rest, piece)
@@ -101,7 +97,8 @@ class Liveliest:
             findings.append(Finding("clock", f"{what}; no window crosses it", Weight.NOTE))
         best = sorted(self.best.values(), key=lambda one: (-one.score, one.begin))[:most]
         share = self.moving / self.located if self.located else np.nan
-        overview = Overview(self.first, self.last, self.rows, self.windows, share, findings)
+        back = max((by for _, by in self.jumps), default=0.0)
+        overview = Overview(self.windows, share, back, findings)
         return sorted(best, key=lambda one: one.begin), overview
 
     def _weigh(self, run: Recording, ended: bool) -> None:
@@ -152,7 +149,7 @@ class Liveliest:
         gap[known[:-1]] = np.maximum(gap[known[:-1]], between)
         useless = np.maximum.reduceat(gap, starts) > (LONGEST_FILL + 1.5) * period
         useless |= (count < LEAST_ROWS * self.window / step) | (full > MOST_SATURATED * count)
-        return score + np.minimum(way / self.window, 1.0) + UNUSABLE * useless, span[_POSITION]
+        return score + np.minimum(way / self.window, 1.0) + UNUSABLE * useless, span[POSITION]
 
 
 def sampled_windows(candidates: Sequence[Candidate], window: float, config: TaskConfig) -> Sampled:
@@ -171,20 +168,25 @@ def sampled_windows(candidates: Sequence[Candidate], window: float, config: Task
         before = round((candidate.begin - candidate.rows.begin - one.time[0]) / config.control_period)
         places = one.place - before + (1 + 2 * place) * length
         parts.append(one._replace(place=places, time=places * config.control_period))
-    sides = [part.beside for part in parts if part.beside is not None]
     return parts[0]._replace(
         place=np.concatenate([part.place for part in parts]),
         time=np.concatenate([part.time for part in parts]),
         signals=np.concatenate([part.signals for part in parts], axis=1),
         findings=list({(one.signal, one.weight): one for part in parts for one in part.findings}.values()),
-        beside=np.concatenate(sides, axis=1) if len(sides) == len(parts) else None,
+        auxiliary=_concatenated([part.auxiliary for part in parts]),
     )
 
 
 def _joined(one: Recording, other: Recording) -> Recording:
     """Rows and those that follow."""
-    beside = None
-    if one.beside is not None and other.beside is not None:
-        beside = np.concatenate([one.beside, other.beside], axis=1)
-    time = np.concatenate([one.time, other.begin - one.begin + other.time])
-    return one._replace(time=time, signals=np.concatenate([one.signals, other.signals], axis=1), beside=beside)
+    return one._replace(
+        time=np.concatenate([one.time, other.begin - one.begin + other.time]),
+        signals=np.concatenate([one.signals, other.signals], axis=1),
+        auxiliary=_concatenated([one.auxiliary, other.auxiliary]),
+    )
+
+
+def _concatenated(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
+    """The signals that all parts hold, one part after the other."""
+    shared = [name for name in parts[0] if all(name in part for part in parts)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in shared}

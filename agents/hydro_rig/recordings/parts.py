@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import ConfigurationError
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_env.types import Floats
-from hydro_rig.recordings.columns import COMMAND, POSITION
 from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.sampling import Sampled, bridged, cut
 
@@ -74,37 +73,29 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     """
     for samples, source in zip(recordings, sources, strict=True):
         _refuse_useless(samples, source)
-    period, together = recordings[0].period, sources[0] if len(sources) == 1 else f"{len(sources)} recordings"
-    durations = [len(samples.time) * period for samples in recordings]
-    length = round(min(WINDOW, sum(durations) / FEWEST_WINDOWS, *durations) / period)
-    if length * period < SHORTEST_WINDOW:
-        needed = FEWEST_WINDOWS * SHORTEST_WINDOW if len(sources) == 1 else SHORTEST_WINDOW
-        place, least = (
-            (together, durations[0]) if len(sources) == 1 else (sources[int(np.argmin(durations))], min(durations))
-        )
-        raise ConfigurationError(f"{place}: holds {least:.3g} s of samples; at least {needed:g} s are needed")
+    together = sources[0] if len(sources) == 1 else f"{len(sources)} recordings"
+    length = _window_length(recordings, sources)
     filled = [bridged(samples) for samples in recordings]
-    commanded = [_commanded(cut(samples, length)) for samples, _ in filled]
+    commanded = []
+    for samples, _ in filled:
+        windows = cut(samples, length)
+        commanded.append(windows.part(windows.commanded))
     cuts = [_with_position(windows) for windows in commanded]
     count = sum(map(len, cuts))
     if count < FEWEST_WINDOWS - 1:
         raise ConfigurationError(
-            f"{together}: only {count} windows of {length * period:g} s have all commands and a position; "
-            f"at least {FEWEST_WINDOWS - 1} are needed"
+            f"{together}: only {count} windows of {length * recordings[0].period:g} s have all commands and a "
+            f"position; at least {FEWEST_WINDOWS - 1} are needed"
         )
     apart, reason = _apart(cuts, whole)
-    if apart:
-        for number in apart:
-            if not len(cuts[number]):
-                raise ConfigurationError(
-                    f"{sources[number]}: has no window with all commands and a position to hold back"
-                )
-        stretches = [_as_stretch(number, commanded[number], LONGEST_WHOLE) for number in sorted(apart)]
-        used = {number: cuts[number] for number in range(len(cuts)) if number not in apart}
-    else:
+    for number in apart:
+        if not len(cuts[number]):
+            raise ConfigurationError(f"{sources[number]}: has no window with all commands and a position to hold back")
+    stretches = [_as_stretch(number, commanded[number], LONGEST_WHOLE) for number in sorted(apart)]
+    used = {number: windows for number, windows in enumerate(cuts) if number not in apart}
+    if not apart:
         reason = "the last part of each recording with its share of the motion"
-        used, stretches = {}, []
-        for number, windows in enumerate(cuts):
+        for number, windows in used.items():
             chosen = _with_motion(windows)
             used[number] = windows.part(~chosen)
             if chosen.any():
@@ -116,11 +107,11 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     choose = _liveliest if len(used) == 1 else _most_varied
     fitted = {number: choose(windows, most) for number, windows in used.items()}
     return Parts(
-        Windows.joined(list(fitted.values())),
-        np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),
-        stretches,
-        reason,
-        [findings for _, findings in filled],
+        fitted=Windows.joined(list(fitted.values())),
+        recording=np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),
+        held_back=stretches,
+        reason=reason,
+        findings=[findings for _, findings in filled],
     )
 
 
@@ -135,8 +126,22 @@ def _refuse_useless(samples: Sampled, source: str) -> None:
         )
 
 
-def _commanded(windows: Windows) -> Windows:
-    return windows.part(windows.commanded)
+def _window_length(recordings: Sequence[Sampled], sources: Sequence[str]) -> int:
+    """Samples of a window.
+
+    Raises:
+        ConfigurationError: the recordings are too short for five windows, or one of them for a single window.
+    """
+    period = recordings[0].period
+    durations = [len(samples.time) * period for samples in recordings]
+    length = round(min(WINDOW, sum(durations) / FEWEST_WINDOWS, *durations) / period)
+    if length * period < SHORTEST_WINDOW:
+        needed = SHORTEST_WINDOW * (FEWEST_WINDOWS if len(sources) == 1 else 1)
+        shortest = int(np.argmin(durations))
+        raise ConfigurationError(
+            f"{sources[shortest]}: holds {durations[shortest]:.3g} s of samples; at least {needed:g} s are needed"
+        )
+    return length
 
 
 def _with_position(windows: Windows) -> Windows:
@@ -168,11 +173,17 @@ def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], s
     return apart, "other recordings than those of the fit"
 
 
+def _ranges(signals: Floats) -> Floats:
+    """Range of each signal in each window, (N, channels), from (N, channels, T); 0 without two readings."""
+    known = np.isfinite(signals)
+    low, high = (np.where(known, signals, end) for end in (np.inf, -np.inf))
+    ranges: Floats = np.maximum(high.max(axis=2) - low.min(axis=2), 0.0)
+    return ranges
+
+
 def _travel(windows: Windows) -> Floats:
-    """Range of the position in each window, m; 0 without two readings."""
-    position = windows.signals[:, POSITION]
-    low, high = np.where(np.isfinite(position), position, np.inf), np.where(np.isfinite(position), position, -np.inf)
-    travel: Floats = np.maximum(high.max(axis=1) - low.min(axis=1), 0.0)
+    """Range of the position in each window, m."""
+    travel: Floats = _ranges(windows.signals)[:, POSITION]
     return travel
 
 
@@ -186,10 +197,7 @@ def _liveliest(windows: Windows, most: int) -> Windows:
 
 def _most_varied(windows: Windows, most: int) -> Windows:
     """At most ``most`` windows: those in which the signals vary most, relative to their largest range in one."""
-    signals = windows.signals[:, : len(SENSORS)]
-    known = np.isfinite(signals)
-    low, high = (np.where(known, signals, end) for end in (np.inf, -np.inf))
-    ranges = np.maximum(high.max(axis=2) - low.min(axis=2), 0.0)
+    ranges = _ranges(windows.signals[:, : len(SENSORS)])
     activity = (ranges / np.maximum(ranges.max(axis=0), 1e-300)).sum(axis=1)
     return windows.part(np.sort(np.argsort(-activity, kind="stable")[:most]))
 
@@ -230,9 +238,10 @@ def _as_stretch(recording: int, windows: Windows, longest: float) -> Stretch:
     breaks = np.flatnonzero(np.abs(windows.begin[1:] - windows.end[:-1]) > 0.1 * span) + 1
     stretches = np.split(np.arange(len(windows)), breaks)
     chosen = max(stretches, key=len)[:most]
-    signals, edges = (
-        None if values is None else np.concatenate(list(values[chosen]), axis=1)
-        for values in (windows.signals, windows.boundary)
+    boundary = windows.boundary
+    return Stretch(
+        recording,
+        float(windows.begin[chosen[0]]),
+        np.concatenate(list(windows.signals[chosen]), axis=1),
+        None if boundary is None else np.concatenate(list(boundary[chosen]), axis=1),
     )
-    assert signals is not None
-    return Stretch(recording, float(windows.begin[chosen[0]]), signals, edges)

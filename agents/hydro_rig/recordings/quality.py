@@ -11,7 +11,7 @@ Two balances, valid for every rig of this kind, reveal a wrong sign, exchanged c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import compress, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,12 +24,12 @@ from hydro_env.plant.parts.chambers import chamber_volumes
 from hydro_env.plant.parts.valve import edge_flows
 from hydro_env.plant.simulate import LONGEST_PERIOD
 from hydro_env.plant.states import State
+from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.recordings.channels import check_channels
-from hydro_rig.recordings.columns import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
+from hydro_rig.recordings.channels import OVERRANGE, check_channels
 from hydro_rig.recordings.driving import check_driving
-from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.findings import Finding, Weight, finding_of
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, on_grid, sampled
 
@@ -54,6 +54,8 @@ On the three shipped rigs it is 0 to 0.6, and 0.6 to 1.0 with exchanged chambers
 
 SLOPES = (0.15, 6.0)
 """Valid range of the slopes of the flow balance and of spool against command, including wear and noise."""
+
+ROUNDING = 1e-4  # of full scale, by which a command at its limit may exceed it without a word
 
 LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
 
@@ -91,6 +93,8 @@ def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig
     checked = Checked(samples, findings)
     if not len(samples.time):
         return checked
+    samples, beyond = _within_full_scale(samples)
+    findings += beyond
     findings += check_driving(samples, config)
     channels = check_channels(samples, config)
     findings += channels.findings
@@ -106,15 +110,31 @@ def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig
     return Checked(samples, findings)
 
 
+def _within_full_scale(samples: Sampled) -> tuple[Sampled, list[Finding]]:
+    """The samples with commands of up to OVERRANGE of full scale taken as full scale; a valve opens no farther."""
+    size = np.abs(samples.signals[COMMAND])
+    beyond = (size > 1.0) & (size <= OVERRANGE)
+    if not beyond.any() or (size > OVERRANGE).any():  # the unit is wrong: check_channels says so
+        return samples, []
+    signals = samples.signals.copy()
+    signals[COMMAND, beyond] = np.sign(signals[COMMAND, beyond])
+    most = float(size[beyond].max())
+    if most < 1.0 + ROUNDING:
+        return samples._replace(signals=signals), []
+    what = f"is up to {100.0 * most:.4g} % of full scale ({FULL_VOLTAGE * most:.4g} V): taken as full scale"
+    finding = finding_of(beyond, samples.time, "command", what, Weight.NOTE)
+    return samples._replace(signals=signals), [finding]
+
+
 def row_of_command(samples: Sampled, config: TaskConfig) -> int:
     """By how many rows the command stands too early for the spool: −1, 0 or 1; 0 where the signals do not tell."""
     signals = _stretch_with_motion(samples)
     expected = _response_at_next_sample(config)
     if signals is None or expected <= LEAST_RESPONSE or not _commanded(signals, config):
         return 0
-    weights, rest, wanted = _spool_after_commands(signals)
+    weights, rest = _spool_after_commands(signals)
     slope = float(weights[:4].sum())
-    if rest > 0.5 * wanted or not SLOPES[0] <= slope <= SLOPES[1]:
+    if rest > 0.5 or not _plausible(slope):
         return 0
     later, now = weights[0] / slope, weights[1] / slope
     return -1 if later > 0.5 * expected else 1 if now < 0.25 * expected else 0
@@ -127,9 +147,12 @@ def _with_command_moved(samples: Sampled, early: int) -> Sampled:
     known = (other == inside) & (samples.place[inside] == samples.place - early)
     signals[COMMAND] = np.where(known, samples.signals[COMMAND, inside], np.nan)
     kept = slice(*(np.flatnonzero(known)[[0, -1]] + [0, 1]).tolist())
-    beside = None if samples.beside is None else samples.beside[:, kept]
-    place = samples.place[kept] - samples.place[kept.start]
-    return samples._replace(place=place, time=samples.time[kept], signals=signals[:, kept], beside=beside)
+    return samples._replace(
+        place=samples.place[kept] - samples.place[kept.start],
+        time=samples.time[kept],
+        signals=signals[:, kept],
+        auxiliary={name: values[kept] for name, values in samples.auxiliary.items()},
+    )
 
 
 class Balance(NamedTuple):
@@ -158,22 +181,22 @@ def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
     findings = _spool_and_command(signals, config)
     if any(finding.weight is Weight.SEVERE for finding in findings):
         return findings
-    given = balance(signals, config)
-    if max(given.travel, given.expected_travel) < LEAST_TRAVEL * config.sensors.position.noise:
+    fit = balance(signals, config)
+    if max(fit.travel, fit.expected_travel) < LEAST_TRAVEL * config.sensors.position.noise:
         return findings
-    if given.force_rest < FAILS and SLOPES[0] <= given.slope <= SLOPES[1]:
+    if fit.force_rest < FAILS and _plausible(fit.slope):
         return findings
-    ratio = given.travel / max(given.expected_travel, 1e-300)
-    if ratio < LEAST_SHARE or (given.slope > 0.0 and not SLOPES[0] <= given.slope <= SLOPES[1]):
+    ratio = fit.travel / max(fit.expected_travel, 1e-300)
+    if ratio < LEAST_SHARE or (fit.slope > 0.0 and not _plausible(fit.slope)):
         what = f"moves {ratio:.2g} times as far as the valve's flow moves the piston; check its unit and the rig"
         return [*findings, Finding("position", what, Weight.SEVERE)]
     changes = _change_that_helps(signals, config)
     if changes:
         what = f"contradict each other; they would fit with {changes}"
         return [*findings, Finding("pressures, spool and motion", what, Weight.SEVERE)]
-    if given.slope < 0.0:
+    if fit.slope < 0.0:
         return [*findings, Finding("position", "moves against the valve's flow; check the signs", Weight.SEVERE)]
-    what = f"do not fit the motion: {100 * given.force_rest:.0f} % of the force is unexplained"
+    what = f"do not fit the motion: {100 * fit.force_rest:.0f} % of the force is unexplained"
     return [*findings, Finding("pressures", what, Weight.NOTE)]
 
 
@@ -218,35 +241,39 @@ def _flow_into_a(signals: Floats, config: TaskConfig, c: Any) -> Floats:
 
 def _change_that_helps(signals: Floats, config: TaskConfig) -> str:
     """The smallest change of columns after which both balances fit, as text; empty if there is none."""
-    changes = sorted(product((False, True), repeat=3), key=sum)[1:]
-    for exchanged, position_turned, spool_turned in changes:
+    names = (
+        "the pressures of the chambers exchanged",
+        "the other sign of the position",
+        "the other sign of spool and command",
+    )
+    for chosen in sorted(product((False, True), repeat=3), key=sum)[1:]:
+        exchanged, position_turned, spool_turned = chosen
         changed = signals.copy()
         if exchanged:
             changed[[PRESSURE_A, PRESSURE_B]] = changed[[PRESSURE_B, PRESSURE_A]]
-        if position_turned:
-            changed[POSITION] *= -1.0
-        if spool_turned:
-            changed[SPOOL] *= -1.0
-        found = balance(changed, config)
-        if found.force_rest < FITS and SLOPES[0] <= found.slope <= SLOPES[1]:
-            words = ["the pressures of the chambers exchanged"] if exchanged else []
-            words += ["the other sign of the position"] if position_turned else []
-            words += ["the other sign of spool and command"] if spool_turned else []
-            return " and ".join(words)
+        changed[POSITION] *= -1.0 if position_turned else 1.0
+        changed[SPOOL] *= -1.0 if spool_turned else 1.0
+        fit = balance(changed, config)
+        if fit.force_rest < FITS and _plausible(fit.slope):
+            return " and ".join(compress(names, chosen))
     return ""
+
+
+def _plausible(slope: float) -> bool:
+    return SLOPES[0] <= slope <= SLOPES[1]
 
 
 def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
     """Check sign and scale of the command against the spool."""
     if not _commanded(signals, config):
         return []
-    weights, rest, wanted = _spool_after_commands(signals)
+    weights, rest = _spool_after_commands(signals)
     slope = float(weights[:4].sum())
-    if rest > 0.5 * wanted:
+    if rest > 0.5:
         return [Finding("spool_position", "does not follow the command", Weight.NOTE)]
     if slope < 0.0:
         return [Finding("spool_position", "moves against the command: reverse the sign of one of them", Weight.SEVERE)]
-    if not SLOPES[0] <= slope <= SLOPES[1]:
+    if not _plausible(slope):
         what = f"moves {slope:.3g} times as far as the command; check the units of both"
         return [Finding("spool_position", what, Weight.SEVERE)]
     return []
@@ -258,16 +285,16 @@ def _commanded(signals: Floats, config: TaskConfig) -> bool:
     return bool(np.ptp(command) >= 0.02 and command.std() >= 2.0 * config.sensors.spool_position.noise)
 
 
-def _spool_after_commands(signals: Floats) -> tuple[Floats, float, float]:
+def _spool_after_commands(signals: Floats) -> tuple[Floats, float]:
     """Weights of the command one row later, in this row, one and two rows before and of 1 in the spool's readings.
 
-    Returns also the standard deviations of what is left and of the readings.
+    Returns also the unexplained share of the standard deviation.
     """
     spool, command = signals[SPOOL], signals[COMMAND]
     rows = np.column_stack([command[3:], command[2:-1], command[1:-2], command[:-3], np.ones(len(command) - 3)])
     wanted = spool[2:-1]
     weights, *_ = np.linalg.lstsq(rows, wanted, rcond=None)
-    return weights, float((wanted - rows @ weights).std()), float(wanted.std())
+    return weights, float((wanted - rows @ weights).std() / max(wanted.std(), 1e-300))
 
 
 def _response_at_next_sample(config: TaskConfig) -> float:

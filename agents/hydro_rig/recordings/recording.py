@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from hydro_agents.detection.detector import AUXILIARY
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
-from hydro_rig.recordings.columns import BESIDE, COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
+from hydro_rig.recordings.columns import MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, read_columns, together
-from hydro_rig.recordings.findings import NOT_RECORDED, Finding, severe_if
+from hydro_rig.recordings.findings import Code, Finding, Weight, severe_if
 from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
@@ -27,16 +29,18 @@ class Recording(NamedTuple):
     signals: Floats  # (5, n), SI, in the order of MEASURED; the command acts at the time of the row
     units: dict[str, str]  # by signal, from the file or the map
     findings: list[Finding]
-    beside: Floats | None = None  # (4, n), SI, in the order of BESIDE; NaN: not recorded; None: none of them
+    auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (n,), SI
     begin: float = 0.0  # s, stamp of the first row in the file; of dates and times since 1970
 
     def part(self, first: int, end: int) -> Recording:
         """A copy of the rows from ``first`` to before ``end``."""
         shift = float(self.time[first]) if first < end else 0.0
-        signals, beside = (None if v is None else v[:, first:end].copy() for v in (self.signals, self.beside))
-        assert signals is not None
-        time, begin = self.time[first:end] - shift, self.begin + shift
-        return self._replace(time=time, signals=signals, beside=beside, begin=begin)
+        return self._replace(
+            time=self.time[first:end] - shift,
+            signals=self.signals[:, first:end].copy(),
+            auxiliary={name: values[first:end].copy() for name, values in self.auxiliary.items()},
+            begin=self.begin + shift,
+        )
 
 
 def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
@@ -70,35 +74,33 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
 
 def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -> Recording:
     """The recording in the columns of a file; errors as :func:`read_recording`."""
-    headings = file.headings
     columns = columns or map_for(file, source)
-    places = {signal: place_of(column, signal, headings, source) for signal, column in columns.columns().items()}
+    chosen = columns.columns()
+    places = {signal: place_of(column, signal, file.headings, source) for signal, column in chosen.items()}
     cells, findings = together(file, places)
     rows = len(cells["command"])
-    for signal, values_of in cells.items():
-        if len(values_of) != rows:
+    for signal, own in cells.items():
+        if len(own) != rows:
             raise ConfigurationError(
-                f"{source}: {signal}: column '{headings[places[signal]][:40]}' has {len(values_of)} values, that of "
+                f"{source}: {signal}: column '{file.headings[places[signal]][:40]}' has {len(own)} values, that of "
                 f"the command has {rows}, and one of them has no time of its own"
             )
     units: dict[str, str] = {}
-    time, begin, signals = np.zeros(0), 0.0, np.full((len(MEASURED) + len(BESIDE), rows), np.nan)
-    for signal, column in columns.columns().items():
-        values, origin = _time_stamps(cells[signal]) if signal == "time" else (None, 0.0)
-        if values is None:
-            values = _numbers(cells[signal], signal, file.first_line, findings)
-            units[signal], size = unit_of(column, signal, headings[places[signal]], source)
-            values = size * (column.gain * values + column.offset)
-        values[~np.isfinite(values)] = np.nan
-        if signal == "time":
-            time, begin = values, origin
+    values: dict[str, Floats] = {}
+    dates, begin = _time_stamps(cells["time"])
+    for signal, column in chosen.items():
+        if signal == "time" and dates is not None:
+            values[signal] = dates
         else:
-            signals[(*MEASURED, *BESIDE).index(signal)] = values
-    if columns.command.rows_early:
-        signals[COMMAND] = _shifted(signals[COMMAND], columns.command.rows_early)
+            numbers = _numbers(cells[signal], signal, file.first_line, findings)
+            units[signal], size = unit_of(column, signal, file.headings[places[signal]], source)
+            values[signal] = size * (column.gain * numbers + column.offset)
+        values[signal][~np.isfinite(values[signal])] = np.nan
+    values["command"] = _shifted(values["command"], columns.command.rows_early)
     for signal in MEASURED:
-        if getattr(columns, signal) is None:
-            findings.append(Finding(signal, NOT_RECORDED, severe_if(signal == "command")))
+        if signal not in values:
+            findings.append(Finding(signal, "was not recorded", Weight.NOTE, code=Code.NOT_RECORDED))
+    time = values.pop("time")
     known = np.isfinite(time)
     if known.sum() < FEWEST_ROWS:
         example = str(cells["time"].iloc[0])[:40]
@@ -108,13 +110,13 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
         )
     if not known.all():
         share = float(1.0 - known.mean())
-        findings.append(
-            Finding("time", "is missing in some rows, which are left out", severe_if(share > 0.2), share=share)
-        )
+        what = "is missing in some rows, which are left out"
+        findings.append(Finding("time", what, severe_if(share > 0.2), share=share))
     time = time[known]
-    beside = signals[len(MEASURED) :, known] if any(getattr(columns, name) for name in BESIDE) else None
-    measured = signals[: len(MEASURED), known]
-    return Recording(source, time - time[0], measured, units, findings, beside, begin + float(time[0]))
+    absent = np.full(rows, np.nan)
+    signals = np.array([values.get(signal, absent)[known] for signal in MEASURED])
+    auxiliary = {name: values[name][known] for name in AUXILIARY if name in values}
+    return Recording(source, time - time[0], signals, units, findings, auxiliary, begin + float(time[0]))
 
 
 def map_for(file: Columns, source: str) -> ColumnMap:
@@ -165,10 +167,7 @@ def _time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
 
 def _shifted(values: Floats, rows: int) -> Floats:
     """Values moved down by a number of rows; the gap is NaN."""
-    result = np.full_like(values, np.nan)
-    if abs(rows) < len(values):
-        if rows > 0:
-            result[rows:] = values[:-rows]
-        else:
-            result[:rows] = values[-rows:]
-    return result
+    if rows == 0:
+        return values
+    shifted: Floats = pd.Series(values).shift(rows).to_numpy()
+    return shifted

@@ -7,6 +7,7 @@ in open loop, is taken on its own grid instead: about one sample per millisecond
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
+from hydro_env.task.sensors import COMMAND
 from hydro_env.types import Floats
-from hydro_rig.recordings.columns import COMMAND, UNITS
+from hydro_rig.recordings.columns import UNITS
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.recording import Recording
 
@@ -51,7 +53,16 @@ class Sampled(NamedTuple):
     period: float  # s
     units: dict[str, str]  # by signal, as in the file
     findings: list[Finding]
-    beside: Floats | None = None  # (4, T), SI, in the order of BESIDE; None: none of them was recorded
+    auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (T,), SI
+
+
+class _Grid(NamedTuple):
+    """Rows of a recording as samples."""
+
+    place: NDArray[np.int64]
+    time: Floats
+    values: Floats  # (channels, T)
+    period: float
 
 
 def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Sampled:
@@ -66,74 +77,61 @@ def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = Fa
         own_grid: whether to take the log's own grid (:func:`on_grid`): always, never, or (``None``) where the log is
             faster than the control period and its commands keep no fixed place in it.
     """
-    if recording.beside is None:
-        return _sampled(recording, config, own_grid)
-    both = np.concatenate([recording.signals, recording.beside])
-    found = _sampled(recording._replace(signals=both), config, own_grid)
-    rows = len(recording.signals)
-    return found._replace(signals=found.signals[:rows], beside=found.signals[rows:])
-
-
-def _sampled(recording: Recording, config: TaskConfig, own_grid: bool | None) -> Sampled:
     findings: list[Finding] = []
-    period = config.control_period
-    time, signals = recording.time, recording.signals
-    nothing = Sampled(
-        np.zeros(0, np.int64), np.zeros(0), np.zeros((len(signals), 0)), period, recording.units, findings
-    )
+    rows = np.vstack([recording.signals, *recording.auxiliary.values()])
+    unit = recording.units.get("time", "s")
+    grid = _grid_of(recording.time, rows, unit, config, own_grid, findings)
+    if grid is None:
+        grid = _Grid(np.zeros(0, np.int64), np.zeros(0), np.zeros((len(rows), 0)), config.control_period)
+    signals, others = np.split(grid.values, [len(recording.signals)])
+    auxiliary = dict(zip(recording.auxiliary, others, strict=True))
+    return Sampled(grid.place, grid.time, signals, grid.period, recording.units, findings, auxiliary)
 
+
+def _grid_of(
+    time: Floats, rows: Floats, unit: str, config: TaskConfig, own_grid: bool | None, findings: list[Finding]
+) -> _Grid | None:
+    """The samples of rows (channels, n); ``None`` after a severe finding."""
+    period = config.control_period
     steps = np.diff(time)
     if np.any(steps < 0.0):
         back = np.append(False, steps < 0.0)
         worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s"
         findings.append(finding_of(back, time, "time", worst, Weight.SEVERE))
-        return nothing
+        return None
     twice = np.append(False, steps == 0.0)
     if twice.any():
         many = bool(twice.mean() > MOST_MISSING)
         findings.append(finding_of(twice, time, "time", "has duplicate stamps; the first row counts", severe_if(many)))
         if many:
-            return nothing
-        time, signals = time[~twice], signals[:, ~twice]
+            return None
+        time, rows = time[~twice], rows[:, ~twice]
 
     distance = _row_distance(time, period)
-    rows_per_period = _whole_fraction(distance, period)
-    if distance < SHORTEST_DISTANCE:
-        findings.append(_other_sampling(distance, period, recording.units.get("time", "s")))
-        return nothing
-    if own_grid or (own_grid is None and not rows_per_period and distance < period):
-        place, jitter_findings = _places(time, distance)
-        findings += jitter_findings
-        severe = any(finding.weight is Weight.SEVERE for finding in findings)
-        return nothing if severe else _on_own_grid(recording, time, signals, place, distance, findings)
-    if not rows_per_period:
-        findings.append(_other_sampling(distance, period, recording.units.get("time", "s")))
-        return nothing
-    place, jitter_findings = _places(time, distance)
-    findings += jitter_findings
+    per_period = _whole_fraction(distance, period)
+    own = own_grid or (own_grid is None and not per_period and distance < period)
+    if distance < SHORTEST_DISTANCE or not (own or per_period):
+        findings.append(_other_sampling(distance, period, unit))
+        return None
+    place = _places(time, distance, findings)
     if any(finding.weight is Weight.SEVERE for finding in findings):
-        return nothing
-    chosen = np.ones(len(place), dtype=np.bool_)
-    if rows_per_period > 1:
-        phase, hold_findings = _phase(place, time, signals[COMMAND], rows_per_period, distance, config)
-        if hold_findings and own_grid is None:
-            return _on_own_grid(recording, time, signals, place, distance, findings)
-        findings += hold_findings
-        if any(finding.weight is Weight.SEVERE for finding in findings):
-            return nothing
-        chosen = place % rows_per_period == phase
-    index = (place[chosen] - place[chosen][0]) // rows_per_period if chosen.any() else place[:0]
-    return Sampled(index, time[chosen], signals[:, chosen], period, recording.units, findings)
+        return None
+    if own:
+        return _own_grid(time, rows, place, distance, findings)
+    phase = _phase(place, time, rows[COMMAND], per_period, distance, config)
+    if isinstance(phase, Finding):
+        if own_grid is None:
+            return _own_grid(time, rows, place, distance, findings)
+        findings.append(phase)
+        return None
+    chosen = place % per_period == phase
+    index = (place[chosen] - place[chosen][:1]) // per_period
+    return _Grid(index, time[chosen], rows[:, chosen], period)
 
 
-def _on_own_grid(
-    recording: Recording,
-    time: Floats,
-    signals: Floats,
-    place: NDArray[np.int64],
-    distance: float,
-    findings: list[Finding],
-) -> Sampled:
+def _own_grid(
+    time: Floats, values: Floats, place: NDArray[np.int64], distance: float, findings: list[Finding]
+) -> _Grid:
     """The samples of a log on its own grid of about OWN_PERIOD.
 
     From a faster log, readings are medians of the rows around each sample, which leave out spikes. As many commands as
@@ -141,24 +139,24 @@ def _on_own_grid(
     """
     rows = max(round(OWN_PERIOD / distance), 1)
     period = float(f"{rows * distance:.6g}")
-    changed = place[1:][np.abs(np.diff(signals[COMMAND])) > 0.0]
+    changed = place[1:][np.abs(np.diff(values[COMMAND])) > 0.0]
     first = int(np.bincount(changed % rows, minlength=rows).argmax())
     around = (place - first + rows // 2) // rows
     number = np.unique(around)
-    values = _medians(signals, np.searchsorted(number, around), len(number))
+    samples = _medians(values, np.searchsorted(number, around), len(number))
     acting = (place - first) // rows + 1
     inside = np.isin(acting, number)
-    commands = _medians(signals[COMMAND:, inside], np.searchsorted(number, acting[inside]), len(number))[0]
-    values[COMMAND] = commands
+    commands = _medians(values[[COMMAND]][:, inside], np.searchsorted(number, acting[inside]), len(number))[0]
     if len(number) > 1 and number[1] == number[0] + 1 and np.isnan(commands[0]):
-        values[COMMAND, 0] = signals[COMMAND, 0]  # what acted before the first row
+        commands[0] = values[COMMAND, 0]  # what acted before the first row
+    samples[COMMAND] = commands
     what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for the command in the control period; taken "
-    what += "on its own grid" + (
-        f" of {1e3 * period:.4g} ms, each sample the median of {rows} rows" if rows > 1 else ""
-    )
-    told = [*findings, Finding("time", what, Weight.NOTE)]
-    stamps = time[0] + (number - number[0]) * period
-    return Sampled(number - number[0], stamps, values, period, recording.units, told)
+    what += "on its own grid"
+    if rows > 1:
+        what += f" of {1e3 * period:.4g} ms, each sample the median of {rows} rows"
+    findings.append(Finding("time", what, Weight.NOTE))
+    number = number - number[0]
+    return _Grid(number, time[0] + number * period, samples, period)
 
 
 def _medians(values: Floats, group: NDArray[np.int64], count: int) -> Floats:
@@ -186,15 +184,19 @@ def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     around it: the linear combination that fits the other commands of the recording best.
     """
     jumps = np.diff(samples.place)
-    lost = [
-        samples.place[k] + np.arange(1, jumps[k]) for k in np.flatnonzero((jumps > 1) & (jumps <= LONGEST_FILL + 1))
-    ]
+    short = np.flatnonzero((jumps > 1) & (jumps <= LONGEST_FILL + 1))
+    lost = [samples.place[k] + np.arange(1, jumps[k]) for k in short]
     place = np.sort(np.concatenate([samples.place, *lost])).astype(np.int64)
-    signals = np.full((len(samples.signals), len(place)), np.nan)
-    signals[:, np.searchsorted(place, samples.place)] = samples.signals
-    missing = np.isnan(signals[COMMAND])
+    at = np.searchsorted(place, samples.place)
+
+    def spread(values: Floats) -> Floats:
+        whole = np.full((*values.shape[:-1], len(place)), np.nan)
+        whole[..., at] = values
+        return whole
+
+    signals = spread(samples.signals)
     filled = np.zeros(len(place), dtype=np.bool_)
-    for begin, end in zip(*runs_of(missing), strict=True):
+    for begin, end in zip(*runs_of(np.isnan(signals[COMMAND])), strict=True):
         inside = begin > 0 and end < len(place) and end - begin <= LONGEST_FILL
         filled[begin:end] = inside and place[end] - place[begin - 1] == end - begin + 1
     if not filled.any():
@@ -202,18 +204,9 @@ def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     signals[COMMAND, filled] = _likely(signals, filled)
     time = np.interp(place, samples.place, samples.time)
     what = f"lacks samples; up to {LONGEST_FILL} in a row are filled in from those around them"
-    finding = finding_of(filled, time, "command", what, Weight.NOTE)
-    samples = samples._replace(beside=_placed(samples.beside, np.searchsorted(place, samples.place), len(place)))
-    return samples._replace(place=place, time=time, signals=signals), [finding]
-
-
-def _placed(values: Floats | None, places: NDArray[np.int64], count: int) -> Floats | None:
-    """Values (channels, n) at their places among ``count`` samples; NaN elsewhere."""
-    if values is None:
-        return None
-    whole = np.full((len(values), count), np.nan)
-    whole[:, places] = values
-    return whole
+    auxiliary = {name: spread(values) for name, values in samples.auxiliary.items()}
+    samples = samples._replace(place=place, time=time, signals=signals, auxiliary=auxiliary)
+    return samples, [finding_of(filled, time, "command", what, Weight.NOTE)]
 
 
 def _likely(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
@@ -241,13 +234,14 @@ def cut(samples: Sampled, length: int) -> Windows:
     inside = np.isin(window, chosen)
 
     def cut_out(values: Floats) -> Floats:
-        parts = np.full((len(chosen), len(values), length), np.nan)
-        parts[number[inside], :, place[inside]] = values[:, inside].T
+        parts = np.full((len(chosen), length), np.nan)
+        parts[number[inside], place[inside]] = values[inside]
         return parts
 
+    signals = np.stack([cut_out(values) for values in samples.signals], axis=1)
+    auxiliary = {name: cut_out(values) for name, values in samples.auxiliary.items()}
     begin = np.asarray(chosen * length * samples.period, dtype=np.float64)
-    beside = None if samples.beside is None else cut_out(samples.beside)
-    return Windows(cut_out(samples.signals), begin, begin + length * samples.period, beside)
+    return Windows(signals, begin, begin + length * samples.period, auxiliary)
 
 
 def _row_distance(time: Floats, period: float) -> float:
@@ -277,9 +271,8 @@ def _other_sampling(distance: float, period: float, unit: str) -> Finding:
     return Finding("time", what, Weight.SEVERE)
 
 
-def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], list[Finding]]:
-    """Number of row distances since the first row, (n,), and findings about the time stamps."""
-    findings = []
+def _places(time: Floats, distance: float, findings: list[Finding]) -> NDArray[np.int64]:
+    """Number of row distances since the first row, (n,); appends findings about the time stamps."""
     place, off = np.zeros(len(time), dtype=np.int64), np.zeros(len(time))
     clock, count = float(time[0]), 0
     for row, stamp in enumerate(time[1:].tolist(), 1):
@@ -289,29 +282,30 @@ def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], list[Find
         error = stamp - clock - jump * distance
         off[row] = abs(error) / distance
         clock = stamp - (1.0 - FOLLOWING) * error
-    jumps = np.diff(place, prepend=-1)
     usual = float(np.quantile(off, 0.95))
     if usual > JITTER[0]:
         what = f"has stamps that jitter by up to {1e3 * usual * distance:.2g} ms (95 %) around one row every "
         findings.append(Finding("time", what + f"{1e3 * distance:.4g} ms", severe_if(usual > JITTER[1])))
+    jumps = np.diff(place, prepend=-1)
     gaps = np.flatnonzero(jumps > 1)
     if len(gaps):
         share = float((jumps[gaps] - 1).sum()) / (count + 1)
         longest = f"{1e3 * distance * (jumps.max() - 1):.3g} ms"
         what = f"has {len(gaps)} gaps, the longest of {longest}" if len(gaps) > 1 else f"has a gap of {longest}"
-        begin, end = time[gaps[0] - 1], time[gaps[0]]
-        findings.append(Finding("time", what, severe_if(share > MOST_MISSING), float(begin), float(end), share))
-    return place, findings
+        begin, end = float(time[gaps[0] - 1]), float(time[gaps[0]])
+        findings.append(Finding("time", what, severe_if(share > MOST_MISSING), begin, end, share))
+    return place
 
 
 def _phase(
     place: NDArray[np.int64], time: Floats, command: Floats, rows: int, distance: float, config: TaskConfig
-) -> tuple[int, list[Finding]]:
+) -> int | Finding:
     """Index of the sample among the ``rows`` of a control period, from the rows in which the command changes."""
-    changed = np.append(False, np.diff(command) != 0.0) & np.append(False, np.diff(place) == 1)
-    changed &= np.isfinite(command) & np.append(False, np.isfinite(command[:-1]))
-    if not changed.any():  # a constant command: any row is suitable
-        return 0, []
+    known = np.isfinite(command)
+    changed = (np.diff(command) != 0.0) & (np.diff(place) == 1) & known[1:] & known[:-1]
+    changed = np.append(False, changed)
+    if rows == 1 or not changed.any():  # a constant command: any row is suitable
+        return 0
     counts = np.bincount(place[changed] % rows, minlength=rows)
     if counts.max() < HOLD_SHARE * changed.sum():
         spacing = int(np.median(np.diff(place[changed]))) if changed.sum() > 1 else 1
@@ -319,6 +313,6 @@ def _phase(
             f"changes every {1e3 * distance * spacing:.3g} ms, at no fixed place in the control period of "
             f"{1e3 * config.control_period:g} ms; give the --task of this rig"
         )
-        return 0, [finding_of(changed, time, "command", what, Weight.SEVERE)]
+        return finding_of(changed, time, "command", what, Weight.SEVERE)
     back = max(round(config.command_latency / distance), 1)
-    return int((counts.argmax() - back) % rows), []
+    return int((counts.argmax() - back) % rows)

@@ -19,8 +19,13 @@ from hydro_env.files import write_text
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import MEASURED, factor
 
-WRITTEN_UNITS = {"time": "s", "position": "mm", "pressure_a": "bar", "pressure_b": "bar", "spool_position": "%"} | {
-    "command": "V"
+WRITTEN_UNITS = {
+    "time": "s",
+    "position": "mm",
+    "pressure_a": "bar",
+    "pressure_b": "bar",
+    "spool_position": "%",
+    "command": "V",
 }
 
 _FORMAT = "%.7g"  # digits for the 16-bit steps of every sensor
@@ -165,38 +170,13 @@ def record_dataset(
     """
     check_dataset(name)
     import minari
-    from minari.data_collector import EpisodeBuffer
 
     if not 1 <= episodes <= MOST_EPISODES:
-        raise ConfigurationError(f"--episodes = {episodes}: must be within 1 to {MOST_EPISODES}")
+        raise ConfigurationError(f"--count {episodes}: must be within 1 to {MOST_EPISODES}")
     buffers = []
     with gym.make("hydro_env:ServoHydraulic-v0", config=config.model_dump(mode="json"), info="flat") as env:
         for number in range(episodes):
-            seed = first_seed + number
-            observation, info = env.reset(seed=seed, options=dict(options))
-            observations, infos, memory = [observation], [info], None
-            actions: list[Any] = []
-            rewards: list[float] = []
-            failed: list[bool] = []
-            ended: list[bool] = []
-            while not (failed and (failed[-1] or ended[-1])):
-                action, memory = controller.predict(observation, memory)
-                observation, reward, terminated, truncated, info = env.step(action)
-                rows: tuple[list[Any], ...] = (observations, actions, rewards, failed, ended, infos)
-                for row, value in zip(rows, (observation, action, reward, terminated, truncated, info), strict=True):
-                    row.append(value)
-            buffers.append(
-                EpisodeBuffer(
-                    id=number,
-                    seed=seed,
-                    observations=np.stack(observations),
-                    actions=np.stack(actions),
-                    rewards=rewards,
-                    terminations=failed,
-                    truncations=ended,
-                    infos={key: np.array([one[key] for one in infos]) for key in infos[0]},
-                )
-            )
+            buffers.append(_episode(env, controller, number, first_seed + number, options))
             if progress is not None:
                 progress(number + 1)
         with warnings.catch_warnings():  # the user adds author and code link
@@ -210,3 +190,30 @@ def record_dataset(
                 requirements=[f"hydro_env=={__version__}"],
             )
     return DatasetSummary(episodes, int(dataset.total_steps), str(dataset.storage.data_path.parent))
+
+
+def _episode(env: Any, controller: Controller, number: int, seed: int, options: Mapping[str, Any]) -> Any:
+    """One episode; Minari's own collector would need JAX."""
+    from minari.data_collector import EpisodeBuffer
+
+    observation, info = env.reset(seed=seed, options=dict(options))
+    observations, infos, steps = [observation], [info], []
+    memory, over = None, False
+    while not over:
+        action, memory = controller.predict(observation, memory)
+        observation, reward, terminated, truncated, info = env.step(action)
+        observations.append(observation)
+        infos.append(info)
+        steps.append((action, reward, terminated, truncated))
+        over = terminated or truncated
+    actions, rewards, terminations, truncations = zip(*steps, strict=True)
+    return EpisodeBuffer(
+        id=number,
+        seed=seed,
+        observations=np.stack(observations),
+        actions=np.stack(actions),
+        rewards=list(rewards),
+        terminations=list(terminations),
+        truncations=list(truncations),
+        infos={key: np.array([each[key] for each in infos]) for key in info},
+    )

@@ -1,4 +1,4 @@
-"""Tables in text files: where headings and numbers stand, and how ``pandas`` reads them."""
+"""Tables in text files: where headings and numbers stand, and the rows piece by piece."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -16,24 +16,62 @@ from hydro_env import ConfigurationError
 from hydro_rig.recordings.columns import UNITS, split_heading
 
 OTHER_ENCODING = "cp1252"  # of texts that are not UTF-8: that of Western Windows programs
+BEGINNING = 200_000  # bytes, in which the headings stand
 MOST_LINES = 200  # in which the headings must stand
 
 SPACES = r"\s+"  # any number of spaces between two columns
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
+_UNITS = {unit for units in UNITS.values() for unit in units} - {"1", "-"}
 
 
-class Found(NamedTuple):
-    """Where the table stands."""
+class Layout(NamedTuple):
+    """Where a table stands in a text, and how it is written."""
 
     headings: list[str]
     separator: str
-    start: int  # characters before the first row
+    decimal: str  # mark of its numbers
     first_line: int  # line of the first row, from 1
 
 
-def find_table(text: str) -> Found | None:
-    """Headings and first row of a table; ``None``: the text holds no line.
+class _Line(NamedTuple):
+    number: int  # from 1
+    text: str
+    comment: str  # the last one above, without its mark
+
+
+def text_pieces(path: Path, rows: int | None) -> Iterator[tuple[pd.DataFrame, int]]:
+    """The rows of a table with their headings, ``rows`` at a time (``None``: all at once), and the line of the first.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or is not a table.
+    """
+    encoding, text = _beginning(path)
+    with _csv_errors(path), open(path, encoding=encoding, errors="replace", newline="\n") as file:
+        layout = layout_of(text)
+        if layout is None:
+            raise ConfigurationError(f"{path}: holds no table")
+        line = layout.first_line
+        for _ in range(line - 1):
+            file.readline()
+        tables = pd.read_csv(
+            file,
+            sep=layout.separator,
+            decimal=layout.decimal,
+            header=None,
+            names=range(len(layout.headings)),
+            index_col=False,
+            skipinitialspace=True,
+            low_memory=False,
+            chunksize=rows,
+        )
+        for table in [tables] if rows is None else tables:
+            yield table.set_axis(layout.headings, axis=1), line
+            line += len(table)
+
+
+def layout_of(text: str) -> Layout | None:
+    """Headings and first row of a table, from the beginning of its file; ``None``: it holds no line.
 
     The headings are the first line that has as many cells as most lines, more than half of them filled and none a
     number; without such a line, the first one. If the line below holds units, each heading gets its own: ``P_A [bar]``.
@@ -54,39 +92,50 @@ def find_table(text: str) -> Found | None:
     usual = max(set(widths), key=widths.count)
     place = next((k for k, row in enumerate(rows) if len(row) == usual and _are_headings(row)), None)
     if place is None:
-        above = _cells(lines[0].comment, "," if separator == SPACES and "," in lines[0].comment else separator)
+        comment = lines[0].comment
+        above = _cells(comment, "," if separator == SPACES and "," in comment else separator)
         if len(above) == usual and _are_headings(above):
-            return Found(above, separator, lines[0].begin, lines[0].number)
+            return _layout(above, separator, lines[0].number, text)
         place = 0
     headings = rows[place]
     if place + 1 < len(rows) and len(rows[place + 1]) == len(headings) and _are_units(rows[place + 1]):
         place += 1
         headings = [_with_unit(name, unit) for name, unit in zip(headings, rows[place], strict=True)]
-    return Found(headings, separator, lines[place].end, lines[place].number + 1)
+    return _layout(headings, separator, lines[place].number + 1, text)
 
 
-class _Line(NamedTuple):
-    begin: int  # characters before it
-    end: int  # characters up to the next line
-    number: int  # from 1
-    text: str
-    comment: str  # the last one above, without its mark
+def _layout(headings: list[str], separator: str, first_line: int, text: str) -> Layout:
+    rows = text.split("\n", first_line - 1)[-1]
+    return Layout(headings, separator, "," if separator != "," and "," in rows else ".", first_line)
+
+
+def _beginning(path: Path) -> tuple[str, str]:
+    """Encoding of a file, and the whole lines of its beginning."""
+    try:
+        with open(path, "rb") as file:
+            content = file.read(BEGINNING)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError:  # it holds a null or a surrogate
+        raise ConfigurationError(f"{str(path)!a}: is no possible file name") from None
+    if len(content) == BEGINNING:
+        content = content[: content.rfind(b"\n") + 1]
+    try:
+        return "utf-8-sig", content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return OTHER_ENCODING, content.decode(OTHER_ENCODING, "replace")
 
 
 def _lines(text: str) -> list[_Line]:
     """The first lines that are neither empty nor comments."""
     lines: list[_Line] = []
-    start, number, comment = 0, 0, ""
-    while start < len(text) and len(lines) < MOST_LINES:
-        end = text.find("\n", start)
-        end = end if end >= 0 else len(text)
-        line, number = text[start:end].strip("\r"), number + 1
+    comment = ""
+    for number, line in enumerate(text.split("\n"), 1):
         if line.lstrip().startswith("#"):
             comment = line.strip().lstrip("# ")
         elif line.strip():
-            lines.append(_Line(start, end + 1, number, line, comment))
-        start = end + 1
-    return lines
+            lines.append(_Line(number, line.strip("\r"), comment))
+    return lines[:MOST_LINES]
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -102,9 +151,8 @@ def _are_headings(cells: list[str]) -> bool:
 
 def _are_units(cells: list[str]) -> bool:
     """Whether cells are units, in brackets or not: most of those that are not empty are known ones."""
-    known = {unit for units in UNITS.values() for unit in units}
     units = [cell.strip("[]()").replace("μ", "u").replace("µ", "u") for cell in cells if cell]
-    return 2 * sum(unit in known - {"1", "-"} for unit in units) > len(units)
+    return 2 * sum(unit in _UNITS for unit in units) > len(units)
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -112,49 +160,8 @@ def _with_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit and split_heading(name)[1] is None else name
 
 
-def found_table(text: str, path: Path) -> Found:
-    """Where the table of a file stands (:func:`find_table`).
-
-    Raises:
-        ConfigurationError: there is none.
-    """
-    try:
-        found = find_table(text)
-    except csv.Error as error:
-        raise ConfigurationError(f"{path}: is not a table: {error}") from None
-    if found is None:
-        raise ConfigurationError(f"{path}: holds no table")
-    return found
-
-
-def decoded(content: bytes) -> tuple[str, str]:
-    """Encoding and text of the beginning of a file."""
-    try:
-        return "utf-8-sig", content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return OTHER_ENCODING, content.decode(OTHER_ENCODING, "replace")
-
-
-def decimal_of(found: Found, text: str) -> str:
-    """The decimal mark of a table's numbers."""
-    return "," if found.separator != "," and "," in text[found.start : found.start + 100_000] else "."
-
-
-def csv_options(found: Found, decimal: str) -> dict[str, Any]:
-    """Options of ``pandas.read_csv`` for the rows of a table."""
-    return {
-        "sep": found.separator,
-        "decimal": decimal,
-        "header": None,
-        "names": range(len(found.headings)),
-        "index_col": False,
-        "skipinitialspace": True,
-        "low_memory": False,
-    }
-
-
 @contextmanager
-def csv_errors(path: Path) -> Iterator[None]:
+def _csv_errors(path: Path) -> Iterator[None]:
     """Errors of ``pandas.read_csv`` in one line each.
 
     Raises:
@@ -164,7 +171,9 @@ def csv_errors(path: Path) -> Iterator[None]:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             yield
+    except ConfigurationError:
+        raise
     except pd.errors.ParserWarning:
         raise ConfigurationError(f"{path}: rows have more columns than the line of headings") from None
-    except (ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
+    except (csv.Error, ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
         raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Windows, draw_faults
+from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Plan, Windows, draw_faults
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
 from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation, slow
 from hydro_agents.detection.sheet import sheet_of
@@ -16,7 +16,7 @@ from hydro_rig.estimation.known_windows import at_rest
 
 CONFIG = TaskConfig(episode_duration=0.4)
 CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)
-PLAN = HeadTrainingSettings().plan(CONFIG, [CONTROLLER])
+PLAN = Plan(CONFIG, [CONTROLLER], HeadTrainingSettings())
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_every_label_but_the_leak_follows_from_a_fault():
 
 def test_the_runs_are_shared_out_over_operations_and_leaks():
     settings = HeadTrainingSettings(changing_share=0.4, orifice_share=0.1, disturbed_share=0.2)
-    chunks = settings.plan(CONFIG, [CONTROLLER]).chunks(10_000)
+    chunks = Plan(CONFIG, [CONTROLLER], settings).chunks(10_000)
     axes = {leak: sum(chunk.axes for chunk in chunks if chunk.leak == leak) for leak in LEAKS}
     assert axes == {"constant": 5000, "onset": 2000, "growth": 2000, "orifice": 1000}
     assert sum(chunk.axes for chunk in chunks if chunk.disturbed) == 2000
@@ -69,7 +69,7 @@ def test_the_runs_are_shared_out_over_operations_and_leaks():
 @pytest.mark.parametrize("leak", ["onset", "growth"])
 def test_a_changing_leak_is_labelled_with_its_size_at_the_end_of_the_window(leak):
     config = TaskConfig()
-    plan = HeadTrainingSettings(fault_share=0.0).plan(config, [CONTROLLER])
+    plan = Plan(config, [CONTROLLER], HeadTrainingSettings(fault_share=0.0))
     seeds = TRAINING_SEEDS.start + 930_000 + np.arange(60)
     data = plan._chunk(Chunk(4, -1, leak, 60), seeds, sheet_of(config))
     assert len(data.flow_lpm) >= 55

@@ -11,7 +11,7 @@ from refusal import undigested
 from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.detection.dataset import LEAKS, Windows
+from hydro_agents.detection.dataset import LEAKS, Plan, Windows
 from hydro_agents.detection.features import FEATURES, LABELS, SIGNALS, SPREAD, STILL
 from hydro_agents.detection.head import OUTPUTS, OUTSIDE, LeakageEstimate, LeakageHead, standardised
 from hydro_agents.detection.head_training import (
@@ -80,7 +80,7 @@ def interrupted(folder, when):
 
 
 def test_learns_to_tell_leaks(head):
-    plan = SETTINGS.plan(CONFIG, [CONTROLLER])
+    plan = Plan(CONFIG, [CONTROLLER], SETTINGS)
     windows = Windows.joined(list(plan.windows(150, TRAINING_SEEDS.start + 900_000)))
     estimate = LeakageEstimate(*head.judge(windows.features).T)
     kept = (windows.fault < 0) & (windows.leak == LEAKS.index("constant"))
@@ -231,7 +231,7 @@ def test_a_training_that_is_stopped_while_it_simulates_goes_on_there(small_head,
     assert len(stored["windows"]["data"]) >= 2
     simulated = []
     resumed = trained(tmp_path, resume=True, progress=lambda phase, done, *_: simulated.append((phase, done)))
-    whole = len(SMALL.plan(CONFIG, [CONTROLLER]).chunks(SMALL.episodes))
+    whole = len(Plan(CONFIG, [CONTROLLER], SMALL).chunks(SMALL.episodes))
     done = {done for phase, done in simulated if phase == "data"}  # the first is what the checkpoint holds
     assert len(done) == 1 + whole - len(stored["windows"]["data"])
     np.testing.assert_array_equal(resumed.tensors["weight_0"], small_head.tensors["weight_0"])
@@ -242,7 +242,7 @@ def test_inputs_of_the_network_are_normalised_on_training_data():
     head = trained(settings=SMALL.model_copy(update={"epochs": 1}), seed=4)
     assert 0.0 < head.settings.training["seconds"] <= time.monotonic() - began + 0.1
     first = HEAD_TRAINING.first + 4 * SMALL.episodes
-    data = Windows.joined(list(SMALL.plan(CONFIG, [CONTROLLER]).windows(SMALL.episodes, first)))
+    data = Windows.joined(list(Plan(CONFIG, [CONTROLLER], SMALL).windows(SMALL.episodes, first)))
     inputs = (data.features - head.tensors["mean"]) * head.tensors["scale"]
     np.testing.assert_allclose(inputs.mean(axis=0), 0.0, atol=1e-2)
     assert inputs.std(axis=0).max() < 1.01

@@ -1,18 +1,87 @@
-"""Standstills of an evaluation: a controller in a limit cycle is counted, named and never taken for a good baseline."""
+"""Limit cycles are found, counted and named; an evaluation never takes a controller in one for a good baseline."""
 
 import numpy as np
 import pandas as pd
 import pytest
+from proportional import Relay
 
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.evaluation.evaluate import evaluate
-from hydro_agents.evaluation.limit_cycles import comes_to_rest, counted, is_broken, rest_text, rest_warning
-from hydro_agents.running.seeds import EVALUATION
+from hydro_agents.evaluation.limit_cycles import (
+    comes_to_rest,
+    counted,
+    find_limit_cycle,
+    is_broken,
+    rest_text,
+    rest_warning,
+    standstill_metrics,
+    standstill_task,
+)
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.seeds import EVALUATION, VALIDATION_SEEDS
 from hydro_env import REFERENCE_FAMILIES, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)
 SIZE = {"plants": 3, "leak_levels": (4.0, 0.03, 1.0), "families": ("step",), "standstill_plants": 2}
 WILD = make_controller("pid", CONFIG, {"proportional": 1500.0})
+
+
+PERIOD = 0.005
+TIME = PERIOD * np.arange(300)
+FLOOR = 15e-6
+WAVE = np.sin(2.0 * np.pi * 12.0 * TIME)
+
+
+def test_a_lasting_sine_is_found_with_amplitude_and_frequency():
+    noise = np.random.default_rng(0).normal(scale=5e-6, size=len(TIME))
+    cycle = find_limit_cycle(0.03 + 50e-6 * WAVE + noise + 1e-4 * TIME, PERIOD, FLOOR)
+    assert cycle.sustained
+    assert cycle.amplitude == pytest.approx(50e-6, rel=0.05)
+    assert cycle.frequency == pytest.approx(12.0, abs=0.4)
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        np.zeros(len(TIME)),
+        10e-6 * WAVE,  # below the floor
+        100e-6 * WAVE * np.exp(-4.0 * TIME),  # dying out
+        200e-6 * TIME,  # drift
+        100e-6 * np.sin(2.0 * np.pi * 0.5 * TIME),  # slower than three cycles
+        np.random.default_rng(1).normal(scale=5e-6, size=len(TIME)),
+    ],
+)
+def test_what_comes_to_rest_is_none(motion):
+    assert not find_limit_cycle(motion, PERIOD, FLOOR).sustained
+
+
+def test_the_task_of_a_standstill_is_the_task_without_noise():
+    config = TaskConfig(disturbance={"kind": "step"}, leakage={"schedule": "growth"}, command_latency=0.004)
+    still = standstill_task(config)
+    assert still.sensors.position.noise == still.sensors.pressure_a.noise == 0.0
+    assert still.sensors.position.resolution == config.sensors.position.resolution
+    assert still.sensors.position.bias == config.sensors.position.bias
+    assert (still.disturbance.kind, still.leakage.schedule) == ("none", "constant")
+    assert (still.command_latency, still.randomisation) == (0.004, config.randomisation)
+    assert still.references.user[0] == still.references.user[-1] == 0.0
+    assert max(still.references.user) == config.references.step_range[0]
+
+
+def test_a_relay_on_the_plant_oscillates_and_a_weak_loop_does_not():
+    config = TaskConfig()
+    first = VALIDATION_SEEDS.start
+    cases = Cases(np.arange(first, first + 3), np.array([0.03, 1.0, 4.0]), None)
+    still = standstill_task(config)
+    weak = make_controller("pid", config, {"proportional": 10.0, "integral": 1.0})
+    found = {}
+    for name, controller in {"relay": Relay(0.3, config), "weak": weak}.items():
+        found[name] = standstill_metrics(run_cases(still, controller, cases), still)
+    assert found["relay"]["limit_cycle"].tolist() == [1.0] * 3
+    assert np.all(found["relay"]["frequency_hz"] > 3.0)
+    assert np.all(found["relay"]["amplitude_um"] > 100.0)
+    assert found["weak"]["limit_cycle"].tolist() == [0.0] * 3
+    assert np.isnan(found["weak"]["frequency_hz"]).all()
+    assert np.all(found["weak"]["failed"] == 0.0)
 
 
 def standstills(amplitudes, failed=0, count=16):
@@ -82,13 +151,6 @@ def test_an_evaluation_finds_the_limit_cycles_of_a_high_gain_and_none_of_flow_li
     assert (calm["controller"], calm["limit_cycles"], calm["standstills"]) == ("calm", 0, 4)
     one_leak = SIZE | {"leak_levels": (0.3,)}
     assert set(evaluate(CONFIG, {"PID": WILD}, settings=one_leak).limit_cycles["leakage_flow_lpm"]) == {0.3}
-
-
-def test_an_evaluation_without_standstills_has_no_table_of_them_and_the_same_errors():
-    without = evaluate(CONFIG, {"PID": WILD}, settings=SIZE | {"standstill_plants": 0})
-    assert without.limit_cycles.empty
-    assert without.limit_cycle_summary.empty
-    pd.testing.assert_frame_equal(without.cases, evaluate(CONFIG, {"PID": WILD}, settings=SIZE).cases)
 
 
 def test_training_seeds_share_a_row_and_a_failing_one_costs_only_itself():

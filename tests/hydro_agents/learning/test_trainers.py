@@ -84,16 +84,6 @@ def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
     with pytest.raises(ConfigurationError, match="must be a policy of PPO or A2C"):
         again.to_sb3(None)
 
-    # A resumed training goes on with the networks and the number of steps.
-    longer = settings.model_copy(update={"total_steps": 1600})
-    seen.clear()
-    resumed = sac.train(CONFIG, longer, progress=seen.append, **{**options, "resume": True})
-    assert [progress.steps for progress in seen] == [1000, 1200, 1400, 1600]
-    assert resumed.training["steps"] == 1600
-    other = longer.model_copy(update={"gradient_steps": 2})
-    with pytest.raises(ConfigurationError, match=r"other settings \('gradient_steps' differs\); cannot resume"):
-        sac.train(CONFIG, other, progress=None, **{**options, "resume": True})
-
 
 def test_the_output_of_sac_is_squashed_as_in_its_model():
     from stable_baselines3 import SAC

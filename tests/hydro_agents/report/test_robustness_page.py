@@ -1,6 +1,7 @@
 """The page of the robustness protocol: what it says, what it colours, and what it leaves out."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +12,10 @@ from published import assert_published_page
 
 from hydro_agents.report.content import Content
 from hydro_agents.report.experiments import cycles_by_condition, standstill_tables, stiffness_table
+from hydro_agents.report.findings import at_rest, findings_of
 from hydro_agents.report.palette import MEANINGS, NEUTRALS
-from hydro_agents.report.robustness import ROBUSTNESS, heat_map
-from hydro_agents.report.robustness_findings import findings_of
-from hydro_agents.report.sections import Finding, Fold, render_page
+from hydro_agents.report.robustness import ROBUSTNESS, heat_map, ranking_table
+from hydro_agents.report.sections import Cards, Fold, render_page
 from hydro_agents.report.shared import energy_table
 from hydro_agents.report.traces import Example, Trace
 
@@ -23,8 +24,8 @@ from hydro_agents.report.traces import Example, Trace
 def content():
     tables = protocol_tables()
     time = np.arange(2.0)
-    example = Example("Worst case 1 of Good", time, time, {"Good": np.ones(2)}, {"Good": np.ones(2)})
-    others = {"traces": [Trace("Good", "PID", 2.0, example)]}
+    example = Example("latency 5 ms", time, time, {"Good": np.ones(2)}, {"Good": np.ones(2)})
+    others = {"traces": [Trace("Good", "PID", 1, 2.0, example)]}
     return Content({**tables, **experiment_tables()}, others=others)
 
 
@@ -33,29 +34,27 @@ def page(content):
     return render_page("Robustness", ROBUSTNESS, content).html
 
 
-def test_the_first_sentences_name_winner_loser_and_price(content):
-    first, good, fair, rest, stands, price = (
-        Finding(item.lead.replace("\u00a0", " "), item.text.replace("\u00a0", " ")) for item in findings_of(content)
-    )
-    assert first.lead == "Good positions best: 30 % less error than PID."
-    assert "Best, of 5 conditions: Good in 3, Fair in 1 and PID in 1." in first.text
-    assert "valve travel 0.80 ×, reversals 1.10 × and energy from the supply 0.98 ×" in first.text
-    assert good.lead == "Good beats PID in 3 of 4 conditions and loses in 1."
-    assert "It loses under: latency 5 ms (1.40)." in good.text
-    assert fair.lead == "Fair beats PID in 1 of 5 conditions and loses in 1."
-    assert "Failed runs: 2." in fair.text
-    assert "No run failed." in good.text
-    assert rest.lead == "Only Good never oscillates at standstill."
-    assert "PID 2 of 4 (up to 42 µm at 8.0 Hz)" in rest.text
-    assert stands.lead == "Fair: settles in 80 ms."  # the experiments are without Fair
-    assert "Good: at standstill ± 20 µm, settles in 90 ms, stiffness 4\u2009400 N/mm." in stands.text
-    assert "4 l/min" in price.lead  # at 8 l/min the place cannot be held
+def test_the_sentences_name_the_best_and_how_it_stands(content):
+    cards = next(block for block in findings_of(content) if isinstance(block, Cards))
+    assert cards.sentences[0] == "Good positions best: 30 % less error than PID."
+    assert at_rest(content)[0] == ("Fair", "", "", "80", "")  # the experiments are without Fair
+    assert ("Good", "20", "", "90", "4\u2009400") in at_rest(content)
+    assert cards.sentences[1] == "Fair: settles in 80 ms."
 
 
 def test_nobody_is_called_best_without_a_clear_difference():
     tables = protocol_tables()
     tables["comparison"]["equal_weight_high"] = 1.2
-    assert findings_of(Content(tables))[0].lead == "No controller is clearly better than PID."
+    assert findings_of(Content(tables))[0].sentences[0] == "No controller is clearly better than PID."
+
+
+def test_the_ranking_counts_conditions_with_a_clear_difference(content):
+    (table,) = ranking_table(content)
+    rows = {row[0]: dict(zip(table.header, row, strict=True)) for row in table.rows}
+    columns = ("equal weights", "clearly better in", "clearly worse in", "best in", "failed")
+    assert [rows["Good"][name] for name in columns] == ["0.70 (0.60 to 0.80)", "3 of 4", "1 of 4", "3", "0"]
+    assert [rows["Fair"][name] for name in columns] == ["0.95 (0.85 to 1.05)", "1 of 5", "1 of 5", "1", "2"]
+    assert [rows["PID"][name] for name in columns] == ["1.00", "–", "–", "1", "0"]
 
 
 def heat_tables(content):
@@ -104,18 +103,11 @@ def test_every_section_and_number_stands_on_the_page(content, page):
 
 def test_a_policy_that_corrects_is_called_so(content):
     sees = content.table("sees").assign(note=["", "corrects Fair", *[""] * (len(content.table("sees")) - 2)])
-    example = Example(
-        "Worst case 1 of Good: 2 times the error of PID (x)", *[np.arange(2.0)] * 2, *[{"Good": np.ones(2)}] * 2
-    )
-    page = render_page(
-        "Robustness",
-        ROBUSTNESS,
-        Content({**content.tables, "sees": sees}, others={"traces": [Trace("Good", "PID", 2.0, example)]}),
-    ).html
+    page = render_page("Robustness", ROBUSTNESS, replace(content, tables={**content.tables, "sees": sees})).html
     words = re.sub(r"\s+|\u00a0", " ", re.sub(r"<[^>]*>", " ", page))
     assert "Good on fair is a policy that adds a correction to the command of Fair." in words
     assert "Good on fair positions best: 30 % less error than PID." in words
-    assert "Worst case 1 of Good on fair: 2 times the error of PID (x)" in words
+    assert "Worst case 1 of Good on fair: 2.00 times the error of PID (latency 5 ms)" in words
     assert not re.search(r"\bGood(?! on fair)\b", words)
 
 

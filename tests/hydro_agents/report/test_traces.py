@@ -55,9 +55,9 @@ def test_cases_that_a_controller_wins_are_no_failures():
 
 
 def test_worst_cases_are_run_again_with_the_rival_beside_them(replay):
-    traces = worst_traces(replay, cases(), "PID", {"latency_5ms": "latency 5 ms", "leak_8": "8 l/min"}.get, 0.04, 1)
+    traces = worst_traces(replay, Content(protocol_tables()), 1)
     assert [(trace.controller, trace.rival) for trace in traces] == [("Good", "PID"), ("Fair", "PID"), ("PID", "Good")]
-    good, _, pid = (trace.example for trace in traces)
+    good, _, pid = (trace.titled for trace in traces)
     assert good.title == (
         "Worst case 1 of Good: 2.00 times the error of PID (latency 5 ms, steps, leak of 4 l/min, seed 2200007)"
     )
@@ -72,5 +72,5 @@ def test_a_whole_report_holds_the_tables_of_the_experiments_and_the_traces(confi
     stiffness = EXPERIMENTS["force_step"](config, controllers, [1.0], 1)
     content = with_traces(Content({**protocol_tables(), "force_step": stiffness}, config), replay)
     page = render_page("Robustness", ROBUSTNESS, content).html
-    for text in ("Worst case 1 of Good", "Worst case 1 of PID", COLOURS[1], "<h2>Stiffness</h2>"):
+    for text in ("Worst case 1 of Good", "Worst case 1 of PID", COLOURS["orange"], "<h2>Stiffness</h2>"):
         assert text in page

@@ -9,9 +9,8 @@ import pytest
 import yaml
 from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydro
 
-from hydro_agents.rigs.new_rig import new_rig
-from hydro_agents.rigs.questions import QUESTIONS, answers_from
-from hydro_agents.rigs.remarks import position_accuracy
+from hydro_agents.rigs.check_table import position_accuracy
+from hydro_agents.rigs.new_rig import QUESTIONS, answers_from, new_rig
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
@@ -34,8 +33,8 @@ def made(**more):
     return new_rig(answers_from(texts), texts, "rig.yaml")
 
 
-def as_options(texts):
-    return [part for key, text in texts.items() for part in (f"--{key.replace('_', '-')}", text)]
+def words(texts):
+    return [f"{key.replace('_', '-')}={text}" for key, text in texts.items()]
 
 
 def test_figures_that_were_given_stand_in_the_rig():
@@ -59,36 +58,31 @@ def test_every_line_says_where_its_value_comes_from():
     assert "  volume_a: 157 cm³  # computed: 2 m of 10 mm" in text
 
 
-def test_all_that_is_not_given_has_a_range():
-    """No number that matters comes from the paper's rig in silence."""
-    _, rig = made()
-    paper = PlantParameters()
-    sure = {"friction", "fluid.density", "valve.transition_pressure", "supply.polytropic_index", "lines"}
-    same = [
-        f"{group}.{name}"
-        for group, fields in rig.plant.model_dump().items()
-        for name, value in fields.items()
-        if value == getattr(getattr(paper, group), name) and f"{group}.{name}" not in rig.randomisation
-    ]
-    written = yaml.safe_load(made()[0])
-    silent = [path for path in same if path.split(".")[1] not in written.get(path.split(".")[0], {})]
-    assert not [path for path in silent if path.split(".")[0] not in sure and path not in sure | USELESS_FIELDS]
-    for path in ("cylinder.dead_volume", "fluid.bulk_modulus", "fluid.air_fraction", "friction.coulomb_force"):
-        assert path in rig.randomisation
+SURE = {"friction", "lines", "fluid.density", "valve.transition_pressure"}
+"""Groups and fields that may keep the value of the paper's rig without a word."""
 
-
-USELESS_FIELDS = {
-    "valve.coil_inductance",  # without effect where the current follows at once
-    "valve.knee_position",
-    "valve.knee_opening",  # straight: both one half
+WITHOUT_EFFECT = {
     "leakage.external_resistance",
     "leakage.orifice_gain",  # of the task
-    "supply.pump_flow",
-    "supply.relief_slope",
-    "supply.line_volume",
-    "supply.accumulator_volume",
-    "supply.precharge_pressure",  # without effect at a constant supply
+    "valve.coil_inductance",  # the current follows at once
+    "valve.knee_position",
+    "valve.knee_opening",  # straight: both one half
+    *(f"supply.{name}" for name in ("pump_flow", "relief_slope", "line_volume", "accumulator_volume")),
+    *(f"supply.{name}" for name in ("precharge_pressure", "polytropic_index")),  # a constant supply
 }
+
+
+def test_all_that_is_not_given_has_a_range():
+    """No number that matters comes from the paper's rig in silence."""
+    text, rig = made()
+    written, paper = yaml.safe_load(text), PlantParameters().model_dump()
+    for group, fields in rig.plant.model_dump().items():
+        for name, value in fields.items():
+            path = f"{group}.{name}"
+            if value == paper[group][name] and not {group, path} & (SURE | WITHOUT_EFFECT):
+                assert path in rig.randomisation or name in written.get(group, {}), path
+    for path in ("cylinder.dead_volume", "fluid.bulk_modulus", "fluid.air_fraction", "friction.coulomb_force"):
+        assert path in rig.randomisation
 
 
 def test_the_null_flow_gives_the_underlap():
@@ -170,47 +164,47 @@ def test_plants_can_be_drawn_from_the_ranges(tmp_path):
 
 def test_the_command_writes_a_file_that_check_rig_reads(tmp_path):
     file = tmp_path / "mine.yaml"
-    answer = hydro("new-rig", *as_options(LEAST), "--output", file)
+    answer = hydro("new-rig", *words(LEAST), "--output", file)
     assert answer.returncode == 0, answer.stderr
     assert answer.stdout.splitlines()[0].startswith(f"{file}: 6 values given")
     checked = hydro("check-rig", "--rig", file)
     assert checked.returncode == 0, checked.stderr
     assert "63/36 x 500 mm" in checked.stdout
-    assert_one_clear_line(hydro("new-rig", *as_options(LEAST), "--output", file), "exists; --overwrite replaces it")
-    assert hydro("new-rig", *as_options(LEAST), "--output", file, "--overwrite").returncode == 0
+    assert_one_clear_line(hydro("new-rig", *words(LEAST), "--output", file), "exists; --overwrite replaces it")
+    assert hydro("new-rig", *words(LEAST), "--output", file, "--overwrite").returncode == 0
 
 
 WRONG = {
     "decimal comma": ({"bore": "63,5 mm"}, "such as 63 mm; decimals need a point"),
     "too much pressure": ({"supply_pressure": "120 MPa"}, "within 0.1 to 100 MPa; 120 bar meant?"),
-    "missing": ({"bore": None}, "--bore: must be given"),
-    "another quantity": ({"bore": "63 bar"}, "--bore '63 bar': unit 'bar': must be one of mm, m, cm"),
-    "no unit": ({"rod": "36"}, "--rod '36': needs a unit, such as 36 mm"),
-    "no number": ({"mass": "heavy"}, "--mass 'heavy': must be a number with its unit, such as 200 kg"),
-    "a comma": ({"mass": "1,5 t"}, "--mass '1,5 t': must be a number with its unit"),
-    "negative": ({"stroke": "-1 m"}, "--stroke '-1 m': must not be negative"),
-    "zero": ({"step_time": "0 ms"}, "--step-time '0 ms': must be above 0"),
+    "missing": ({"bore": None}, "bore: must be given"),
+    "another quantity": ({"bore": "63 bar"}, "bore '63 bar': unit 'bar': must be one of mm, m, cm"),
+    "no unit": ({"rod": "36"}, "rod '36': needs a unit, such as 36 mm"),
+    "no number": ({"mass": "heavy"}, "mass 'heavy': must be a number with its unit, such as 200 kg"),
+    "a comma": ({"mass": "1,5 t"}, "mass '1,5 t': must be a number with its unit"),
+    "negative": ({"stroke": "-1 m"}, "stroke '-1 m': must not be negative"),
+    "zero": ({"step_time": "0 ms"}, "step-time '0 ms': must be above 0"),
     "a rod too thick": ({"rod": "70 mm"}, "cylinder: rod_diameter = 70 mm does not fit"),
     "too strong a force": ({"external_force": "90 kN"}, "load.external_force = 90000 N"),
-    "no pump": ({"accumulator": "4 l"}, "--accumulator: needs --pump-flow"),
-    "half a line": ({"line_length": "2 m"}, "--line-length and --line-diameter: give both, or none"),
-    "a share without a unit": ({"overlap": "20"}, "--overlap '20': needs a unit, such as 10 %"),
-    "more than everything": ({"overlap": "120 %"}, "--overlap '120 %': must be below 100 %"),
+    "no pump": ({"accumulator": "4 l"}, "accumulator: needs pump-flow"),
+    "half a line": ({"line_length": "2 m"}, "line-length and line-diameter: give both, or none"),
+    "a share without a unit": ({"overlap": "20"}, "overlap '20': needs a unit, such as 10 %"),
+    "more than everything": ({"overlap": "120 %"}, "overlap '120 %': must be below 100 %"),
     "an accuracy beyond the stroke": (
         {"position_accuracy": "120 %"},
-        "--position-accuracy '120 %': must be below 100 %",
+        "position-accuracy '120 %': must be below 100 %",
     ),
-    "an accuracy in mm": ({"position_accuracy": "1 mm"}, "--position-accuracy '1 mm': unit 'mm': must be one of %"),
-    "an accuracy of nothing": ({"pressure_accuracy": "0.5 %"}, "--pressure-accuracy: needs --pressure-range"),
-    "an unknown sensor": ({"absent": "position"}, "--absent 'position': 'position': must be one of pressure_a"),
-    "an unknown line": ({"line_kind": "wire"}, "--line-kind 'wire': 'wire': must be one of pipe, hose"),
+    "an accuracy in mm": ({"position_accuracy": "1 mm"}, "position-accuracy '1 mm': unit 'mm': must be one of %"),
+    "an accuracy of nothing": ({"pressure_accuracy": "0.5 %"}, "pressure-accuracy: needs pressure-range"),
+    "an unknown sensor": ({"absent": "position"}, "absent 'position': 'position': must be one of pressure_a"),
+    "an unknown line": ({"line_kind": "wire"}, "line-kind 'wire': 'wire': must be one of pipe, hose"),
 }
 
 
 @pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)
 def test_wrong_figures_get_one_line_and_leave_no_file(changes, message, tmp_path):
     texts = {key: text for key, text in (LEAST | changes).items() if text is not None}
-    answer = hydro("new-rig", *as_options(texts), "--output", tmp_path / "rig.yaml")
+    answer = hydro("new-rig", *words(texts), "--output", tmp_path / "rig.yaml")
     assert_one_clear_line(answer, message)
     assert not list(tmp_path.iterdir())
     with pytest.raises(ConfigurationError):
@@ -223,7 +217,7 @@ def test_without_standard_input_the_missing_figures_are_named(tmp_path):
     ended = subprocess.run(
         ["sh", "-c", 'exec "$@" <&-', "sh", *line], capture_output=True, text=True, env=environment()
     )
-    assert_one_clear_line(ended, "--bore, --rod", "must be given; on a terminal the command asks")
+    assert_one_clear_line(ended, "bore, rod", "must be given; on a terminal the command asks")
 
 
 NEEDS_A_TERMINAL = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
@@ -257,8 +251,8 @@ def test_answers_on_a_terminal_are_not_lost_when_they_contradict_each_other(tmp_
     )
     assert code == 2
     assert not list(tmp_path.iterdir())
-    options = " ".join(f'--{question.name} "{typed[question.key]}"' for question in QUESTIONS if question.key in typed)
-    assert f"Your answers as options, to go on with: {options}" in errors
+    again = " ".join(f'{question.name}="{typed[question.key]}"' for question in QUESTIONS if question.key in typed)
+    assert f"Your answers, to go on with: hydro new-rig {again}" in errors
     assert "precharge_pressure" in errors.splitlines()[-1]
 
 
@@ -271,7 +265,7 @@ def test_on_a_terminal_it_asks_again_until_it_can_read_the_answer(tmp_path):
     code, shown, _ = typed_on_a_terminal(["63", answers[0], "50 mm", "<", *answers[1:]], file)
     assert code == 0
     assert read_rig(file).plant.cylinder.rod_diameter == 0.036
-    assert "--bore '63': needs a unit, such as 63 mm" in shown
+    assert "bore '63': needs a unit, such as 63 mm" in shown
     assert shown.count("Diameter of the bore. (required, such as 63 mm)") == 2
     assert read_rig(file).plant.cylinder.bore_diameter == 0.063
     assert read_rig(file).sensors == {"sensors.spool_position.fitted": False}

@@ -11,10 +11,16 @@ from command_line import ROOT, assert_one_clear_line, hydro, hydro_process
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
 from hydro_agents.rigs.check import check_rig
-from hydro_agents.rigs.check_table import assumed, brief, check_csv, check_markdown
-from hydro_agents.rigs.new_rig import new_rig
-from hydro_agents.rigs.questions import answers_from
-from hydro_agents.rigs.remarks import PHASE_STABLE, implausible, stability_note
+from hydro_agents.rigs.check_table import (
+    PHASE_STABLE,
+    assumed,
+    brief,
+    check_csv,
+    check_markdown,
+    implausible,
+    stability_note,
+)
+from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.rigs.stable_gain import (
     beyond_dead_band,
     leaking,
@@ -29,7 +35,7 @@ from hydro_agents.study.settings import default_study
 from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.plant.kernel import STABLE_PRODUCT
+from hydro_env.plant.kernel import STABLE_PRODUCT, TOLERANCE
 from hydro_env.plant.parts.valve import edge_openings
 from hydro_env.plant.probe import probe
 from hydro_env.task.configuration import task_config
@@ -105,19 +111,15 @@ def rows_of(**changes):
 
 def test_the_integration_rows_tell_what_the_integrator_did():
     rows = {(row.quantity, row.at): row.value for row in ROWS if row.group == "integration"}
-    run = "±10 V in turn from mid-stroke"
-    found = probe(PlantParameters())
-    assert rows["longest stable step", "mid-stroke"] == pytest.approx(
-        1e3 * STABLE_PRODUCT / rows["fastest rate |λ|, bound", "mid-stroke (chamber b)"]
-    )
-    assert rows["fastest rate |λ|, at rest", "mid-stroke"] <= rows["fastest rate |λ|, bound", "mid-stroke (chamber b)"]
-    assert rows["inner steps in 5 ms, mean", run] == found.mean_steps
-    assert rows["inner steps in 5 ms, most", run] == found.most_steps
-    assert rows["mean inner step", run] == pytest.approx(5.0 / found.mean_steps)
+    run, bound = "±10 V in turn from mid-stroke", rows["fastest rate |λ|, bound", "mid-stroke (chamber b)"]
+    done = probe(PlantParameters())
+    assert rows["longest stable step", "mid-stroke"] == pytest.approx(1e3 * STABLE_PRODUCT / bound)
+    assert rows["fastest rate |λ|, at rest", "mid-stroke"] <= bound
+    assert rows["inner steps in 5 ms, mean", run] == done.mean_steps
+    assert rows["inner steps in 5 ms, most", run] == done.most_steps
+    assert rows["mean inner step", run] == pytest.approx(5.0 / done.mean_steps)
     assert rows["is the inner step small enough", "error ≤ 0.0001"] == "yes"
-    told = next(row for row in ROWS if row.quantity.startswith("estimated error"))
-    assert told.value == found.error
-    assert told.quantity == f"estimated error ({found.state.replace('_', ' ')})"
+    assert rows[f"estimated error ({done.state.replace('_', ' ')})", f"tolerance {TOLERANCE:g}"] == done.error
 
 
 CIRCUITS = {
@@ -159,13 +161,18 @@ def test_every_number_has_a_unit_and_its_place():
 
 
 def test_the_command_prints_and_writes(tmp_path):
-    for rig in sorted((ROOT / "configs" / "rigs").glob("*.yaml")):
+    (tmp_path / "odd.yaml").write_text("valve: {rated_flow: 0.02}")
+    for rig in (*sorted((ROOT / "configs" / "rigs").glob("*.yaml")), tmp_path / "odd.yaml"):
         result = hydro("check-rig", "--rig", rig, "--output", tmp_path / rig.stem)
         assert result.returncode == 0, result.stderr
         assert rig.name in result.stdout
         assert "largest stable gain" in result.stdout
         assert (tmp_path / rig.stem / "check.csv").stat().st_size > 1000
-        assert (tmp_path / rig.stem / "check.md").read_text(encoding="utf-8").startswith(f"# {rig.name}")
+        page = (tmp_path / rig.stem / "check.md").read_text(encoding="utf-8")
+        assert page.startswith(f"# {rig.name}")
+        warnings = [line for line in result.stdout.splitlines() if line.startswith("warning: ")]
+        assert len(warnings) == (rig.stem == "odd")  # no shipped rig has one
+        assert set(warnings) <= set(page.splitlines())
     again = hydro("check-rig", "--output", tmp_path / "kovari_2015")
     assert_one_clear_line(again, "holds results already")
 
@@ -214,14 +221,42 @@ def test_a_damped_axis_with_a_strong_pump_simply_works():
     assert dict(brief(check_rig(rig), rig))["verdict"] == "it works"
 
 
-def test_the_values_that_a_file_leaves_open_are_told():
+def names_assumed(values=None, **changes):
+    """Fields that a file leaves open, by group."""
+    groups = assumed(values or {}, PlantParameters().replace(**changes))
+    return {group: {entry.split(" = ")[0] for entry in entries} for group, entries in groups}
+
+
+def test_the_values_that_a_file_leaves_open_are_listed():
     rig = PlantParameters()
-    values = {"cylinder": rig.model_dump()["cylinder"], "valve": {"rated_flow": 1e-4}}
-    groups = dict(assumed(values, rig))
+    groups = dict(assumed({"cylinder": rig.model_dump()["cylinder"], "valve": {"rated_flow": 1e-4}}, rig))
     assert "cylinder" not in groups
     assert "rated_pressure_drop = 7e+06" in groups["valve"]
     assert not any(entry.startswith("rated_flow") for entry in groups["valve"])
     assert "mass = 60" in groups["load"]
+
+
+def test_values_that_the_chosen_models_do_not_use_are_not_listed():
+    names = names_assumed(valve={"model": "spool"}, supply={"model": "pump"}, friction={"model": "lugre"})
+    assert {"bristle_stiffness", "bristle_damping"} <= names["friction"]
+    assert "coil_inductance" not in names["valve"]
+    assert "coil_inductance" in names_assumed()["valve"]
+    assert not {"bristle_stiffness", "bristle_damping"} & names_assumed()["friction"]
+
+
+@pytest.mark.parametrize(
+    ("model", "used"),
+    [
+        ("constant", set()),
+        ("pump", {"pump_flow", "relief_slope", "line_volume"}),
+        (
+            "accumulator",
+            {"pump_flow", "relief_slope", "accumulator_volume", "precharge_pressure", "polytropic_index"},
+        ),
+    ],
+)
+def test_each_supply_has_its_own_values(model, used):
+    assert names_assumed(supply={"model": model})["supply"] == {"model", "pressure", "tank_pressure"} | used
 
 
 def test_the_console_fits_80_columns(tmp_path):
@@ -255,30 +290,6 @@ def test_the_gain_with_an_overlapped_valve_is_that_beyond_its_dead_band():
     ]
     assert limits[0] / limits[1] == pytest.approx(0.8, rel=0.02)
     assert "the valve is overlapped, dead within ±2 V" in dict(brief(rows, rig))["verdict"]
-
-
-def test_values_that_the_chosen_models_do_not_use_are_not_told():
-    rig = PlantParameters().replace(valve={"model": "spool"}, supply={"model": "pump"}, friction={"model": "lugre"})
-    told = {entry.split(" = ")[0] for _, entries in assumed({}, rig) for entry in entries}
-    assert {"bristle_stiffness", "bristle_damping", "line_volume"} <= told
-    assert "coil_inductance" not in told
-    told = {entry.split(" = ")[0] for _, entries in assumed({}, PlantParameters()) for entry in entries}
-    assert "coil_inductance" in told
-    assert not {"bristle_stiffness", "bristle_damping", "line_volume"} & told
-
-
-def test_values_of_a_pump_are_not_told_for_a_constant_supply():
-    told = {
-        model: {
-            entry.split(" = ")[0]
-            for entry in dict(assumed({}, PlantParameters().replace(supply={"model": model})))["supply"]
-        }
-        for model in ("constant", "pump", "accumulator")
-    }
-    assert told["constant"] == {"model", "pressure", "tank_pressure"}
-    assert told["pump"] == told["constant"] | {"pump_flow", "relief_slope", "line_volume"}
-    of_the_gas = {"accumulator_volume", "precharge_pressure", "polytropic_index"}
-    assert told["accumulator"] == told["constant"] | {"pump_flow", "relief_slope"} | of_the_gas
 
 
 def test_the_timing_is_that_of_the_options(tmp_path):
@@ -353,16 +364,6 @@ def test_a_figure_that_cannot_be_meant_warns_in_one_line(path, case):
     assert all(part in line for part in parts)
 
 
-def test_a_warning_stands_on_console_and_page_and_no_shipped_rig_has_one(tmp_path):
-    assert not any(implausible(read_rig(rig).plant) for rig in ("kovari_2015", *RIGS))
-    (tmp_path / "rig.yaml").write_text("valve: {rated_flow: 0.02}")
-    answer = hydro("check-rig", "--rig", tmp_path / "rig.yaml", "--output", tmp_path / "out")
-    assert answer.returncode == 0, answer.stderr
-    [line] = [line for line in answer.stdout.splitlines() if line.startswith("warning: ")]
-    assert line.startswith("warning: valve.rated_flow = 0.02 m³/s gives a full speed of")
-    assert line in (tmp_path / "out" / "check.md").read_text(encoding="utf-8").splitlines()
-
-
 RIGS = ("symmetric_eha", "aalborg_svsdp_2017")
 
 
@@ -395,11 +396,11 @@ def test_the_recommended_gain_is_stable_on_every_drawn_plant(name, tmp_path):
     task = task_config(None, rig=rig)
     nominal, worst = weakest(nominal_loops(task)), weakest(loops_within_ranges(task))
     assert worst.gain < nominal.gain
-    envs = ServoHydraulicVectorEnv(100, task)
+    envs = ServoHydraulicVectorEnv(60, task)
     envs.reset(seed=4711)
-    plants = [beyond_dead_band(leaking(envs.axes.parameters(number), 0.01)) for number in range(100)]
+    plants = [beyond_dead_band(leaking(envs.axes.parameters(number), 0.01)) for number in range(60)]
     loops = [loop for plant in plants for loop in loops_of(plant, task)]
-    assert len(loops) > 400
+    assert len(loops) > 240
     assert all(loop.is_stable(worst.recommended) for loop in loops)
     if name in OWN:  # where the file's own values alone mislead
         assert not all(loop.is_stable(nominal.recommended) for loop in loops)
@@ -429,6 +430,12 @@ def test_a_study_on_another_rig_begins_with_gains_that_are_stable_there(rig):
     assert all(loop.is_stable(own.proportional) for loop in loops_within_ranges(study.task))
 
 
+def test_gains_that_were_tuned_for_the_rig_remain_the_start():
+    study = default_study(Path("own_rig_quick"))
+    settings = PIDGains(**study.controllers["PID"].settings)
+    assert stable_start(study.task, settings) is settings
+
+
 def test_a_pid_begins_with_compensation_on_a_rig_with_an_overlapped_valve():
     task = task_config(None, plant={"valve": {"overlap": 0.03}}, randomisation={})
     stable = PIDGains(proportional=10.0)
@@ -436,12 +443,6 @@ def test_a_pid_begins_with_compensation_on_a_rig_with_an_overlapped_valve():
     assert stable_start(task, PIDGains(proportional=2000.0)).overlap_compensation == 1.0
     own = PIDGains(proportional=10.0, overlap_compensation=0.7)
     assert stable_start(task, own) is own
-
-
-def test_gains_that_were_tuned_for_the_rig_remain_the_start():
-    study = default_study(Path("own_rig_quick"))
-    settings = PIDGains(**study.controllers["PID"].settings)
-    assert stable_start(study.task, settings) is settings
 
 
 def test_a_recording_never_drives_a_rig_with_unstable_gains_without_saying_so():

@@ -134,15 +134,6 @@ def test_a_second_process_waits_and_a_killed_one_leaves_results_and_no_lock(tmp_
     assert not (tmp_path / LOCK_FILE).exists()
 
 
-def test_a_folder_is_claimed_once_in_one_process_too(tmp_path):
-    with output_folder(tmp_path, "study", ["a.csv"]) as folder:
-        assert (folder / LOCK_FILE).exists()
-        with pytest.raises(ConfigurationError, match="another hydro command is writing here"):
-            write(tmp_path, "b.csv", job="evaluate", writes=["b.csv"])
-        assert (folder / LOCK_FILE).exists()
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_foreign_file_in_place_of_the_lock_is_left_alone(tmp_path):
     (tmp_path / LOCK_FILE).write_text("mine")
     with pytest.raises(ConfigurationError, match=r"\.hydro\.lock: is not the lock of hydro"):

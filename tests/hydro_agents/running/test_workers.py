@@ -82,19 +82,19 @@ def test_all_cores_are_the_default(monkeypatch):
         assert effective_n_jobs(None) == 3
 
 
+COMMANDS = ("study", "ladder", "evaluate", "alarms", "leak-bound", "train pid", "trend data", "record")
+
+
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("command", "options", "words"),
     [
-        (("--backend", "slurm"), "--backend 'slurm': must be one of loky, dask, ray"),
-        (("--address", "head:1"), "--address head:1: needs --backend dask or ray"),
-        (("--jobs", "0"), "--jobs"),
+        *((command, "--backend slurm", "--backend 'slurm': must be one of loky, dask, ray") for command in COMMANDS),
+        ("evaluate", "--backend loky=head:1", "--backend loky=head:1: takes no address; dask and ray do"),
+        ("evaluate", "--jobs 0", "--jobs"),
     ],
 )
-@pytest.mark.parametrize(
-    "command", ["study", "ladder", "evaluate", "alarms", "leak-bound", "train pid", "trend data", "record"]
-)
 def test_every_long_command_has_the_options(command, options, words):
-    assert_one_clear_line(hydro(*command.split(), *options), words)
+    assert_one_clear_line(hydro(*command.split(), *options.split()), words)
 
 
 @pytest.mark.parametrize("backend", ["dask", "ray"])
@@ -110,13 +110,14 @@ def test_what_is_not_installed_is_named(backend, monkeypatch):
 @pytest.mark.parametrize("backend", ["dask", "ray"])
 def test_an_address_that_does_not_answer_ends_the_command(backend, monkeypatch):
     pytest.importorskip(PACKAGES[backend])
-    line = ("evaluate", "--backend", backend, "--address")
-    assert_one_clear_line(hydro(*line, "scheduler"), "--address 'scheduler': must be HOST:PORT")
+    line = ("evaluate", "--backend")
+    assert_one_clear_line(hydro(*line, f"{backend}=scheduler"), f"--backend {backend}=scheduler: must be HOST:PORT")
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        address = f"127.0.0.1:{silent.getsockname()[1]}"
-        monkeypatch.setattr(places, "SECONDS", 4)
-        assert_one_clear_line(hydro(*line, address), f"--address {address}: does not answer as {backend} within 4 s")
-    assert_one_clear_line(hydro(*line, address), f"--address {address}: does not answer")
+        place = f"{backend}=127.0.0.1:{silent.getsockname()[1]}"
+        monkeypatch.setattr(places, "SECONDS", 3)
+        failed = f"--backend {place}: does not answer"
+        assert_one_clear_line(hydro(*line, place), f"{failed} as {backend}: not within 3 s")
+    assert_one_clear_line(hydro(*line, place), failed)
 
 
 def test_a_running_cluster_is_used_and_stays(tmp_path):

@@ -201,9 +201,7 @@ def test_a_folder_of_a_model_hub_without_weights_of_this_library_is_refused_with
         LeakageHead.load(several)
     card = b"---\nlibrary_name: diffusers\n---\n"
     foreign = snapshot(tmp_path / "foreign", {"model.safetensors": b"", "README.md": card})
-    with pytest.raises(
-        ConfigurationError, match=r"no JSON file of hydro_env beside it; README\.md names the library 'diffu"
-    ):
+    with pytest.raises(ConfigurationError, match="no JSON file of hydro_env beside it"):
         opponent(str(foreign), TaskConfig(), "from the hub")
     half = files_of("policy")
     half["policy.json"] = half["policy.json"].replace(b'"residual_scale": 0.2', b'"residual_scale": 0.3')

@@ -1,6 +1,7 @@
 """The benchmark of leaking axes: its files, and its scores against answers that are known."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ from command_line import hydro
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.challenge import axes as benchmark_axes
 from hydro_rig.challenge.axes import LABELS, SPLITS, Benchmark
-from hydro_rig.challenge.files import digest_of_labels, read_labels, write_benchmark, write_minari
+from hydro_rig.challenge.files import digest_of_labels, labels_folder, read_labels, write_benchmark, write_minari
 from hydro_rig.challenge.scores import BUDGETS, labels_of, score, text_of
 
 pytest.importorskip("pyarrow")
@@ -172,13 +173,15 @@ def test_a_key_changes_the_test_recordings_only():
 
 
 def test_changed_labels_are_noticed(folder, tmp_path):
-    labels = read_labels(folder, "test")
-    changed = tmp_path / "labels.parquet"
-    labels.to_parquet(changed)
-    assert len(labels_of(folder, "test", changed)) == len(labels)
-    labels.assign(size=0.5).to_parquet(changed)
+    labels = labels_of(folder, "test")
+    changed = tmp_path / "changed"
+    shutil.copytree(folder, changed)
+    place = labels_folder(changed, "test")
+    shutil.rmtree(place)
+    place.mkdir()
+    labels.assign(size=0.5).to_parquet(place / "0.parquet")
     with pytest.raises(ConfigurationError, match="are not those of"):
-        labels_of(folder, "test", changed)
+        labels_of(changed, "test")
 
 
 def test_the_command_scores_several_detectors(folder, tmp_path):

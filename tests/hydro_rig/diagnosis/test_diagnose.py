@@ -11,9 +11,11 @@ from command_line import assert_one_clear_line, hydro, own_lines
 from published import assert_published_page
 from recorded import CONFIG, recorded_file
 
+from hydro_agents.detection.detector import Why
 from hydro_agents.detection.operations import MOTIONS
+from hydro_env.task.sensors import SPOOL
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
-from hydro_rig.estimation.estimator import AT_REST
+from hydro_rig.recordings.recording import read_recording
 
 FILES = {".hydro.json", "diagnosis.html", "diagnosis.png", "findings.csv", "leak.csv", "figures"}
 
@@ -66,11 +68,6 @@ def test_faults_are_told_from_leaks(tmp_path, faults, leakage, words):
     assert verdict.startswith("internal leak") == (leakage > 0.1)
 
 
-def test_a_rig_that_the_model_does_not_describe_ends_in_cannot_tell(tmp_path):
-    recorded_file(tmp_path / "a.csv", {"plant": {"cylinder": {"rod_diameter": 0.024}}}, leakage=1.0, duration=2.0)
-    assert verdict_on(tmp_path, tmp_path / "a.csv").startswith("cannot tell: the model does not describe this rig")
-
-
 def test_a_late_command_is_read_and_the_page_says_how_the_task_would_agree(tmp_path):
     recorded_file(tmp_path / "a.csv", {"command_latency": 3e-3}, leakage=0.5, duration=2.0)
     answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out")
@@ -83,9 +80,16 @@ def test_a_late_command_is_read_and_the_page_says_how_the_task_would_agree(tmp_p
     assert f"command_latency: {mended['command_latency']}" in page
 
 
-def test_another_program_reads_verdict_and_exit_code(tmp_path):
-    recorded_file(tmp_path / "a.csv", leakage=0.5, duration=2.0)
-    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out", "--json")
+@pytest.fixture(scope="module")
+def leaking(tmp_path_factory):
+    """A recording of 2 s of an axis with a leak of 0.5 l/min."""
+    file = tmp_path_factory.mktemp("leaking") / "a.csv"
+    recorded_file(file, leakage=0.5, duration=2.0)
+    return file
+
+
+def test_another_program_reads_verdict_and_exit_code(tmp_path, leaking):
+    answer = hydro("diagnose", leaking, "--output", tmp_path / "out", "--json")
     found = json.loads(answer.stdout)
     assert answer.returncode == found["exit_code"] == 10
     assert found["verdict"] == "internal leak"
@@ -96,7 +100,7 @@ def test_another_program_reads_verdict_and_exit_code(tmp_path):
 def test_an_axis_at_rest_with_worn_edges_must_be_moved(tmp_path):
     task = MOTIONS["standing still"].change(CONFIG)
     recorded_file(tmp_path / "a.csv", task, 0.3, None, {"valve_underlap": 0.02}, seed=90_210_000, duration=2.0)
-    assert verdict_on(tmp_path, tmp_path / "a.csv") == f"cannot tell: {AT_REST}"
+    assert verdict_on(tmp_path, tmp_path / "a.csv") == f"cannot tell: {Why.AT_REST.words}"
 
 
 def test_no_motion_and_no_window_end_in_cannot_tell(tmp_path):
@@ -119,22 +123,70 @@ def test_bad_input_leaves_nothing_behind(tmp_path):
     for options in ((), ("--map", tmp_path / "map.yaml"), ("--map", tmp_path / "absent.yaml"), ("--task", "absent")):
         assert_one_clear_line(hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out", *options))
     assert not (tmp_path / "out").exists()
-    for options in (("--fault", "x=1"), ("--fault", "external_leak=99"), ("--duration", "1e9"), ("--family", "x")):
+    for options in (
+        ("--fault", "x=1"),
+        ("--fault", "external_leak"),
+        ("--fault", "external_leak=x"),
+        ("--fault", "external_leak=99"),
+        ("--duration", "1e9"),
+        ("--family", "x"),
+    ):
         assert_one_clear_line(hydro("record", "-o", tmp_path / "r.csv", *options))
     assert not (tmp_path / "r.csv").exists()
 
 
-def test_an_alarm_follows_the_recording(tmp_path):
+@pytest.fixture
+def alarm(tmp_path):
+    """A file with settings of an alarm for any detector."""
     scale = {"highest_baseline": -3.0, "spread": 1.0, "shift": 2.0}
     settings = {"interval": 0.5, "scales": dict.fromkeys(("standing", "slow", "moving"), scale)}
     settings |= {"threshold": 1.5, "false_alarms_per_100_h": 1.0}
     (tmp_path / "alarm.yaml").write_text(yaml.safe_dump(settings))
-    for leakage, words in ((0.01, "stayed silent"), (3.0, "rose at 2.0 s")):
-        recorded_file(tmp_path / "a.csv", leakage=leakage, duration=3.0)
-        line = ("--output", tmp_path / "out", "--overwrite", "--alarm", tmp_path / "alarm.yaml")
-        answer = hydro("diagnose", tmp_path / "a.csv", *line)
-        assert words in answer.stdout, answer.stdout + answer.stderr
-        assert words in (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
+    return tmp_path / "alarm.yaml"
+
+
+@pytest.mark.parametrize(("leakage", "words"), [(0.01, "stayed silent"), (3.0, "rose at 2.0 s")])
+def test_an_alarm_follows_the_recording(tmp_path, alarm, leakage, words):
+    recorded_file(tmp_path / "a.csv", leakage=leakage, duration=3.0)
+    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out", "--alarm", alarm)
+    assert words in answer.stdout, answer.stdout + answer.stderr
+    assert words in (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
+
+
+OWN = """
+import numpy as np
+from hydro_agents.detection.detector import Reading
+
+class Spread:
+    threshold = 0.01
+
+    def refuses(self, task, samples):
+        return ""
+
+    def read(self, windows, task):
+        return Reading.of(windows.signal("spool_position").std(axis=1))
+"""
+
+
+def test_any_detector_reads_beside_the_estimator_under_its_own_name(tmp_path, alarm, leaking, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "spread_of_spool.py").write_text(OWN)
+    own = ("--detector", "spread_of_spool:Spread", "--alarm", alarm)
+    answer = hydro("diagnose", leaking, *own, "--output", tmp_path / "out")
+    assert answer.returncode == EXIT_CODES[Kind.LEAK], answer.stderr
+    table, spool = pd.read_csv(tmp_path / "out" / "leak.csv"), read_recording(leaking).signals[SPOOL]
+    assert table["Spread_score"].tolist() == pytest.approx([np.std(spool)])
+    assert table["Spread_leak"].isna().all()
+    assert not [name for name in table if name.startswith("head")]
+    page = (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
+    assert "Spread gives no size" in page
+    assert "1 windows reach its threshold" in page
+    assert "eakage head" not in page
+    assert "The alarm of Spread" in answer.stdout
+    for text in ("nowhere:Spread", "spread_of_spool:OWN", "spread_of_spool:np"):
+        refused = hydro("diagnose", leaking, "--detector", text, "--output", tmp_path / "none")
+        assert_one_clear_line(refused, f"'{text}'")
+    assert not (tmp_path / "none").exists()
 
 
 def test_other_sampling_is_told_and_still_drawn(tmp_path):

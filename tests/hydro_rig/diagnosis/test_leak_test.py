@@ -108,7 +108,7 @@ def test_the_flow_through_the_edges_is_that_of_two_equal_edges_in_series():
 def recorded(tmp_path, leak):
     """The recording of a short test on a simulated axis with a worn valve."""
     task = worn_task(CONFIG)
-    allowed = Allowed(8.0, 0.2, 0.1, 2e7, "extended", -np.inf, np.inf, 0.0, leak, 1)
+    allowed = Allowed(8.0, 0.2, 0.1, 2e7, "extended", -np.inf, np.inf, start=0.0, leak=leak, plants=1)
     axis = simulated(task, STEPS, allowed, LEARNING.take(1, 4001))
     path = tmp_path / f"{leak:g}.csv"
     time = CONFIG.control_period * np.arange(axis.signals.shape[2])
@@ -120,13 +120,14 @@ def test_the_reading_finds_leak_and_wear(tmp_path):
     path, axis = recorded(tmp_path, 0.3)
     found = read_leak_test(path, CONFIG)
     assert found.verdict.kind is Kind.LEAK
-    assert found.seal.value == pytest.approx(0.3, abs=5.0 * found.seal.deviation)
-    assert found.seal.bound <= found.seal.deviation < 0.03
-    shift = found.quantities["valve.null_shift"]
+    seal = found.fit.seal
+    assert seal.value == pytest.approx(0.3, abs=5.0 * seal.deviation)
+    assert seal.bound <= seal.deviation < 0.03
+    shift = found.fit.quantities["valve.null_shift"]
     assert shift.value == pytest.approx(float(axis.value("valve.null_shift")[0]), abs=5.0 * shift.deviation)
     facts = reading_facts(found)
     assert facts["exit_code"] == EXIT_CODES[Kind.LEAK] == 10
-    assert facts["seal_lpm"]["low"] < 0.3 < facts["seal_lpm"]["high"] or abs(found.seal.value - 0.3) < 0.02
+    assert facts["seal_lpm"]["low"] < 0.3 < facts["seal_lpm"]["high"] or abs(seal.value - 0.3) < 0.02
     json.dumps(facts)
 
 
@@ -137,7 +138,7 @@ def test_the_interval_of_a_quantity_is_that_of_90_percent():
 
 def test_the_command_writes_plan_commands_and_header(tmp_path):
     out = tmp_path / "plan"
-    answer = done("leak-test", "--duration", 4, "--stop", "none", "--from", -60, "--to", 60, "--json", "--output", out)
+    answer = done("leak-test", "--duration", 4, "--stop", "none", "--between", "-60..60", "--json", "--output", out)
     facts = json.loads(answer.stdout)
     assert facts["largest_speed"] <= 0.05
     assert -0.06 <= facts["positions"][0] <= facts["positions"][1] <= 0.06
@@ -150,11 +151,13 @@ def test_the_command_writes_plan_commands_and_header(tmp_path):
 @pytest.mark.parametrize(
     ("options", "parts"),
     [
-        (("--start", 900), ("--start 900 mm", "-200 to 200 mm")),
+        (("--between", "-900..60"), ("-900 mm", "-200 to 200 mm")),
         (("--duration", 0), ("duration",)),
         (("--opening", "nan"), ("opening",)),
         (("--duration", 5), ("--duration 5 s", "raise --speed")),
-        (("--from", 10), ("--start 0 mm", "between")),
+        (("--between", "10.."), ("0 mm", "between")),
+        (("--between", "wide"), ("--between wide", "-60..60")),
+        (("none.csv", "--between", "-60..60"), ("--between", "plan")),
         (("none.csv", "--speed", 20), ("--speed", "plan")),
         (("none.csv",), ("none.csv",)),
         (("none.csv", "--limit", -1), ("--limit",)),

@@ -5,9 +5,13 @@ import pytest
 from recorded import RAM, RAM_COLUMNS
 
 from hydro_env.units import LITRE_PER_MINUTE
-from hydro_rig.diagnosis.volume_balance import leak_by_volume
-from hydro_rig.recordings.columns import BESIDE, ColumnMap
+from hydro_rig.diagnosis.volume_balance import blocks_of, leak_of_blocks
+from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.recording import read_recording
+
+
+def leak_by_volume(*signals_and_period):
+    return leak_of_blocks([blocks_of(*signals_and_period)])
 
 
 def moves(leak, area=9e-4, period=0.02, noise=0.0, relief=False):
@@ -48,8 +52,7 @@ def test_a_negative_leak_and_too_few_moves_have_no_answer():
 
 def test_a_real_ram_with_a_pump_has_the_leak_that_was_found_by_hand():
     recording = read_recording(RAM, ColumnMap.model_validate(RAM_COLUMNS))
-    flow = recording.beside[BESIDE.index("flow")]
-    found = leak_by_volume(*recording.signals[:3], flow, 0.1)
+    found = leak_by_volume(*recording.signals[:3], recording.auxiliary["flow"], 0.1)
     assert 0.18 <= found.value <= 0.23  # l/min at 100 bar, by hand
     assert 0.14 < found.low < found.value < found.high < 0.26
     assert found.area == pytest.approx(1.40 * 0.0254**2, rel=0.01)

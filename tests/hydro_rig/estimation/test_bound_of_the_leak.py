@@ -19,7 +19,6 @@ from hydro_rig.estimation.information import (
     covariance,
     information,
     jacobian_at,
-    ratios_to_bound,
     sigma,
     true_model,
     unknown_sets,
@@ -177,25 +176,6 @@ def test_motions_are_slower_down_to_rest(pid):
         travel.append(np.ptp(moved.signals[:, 0], axis=1).mean())
     assert travel[0] > 4.0 * travel[1] > 8.0 * travel[2]
     assert travel[2] < SMALLEST_STEP + 10.0 * CONFIG.sensors.position.noise
-
-
-def test_the_ratio_to_the_bound():
-    random = np.random.default_rng(0)
-    level = np.repeat([0.1, 1.0], 4000)
-    bound = 0.01 * level
-    error = random.standard_normal(level.size) * bound
-    ratios = ratios_to_bound(level, level + 3.0 * error, bound)
-    assert [one.level for one in ratios] == [0.1, 1.0]
-    for one in ratios:
-        assert one.ratio == pytest.approx(3.0, rel=0.05)
-        assert one.median_ratio == pytest.approx(3.0, rel=0.06)
-    error[0] = 100.0 * bound[0]
-    first = ratios_to_bound(level, level + error, bound)[0]
-    assert first.ratio > 1.5 > 1.1 > first.median_ratio
-    with pytest.raises(ConfigurationError, match="above 0"):
-        ratios_to_bound(level, level, 0.0 * bound)
-    with pytest.raises(ConfigurationError, match="must be"):
-        ratios_to_bound(level, level[:3], bound)
 
 
 def test_wrong_requests_get_one_line(windows, known, pid):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from recorded import RAM, RAM_COLUMNS
+from recorded import RAM, RAM_COLUMNS, RAM_RIG
 
 from hydro_agents.detection.detector import MeasuredColumns, Windows
 from hydro_agents.detection.disturbances import SUPPLY, Disturbances, Disturbed
@@ -46,11 +46,10 @@ def swinging(leak, axes=2, size=0.05):
     columns = measured.of(CONFIG)
     cases = Cases(seeds, np.full(axes, leak), np.full(axes, "multi_sine"))
     run = run_cases(CONFIG, gauge, cases, columns.columns, states=False)
-    beside = np.full((axes, 4, CONFIG.steps), np.nan)
     noise = np.random.default_rng(0).normal(0.0, 0.2e5, (axes, CONFIG.steps))
-    beside[:, 0] = np.array(gauge.seen).T + noise
+    supply = np.array(gauge.seen).T + noise
     unknown, part = np.full(axes, np.nan), slice(100, 501)
-    return Windows(columns.si(run.signals)[:, :, part], unknown, unknown, beside[:, :, part])
+    return Windows(columns.si(run.signals)[:, :, part], unknown, unknown, {"supply_pressure": supply[:, part]})
 
 
 @pytest.mark.parametrize("leak", [0.01, 0.3])
@@ -111,21 +110,22 @@ def test_a_recorded_pressure_at_the_setting_of_a_constant_supply_changes_nothing
 
 
 def test_missing_readings_of_the_gauge_are_bridged():
-    beside = np.full((1, 4, 20), np.nan)
-    beside[0, 0] = np.where(np.arange(20) % 3 == 0, np.nan, 70e5)
+    supply = np.where(np.arange(20) % 3 == 0, np.nan, 70e5)[None]
     unknown = np.full(1, np.nan)
-    boundary = Windows(np.zeros((1, 5, 20)), unknown, unknown, beside).boundary
+    boundary = Windows(np.zeros((1, 5, 20)), unknown, unknown, {"supply_pressure": supply}).boundary
     np.testing.assert_allclose(boundary[0, 0], 70e5)
     assert np.isnan(boundary[0, 1]).all()
     assert Windows.of(np.zeros((1, 5, 20))).boundary is None
 
 
 def test_a_real_ram_with_a_pump_gets_its_verdict_from_the_flow():
-    task = TaskConfig()
-    found = diagnose(RAM, task, load_head(None, task), ColumnMap.model_validate(RAM_COLUMNS))
+    task = task_config(None, rig=RAM_RIG)
+    found = diagnose(RAM, task, load_head(None, TaskConfig()), ColumnMap.model_validate(RAM_COLUMNS))
     assert found.verdict.kind is Kind.LEAK
     assert 0.18 <= found.verdict.leak.value <= 0.23
     assert "balance of volumes" in found.verdict.line()
     columns = {name: column for name, column in RAM_COLUMNS.items() if name != "flow"}
-    without = diagnose(RAM, task, load_head(None, task), ColumnMap.model_validate(columns))
+    other = diagnose(RAM, TaskConfig(), load_head(None, TaskConfig()), ColumnMap.model_validate(RAM_COLUMNS))
+    assert other.verdict.kind is Kind.UNKNOWN
+    without = diagnose(RAM, task, load_head(None, TaskConfig()), ColumnMap.model_validate(columns))
     assert without.verdict.kind is Kind.UNKNOWN

@@ -12,8 +12,7 @@ import pytest
 from hydro_agents.learning.opponents import opponent
 from hydro_env import TaskConfig
 from hydro_rig.export.controller import controller_code, controller_graph
-from hydro_rig.export.controller_folder import exported_files
-from hydro_rig.export.variable_gains import variable_gains
+from hydro_rig.export.controller_folder import exported_files, variable_gains
 
 ziglang = pytest.importorskip("ziglang", reason="the extra 'playground' brings it")
 TASK = TaskConfig(episode_duration=0.5)

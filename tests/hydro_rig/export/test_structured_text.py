@@ -13,9 +13,8 @@ from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.opponents import opponent
 from hydro_env import TaskConfig
 from hydro_rig.export.controller import controller_code, controller_graph
-from hydro_rig.export.controller_folder import make_vectors
+from hydro_rig.export.controller_folder import make_vectors, variable_gains
 from hydro_rig.export.structured_text import structured_text
-from hydro_rig.export.variable_gains import variable_gains
 
 TASK = TaskConfig(episode_duration=0.5)
 ALLOWED = 1e-6  # V

@@ -8,8 +8,7 @@ from command_line import assert_one_clear_line, hydro
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.opponents import shipped
-from hydro_agents.rigs.new_rig import new_rig
-from hydro_agents.rigs.questions import answers_from
+from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config

@@ -35,7 +35,8 @@ def found(sizes, verdict=None, first=START, reason="", step=DAY):
         "verdict": np.array(verdicts),
         "reason": np.array([reason] * len(sizes)),
     }
-    alike = {"moving": np.full(len(sizes), 0.3), "temperature": np.full(len(sizes), 40.0)}
+    alike = {"moving": 0.3, "temperature": 40.0, "clock_back": 0.0}
+    alike = {name: np.full(len(sizes), value) for name, value in alike.items()}
     return {"time": time, "until": time + 10.0, **texts, **alike, **parts, **{f"{k}_40": v for k, v in parts.items()}}
 
 

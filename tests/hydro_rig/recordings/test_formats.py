@@ -80,50 +80,47 @@ def test_tdms_waveforms_and_columns(tmp_path):
 MAP = "time: {column: t, unit: s}\nposition: {column: x, unit: mm}\ncommand: {column: u, unit: V}\n"
 
 
+def write_mat(path, content, version):
+    """A MAT file of version 5 or 7.3 with vectors, texts and structs of them."""
+    if version == "5":
+        importlib.import_module("scipy.io").savemat(path, content)
+        return
+    with library("h5py").File(path, "w", userblock_size=512) as file:
+        fill(file, content)
+    head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+    path.write_bytes(head + path.read_bytes()[len(head) :])
+
+
+def fill(group, content):
+    for key, value in content.items():
+        if isinstance(value, str):
+            group[key] = np.array([[ord(letter)] for letter in value], dtype=np.uint16)
+            group[key].attrs["MATLAB_class"] = np.bytes_(b"char")
+        elif isinstance(value, dict):
+            fill(group.create_group(key), value)
+        else:
+            group[key] = np.atleast_2d(value)
+
+
 @pytest.mark.parametrize("version", ["5", "7.3"])
 def test_mat_files_with_a_map(tmp_path, version):
-    path = tmp_path / "a.mat"
-    content = {"t": TIME[:, None], "x": POSITION[None], "u": COMMAND[:, None]}
-    if version == "5":
-        importlib.import_module("scipy.io").savemat(path, content | {"note": "text", "gain": 3.0})
-    else:
-        with library("h5py").File(path, "w", userblock_size=512) as file:
-            for name, values in content.items():
-                file[name] = values
-        head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
-        path.write_bytes(head + path.read_bytes()[len(head) :])
+    content = {"t": TIME[:, None], "x": POSITION[None], "u": COMMAND[:, None], "note": "text", "gain": 3.0}
+    write_mat(tmp_path / "a.mat", content, version)
     (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
-    same_as_written(path, read_map(tmp_path / "map.yaml"))
+    same_as_written(tmp_path / "a.mat", read_map(tmp_path / "map.yaml"))
 
 
 @pytest.mark.parametrize("version", ["5", "7.3"])
 def test_mat_files_with_a_struct_per_channel_and_unequal_lengths(tmp_path, version):
-    path, own = tmp_path / "a.mat", TIME[:-20:2]
-    channels = {
-        "position": {
-            "Time": own,
-            "Data": 100.0 * own,
-            "Unit": "mm",
-        },  # a line, which linear interpolation meets exactly
+    own = TIME[:-20:2]
+    content = {
+        "position": {"Time": own, "Data": 100.0 * own, "Unit": "mm"},  # a line, which interpolation meets exactly
         "command": {"time": TIME, "signals": {"values": COMMAND, "dimensions": 1.0}, "unit": "V"},
+        "note": "text",
+        "other": np.arange(7.0),
     }
-    if version == "5":
-        importlib.import_module("scipy.io").savemat(path, channels | {"note": "text", "other": np.arange(7.0)})
-    else:
-        with library("h5py").File(path, "w", userblock_size=512) as file:
-            for name, content in channels.items():
-                group = file.create_group(name)
-                for key, value in content.items():
-                    if isinstance(value, str):
-                        group[key] = np.array([[ord(letter)] for letter in value], dtype=np.uint16)
-                        group[key].attrs["MATLAB_class"] = np.bytes_(b"char")
-                    elif isinstance(value, dict):
-                        group.create_group(key)["values"] = value["values"][None]
-                    else:
-                        group[key] = value[None]
-        head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
-        path.write_bytes(head + path.read_bytes()[len(head) :])
-    found = read_recording(path)
+    write_mat(tmp_path / "a.mat", content, version)
+    found = read_recording(tmp_path / "a.mat")
     np.testing.assert_allclose(found.time, TIME, atol=1e-12)
     np.testing.assert_allclose(found.signals[4], 0.1 * COMMAND, rtol=1e-9)
     known = np.isfinite(found.signals[0])

@@ -71,7 +71,7 @@ def test_pieces_are_the_rows_of_the_whole_file(tmp_path):
 
 def test_groups_of_an_mdf_file_with_their_own_stamps_come_together(tmp_path, monkeypatch):
     asammdf = library("asammdf")
-    monkeypatch.setattr("hydro_rig.recordings.mdf_files.PIECE", 8000)
+    monkeypatch.setattr("hydro_rig.recordings.channel_files.PIECE", 8000)
     time = np.arange(0.0, 60.0, 0.005)
     own = np.arange(0.0025, 60.0, 0.01)
     with asammdf.MDF(version="4.10") as file:
@@ -114,7 +114,7 @@ def test_long_recordings_keep_few_windows_in_memory():
     for hour in range(60):
         signals = random.normal(0.0, 0.1, (5, len(time)))
         signals[4] *= 0.1
-        live.add(Recording("a", time, signals, {}, [], None, 3600.0 * hour))
+        live.add(Recording("a", time, signals, {}, [], {}, 3600.0 * hour))
         assert len(live.best) <= MOST_SECTIONS
     windows, about = live.finish(12)
     assert len(windows) == 12

@@ -15,7 +15,7 @@ NAME = "hydraulic/pid-v0"
 def dataset(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MINARI_DATASETS_PATH", str(tmp_path_factory.mktemp("minari")))
-        arguments = ("record", "--minari", NAME, "--episodes", 3, "--duration", 0.1, "--seed", 7)
+        arguments = ("record", "--minari", NAME, "--count", 3, "--duration", 0.1, "--seed", 7)
         done = hydro(*arguments, "--leakage", 1.5, "--family", "step", "--fault", "valve_null_shift=0.01")
         assert done.returncode == 0, done.stderr
         assert f"{NAME}: 3 episodes, 60 steps" in done.stdout
@@ -48,7 +48,7 @@ def test_its_task_needs_no_file(dataset):
     [
         (("--minari", "no version"), "must be NAME-v0"),
         (("--minari", "x"), "must be NAME-v0"),
-        (("--minari", "a-v0", "--episodes", 0), "--episodes = 0: must be within 1 to"),
+        (("--minari", "a-v0", "--count", 0), "--count 0: must be within 1 to"),
         (("--minari", "a-v0", "--output", "a.csv"), "needs one of --output FILE, --minari NAME or --benchmark FOLDER"),
         ((), "needs one of --output FILE, --minari NAME or --benchmark FOLDER"),
     ],

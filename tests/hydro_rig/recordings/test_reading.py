@@ -6,7 +6,6 @@ import pytest
 from command_line import assert_one_clear_line, hydro
 from recorded import recorded_file
 
-from hydro_agents.running.tasks import named_faults
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.recordings.columns import read_map
 from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
@@ -171,13 +170,6 @@ def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
         read_recording(written(tmp_path, PLAIN))
 
 
-def test_faults_are_named():
-    assert named_faults(["valve_null_shift=-0.01"]) == {"valve_null_shift": -0.01}
-    for text in ("x=1", "valve_null_shift", "valve_null_shift=x"):
-        with pytest.raises(ConfigurationError, match="--fault"):
-            named_faults([text])
-
-
 GUESSES = {
     "Zeit [ms],Stellgröße [V],Weg [mm],Soll-Weg [mm],Druck A [bar],Druck B [bar],Schieber [%]": {
         "time": "Zeit [ms]", "command": "Stellgröße [V]", "position": "Weg [mm]", "pressure_a": "Druck A [bar]",
@@ -251,12 +243,15 @@ def test_pressures_of_the_supply_a_flow_and_a_temperature_may_stand_beside_the_s
     rows = "\n".join(f"{0.005 * k},0.0,{70 + k},6,41,9" for k in range(10))
     file.write_text(f"{headings}\n{rows}\n", encoding="utf-8")
     found = read_recording(file)
-    np.testing.assert_allclose(found.beside[0], 1e5 * (70 + np.arange(10)))
-    assert np.isnan(found.beside[1]).all()  # a heading without a unit is another program's column
-    np.testing.assert_allclose(found.beside[2:], [[1e-4] * 10, [41.0] * 10])
+    np.testing.assert_allclose(found.auxiliary["supply_pressure"], 1e5 * (70 + np.arange(10)))
+    assert "tank_pressure" not in found.auxiliary  # a heading without a unit is another program's column
+    np.testing.assert_allclose(found.auxiliary["flow"], 1e-4)
+    np.testing.assert_allclose(found.auxiliary["oil_temperature"], 41.0)
     windows = cut(sampled(found, TaskConfig()), 5)
-    assert windows.beside.shape == (2, 4, 5)
-    assert windows.part(np.array([1])).beside[0, 0, 0] == pytest.approx(75e5)
+    assert set(windows.auxiliary) == {"supply_pressure", "flow", "oil_temperature"}
+    np.testing.assert_allclose(windows.auxiliary_signal("flow"), np.full((2, 5), 1e-4))
+    assert np.isnan(windows.auxiliary_signal("tank_pressure")).all()
+    assert windows.part(np.array([1])).auxiliary_signal("supply_pressure")[0, 0] == pytest.approx(75e5)
     file.write_text("time [s],command [V],flow [furlong]\n0,0,1\n1,0,1\n2,0,1\n", encoding="utf-8")
     with pytest.raises(ConfigurationError, match=r"flow: .*furlong"):
         read_recording(file)

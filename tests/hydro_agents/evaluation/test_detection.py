@@ -1,4 +1,4 @@
-"""Tables of an evaluation against figures worked out by hand."""
+"""Detection by the head: curves against counting by hand and against scipy, tables against figures by hand."""
 
 import math
 from types import SimpleNamespace
@@ -6,111 +6,111 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import mannwhitneyu
 
-from hydro_agents.detection.detector import Reading
+from hydro_agents.detection.detector import Reading, threshold_at_false_alarm_rate
 from hydro_agents.evaluation.detection import (
     LeakBounds,
+    area_under_roc,
+    average_precision,
     detection_columns,
     detection_curves,
+    detection_rate,
     detection_rates,
     detection_summary,
+    precision_recall_curve,
+    roc_curve,
 )
-from hydro_agents.evaluation.evaluate import ratio_table, summary_table
-from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
 
-PLANTS = 4
-GENERATOR = np.random.default_rng(5)
+
+def scores_with_ties(seed, decimals=1):
+    generator = np.random.default_rng(seed)
+    positive = generator.random(200) < 0.4
+    return np.round(generator.normal(positive * 0.8, 1.0), decimals), positive
 
 
-def tracking_table():
-    """Two controllers on two levels, two families and four plants; every metric is a number of its own."""
-    rows = []
-    for controller, factor in (("base", 1.0), ("other", 0.5)):
-        for level in (0.01, 4.0):
-            for family in ("step", "sine"):
-                for plant in range(PLANTS):
-                    error = factor * (1.0 + plant) * (10.0 if family == "step" else 1.0) * (1.0 + 0.1 * level)
-                    if (controller, level, family) == ("other", 4.0, "sine"):
-                        error *= 3.0  # worse than the base there
-                    rows.append(
-                        {"controller": controller, "leakage_flow_lpm": level, "family": family, "plant": plant}
-                        | {name: error + index for index, name in enumerate(METRICS)}
-                    )
-    return pd.DataFrame(rows)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("decimals", [0, 1, 9])
+def test_area_under_roc_is_the_statistic_of_mann_and_whitney(seed, decimals):
+    scores, positive = scores_with_ties(seed, decimals)
+    expected = mannwhitneyu(scores[positive], scores[~positive]).statistic / (positive.sum() * (~positive).sum())
+    assert area_under_roc(scores, positive) == pytest.approx(expected, rel=1e-12)
+    assert area_under_roc(-scores, positive) == pytest.approx(1.0 - expected, rel=1e-12)
 
 
-CASES = tracking_table()
+def test_area_under_roc_at_its_ends():
+    positive = np.array([False, False, True, True])
+    assert area_under_roc(np.array([0.1, 0.2, 0.3, 0.4]), positive) == 1.0
+    assert area_under_roc(np.array([0.4, 0.3, 0.2, 0.1]), positive) == 0.0
+    assert area_under_roc(np.full(4, 0.5), positive) == 0.5
+    for same in (True, False):
+        assert math.isnan(area_under_roc(np.array([0.1, 0.2]), np.full(2, same)))
 
 
-def errors(controller, **chosen):
-    frame = CASES[CASES["controller"] == controller]
-    for column, value in chosen.items():
-        frame = frame[frame[column] == value]
-    return np.array([frame[frame["plant"] == plant]["mean_error_mm"].mean() for plant in range(PLANTS)])
+def test_roc_curve_by_hand():
+    curve = roc_curve(np.array([0.9, 0.8, 0.8, 0.4, 0.1]), np.array([True, True, False, False, True]))
+    np.testing.assert_allclose(curve.x, [0.0, 0.0, 0.5, 1.0, 1.0])
+    np.testing.assert_allclose(curve.y, [0.0, 1 / 3, 2 / 3, 2 / 3, 1.0])
+    np.testing.assert_array_equal(curve.threshold, [np.inf, 0.9, 0.8, 0.4, 0.1])
+    few = np.array([0.8, 0.3]), np.array([True, False])
+    assert roc_curve(*few).x.tolist() == [0.0, 0.0, 1.0]
+    assert precision_recall_curve(*few).x.tolist() == [0.0, 1.0, 1.0]
 
 
-@pytest.mark.parametrize("by", ["leakage_flow_lpm", "family"])
-def test_summary_of_every_metric(by):
-    table = summary_table(CASES, by)
-    assert len(table) == 2 * 2 * len(METRICS)
-    for row in table.to_dict("records"):
-        own = CASES[(CASES["controller"] == row["controller"]) & (CASES[by] == row[by])]
-        values = own[row["metric"]].to_numpy()
-        assert row["mean"] == pytest.approx(values.mean())
-        assert row["low"] < row["mean"] < row["high"]
-        assert row["worst"] == values.max()
-        assert row["cvar_5_percent"] == values.max()  # one in twenty of eight is one
-        assert row["cases"] == 2 * PLANTS
-        assert row["unit"] == METRICS[row["metric"]].unit
+def test_curves_say_what_their_thresholds_do():
+    scores, positive = scores_with_ties(11)
+    roc, recall = roc_curve(scores, positive), precision_recall_curve(scores, positive)
+    for index in range(1, len(roc.threshold)):
+        flagged = scores >= roc.threshold[index]
+        assert roc.x[index] == pytest.approx(flagged[~positive].mean())
+        assert roc.y[index] == pytest.approx(flagged[positive].mean())
+        assert recall.y[index] == pytest.approx(positive[flagged].mean())
+    np.testing.assert_array_equal(recall.x, roc.y)
 
 
-def test_ratios_overall_per_level_and_per_family():
-    table = ratio_table(CASES, ["base", "other"])
-    assert set(table["controller"]) == {"other"}
-    assert set(table["against"]) == {"base"}
-    assert list(table["group"]) == ["all", "level", "level", "family", "family", "equal_weight"]
-    chosen = {
-        ("all", ""): {},
-        ("level", "0.01"): {"leakage_flow_lpm": 0.01},
-        ("level", "4.0"): {"leakage_flow_lpm": 4.0},
-        ("family", "step"): {"family": "step"},
-        ("family", "sine"): {"family": "sine"},
-    }
-    better = {"": 0.75, "0.01": 1.0, "4.0": 0.5, "step": 1.0, "sine": 0.5}
-    for row in table.to_dict("records")[:-1]:
-        mine, theirs = (errors(name, **chosen[row["group"], row["value"]]) for name in ("other", "base"))
-        assert row["low"] <= row["ratio"] <= row["high"]
-        assert row["ratio"] == pytest.approx(mine.mean() / theirs.mean())
-        assert row["share_of_cases_better"] == better[row["value"]]
+def test_where_nothing_is_flagged_precision_is_one_and_recall_zero():
+    for positive in (np.array([True, False, True]), np.zeros(3, dtype=bool)):
+        curve = precision_recall_curve(np.array([0.2, 0.9, 0.5]), positive)
+        assert (curve.x[0], curve.y[0], curve.threshold[0]) == (0.0, 1.0, np.inf)
+        assert curve.y[1] == 0.0
+        assert curve.x[-1] == float(positive.any())
 
 
-def test_with_equal_weights_every_family_counts_the_same():
-    row = ratio_table(CASES, ["base", "other"]).iloc[-1]
-    mine, theirs = (
-        np.array([errors(name, family=family) for family in ("step", "sine")]) for name in ("other", "base")
-    )
-    ratios = mine.mean(axis=1) / theirs.mean(axis=1)
-    assert row["ratio"] == pytest.approx(math.sqrt(ratios[0] * ratios[1]))
-    assert row["low"] <= row["ratio"] <= row["high"]
-    assert math.isnan(row["share_of_cases_better"])
-    assert row["value"] == "geometric mean of the families' ratios"
-    assert (row["controller"], row["against"]) == ("other", "base")
+def test_average_precision_by_hand():
+    scores = np.array([0.6, 0.9, 0.7, 0.8])
+    positive = np.array([False, True, True, False])
+    assert average_precision(scores, positive) == pytest.approx(0.5 * 1.0 + 0.5 * 2 / 3)
+    assert average_precision(np.full(8, 0.5), np.arange(8) < 2) == pytest.approx(0.25)  # no knowledge: their share
+    assert average_precision(scores, np.full(4, True)) == 1.0
+    assert math.isnan(average_precision(scores, np.full(4, False)))
 
 
-def test_an_equal_controller_is_not_better():
-    same = pd.concat([CASES[CASES["controller"] == "base"].assign(controller=name) for name in ("base", "twin")])
-    table = ratio_table(same, ["base", "twin"])
-    assert np.all(table[["ratio", "low", "high"]] == 1.0)
-    assert np.nanmax(table["share_of_cases_better"]) == 0.0
-    assert ratio_table(same, ["base"]).empty
-    three = pd.concat([same, CASES[CASES["controller"] == "other"]])
-    assert list(ratio_table(three, ["base", "twin", "other"])["controller"].unique()) == ["twin", "other"]
+@pytest.mark.parametrize("count", [1, 99, 100, 101, 1000])
+@pytest.mark.parametrize("rate", [0.0, 0.01, 0.3])
+@pytest.mark.parametrize("decimals", [1, 12])
+def test_threshold_never_exceeds_the_false_alarm_rate(count, rate, decimals):
+    healthy = np.round(np.random.default_rng(count).random(count), decimals)
+    threshold = threshold_at_false_alarm_rate(healthy, rate)
+    assert detection_rate(healthy, threshold) <= rate
+    # It is the lowest: the next healthy score below it would be too many.
+    assert detection_rate(healthy, healthy[healthy < threshold].max()) > rate
 
 
-# Detection ----------------------------------------------------------------------------------------------------------
+def test_threshold_uses_the_false_alarms_it_may():
+    healthy = np.arange(1000) / 1000
+    assert detection_rate(healthy, threshold_at_false_alarm_rate(healthy, 0.01)) == pytest.approx(0.01)
+    assert threshold_at_false_alarm_rate(healthy, 1.0) <= 0.0
+
+
+def test_detection_rate():
+    assert detection_rate(np.array([0.1, 0.5, 0.9]), 0.5) == pytest.approx(2 / 3)
+    assert math.isnan(detection_rate(np.array([]), 0.5))
+
+
+# Tables ---------------------------------------------------------------------------------------------------------------
 
 TASK = TaskConfig(leakage={"class_bounds": (0.05, 0.5, 2.0), "faulty_range": (0.2, 3.0)})
 FLOW = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.25, 0.4, 0.5, 1.0, 2.5])

@@ -127,6 +127,16 @@ def test_a_controller_absent_from_a_condition_is_compared_where_it_ran(cases):
     assert ranking.set_index("controller").loc["part", "conditions"] == 1
 
 
+def test_a_policy_is_compared_with_what_it_corrects_unless_that_is_the_baseline(cases):
+    results = results_of(joined(cases, rows("policy", 0.4), rows("policy", 0.64, "late", "timing")))
+    table = results.grid.corrected({"policy": "good", "good": "PID", "absent": "good"})
+    assert_published("corrected", {"corrected": table})
+    (row,) = table.to_dict("records")
+    assert (row["controller"], row["against"], row["cases"]) == ("policy", "good", 48)
+    assert (row["ratio"], row["ratio_high"]) == pytest.approx((0.8, 0.8))
+    assert results.table("corrected").empty  # none of these controllers says that it corrects another one
+
+
 def test_the_ranking_puts_the_best_first_with_its_price(cases):
     table = results_of(cases).table("ranking")
     assert table["controller"].tolist() == ["good", "PID"]

@@ -18,7 +18,7 @@ from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.weights import load_checkpoint, load_weights, require, save_checkpoint, save_weights
 from hydro_env import ConfigurationError
 
-CASES = int(os.environ.get("HYDRO_FUZZ_CASES", "150"))
+CASES = int(os.environ.get("HYDRO_FUZZ_CASES", "60"))
 LOADERS = {"policy": PolicyController.load, "leakage_head": LeakageHead.load}
 ODD_VALUES = (
     *("text", "", "1", None, True, [], {}, [[]], [None], {"a": 1}),

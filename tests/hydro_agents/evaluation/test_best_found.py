@@ -1,4 +1,4 @@
-"""The best found: it predicts as the simulator does, its steps find known optima; the commands about bounds."""
+"""The best found: it predicts as the simulator does, its steps find known optima; ``hydro bound``."""
 
 import numpy as np
 import pandas as pd
@@ -7,22 +7,13 @@ from command_line import assert_one_clear_line, done, hydro
 from published import assert_published
 from scipy.optimize import lsq_linear
 
-from hydro_agents.evaluation.best_found import (
-    NOMINAL,
-    TRUTH,
-    BestFound,
-    BoundSettings,
-    best_found,
-    summary,
-    travel,
-)
+from hydro_agents.evaluation.best_found import BestFound, BoundSettings, best_found
+from hydro_agents.evaluation.bound_comparison import NOMINAL, TRUTH, means_by, summary
 from hydro_agents.evaluation.prediction import Prediction, bounded_least_squares, continued, true_schedule
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.text import frame_markdown
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
-from hydro_rig.estimation.information import TASK
-from hydro_rig.estimation.leak_bound import COLUMNS, sensor_choices
 
 SHORT = TaskConfig(episode_duration=0.4)
 FAMILIES = ("step", "point_to_point", "ramp", "sine", "multi_sine", "start_stop")
@@ -134,13 +125,6 @@ def test_the_truth_is_worth_something(truth, nominal):
     assert np.all(errors(truth) <= errors(nominal) + 1e-6)
 
 
-def test_more_samples_are_not_worse(truth):
-    steps = np.flatnonzero(CASES.families == "step")
-    few = Cases(CASES.seeds[steps], CASES.leakage_flow_lpm[steps], CASES.families[steps])
-    more = best_found(SHORT, few, settings={"samples": 64})
-    assert errors(more).mean() < 1.02 * errors(truth)[steps].mean()
-
-
 @pytest.mark.parametrize("told", ["truth", "nominal"])
 def test_a_case_depends_on_neither_its_neighbours_nor_threads(told, truth, nominal):
     again = best_found(SHORT, CASES.part(4, 6), told, {"threads": 3}, chunk=1)
@@ -157,12 +141,13 @@ def test_without_the_sensors_aim_the_true_position_follows():
 def test_the_reference_beyond_the_preview():
     ramp = np.arange(20.0)[None]
     jump = np.where(np.arange(20) < 8, 0.0, 5.0)[None]
-    np.testing.assert_array_equal(continued(ramp, 3, 4, 8, order=1), np.arange(4.0, 12.0)[None])
-    np.testing.assert_array_equal(continued(ramp, 3, 4, 8, order=0), [[4, 5, 6, 7, 7, 7, 7, 7]])
-    np.testing.assert_array_equal(continued(jump, 4, 4, 8, order=1), [[0, 0, 0, 5, 5, 5, 5, 5]])
-    np.testing.assert_array_equal(continued(jump, 4, 4, 8, order=2), [[0, 0, 0, 5, 5, 5, 5, 5]])
-    np.testing.assert_array_equal(continued(ramp, 3, 0, 3, order=1), [[4, 5, 6]])  # without preview
-    np.testing.assert_allclose(continued(ramp**2, 3, 4, 8, order=2), (ramp**2)[:, 4:12])
+    np.testing.assert_array_equal(continued(ramp, 3, 4, 8), np.arange(4.0, 12.0)[None])
+    np.testing.assert_array_equal(continued(ramp, 3, 0, 3), [[4, 5, 6]])  # without preview
+    np.testing.assert_array_equal(continued(jump, 4, 4, 8), [[0, 0, 0, 5, 5, 5, 5, 5]])
+    np.testing.assert_allclose(continued(ramp**2, 3, 4, 8), (ramp**2)[:, 4:12])
+    slowing = np.cumsum(np.arange(20.0, 0.0, -1.0))[None]  # after five periods of its acceleration it keeps its speed
+    speeds = np.diff(continued(slowing, 3, 4, 12)[0])
+    np.testing.assert_array_equal(speeds, [15, 14, 13, 12, 11, 10, 9, 8, 8, 8, 8])
 
 
 def test_impossible_settings_are_refused():
@@ -211,47 +196,6 @@ def test_the_summary_has_both_frames():
     table = summary(pd.DataFrame(rows), "family")
     assert list(table.columns) == ["PID", NOMINAL, TRUTH, "PID, true position", "floor, true position"]
     np.testing.assert_allclose(table.loc["mean"], [0.2, 0.1, 0.0, 0.23, 0.03])
-    assert frame_markdown(travel(pd.DataFrame(rows)), 1).splitlines()[-1] == "| mean | 2.0 | 2.0 | 2.0 |"
+    travel = means_by(pd.DataFrame(rows), "valve_travel_per_s")
+    assert frame_markdown(travel, 1).splitlines()[-1] == "| mean | 2.0 | 2.0 | 2.0 |"
     assert frame_markdown(table).splitlines()[-1] == "| mean | 0.2000 | 0.1000 | 0.0000 | 0.2300 | 0.0300 |"
-
-
-def test_leak_bound_writes_every_number_and_a_table(tmp_path):
-    out = tmp_path / "out"
-    options = ("--leak", 0, "--leak", 1, "--window", 0.2, "--window", 0.4, "--plants", 3)
-    answer = done("leak-bound", *options, "--unknown", "valve.null_shift", "--output", out)
-    table = pd.read_csv(out / "leak_bound.csv")
-    assert tuple(table.columns) == COLUMNS
-    # motions, leaks, plants, windows; six sets of unknowns, and the choices of sensors with one of them
-    assert len(table) == 3 * 2 * 3 * 2 * (6 + len(sensor_choices(TaskConfig())) - 1)
-    assert (table["sigma_lpm"] > 0.0).all()
-    mine = table[
-        (table["motion"] == "ordinary motion")
-        & (table["leakage_flow_lpm"] == 1.0)
-        & (table["unknowns"] == TASK)
-        & (table["sensors"] == "all sensors")
-    ]
-    median = mine.groupby("window_s")["sigma_lpm"].median()
-    assert median[0.4] < median[0.2]
-    text = (out / "leak_bound.md").read_text(encoding="utf-8")
-    assert f"{median[0.4]:.2g}" in text
-    assert text.splitlines()[-1] in answer.stdout
-    assert (out / "leak_bound.png").read_bytes().startswith(b"\x89PNG")
-    assert_one_clear_line(hydro("leak-bound", "--output", out), "holds results already")
-
-
-@pytest.mark.parametrize(
-    ("options", "parts"),
-    [
-        (("--leak", -1), ("--leak -1", "within 0 to 20 l/min")),
-        (("--window", 0.001), ("--window 0.001", "must be within")),
-        (("--window", 1, "--window", 1), ("--window 1", "given twice")),
-        (("--window", "nan"), ("--window nan",)),
-        (("--unknown", "load.color"), ("load.color",)),
-        (("--unknown", "load.mass"), ("load.mass", "among the unknowns of the task")),
-        (("--controller", "nobody"), ("--controller nobody",)),
-        (("--rig", "none.yaml"), ("none.yaml",)),
-    ],
-)
-def test_leak_bound_refuses_in_one_line(tmp_path, options, parts):
-    assert_one_clear_line(hydro("leak-bound", *options, "--output", tmp_path / "out"), *parts)
-    assert not (tmp_path / "out").exists()

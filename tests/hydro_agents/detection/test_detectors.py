@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_agents.detection.detector import CAUSE_OF_FAULT, NO_COMMANDS, VERDICTS, Cause, Reading, Windows, logit
+from hydro_agents.detection.detector import CAUSE_OF_FAULT, VERDICTS, Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.features import LABELS, SIGNALS
 from hydro_agents.detection.looks import looks_at
@@ -52,12 +52,12 @@ def test_only_windows_with_all_commands_are_read():
     windows.signals[0, SIGNALS.index("previous_command"), 3] = np.nan
     reading = EstimatorDetector().read(windows, CONFIG)
     assert reading.answers.tolist() == [False, True]
-    assert reading.why == (NO_COMMANDS, "")
+    assert reading.why.tolist() == [Why.NO_COMMANDS, Why.ANSWERED]
     assert reading.cause[0] == Cause.UNDETERMINED
     assert np.isnan(reading.flow_lpm[0])
     windows.signals[1, SIGNALS.index("previous_command"), 3] = np.nan
     nothing = EstimatorDetector().read(windows, CONFIG)
-    assert nothing.why == (NO_COMMANDS,) * 2
+    assert nothing.why.tolist() == [Why.NO_COMMANDS] * 2
     assert not nothing.answers.any()
 
 
@@ -111,7 +111,7 @@ def test_a_stuck_sensor_gives_no_answer():
     windows.signals[0, 1] = windows.signals[0, 1, 0]
     reading = make_detector(DetectorChoice(kind="head")).read(windows, CONFIG)
     assert reading.answers.tolist() == [False, True]
-    assert reading.why[0].startswith("unlike")
+    assert reading.why[0] == Why.OUTSIDE
 
 
 def test_the_words_of_the_causes_are_those_of_the_head_and_of_the_faults():
@@ -126,11 +126,11 @@ def test_the_words_of_the_causes_are_those_of_the_head_and_of_the_faults():
 def test_a_reading_of_some_windows_among_others():
     some = Reading.of([1.0, np.nan], flow_lpm=np.array([0.2, 0.3]), fault=("worn", ""))
     assert some.cause.tolist() == [Cause.NONE, Cause.UNDETERMINED]
-    whole = some.among(np.array([2, 0]), 3, "because")
+    whole = some.among(np.array([2, 0]), 3, Why.NOT_READ)
     np.testing.assert_array_equal(whole.score, [np.nan, np.nan, 1.0])
     np.testing.assert_array_equal(whole.flow_lpm, [0.3, np.nan, 0.2])
     assert whole.fault == ("", "", "worn")
-    assert whole.why == ("", "because", "")
+    assert whole.why.tolist() == [Why.ANSWERED, Why.NOT_READ, Why.ANSWERED]
     assert whole.answers.tolist() == [False, False, True]
 
 

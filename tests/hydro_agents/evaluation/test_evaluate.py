@@ -1,17 +1,20 @@
 """The protocol: which cases are run, who is compared with whom, and what a failing controller costs."""
 
+import math
 import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
 from untrained import untrained_head
 
 import hydro_agents
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.evaluation.detection import detection_cases
-from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
+from hydro_agents.evaluation.evaluate import ProtocolSettings, StudyProtocol, evaluate, ratio_table, summary_table
+from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.running.cases import ControllerError, run_cases
-from hydro_agents.running.seeds import EVALUATION, TEST_SEEDS
+from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
@@ -21,9 +24,13 @@ SETTINGS = ProtocolSettings(plants=3, leak_levels=(0.01, 4.0), families=("step",
 STRONG, WEAK = PID(PIDGains(proportional=200.0), CONFIG), PID(PIDGains(proportional=40.0), CONFIG)
 
 
+def cases_of(**settings):
+    """The cases of an evaluation, and their table."""
+    return StudyProtocol(conditions={"task": {}}, **settings).cases_in("task")
+
+
 def test_levels_share_plants_and_families_do_not():
-    settings = ProtocolSettings(plants=4, leak_levels=(0.01, 1.0, 4.0), families=("sine", "step"))
-    cases, table = settings.cases(EVALUATION)
+    cases, table = cases_of(plants=4, leak_levels=(0.01, 1.0, 4.0), families=("sine", "step"))
     assert len(cases) == len(table) == 3 * 2 * 4
     seeds = {}
     for seed, leak, family, row in zip(
@@ -31,21 +38,21 @@ def test_levels_share_plants_and_families_do_not():
     ):
         assert (leak, family) == (row.leakage_flow_lpm, row.family)
         seeds.setdefault((leak, str(family)), []).append(int(seed))
-    for family in settings.families:
+    for family in ("sine", "step"):
         assert seeds[0.01, family] == seeds[1.0, family] == seeds[4.0, family]
         assert len(set(seeds[0.01, family])) == 4
     assert not set(seeds[0.01, "sine"]) & set(seeds[0.01, "step"])
 
 
 def test_seeds_of_the_protocol_do_not_move():
-    cases, table = ProtocolSettings(plants=3).cases(EVALUATION)
+    cases, table = cases_of(plants=3)
     assert len(cases) == 7 * 6 * 3
     assert cases.seeds.dtype == np.int64
     for row, seed in zip(table.itertuples(), cases.seeds, strict=True):
         assert seed == 2_000_000 + 10_000 * REFERENCE_FAMILIES.index(row.family) + row.plant
     assert list(table["plant"][:3]) == [0, 1, 2]
     assert list(dict.fromkeys(table["family"])) == list(MOVING_FAMILIES)
-    largest, _ = ProtocolSettings(plants=10_000, leak_levels=(1.0,)).cases(EVALUATION)
+    largest, _ = cases_of(plants=10_000, leak_levels=(1.0,))
     assert len(set(largest.seeds)) == 60_000
     watched = detection_cases(CONFIG, 200_000).seeds
     assert watched[0] == 2_500_000
@@ -89,7 +96,7 @@ def test_impossible_settings_are_refused(values, message):
     ProtocolSettings(leak_levels=(20.0,), plants=3, detection_episodes=100)
 
 
-@pytest.fixture  # one for each test: mutmut would count a shared one for the first alone
+@pytest.fixture(scope="module")
 def evaluation():
     head = untrained_head(CONFIG)
     phases = []
@@ -99,7 +106,7 @@ def evaluation():
 
 def test_every_case_is_in_the_table_with_its_own_error(evaluation):
     result, _, _ = evaluation
-    cases, table = SETTINGS.cases(EVALUATION)
+    cases, table = cases_of(**SETTINGS.model_dump())
     for name, controller in (("strong", STRONG), ("weak", WEAK)):
         own = result.cases[result.cases["controller"] == name]
         np.testing.assert_array_equal(own["seed"], cases.seeds)
@@ -243,5 +250,93 @@ def test_a_task_may_be_given_in_any_form(tmp_path):
         evaluate("nowhere.yaml", {"PID": "pid"})
     with pytest.raises(AttributeError, match="no attribute 'assess'"):
         _ = hydro_agents.assess
-    named = evaluate("default", {"PID": "pid", "PPO": "ppo"}, settings=settings)
-    assert set(named.cases["controller"]) == {"PID", "PPO"}
+
+
+# Tables, against figures worked out by hand -----------------------------------------------------------------
+
+PLANTS = 4
+
+
+def tracking_table():
+    """Two controllers on two levels, two families and four plants; every metric is a number of its own."""
+    rows = []
+    for controller, factor in (("base", 1.0), ("other", 0.5)):
+        for level in (0.01, 4.0):
+            for family in ("step", "sine"):
+                for plant in range(PLANTS):
+                    error = factor * (1.0 + plant) * (10.0 if family == "step" else 1.0) * (1.0 + 0.1 * level)
+                    if (controller, level, family) == ("other", 4.0, "sine"):
+                        error *= 3.0  # worse than the base there
+                    rows.append(
+                        {"controller": controller, "leakage_flow_lpm": level, "family": family, "plant": plant}
+                        | {name: error + index for index, name in enumerate(METRICS)}
+                    )
+    return pd.DataFrame(rows)
+
+
+CASES = tracking_table()
+
+
+def errors(controller, **chosen):
+    frame = CASES[CASES["controller"] == controller]
+    for column, value in chosen.items():
+        frame = frame[frame[column] == value]
+    return np.array([frame[frame["plant"] == plant]["mean_error_mm"].mean() for plant in range(PLANTS)])
+
+
+@pytest.mark.parametrize("by", ["leakage_flow_lpm", "family"])
+def test_summary_of_every_metric(by):
+    table = summary_table(CASES, by)
+    assert len(table) == 2 * 2 * len(METRICS)
+    for row in table.to_dict("records"):
+        own = CASES[(CASES["controller"] == row["controller"]) & (CASES[by] == row[by])]
+        values = own[row["metric"]].to_numpy()
+        assert row["mean"] == pytest.approx(values.mean())
+        assert row["low"] < row["mean"] < row["high"]
+        assert row["worst"] == values.max()
+        assert row["cvar_5_percent"] == values.max()  # one in twenty of eight is one
+        assert row["cases"] == 2 * PLANTS
+        assert row["unit"] == METRICS[row["metric"]].unit
+
+
+def test_ratios_overall_per_level_and_per_family():
+    table = ratio_table(CASES, ["base", "other"])
+    assert set(table["controller"]) == {"other"}
+    assert set(table["against"]) == {"base"}
+    assert list(table["group"]) == ["all", "level", "level", "family", "family", "equal_weight"]
+    chosen = {
+        ("all", ""): {},
+        ("level", "0.01"): {"leakage_flow_lpm": 0.01},
+        ("level", "4.0"): {"leakage_flow_lpm": 4.0},
+        ("family", "step"): {"family": "step"},
+        ("family", "sine"): {"family": "sine"},
+    }
+    better = {"": 0.75, "0.01": 1.0, "4.0": 0.5, "step": 1.0, "sine": 0.5}
+    for row in table.to_dict("records")[:-1]:
+        mine, theirs = (errors(name, **chosen[row["group"], row["value"]]) for name in ("other", "base"))
+        assert row["low"] <= row["ratio"] <= row["high"]
+        assert row["ratio"] == pytest.approx(mine.mean() / theirs.mean())
+        assert row["share_of_cases_better"] == better[row["value"]]
+
+
+def test_with_equal_weights_every_family_counts_the_same():
+    row = ratio_table(CASES, ["base", "other"]).iloc[-1]
+    mine, theirs = (
+        np.array([errors(name, family=family) for family in ("step", "sine")]) for name in ("other", "base")
+    )
+    ratios = mine.mean(axis=1) / theirs.mean(axis=1)
+    assert row["ratio"] == pytest.approx(math.sqrt(ratios[0] * ratios[1]))
+    assert row["low"] <= row["ratio"] <= row["high"]
+    assert math.isnan(row["share_of_cases_better"])
+    assert row["value"] == "geometric mean of the families' ratios"
+    assert (row["controller"], row["against"]) == ("other", "base")
+
+
+def test_an_equal_controller_is_not_better():
+    same = pd.concat([CASES[CASES["controller"] == "base"].assign(controller=name) for name in ("base", "twin")])
+    table = ratio_table(same, ["base", "twin"])
+    assert np.all(table[["ratio", "low", "high"]] == 1.0)
+    assert np.nanmax(table["share_of_cases_better"]) == 0.0
+    assert ratio_table(same, ["base"]).empty
+    three = pd.concat([same, CASES[CASES["controller"] == "other"]])
+    assert list(ratio_table(three, ["base", "twin", "other"])["controller"].unique()) == ["twin", "other"]

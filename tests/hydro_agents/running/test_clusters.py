@@ -45,7 +45,7 @@ def ran(program, folder):
     return {path.name: pd.read_csv(path) for path in tables.glob("*.csv")}
 
 
-@pytest.mark.slow  # tests/running/test_workers.py runs short jobs on every backend
+@pytest.mark.slow  # tests/hydro_agents/running/test_workers.py runs short jobs on every backend
 @pytest.mark.parametrize("backend", PACKAGES)
 def test_the_program_of_the_page_gives_the_same_bits_everywhere(backend, expected, tmp_path):
     if not importlib.util.find_spec(PACKAGES[backend]):

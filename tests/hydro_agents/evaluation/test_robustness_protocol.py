@@ -3,17 +3,14 @@
 import numpy as np
 import pytest
 import yaml
-from command_line import ROOT
-from small_protocol import SMALL, small
+from small_protocol import SMALL, named, small
 
 from hydro_agents.evaluation.conditions import file_sha256
-from hydro_agents.evaluation.evaluate import ProtocolSettings
-from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, protocol_named
+from hydro_agents.evaluation.evaluate import StudyProtocol
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.report.robustness import GROUPS
-from hydro_agents.running.seeds import EVALUATION, ROBUSTNESS
+from hydro_agents.running.seeds import ROBUSTNESS
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv
-
-PROTOCOLS = ROOT / "configs" / "protocols"
 
 
 def plants_of(protocol, name):
@@ -67,11 +64,12 @@ def test_cases_are_paired_over_conditions_and_leaks_and_disjoint_from_the_ordina
     for _, rows in table.groupby(["family", "plant"]):
         assert rows["seed"].nunique() == 1
         assert set(rows["leakage_flow_lpm"]) == {0.03, 4.0}
-    everything = protocol_named("robustness")[0]
+    everything = named("robustness")
     own = np.concatenate([everything.cases_in(name)[0].seeds for name in everything.conditions])
     assert own.min() >= ROBUSTNESS.first
     assert own.max() < ROBUSTNESS.first + ROBUSTNESS.count
-    assert not set(own.tolist()) & set(ProtocolSettings(plants=9_000).cases(EVALUATION)[0].seeds.tolist())
+    study = StudyProtocol(plants=9_000, conditions={"task": {}}).cases_in("task")[0]
+    assert not set(own.tolist()) & set(study.seeds.tolist())
 
 
 def test_a_user_reference_is_followed():
@@ -93,15 +91,14 @@ def test_the_search_for_limit_cycles_has_its_own_cases():
 
 
 def test_the_shipped_protocols_are_possible_and_as_wide_as_promised():
-    protocol, file = protocol_named("robustness")
-    assert file == PROTOCOLS / "robustness.yaml"
+    protocol = named("robustness")
     table = protocol.table()
     assert set(GROUPS) == set(table["group"])
     assert table["label"].is_unique
     sines = [c.task["disturbance"] for name, c in protocol.conditions.items() if "hz" in name]
     assert len({(*each["frequency_range"], *each["force_share"]) for each in sines}) == len(sines) == 8
     assert [protocol.task_in(name).episode_duration for name in ("pause_1s", "pause_10s", "pause_60s")] == [2, 11, 61]
-    assert protocol_named("pauses")[0].task_in("pause_600s").episode_duration == 601
+    assert named("pauses").task_in("pause_600s").episode_duration == 601
     # Every drawn parameter is varied by itself.
     fixed = {path for entry in protocol.conditions.values() for path in (*entry.factors, *entry.parameters)}
     assert set(protocol.task.randomisation) <= fixed
@@ -113,7 +110,7 @@ def test_the_shipped_protocols_are_possible_and_as_wide_as_promised():
             low, high = draw.bounds(own)
             assert own * min(entries) < low
             assert own * max(entries) > high
-    assert len(protocol_named("quick")[0].table()) < 12
+    assert len(named("quick").table()) < 12
 
 
 def test_a_file_names_its_task_rigs_and_gains_by_path(tmp_path):
@@ -200,4 +197,4 @@ def test_a_protocol_moves_to_another_task_and_rig():
 
 def test_an_unknown_protocol_names_the_known_ones():
     with pytest.raises(ConfigurationError, match=r"'robust': unknown; did you mean robustness\? known: leakage, "):
-        protocol_named("robust")
+        named("robust")

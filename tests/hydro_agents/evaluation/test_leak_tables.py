@@ -1,0 +1,70 @@
+"""Tables of the leakage protocol on a made-up run whose figures are known."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from small_leaks import made_up_run, made_up_tables
+
+from hydro_agents.detection.detector import VERDICTS
+
+
+@pytest.fixture(scope="module")
+def made():
+    return made_up_tables()
+
+
+def row(table, **wanted):
+    for name, value in wanted.items():
+        table = table[table[name] == value]
+    assert len(table) == 1
+    return table.iloc[0]
+
+
+def test_detection_per_window_and_per_hour(made):
+    healthy = row(made["detection"], detector="head", condition="plain", level=0.0)
+    assert healthy["flagged"] == 0.01
+    assert healthy["per_hour"] == pytest.approx(0.01 * 1800)  # windows of 2 s, one after the other
+    assert healthy["flagged_low"] < 0.01 < healthy["flagged_high"]
+    assert row(made["detection"], detector="estimator", condition="null", level=0.0)["cannot_tell"] == 0.8
+
+
+def test_verdicts_are_shares_of_all_windows(made):
+    found = row(made["verdicts"], detector="estimator", condition="null", level=0.0)
+    assert found["valve fault"] == 0.2
+    assert found["cannot tell"] == 0.8
+    np.testing.assert_allclose(made["verdicts"][list(VERDICTS)].sum(axis=1), 1.0)
+
+
+def test_sizes_over_windows_in_which_the_detector_tells(made):
+    plain = row(made["sizes"], detector="head", condition="plain", level=0.3)
+    assert plain["rms_log10"] == pytest.approx(np.log10(1.1))
+    assert plain["coverage"] == 1.0  # 10 % beside the truth, intervals of 20 %
+    assert plain["bound_lpm"] == pytest.approx(0.02)  # the median
+    assert plain["ratio_to_bound"] == pytest.approx(np.log10(1.1) / (0.02 / 0.3 / np.log(10.0)))
+    beside = row(made["sizes"], detector="head", condition="null", level=0.3)
+    assert beside["coverage"] == 0.0
+    assert beside["unnoticed_minimum"] == 1.0  # twice the truth, 16 standard deviations away
+    silent = row(made["sizes"], detector="estimator", condition="null", level=0.3)
+    assert silent["told"] == 0
+    assert np.isnan(silent["rms_log10"])
+
+
+def test_the_calibration_error_is_the_distance_of_probability_and_frequency(made):
+    mine = made["reliability"][made["reliability"]["detector"] == "head"].sort_values("probability")
+    assert mine["probability"].tolist() == pytest.approx([0.2, 0.8])
+    assert mine["frequency"].tolist() == [0.0, 1.0]
+    assert mine["error"].iloc[0] == pytest.approx(0.2)
+
+
+def test_masking_sets_detection_beside_the_position_error(made):
+    mine = made["masking"][(made["masking"]["detector"] == "head") & (made["masking"]["level"] == 0.1)].set_index(
+        "acting"
+    )
+    assert mine.loc["ADRC", "error_mm"] < mine.loc["PID", "error_mm"]
+    assert mine["at_1_percent"].to_dict() == {"PID": 0.7, "ADRC": 0.5}
+
+
+def test_every_table_is_written(made, tmp_path):
+    made_up_run().write(tmp_path)
+    assert {file.stem for file in tmp_path.glob("*.csv")} == set(made)
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "masking.csv"), made["masking"].reset_index(drop=True))

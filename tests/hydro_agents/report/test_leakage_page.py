@@ -1,0 +1,76 @@
+"""The page of the leakage protocol on a made-up run whose figures are known."""
+
+import re
+
+import pytest
+from browser import problems_everywhere
+from published import assert_published_page
+from small_leaks import made_up_tables
+
+from hydro_agents.report.content import Content
+from hydro_agents.report.leakage import LEAKAGE, confusion_tables, findings_table, leak_findings, right_verdicts
+from hydro_agents.report.sections import render_page
+
+
+@pytest.fixture(scope="module")
+def content():
+    return Content(made_up_tables(), others={"base": "plain"})
+
+
+@pytest.fixture(scope="module")
+def page(content):
+    return render_page("Leaks", LEAKAGE, content)
+
+
+def test_findings_say_how_small_how_surely_and_when_nothing_can_be_said(content):
+    assert leak_findings(content)[0].sentences == ["A leak of 0.2 l/min is found within 2 s of ordinary motion."]
+    head, estimator = (row[1:] for row in findings_table(content).rows)
+    assert head[:3] == ("0.2", "1.0 (0.2 to 5.4)", "18")
+    assert head[3].startswith("4.0 (1.6 to 9.8), ADRC")
+    assert head[4] == "valve null −1 % 60 %"
+    assert estimator[4:] == ("none", "valve null −1 %")
+
+
+def test_without_confusions_and_silence_the_findings_say_so():
+    made = made_up_tables()
+    made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"]}
+    rows = findings_table(Content(made, others={"base": "plain"})).rows
+    assert [row[4:] for row in rows] == [("–", "none", "none")] * 2
+
+
+def rows_of(table):
+    """Cells by column, by the name of the row."""
+    return {label: dict(zip(table.header[1:], cells, strict=True)) for label, *cells in table.rows}
+
+
+def test_right_verdicts_are_blue_and_wrong_ones_orange(content):
+    assert right_verdicts(content, "plain", 0.0) == ("none",)
+    assert right_verdicts(content, "null", 0.0) == ("valve fault",)
+    assert right_verdicts(content, "null", 0.3) == ("internal leak",)
+    found = {caption.split(";")[0]: table for caption, table in confusion_tables(content).items()}
+    head = rows_of(found["head: healthy seal"])["valve null −1 %"]
+    leak = head["internal leak"]
+    assert leak.text == "60"
+    assert (leak.meaning, leak.share) == ("worse", 30)  # 60 % of half the colour
+    right = rows_of(found["estimator: healthy seal"])["valve null −1 %"]["valve fault"]
+    assert (right.text, right.meaning, right.share) == ("20", "better", 10)
+
+
+def test_the_page_stands_alone_and_says_who_did_not_run(page):
+    assert page.html.startswith("<!doctype html>")
+    assert_published_page("leakage", page.html)
+    assert not re.search(r'(src|href)="(?!#|figures/)', page.html)
+    assert "reads no ADRC" in page.html
+    assert page.html.count("<svg") >= 8
+
+
+def test_sections_without_figures_are_left_out():
+    made = made_up_tables()
+    made = {name: table for name, table in made.items() if name not in ("masking", "reliability")}
+    page = render_page("Leaks", LEAKAGE, Content(made, others={"base": "plain"})).html
+    assert 'id="masking"' not in page
+
+
+def test_nothing_is_cut_off_in_a_browser(browser, page, tmp_path):
+    page.write(tmp_path / "leakage.html")
+    assert problems_everywhere(browser, tmp_path / "leakage.html") == []

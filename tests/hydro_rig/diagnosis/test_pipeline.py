@@ -1,0 +1,228 @@
+"""One way to the verdict: what makes ``hydro diagnose`` refuse makes ``trend`` and ``leak-test`` refuse as well."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from command_line import hydro, own_lines
+from recorded import CONFIG, recorded_file
+
+from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.detection.detector import Cause, Reading, Why
+from hydro_agents.detection.monitor import load_head
+from hydro_env import ConfigurationError
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.units import LITRE_PER_MINUTE
+from hydro_rig.diagnosis import diagnose as diagnosing
+from hydro_rig.diagnosis.companion import Companion, detector_of
+from hydro_rig.diagnosis.diagnose import diagnose
+from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind, Limits, Verdict, by_volume
+from hydro_rig.diagnosis.volume_balance import VolumeLeak
+
+AREA = plant_coefficients(CONFIG.plant).area_a
+UNKNOWN = EXIT_CODES[Kind.UNKNOWN]
+OTHER_ROD = {"plant": {"cylinder": {"rod_diameter": 0.024}}}  # than the rig's 28 mm
+
+
+def moves(leak=1.0, period=CONFIG.control_period):
+    """A recording of 24 s of moves, with the flow into chamber a; no window holds all commands."""
+    noise = np.random.default_rng(0)
+    count = round(3.0 / period)
+    speed = np.repeat([sign * size for size in (0.02, 0.05, 0.08, 0.1) for sign in (1.0, -1.0)], count)
+    load = np.repeat(noise.uniform(-30e5, 30e5, 8), count)
+    difference = load + 2e5 * np.sign(speed) + noise.normal(0.0, 1e4, len(speed))
+    flow = AREA * speed + leak * LITRE_PER_MINUTE / 100e5 * difference
+    return pd.DataFrame(
+        {
+            "time [s]": period * np.arange(len(speed)),
+            "command [V]": np.where(
+                np.arange(len(speed)) % 400 < 5, np.nan, 2.0 * np.sin(np.arange(len(speed)) / 40.0)
+            ),
+            "position [mm]": 1e3 * (np.cumsum(speed) * period - 0.15) + noise.normal(0.0, 0.01, len(speed)),
+            "pressure_a [bar]": 1e-5 * (35e5 + 0.5 * difference),
+            "pressure_b [bar]": 1e-5 * (35e5 - 0.5 * difference),
+            "flow [l/min]": flow / LITRE_PER_MINUTE,
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """By name: as it should be, and with columns in other units than their headings say."""
+    folder, table = tmp_path_factory.mktemp("moves"), moves()
+    pressures = ["pressure_a [bar]", "pressure_b [bar]"]
+    tables = {
+        "right": table,
+        "kPa as bar": table.assign(**{name: 100.0 * table[name] for name in pressures}),
+        "bar as kPa": table.assign(**{name: 0.01 * table[name] for name in pressures}),
+        "gal/min as l/min": table.assign(**{"flow [l/min]": table["flow [l/min]"] / 3.785}),
+    }
+    for name, one in tables.items():
+        one.to_csv(folder / f"{name.replace('/', ' per ')}.csv", index=False)
+    return {name: folder / f"{name.replace('/', ' per ')}.csv" for name in tables}
+
+
+def answer_of(command, file, folder):
+    """Exit code and reason of a command."""
+    if command == "trend":
+        answer = hydro("trend", file, "--append", folder / "trend.csv", "--temperature", 40)
+        return answer.returncode, pd.read_csv(folder / "trend.csv", comment="#")["reason"].iloc[0]
+    answer = hydro(command, file, "--output", folder / "out", "--json")
+    found = json.loads(answer.stdout)
+    return answer.returncode, found["line" if command == "leak-test" else "reason"]
+
+
+@pytest.mark.parametrize("command", ["diagnose", "trend", "leak-test"])
+@pytest.mark.parametrize(
+    ("case", "code", "words"),
+    [
+        ("right", EXIT_CODES[Kind.LEAK], "by a balance of volumes over 8 steady moves"),
+        ("kPa as bar", UNKNOWN, "kPa instead of bar would fit"),
+        ("bar as kPa", UNKNOWN, "pressures read at most"),
+        ("gal/min as l/min", UNKNOWN, "flow fits a piston of 3.32 cm² in chamber a, but the rig has 12.6 cm²"),
+    ],
+)
+def test_a_measured_flow_decides_alike_everywhere(recordings, tmp_path, command, case, code, words):
+    found, reason = answer_of(command, recordings[case], tmp_path)
+    assert words in reason
+    assert found == code
+
+
+BALANCE = VolumeLeak(0.01, 0.005, 0.015, AREA, 8, 0.01, "")
+
+
+@pytest.mark.parametrize(("factor", "known"), [(1.0, True), (0.92, True), (1.08, True), (0.88, False), (1.12, False)])
+def test_a_balance_belongs_to_a_piston(factor, known):
+    found = BALANCE.on(factor * AREA)
+    verdict = by_volume(Verdict(Kind.UNKNOWN, "no motion", None, ""), found, Limits(0.03, 0.1))
+    assert (verdict.kind is Kind.HEALTHY) == (not found.why) == known
+    assert known or verdict.why.startswith("no motion; flow fits a piston of 12.6 cm²")
+
+
+def test_another_verdict_stays():
+    other = Verdict(Kind.OTHER, "worn edges", None, "estimator")
+    assert by_volume(other, BALANCE, Limits(0.03, 0.1)) is other
+
+
+# A rig that the model does not describe ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def wrong_rig(tmp_path_factory):
+    """A recording of 20 s, of which shorter ones are the first rows."""
+    path = tmp_path_factory.mktemp("rod") / "a.csv"
+    recorded_file(path, OTHER_ROD, leakage=1.0, duration=20.0)
+    return path.read_text().splitlines(keepends=True)
+
+
+@pytest.mark.parametrize("seconds", [1, 20])  # one window; far more than are tried
+def test_another_rig_ends_in_cannot_tell_after_any_duration(wrong_rig, tmp_path, seconds):
+    (tmp_path / "a.csv").write_text("".join(wrong_rig[: 2 + 200 * seconds]))
+    answer = hydro("diagnose", tmp_path / "a.csv", "--window", 1, "--output", tmp_path / "out")
+    assert answer.returncode == UNKNOWN, answer.stderr
+    assert own_lines(answer.stdout)[-1].startswith("cannot tell: the model does not describe this rig")
+    remarks = pd.read_csv(tmp_path / "out" / "leak.csv")["estimator_remark"].tolist()
+    assert remarks.count(Why.MISFIT.words) == min(seconds, 2)
+    assert remarks.count(Why.NOT_READ.words) == max(seconds - 2, 0)
+
+
+def test_one_value_of_a_reading_holds_for_all_windows():
+    one = Reading.of([0.1, np.nan], Cause.UNKNOWN, flow_lpm=0.3, why=Why.MISFIT)
+    assert [len(values) for values in one] == [2] * len(Reading._fields)
+    assert one.followed_by(one).cause.tolist() == [Cause.UNKNOWN] * 4
+    assert one.remarks == [Why.MISFIT.words] * 2
+    assert one.flow_lpm.tolist() == [0.3, 0.3]
+    with pytest.raises(ValueError, match="shape"):
+        Reading.of([0.1, 0.2], flow_lpm=[1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("error", [ConfigurationError("pressure_a: 1 bar"), np.linalg.LinAlgError("Singular\nmatrix")])
+def test_a_failure_inside_a_reading_is_one_line(recordings, monkeypatch, error):
+    def fails(*_, **__):
+        raise error
+
+    monkeypatch.setattr(diagnosing, "read_windows", fails)
+    verdict = diagnose(recordings["gal/min as l/min"], CONFIG, load_head(None, CONFIG)).verdict
+    assert verdict.kind is Kind.UNKNOWN
+    assert verdict.why.startswith("windows cannot be read: ")
+    assert str(error).split("\n")[0] in verdict.line()
+    assert "\n" not in verdict.line()
+
+
+@pytest.mark.parametrize(
+    ("volts", "code", "words"),
+    [
+        (10.1, EXIT_CODES[Kind.HEALTHY], "command is up to 101 % of full scale (10.1 V): taken as full scale"),
+        (10.8, UNKNOWN, "command reads -100 % to 108 %, but the rig has -100 % to 100 %"),
+    ],
+)
+def test_a_command_beyond_full_scale(tmp_path, volts, code, words):
+    recorded_file(tmp_path / "a.csv", duration=2.0, family="step")
+    table = pd.read_csv(tmp_path / "a.csv", comment="#")
+    assert table["command [V]"].max() == 10.0
+    table["command [V]"] = table["command [V]"].where(table["command [V]"] < 10.0, volts)
+    table.to_csv(tmp_path / "b.csv", index=False)
+    answer = hydro("diagnose", tmp_path / "b.csv", "--output", tmp_path / "out")
+    assert words in answer.stdout, answer.stderr
+    assert answer.returncode == code
+
+
+# The detector of an alarm --------------------------------------------------------------------------------------------
+
+
+class Own:
+    """A detector that reads nothing."""
+
+    threshold = None
+
+    def refuses(self, task, samples):
+        return ""
+
+    def read(self, windows, task):
+        return Reading.of(np.full(len(windows), np.nan))
+
+
+SCALE = {"highest_baseline": -3.0, "spread": 1.0, "shift": 2.0}
+SETTINGS = {"interval": 0.5, "scales": dict.fromkeys(("standing", "slow", "moving"), SCALE), "threshold": 1.5}
+
+
+@pytest.mark.parametrize(
+    ("detector", "given", "watches"),
+    [
+        ("", "head", "HeadDetector"),
+        ("head leakage_head", "head", "HeadDetector"),
+        ("two_stage leakage_head", "head", "TwoStageDetector"),
+        ("estimator", "head", "EstimatorDetector"),
+        ("estimator", "own", "EstimatorDetector"),
+        ("", "own", "Own"),
+        (f"{__name__}:Own", "own", "Own"),
+        ("two_stage other_head", "head", ""),
+        ("two_stage leakage_head", "own", ""),
+        (f"{__name__}:Own", "head", ""),
+        ("magic", "head", ""),
+    ],
+)
+def test_an_alarm_runs_on_the_detector_that_it_was_set_for(detector, given, watches):
+    settings = AlarmSettings(**SETTINGS, detector=detector)
+    available = Companion.of(load_head(None, CONFIG) if given == "head" else Own())
+    assert available.own == (given == "own")
+    if watches:
+        assert type(detector_of(settings, available)).__name__ == watches
+        return
+    with pytest.raises(ConfigurationError, match=f"it was set for the detector '{detector}', and '.*' is given"):
+        detector_of(settings, available)
+
+
+def test_an_alarm_that_does_not_watch_says_so(tmp_path, recordings):
+    recorded_file(tmp_path / "a.csv", leakage=3.0, duration=2.0)
+    cases = (
+        (tmp_path / "a.csv", "two_stage other_head", "it was set for the detector 'two_stage other_head'"),
+        (recordings["kPa as bar"], "head leakage_head", "pressure_a reads"),
+    )
+    for file, detector, words in cases:
+        (tmp_path / "alarm.yaml").write_text(yaml.safe_dump(SETTINGS | {"detector": detector}))
+        line = ("--output", tmp_path / "out", "--overwrite", "--alarm", tmp_path / "alarm.yaml")
+        answer = hydro("diagnose", file, *line)
+        assert f"The alarm did not watch: {words}" in answer.stdout, answer.stderr

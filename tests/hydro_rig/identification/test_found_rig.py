@@ -1,0 +1,198 @@
+"""Fit of several windows, held-back parts, ranges of the rig that was found: known answers."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+
+from hydro_agents.detection.detector import Windows
+from hydro_env import PlantParameters, TaskConfig
+from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.task.randomisation import Distribution
+from hydro_env.task.rig import rig_from
+from hydro_env.task.sensors import POSITION
+from hydro_env.units import resistance_from_flow
+from hydro_rig.estimation.unknowns import Prior
+from hydro_rig.identification import common_fit
+from hydro_rig.identification.common_fit import Joint
+from hydro_rig.identification.fit import Fit, combinations, unknowns_of
+from hydro_rig.identification.found_rig import _line, _with_unit, found_values, narrowed
+from hydro_rig.identification.held_back import HeldBack, _first_known, _share, errors_in_words
+from hydro_rig.identification.identify import Identification
+
+
+def test_the_share_of_variance_is_that_of_a_regression():
+    measured = np.array([0.0, 2.0, 4.0, np.nan])
+    assert _share([(measured, measured)]) == 1.0
+    assert _share([(measured, np.full(4, 2.0))]) == pytest.approx(0.0)
+    assert _share([(measured, measured[::-1] * np.nan)]) == -math.inf
+    assert math.isnan(_share([(np.full(3, np.nan), np.zeros(3))]))
+
+
+def test_errors_are_told_in_mm_mm_per_s_and_bar():
+    time = 0.005 * np.arange(400)
+    measured = np.full((4, 400), np.nan)
+    measured[POSITION] = 0.1 * np.where(time < 1.0, time, 2.0 - time)
+    measured[1] = 20e5
+    simulated = measured.copy()
+    simulated[POSITION], simulated[1] = 1.02 * measured[POSITION], 20.5e5
+    part = HeldBack(0, 0.0, time, measured, simulated, np.full(4, np.nan))
+    assert part.speed_ratios == pytest.approx((0.02, 0.02))
+    assert part.error[1] == pytest.approx(0.5e5)
+    assert part.speed_error == pytest.approx(2e-3, rel=0.05)
+    assert errors_in_words([part, part]) == "1.2 mm, 2.0 mm/s, 0.50 bar (a)"
+    nothing = np.full((4, 400), np.nan)
+    assert errors_in_words([part._replace(measured=nothing)]) == ""
+
+
+CONFIG = TaskConfig()
+RANGES = {
+    "load.mass": Distribution(factor=(0.5, 1.5)),
+    "friction.coulomb_force": Distribution(uniform=(50.0, 300.0)),
+    "friction.breakaway_force": Distribution(uniform=(1.1, 1.5), times="friction.coulomb_force"),
+    "load.spring_stiffness": Distribution(factor=(0.8, 1.2), otherwise=0.0, otherwise_probability=0.1),
+    "leakage.external_resistance": Distribution(
+        log_uniform=(1e12, 1e13), otherwise=math.inf, otherwise_probability=0.8
+    ),
+}
+
+
+def fit_of(values, remaining=None):
+    """A fit with given values and ends of intervals by name: (value, low, high)."""
+    names = tuple(values)
+    value, low, high = np.array(list(values.values())).T
+    left = np.array([(remaining or {}).get(name, 0.1) for name in names])
+    priors = {name: Prior(1.0, 1.0) for name in names}
+    return Fit(names, priors, value, low, high, left, np.ones(len(names)), np.eye(len(names)), np.zeros(5))
+
+
+@pytest.mark.parametrize("misfit", [1.0, 9.0], ids=["explained", "not explained"])
+def test_a_fit_that_explains_no_window_says_so_first(misfit):
+    """A bore that is 4 % wrong predicts the motion, but differs from the readings of every window."""
+    fit = fit_of({"valve.rated_flow": (9e-4, 1e-3, 1.1e-3)})._replace(misfit=np.full(5, misfit))
+    time, moving = np.linspace(0.0, 1.0, 101), np.tile(np.linspace(0.0, 0.1, 101), (4, 1))
+    held = HeldBack(0, 0.0, time, moving, moving + 1e-5, np.ones(4))
+    rig = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(8e-4, 2e-3))})
+    found = Identification([], [], rig, CONFIG, None, fit, PlantParameters(), [held], [], {}, [])
+    assert found.describes
+    assert found.unexplained == (misfit > 4.0)
+    assert found.verdict().startswith("no window is explained: " if misfit > 4.0 else "1 of 1 unknowns determined")
+    other = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(4e-4, 6e-4))})
+    outside = found._replace(rig=other)
+    assert outside.describes == (misfit < 4.0)  # a value outside its range, and no window explained: refused
+    assert any("rated pressure drop" in note for note in outside.noted)
+    assert not any("rated pressure drop" in note for note in found.noted)
+
+
+def test_a_held_back_part_begins_where_the_position_is_known():
+    position = np.concatenate([np.full(50, np.nan), np.zeros(20), np.full(80, np.nan), np.zeros(100)])
+    assert 130 <= _first_known(position, 40) <= 150
+    assert _first_known(np.zeros(100), 40) == 0
+    assert _first_known(np.full(100, np.nan), 40) == 0
+
+
+def test_ranges_are_narrowed_to_the_intervals_and_never_widened():
+    fit = fit_of(
+        {
+            "load.mass": (80.0, 70.0, 95.0),
+            "friction.coulomb_force": (100.0, 90.0, 110.0),
+            "friction.breakaway_force": (120.0, 95.0, 130.0),
+            "load.spring_stiffness": (90e3, 89e3, 91e3),
+        }
+    )
+    found = narrowed(fit, CONFIG, RANGES)
+    assert found["load.mass"] == {"uniform": [70.0, 90.0]}  # 60 kg, at most 1.5 times
+    assert found["friction.coulomb_force"] == {"uniform": [90.0, 110.0]}
+    # Breakaway stays a multiple of Coulomb friction, which is 100 N now: 1.1 to 1.5 before, 0.95 to 1.3 found.
+    assert found["friction.breakaway_force"] == {"uniform": [1.1, 1.3], "times": "friction.coulomb_force"}
+    assert found["load.spring_stiffness"] == {"uniform": [89e3, 91e3]}
+
+
+def test_what_is_not_determined_keeps_its_range_in_si():
+    left = {"load.mass": 0.8, "load.spring_stiffness": 0.9}
+    fit = fit_of({"load.mass": (80.0, 40.0, 95.0), "load.spring_stiffness": (90e3, 1e3, 99e3)}, left)
+    found = narrowed(fit, CONFIG, RANGES)
+    assert found["load.mass"] == {"uniform": [30.0, 90.0]}
+    spring = CONFIG.plant.load.spring_stiffness
+    assert found["load.spring_stiffness"]["uniform"] == pytest.approx([0.8 * spring, 1.2 * spring])
+    assert found["load.spring_stiffness"]["otherwise_probability"] == 0.1
+
+
+def test_a_tight_rod_seal_stays_tight_and_a_leaking_one_gets_a_range():
+    path = "leakage.external_resistance"
+    tight = fit_of({"external_leakage_flow_lpm": (0.0, -0.01, 0.01)})
+    assert narrowed(tight, CONFIG, RANGES)[path]["otherwise"] == math.inf
+    leaking = fit_of({"external_leakage_flow_lpm": (0.2, 0.15, 0.25)})
+    low, high = narrowed(leaking, CONFIG, RANGES)[path]["log_uniform"]
+    assert low == pytest.approx(resistance_from_flow(0.25), rel=1e-5)
+    assert high == pytest.approx(resistance_from_flow(0.15), rel=1e-5)
+
+
+def test_values_stay_within_the_bounds_of_their_fields():
+    fit = fit_of({"leakage_flow_lpm": (-0.01, -0.02, 0.0), "load.spring_stiffness": (-5.0, -9.0, 1.0)})
+    values = found_values(fit, CONFIG)
+    assert values["load.spring_stiffness"] == 0.0
+    assert values["leakage.internal_resistance"] == math.inf
+
+
+def test_two_unknowns_that_compensate_each_other_are_named_as_one_combination():
+    fit = fit_of({"load.mass": (1.0, 1.0, 1.0), "valve.underlap": (1.0, 1.0, 1.0), "supply.pressure": (1.0, 1.0, 1.0)})
+    ridge = np.array([1.0, 1.0, 0.0])  # only their sum shows
+    fit = fit._replace(information=100.0 * np.outer(ridge, ridge) + np.diag([0.0, 0.0, 4.0]))
+    least, pressure, most = combinations(fit)
+    assert least.singular_value == pytest.approx(0.0, abs=1e-6)
+    parts = dict(least.parts)
+    assert parts["load.mass"] == pytest.approx(-parts["valve.underlap"])
+    assert pressure.singular_value == pytest.approx(2.0)
+    assert dict(pressure.parts) == pytest.approx({"supply.pressure": 1.0})
+    assert most.singular_value == pytest.approx(math.sqrt(200.0))
+
+
+def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(monkeypatch):
+    """The first common fit leaves out one window; the second would leave out another: its result is of all it had."""
+    misfits = {4: [1.0, 1.0, 1.0, 50.0], 3: [1.0, 1.0, 40.0]}
+
+    def fitted(model, readings, first, progress):
+        count = len(readings)
+        nothing, none = np.zeros((count, 1)), np.empty(0, np.int64)
+        misfit = np.array(misfits[count])
+        own = np.zeros(1, np.int64)
+        return Joint(nothing, own, nothing[..., None], nothing, misfit, none, np.zeros((count, 0, 1)), 0.0)
+
+    monkeypatch.setattr(common_fit, "Model", lambda config, priors, commands, boundary: None)
+    monkeypatch.setattr(common_fit, "usable_readings", lambda signals, config, model: signals)
+    monkeypatch.setattr(common_fit, "shared_and_own", lambda model: (np.zeros(1, np.int64), np.empty(0, np.int64)))
+    monkeypatch.setattr(common_fit, "_first_values", lambda *_: [None])
+    monkeypatch.setattr(common_fit, "descend", lambda *_, **__: (None, None))
+    monkeypatch.setattr(common_fit, "costs_of", lambda *_: [0.0])
+    monkeypatch.setattr(common_fit, "fit_together", fitted)
+    alone = SimpleNamespace(misfit=np.ones(4))
+    found = common_fit._common_fit(Windows.of(np.zeros((4, 5, 10))), CONFIG, {}, alone, lambda *_: None)
+    assert found.misfit.tolist() == [1.0, 1.0, 40.0, math.inf]
+
+
+def test_without_ranges_leak_biases_and_start_alone_are_unknown():
+    names = unknowns_of(CONFIG, {}, np.array([True, False, False, True]))
+    assert names[:3] == ["leakage_flow_lpm", "position_bias", "spool_position_bias"]
+    assert all(name.startswith("start.") for name in names[3:])
+    assert "external_leakage_flow_lpm" in unknowns_of(CONFIG, RANGES, np.ones(4, dtype=bool))
+
+
+def test_every_number_of_a_rig_is_read_back_from_its_text_with_unit():
+    plant = PlantParameters()
+    values = {path: getattr(getattr(plant, path.split(".")[0]), path.split(".")[1]) for path in PARAMETER_PATHS}
+    values = {path: float(value) for path, value in values.items() if isinstance(value, int | float)}
+    assert len(values) > 40
+    groups: dict[str, list[str]] = {}
+    for path, value in values.items():
+        group, field = path.split(".")
+        groups.setdefault(group, []).append(f"  {_line(field, _with_unit(path, value, plant))}\n")
+    text = "".join(f"{group}:\n{''.join(lines)}" for group, lines in groups.items())
+    for unit in ("bar", "l/min", "Hz", "GPa", "cm³"):
+        assert f" {unit}\n" in text
+    read = rig_from(yaml.safe_load(text), "rig.yaml").plant
+    for path, value in values.items():
+        group, field = path.split(".")
+        assert math.isclose(getattr(getattr(read, group), field), value, rel_tol=1e-5), path
