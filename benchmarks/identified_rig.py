@@ -22,7 +22,7 @@ from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.training import train_ppo
+from hydro_agents.learning.training import train_policy
 from hydro_agents.learning.tuning import tune
 from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.running.seeds import LEARNING
@@ -90,7 +90,7 @@ def trained(task: TaskConfig, base: Controller, folder: Path, steps: int) -> Con
         entry = default_study(Path("own_rig")).controllers["PPO on flow linearisation"]
         settings = validate(PPOSettings, entry.settings | {"total_steps": steps}, "PPO")
         resume = (folder / "checkpoint.safetensors").exists()
-        train_ppo(task, settings, base, folder=folder, resume=resume).save(folder / "policy")
+        train_policy(task, settings, base, folder=folder, resume=resume).save(folder / "policy")
     return PolicyController.load(folder / "policy")
 
 

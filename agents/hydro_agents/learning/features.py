@@ -7,18 +7,20 @@ sees 10 µm and 10 mm.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from copy import copy
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from hydro_agents.controllers.base import ClassicalController, Observation, ObservationLayout, rows
 from hydro_agents.controllers.flow_linearising import pace
 from hydro_agents.controllers.preview import Preview
-from hydro_agents.controllers.registry import kind_of
+from hydro_agents.controllers.registry import CONTROLLERS, kind_of, make_controller
 from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.files import Group
 
 NORMALISING_SEEDS = SCALES.take(240)  # plants on which the inputs are observed for their typical sizes
 MIDDLE = 0.6  # share of the samples that stay within one unit
@@ -37,6 +39,7 @@ HISTORY_SIGNALS = (
 )
 HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)  # ages of the samples in the history, in steps of the rig
 NEWEST = (1, 2, 3)  # control periods; on a slow rig, a training without these samples learns less
+LONGEST_LAG = 10_000  # control periods; more must be a mistake
 STEPS_PER_PACE = 1.54
 """A *step of the rig* is this part of its pace; in the default task, whose pace is 7.7 ms, it is a control period."""
 
@@ -56,31 +59,15 @@ class Normalisation(NamedTuple):
         normalised: NDArray[np.float32] = np.arcsinh((inputs - self.centre) / self.unit)
         return normalised
 
-
-def observed(
-    config: TaskConfig, inputs_and_commands: Callable[[NDArray[Any], Any, int], tuple[NDArray[Any], NDArray[Any], Any]]
-) -> Normalisation:
-    """Centre and unit of each input over one episode of training plants.
-
-    Args:
-        config: the task.
-        inputs_and_commands: takes observations (N, n), its own memory (``None`` at first) and the step; returns inputs
-            (N, inputs), commands (N, 1) and its memory.
-    """
-    env = ServoHydraulicVectorEnv(len(NORMALISING_SEEDS), config, autoreset_mode="SameStep", info=False)
-    observation, _ = env.reset(seed=list(NORMALISING_SEEDS))
-    memory, seen = None, []
-    for step in range(config.steps):
-        inputs, commands, memory = inputs_and_commands(observation, memory, step)
-        seen.append(inputs)
-        observation, *_ = env.step(commands)
-    env.close()
-    values = np.concatenate(seen).astype(np.float64)
-    centre = np.median(values, axis=0)
-    middle = np.quantile(np.abs(values - centre), MIDDLE, axis=0)
-    spread = values.std(axis=0)
-    unit = np.where(middle > LEAST * spread, middle, RARE * spread)
-    return Normalisation(centre.astype(np.float32), np.where(unit > 1e-9, unit, 1.0).astype(np.float32))
+    @classmethod
+    def of(cls, inputs: NDArray[Any]) -> Normalisation:
+        """Centre and unit of each input over all rows (rows, inputs)."""
+        values = inputs.astype(np.float64)
+        centre = np.median(values, axis=0)
+        middle = np.quantile(np.abs(values - centre), MIDDLE, axis=0)
+        spread = values.std(axis=0)
+        unit = np.where(middle > LEAST * spread, middle, RARE * spread)
+        return cls(centre.astype(np.float32), np.where(unit > 1e-9, unit, 1.0).astype(np.float32))
 
 
 def periods_per_step(config: TaskConfig) -> float:
@@ -155,30 +142,31 @@ class PolicyFeatures:
         normalisation: Normalisation | None = None,
         lags: tuple[int, ...] | None = None,
     ) -> None:
-        self.config = config
-        self.normalisation = normalisation
+        self.config, self.base, self.normalisation = config, base, normalisation
+        self.layout = ObservationLayout.of(config)
+        self.residual_scale = residual_scale if base is not None else 1.0
+        self.see_correction = see_correction and base is not None
         self.see_estimates = see_estimates and base is not None
-        estimates = tuple(getattr(base, "estimate_names", ()))
+        self.full_preview = full_preview
+        estimates = getattr(base, "estimate_names", ())
         if self.see_estimates and not estimates:
             raise ConfigurationError(f"see_estimates: {type(base).__name__} has no estimates")
-        self.layout = layout = ObservationLayout.of(config)
-        self.base = base
-        self.residual_scale = residual_scale if base is not None else 1.0
-        self.history = tuple(name for name in HISTORY_SIGNALS if name in layout.names)  # a rig may lack sensors
-        self._columns = np.array([layout.index(name) for name in self.history])
+        self.history = tuple(name for name in HISTORY_SIGNALS if name in self.layout.names)  # a rig may lack sensors
         self.lags = lags if lags is not None else history_lags(config)
+        self._columns = np.array([self.layout.index(name) for name in self.history])
         self._lags = np.array(self.lags)
         self._length = max(self.lags) + 1
-        self.see_correction = see_correction and base is not None
-        self._command_column = layout.index("previous_command")
+        self._command_column = self.layout.index("previous_command")
         self._blend = np.float32(config.control_period / (config.control_period + LASTING_TIME))
-        self.full_preview = full_preview
         self._preview = Preview(config)
         self._rebuilt = np.setdiff1d(np.arange(self._preview.horizon + 2), [1, *(1 + n for n in self._preview.counts)])
-        own = 0 if base is None else 3 if self.see_correction else 1
-        rebuilt = len(self._rebuilt) if full_preview else 0
-        own += len(estimates) if self.see_estimates else 0
-        self.size = len(layout.names) + own + rebuilt + len(self.history) * len(self.lags)
+        self.size = len(self.layout.names) + len(self.history) * len(self.lags)
+        if full_preview:
+            self.size += len(self._rebuilt)
+        if base is not None:
+            self.size += 3 if self.see_correction else 1
+        if self.see_estimates:
+            self.size += len(estimates)
 
     def __call__(
         self, observation: Observation, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
@@ -231,21 +219,23 @@ class PolicyFeatures:
 
         Without a corrected controller, the commands are random.
         """
-        plain = self._with(None)
+        spread = 0.0 if self.base is not None else 0.2
         generator = np.random.default_rng(0)
-
-        def act(observation: Observation, memory: Any, step: int) -> tuple[NDArray[Any], NDArray[Any], Any]:
-            started = np.full(len(observation), step == 0)
-            inputs, memory = plain(observation, memory, started)
-            spread = 0.0 if self.base is not None else 0.2
+        plain, state, seen = self._with(None), None, []
+        env = ServoHydraulicVectorEnv(len(NORMALISING_SEEDS), self.config, autoreset_mode="SameStep", info=False)
+        observation, _ = env.reset(seed=list(NORMALISING_SEEDS))
+        for step in range(self.config.steps):
+            inputs, state = plain(observation, state, np.full(len(observation), step == 0))
+            seen.append(inputs)
             output = spread * generator.standard_normal((len(observation), 1))
-            return inputs, plain.command(output, memory), memory
-
-        return self._with(observed(self.config, act))
+            observation, *_ = env.step(plain.command(output, state))
+        env.close()
+        return self._with(Normalisation.of(np.concatenate(seen)))
 
     def _with(self, normalisation: Normalisation | None) -> PolicyFeatures:
-        options = (self.residual_scale, self.see_correction, self.full_preview, self.see_estimates)
-        return PolicyFeatures(self.config, self.base, *options, normalisation, self.lags)
+        features = copy(self)
+        features.normalisation = normalisation
+        return features
 
     def lasting_after(self, correction: NDArray[np.float32], state: FeatureState) -> NDArray[np.float32]:
         """The slow average of the correction after a period with ``correction``, (N, 1)."""
@@ -256,18 +246,17 @@ class PolicyFeatures:
         bounded = np.clip(output.astype(np.float32, copy=False), -1.0, 1.0)
         if self.base is None:
             return bounded
-        command: NDArray[np.float32] = np.clip(
-            state.base_command + np.float32(self.residual_scale) * bounded, -1.0, 1.0
-        ).astype(np.float32)
-        return command
+        corrected: Observation = np.clip(state.base_command + np.float32(self.residual_scale) * bounded, -1.0, 1.0)
+        return corrected.astype(np.float32)
 
     def describe(self) -> dict[str, Any]:
-        """All data to build this object again (JSON)."""
+        """All data to build this object again (JSON); :class:`StoredFeatures` reads them."""
+        base = None
+        if self.base is not None:
+            base = {"kind": kind_of(self.base), "settings": self.base.gains.model_dump(mode="json")}
         return {
             "task": self.config.model_dump(mode="json"),
-            "base": None
-            if self.base is None
-            else {"kind": kind_of(self.base), "settings": self.base.gains.model_dump(mode="json")},
+            "base": base,
             "residual_scale": self.residual_scale,
             "see_correction": self.see_correction,
             "full_preview": self.full_preview,
@@ -276,3 +265,39 @@ class PolicyFeatures:
             "history_signals": list(self.history),
             "history_lags": list(self.lags),
         }
+
+
+class _StoredBase(Group):
+    kind: str
+    settings: dict[str, Any]
+
+
+class StoredFeatures(Group):
+    """The part of a weights' JSON that describes features."""
+
+    task: TaskConfig
+    base: _StoredBase | None
+    residual_scale: float = Field(gt=0.0, le=2.0)
+    see_correction: bool = False
+    full_preview: bool = False
+    see_estimates: bool = False
+    normalised: bool = False
+    history_signals: tuple[str, ...]
+    history_lags: tuple[Annotated[int, Field(ge=1, le=LONGEST_LAG)], ...] = Field(min_length=1, max_length=100)
+
+    def features(self) -> PolicyFeatures:
+        """The features, not yet normalised.
+
+        Raises:
+            ConfigurationError: this version has no such controller or history.
+        """
+        base: Any = None
+        if self.base is not None:
+            if self.base.kind not in CONTROLLERS:
+                raise ConfigurationError(f"features.base.kind = '{self.base.kind}': unknown to this version")
+            base = make_controller(self.base.kind, self.task, self.base.settings)
+        seen = {name: getattr(self, name) for name in ("see_correction", "full_preview", "see_estimates")}
+        features = PolicyFeatures(self.task, base, self.residual_scale, **seen, lags=self.history_lags)
+        if self.history_signals != features.history:
+            raise ConfigurationError("was trained on another history of signals than this version computes")
+        return features

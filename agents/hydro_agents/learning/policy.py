@@ -5,18 +5,16 @@ from __future__ import annotations
 from copy import deepcopy
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Observation, as_batch
-from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.learning.features import FEATURE_LIMIT, FeatureState, Normalisation, PolicyFeatures
-from hydro_agents.learning.lstm import LSTM
-from hydro_agents.running.weights import load_weights, require, save_weights
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_agents.learning.features import FEATURE_LIMIT, FeatureState, Normalisation, PolicyFeatures, StoredFeatures
+from hydro_agents.running.weights import Tensors, load_weights, require, save_weights
+from hydro_env import ConfigurationError
 from hydro_env.files import Group, validate
 
 if TYPE_CHECKING:
@@ -24,38 +22,66 @@ if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
 KIND = "policy"
-LONGEST_LAG = 10_000  # control periods; more must be a mistake
+LARGEST_LAYER = 4096
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
-
-
-class _StoredBase(Group):
-    kind: str
-    settings: dict[str, Any]
-
-
-class _StoredFeatures(Group):
-    task: TaskConfig
-    base: _StoredBase | None
-    residual_scale: float = Field(gt=0.0, le=2.0)
-    see_correction: bool = False
-    full_preview: bool = False
-    see_estimates: bool = False
-    normalised: bool = False
-    history_signals: tuple[str, ...]
-    history_lags: tuple[Annotated[int, Field(ge=1, le=LONGEST_LAG)], ...] = Field(min_length=1, max_length=100)
 
 
 class _StoredPolicy(Group):
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
 
-    features: _StoredFeatures
+    features: StoredFeatures
     layer_sizes: tuple[int, ...] = Field(min_length=2, max_length=33)
     critic_layer_sizes: tuple[int, ...] | None = Field(None, min_length=2, max_length=33)
     log_standard_deviation: float = Field(ge=-20.0, le=5.0)
     activation: Literal["tanh", "relu"] = "tanh"
     output: Literal["linear", "tanh"] = "linear"
-    lstm_cells: int | None = Field(None, ge=1, le=4096)
+    lstm_cells: int | None = Field(None, ge=1, le=LARGEST_LAYER)
     training: dict[str, Any] = {}
+
+
+class LSTM(NamedTuple):
+    """A recurrent layer with H cells, long short-term memory (Hochreiter & Schmidhuber, 1997).
+
+    Its gates are input, forget, cell and output, as in torch.
+    """
+
+    inputs: NDArray[np.float32]  # (4 H, inputs)
+    recurrent: NDArray[np.float32]  # (4 H, H)
+    bias: NDArray[np.float32]  # (4 H,)
+
+    def __call__(
+        self,
+        values: NDArray[np.float32],
+        memory: NDArray[np.float32] | None,
+        episode_start: NDArray[np.bool_] | None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Output (N, H) for inputs (N, inputs), and the next memory (N, 2 H): output and cells.
+
+        The memory is zero at the start of an episode.
+        """
+        size = self.recurrent.shape[1]
+        if memory is None:
+            memory = np.zeros((len(values), 2 * size), dtype=np.float32)
+        elif episode_start is not None and np.any(episode_start):
+            memory = np.where(np.asarray(episode_start)[:, None], np.float32(0.0), memory)
+        output, cells = memory[:, :size], memory[:, size:]
+        gates = values @ self.inputs.T + output @ self.recurrent.T + self.bias
+        entry, kept, new, shown = np.split(gates, 4, axis=1)
+        cells = _sigmoid(kept) * cells + _sigmoid(entry) * np.tanh(new)
+        output = _sigmoid(shown) * np.tanh(cells)
+        return output, np.concatenate([output, cells], axis=1)
+
+    @classmethod
+    def from_torch(cls, layer: Any) -> LSTM:
+        """The weights of a ``torch.nn.LSTM`` with one layer."""
+        weights = {name: _array(value) for name, value in layer.named_parameters()}
+        bias = weights["bias_ih_l0"] + weights["bias_hh_l0"]
+        return cls(weights["weight_ih_l0"], weights["weight_hh_l0"], bias)
+
+
+def _sigmoid(x: NDArray[np.float32]) -> NDArray[np.float32]:
+    value: NDArray[np.float32] = np.float32(0.5) + np.float32(0.5) * np.tanh(np.float32(0.5) * x)
+    return value
 
 
 class PolicyController:
@@ -148,31 +174,28 @@ class PolicyController:
         Raises:
             ConfigurationError: the model has another kind of network, or its inputs are not policy features.
         """
-        policy, env = model.policy, model.get_env()
-        features = features or getattr(env, "features", None)
+        policy = model.policy
+        features = features or getattr(model.get_env(), "features", None)
         activation = getattr(getattr(policy, "activation_fn", None), "__name__", "none").lower()
         off_policy = hasattr(getattr(policy, "actor", None), "latent_pi")  # of SAC and TQC
         if not (off_policy or hasattr(policy, "action_net")) or activation not in ("tanh", "relu"):
             raise ConfigurationError(f"from_sb3: {type(policy).__name__}: must be an MlpPolicy of tanh or relu layers")
-        body = (
-            [*policy.actor.latent_pi, policy.actor.mu]
-            if off_policy
-            else [*policy.mlp_extractor.policy_net, policy.action_net]
-        )
-        actor = _layers(body)
-        recurrent = getattr(policy, "lstm_actor", None)
-        lstm = LSTM.from_torch(recurrent) if recurrent is not None else None
-        inputs = (actor[0][0] if lstm is None else lstm.inputs).shape[1]
-        if features is None or inputs != features.size or len(actor[-1][1]) != 1:
+        if off_policy:
+            layers = _layers([*policy.actor.latent_pi, policy.actor.mu])
+        else:
+            layers = _layers([*policy.mlp_extractor.policy_net, policy.action_net])
+        lstm = LSTM.from_torch(policy.lstm_actor) if hasattr(policy, "lstm_actor") else None
+        inputs = (layers[0][0] if lstm is None else lstm.inputs).shape[1]
+        if features is None or inputs != features.size or len(layers[-1][1]) != 1:
             raise ConfigurationError(
                 "from_sb3: the model's inputs must be PolicyFeatures: train it on AxisVecEnv(..., features=...)"
             )
         if off_policy:
-            return cls(features, actor, training=training, activation=activation, output="tanh")
+            return cls(features, layers, training=training, activation=activation, output="tanh")
         # The critic of a recurrent policy has a recurrent layer of its own, and is of no use here.
         critic = _layers([*policy.mlp_extractor.value_net, policy.value_net]) if lstm is None else None
         spread = float(policy.log_std.detach().mean())
-        return cls(features, actor, spread, training, activation, critic, lstm=lstm)
+        return cls(features, layers, spread, training, activation, critic, lstm=lstm)
 
     def to_sb3(self, env: VecEnv, **keywords: Any) -> PPO:
         """A PPO model of stable-baselines3 with these weights, for further training.
@@ -192,41 +215,32 @@ class PolicyController:
         import torch
         from stable_baselines3 import PPO
 
-        from hydro_agents.learning.privileged import AsymmetricPolicy
+        from hydro_agents.learning.privileged import ACTIVATIONS, AsymmetricPolicy
 
         inputs = (env.observation_space.shape or (0,))[0]
         needed = self.features.size if self.critic is None else self.critic[0][0].shape[1]
-        told = getattr(env, "told_critic", False)
-        if inputs != needed and not (self.critic is None and told):
+        privileged = getattr(env, "told_critic", False)
+        if inputs != needed and not (self.critic is None and privileged):
             more = ", told_critic=True" if needed > self.features.size else ""
             raise ConfigurationError(
                 f"to_sb3: the environment gives inputs of shape ({inputs},), the policy needs ({needed},): "
                 f"AxisVecEnv(config, count, features=policy.features{more}) gives them"
             )
-
-        def hidden(layers: Layers) -> list[int]:
-            return [len(bias) for _, bias in layers[:-1]]
-
-        model = PPO(
-            AsymmetricPolicy if told else "MlpPolicy",
-            env,
-            policy_kwargs={
-                "net_arch": {"pi": hidden(self.layers), "vf": hidden(self.critic or self.layers)},
-                "activation_fn": torch.nn.Tanh if self.activation == "tanh" else torch.nn.ReLU,
-                "log_std_init": self.log_standard_deviation,
-                **({"actor_inputs": self.features.size} if told else {}),
-            },
-            **{"device": "cpu", **keywords},
-        )
-        networks: list[tuple[Any, Any, Layers]] = [
-            (model.policy.mlp_extractor.policy_net, model.policy.action_net, self.layers)
-        ]
+        network: dict[str, Any] = {
+            "net_arch": {"pi": _sizes(self.layers)[1:-1], "vf": _sizes(self.critic or self.layers)[1:-1]},
+            "activation_fn": ACTIVATIONS[self.activation],
+            "log_std_init": self.log_standard_deviation,
+        }
+        if privileged:
+            network["actor_inputs"] = self.features.size
+        policy: Any = AsymmetricPolicy if privileged else "MlpPolicy"
+        model = PPO(policy, env, policy_kwargs=network, **{"device": "cpu", **keywords})
+        networks = [([*model.policy.mlp_extractor.policy_net, model.policy.action_net], self.layers)]
         if self.critic is not None:
-            networks.append((model.policy.mlp_extractor.value_net, model.policy.value_net, self.critic))
+            networks.append(([*model.policy.mlp_extractor.value_net, model.policy.value_net], self.critic))
         with torch.no_grad():
-            for body, last, layers in networks:
-                modules = [*(module for module in body if hasattr(module, "weight")), last]
-                for module, (weight, bias) in zip(modules, layers, strict=True):
+            for modules, layers in networks:
+                for module, (weight, bias) in zip(_dense(modules), layers, strict=True):
                     module.weight.copy_(torch.from_numpy(weight.copy()))
                     module.bias.copy_(torch.from_numpy(bias.copy()))
         return model
@@ -234,9 +248,6 @@ class PolicyController:
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`hydro_agents.running.weights.save_weights`."""
         tensors = _named(self.layers, "layer") | _named(self.critic or [], "critic")
-        if self.features.normalisation is not None:
-            tensors |= {f"normalisation.{name}": array for name, array in self.features.normalisation._asdict().items()}
-        tensors |= self.lstm.tensors() if self.lstm is not None else {}
         settings = {
             "features": self.features.describe(),
             "layer_sizes": _sizes(self.layers),
@@ -244,10 +255,13 @@ class PolicyController:
             "log_standard_deviation": self.log_standard_deviation,
             "activation": self.activation,
             "output": self.output,
-            **({"lstm_cells": self.lstm.cells} if self.lstm is not None else {}),
-            "training": self.training,
         }
-        return save_weights(path, KIND, tensors, settings)
+        if self.features.normalisation is not None:
+            tensors |= _prefixed("normalisation", self.features.normalisation)
+        if self.lstm is not None:
+            tensors |= _prefixed("lstm", self.lstm)
+            settings["lstm_cells"] = self.lstm.recurrent.shape[1]
+        return save_weights(path, KIND, tensors, {**settings, "training": self.training})
 
     @classmethod
     def load(cls, path: str | Path) -> PolicyController:
@@ -258,63 +272,74 @@ class PolicyController:
         """
         tensors, settings = load_weights(path, KIND)
         stored = validate(_StoredPolicy, settings, str(path))
-        described, sizes = stored.features, stored.layer_sizes
         try:
-            base: Any = described.base
-            if base is not None:
-                if base.kind not in CONTROLLERS:
-                    raise ConfigurationError(f"features.base.kind = '{base.kind}': unknown to this version")
-                base = make_controller(base.kind, described.task, base.settings)
-            features = PolicyFeatures(
-                described.task,
-                base,
-                described.residual_scale,
-                described.see_correction,
-                described.full_preview,
-                described.see_estimates,
-                lags=described.history_lags,
-            )
+            features = stored.features.features()
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
-        if described.history_signals != features.history:
-            raise ConfigurationError(f"{path}: was trained on another history of signals than this version computes")
-        critic_sizes = stored.critic_layer_sizes or sizes
         first = stored.lstm_cells or features.size
-        for name, found in (("layer_sizes", sizes), ("critic_layer_sizes", critic_sizes)):
-            fits = found[0] == first or (name[0] == "c" and found[0] > first)
-            if not fits or found[-1] != 1 or not all(1 <= size <= 4096 for size in found):
+        critic_sizes = stored.critic_layer_sizes or stored.layer_sizes
+        for name, sizes in (("layer_sizes", stored.layer_sizes), ("critic_layer_sizes", critic_sizes)):
+            fits = sizes[0] == first or (name == "critic_layer_sizes" and sizes[0] > first)
+            if not fits or sizes[-1] != 1 or not all(1 <= size <= LARGEST_LAYER for size in sizes):
                 raise ConfigurationError(
-                    f"{path}: {name} = {list(found)}: must begin with {first}, end with 1 and stay within 4096"
+                    f"{path}: {name} = {list(sizes)}: must begin with {first}, end with 1 and stay within 4096"
                 )
-        if described.normalised:
-            features.normalisation = _stored_normalisation(tensors, features.size, path)
-        layers = _stored_layers(tensors, "layer", sizes, path)
-        has_critic = stored.critic_layer_sizes is not None or any(name.startswith("critic") for name in tensors)
-        critic = _stored_layers(tensors, "critic", critic_sizes, path) if has_critic else None
-        lstm = LSTM.stored(tensors, stored.lstm_cells, features.size, path) if stored.lstm_cells else None
-        spread, record = stored.log_standard_deviation, stored.training
-        return cls(features, layers, spread, record, stored.activation, critic, stored.output, lstm)
+        if stored.features.normalised:
+            like = Normalisation(_empty(features.size), _empty(features.size))
+            features.normalisation = _stored(tensors, "normalisation", like, path)
+            if not (features.normalisation.unit > 0.0).all():
+                raise ConfigurationError(f"{path}: tensor 'normalisation.unit' must be positive")
+        critic = lstm = None
+        if stored.critic_layer_sizes is not None or any(name.startswith("critic") for name in tensors):
+            critic = _stored_layers(tensors, "critic", critic_sizes, path)
+        if (cells := stored.lstm_cells) is not None:
+            empty = LSTM(_empty(4 * cells, features.size), _empty(4 * cells, cells), _empty(4 * cells))
+            lstm = _stored(tensors, "lstm", empty, path)
+        return cls(
+            features,
+            _stored_layers(tensors, "layer", stored.layer_sizes, path),
+            stored.log_standard_deviation,
+            stored.training,
+            stored.activation,
+            critic,
+            stored.output,
+            lstm,
+        )
 
 
-def _stored_normalisation(tensors: dict[str, NDArray[Any]], size: int, path: str | Path) -> Normalisation:
-    ones = np.ones(size, dtype=np.float32)
-    require(tensors, {f"normalisation.{name}": ones for name in Normalisation._fields}, path)
-    found = Normalisation(*(tensors[f"normalisation.{name}"] for name in Normalisation._fields))
-    if not (found.unit > 0.0).all():
-        raise ConfigurationError(f"{path}: tensor 'normalisation.unit' must be positive")
-    return found
+Part = TypeVar("Part", Normalisation, LSTM)
+
+
+def _prefixed(name: str, part: Part) -> dict[str, NDArray[Any]]:
+    return {f"{name}.{field}": value for field, value in part._asdict().items()}
+
+
+def _stored(tensors: Tensors, name: str, like: Part, path: str | Path) -> Part:
+    """The arrays of a part with the shapes of ``like``."""
+    wanted = _prefixed(name, like)
+    require(tensors, wanted, path)
+    return type(like)(*(tensors[key] for key in wanted))
+
+
+def _empty(*shape: int) -> NDArray[np.float32]:
+    return np.empty(shape, dtype=np.float32)
 
 
 def _sizes(layers: Layers) -> list[int]:
     return [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
 
 
+def _dense(modules: list[Any]) -> list[Any]:
+    return [module for module in modules if hasattr(module, "weight")]  # the others are activations
+
+
 def _layers(modules: list[Any]) -> Layers:
-    return [
-        (module.weight.detach().cpu().numpy().copy(), module.bias.detach().cpu().numpy().copy())
-        for module in modules
-        if hasattr(module, "weight")
-    ]
+    return [(_array(module.weight), _array(module.bias)) for module in _dense(modules)]
+
+
+def _array(tensor: Any) -> NDArray[np.float32]:
+    array: NDArray[np.float32] = tensor.detach().cpu().numpy().copy()
+    return array
 
 
 def _named(layers: Layers, name: str) -> dict[str, NDArray[Any]]:
@@ -322,10 +347,7 @@ def _named(layers: Layers, name: str) -> dict[str, NDArray[Any]]:
     return weights | {f"{name}{number}.bias": bias for number, (_, bias) in enumerate(layers)}
 
 
-def _stored_layers(tensors: dict[str, NDArray[Any]], name: str, sizes: tuple[int, ...], path: str | Path) -> Layers:
-    shapes: Layers = [
-        (np.empty((outputs, inputs), dtype=np.float32), np.empty(outputs, dtype=np.float32))
-        for inputs, outputs in pairwise(sizes)
-    ]
+def _stored_layers(tensors: Tensors, name: str, sizes: tuple[int, ...], path: str | Path) -> Layers:
+    shapes = [(_empty(after, before), _empty(after)) for before, after in pairwise(sizes)]
     require(tensors, _named(shapes, name), path)
     return [(tensors[f"{name}{n}.weight"], tensors[f"{name}{n}.bias"]) for n in range(len(shapes))]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import MlpExtractor
-from torch import Tensor
 
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
@@ -64,6 +64,9 @@ class Privileged:
         return np.concatenate(columns, axis=1, dtype=np.float32)
 
 
+ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+
+
 class _Extractor(MlpExtractor):
     """Like its parent, but the actor sees only the first inputs."""
 
@@ -72,12 +75,12 @@ class _Extractor(MlpExtractor):
         self.policy_net = MlpExtractor(actor_inputs, **options).policy_net
         self._actor_inputs = actor_inputs
 
-    def forward_actor(self, features: Tensor) -> Tensor:
+    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
         """Last hidden layer of the actor."""
-        hidden: Tensor = self.policy_net(features[:, : self._actor_inputs])
+        hidden: torch.Tensor = self.policy_net(features[:, : self._actor_inputs])
         return hidden
 
-    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Last hidden layers of actor and critic."""
         return self.forward_actor(features), self.forward_critic(features)
 

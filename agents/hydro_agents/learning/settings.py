@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -32,6 +32,9 @@ class TrainingSettings(Group):
     """Settings that all trainers of this package share: inputs of the policy, corrected controller, and costs."""
 
     model_config = ConfigDict(allow_inf_nan=False)
+
+    algorithm: ClassVar[str]
+    """Its class in stable-baselines3 or sb3-contrib."""
 
     residual: bool = Field(True, description="true: the policy corrects another controller; false: it acts on its own")
     residual_scale: float = Field(0.2, gt=0.0, le=2.0, description="command per 1 of the policy's output")
@@ -75,19 +78,18 @@ class TrainingSettings(Group):
 
     @model_validator(mode="after")
     def _of_a_correction(self) -> Self:
-        if not self.residual:
-            for name in ("family_units", "see_correction", "see_estimates"):
-                if getattr(self, name):
-                    raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
-            for name in ("lasting", "change"):
-                if getattr(self.prices, name):
-                    raise ValueError(f"prices.{name}: needs residual: true, a controller that the policy corrects")
+        of_a_correction = {name: getattr(self, name) for name in ("family_units", "see_correction", "see_estimates")}
+        of_a_correction |= {f"prices.{name}": getattr(self.prices, name) for name in ("lasting", "change")}
+        for name, value in of_a_correction.items():
+            if value and not self.residual:
+                raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
         return self
 
 
 class PPOSettings(TrainingSettings):
     """Settings of PPO; ``configs/agents/ppo.yaml`` holds those of the studies."""
 
+    algorithm = "PPO"
     told_critic: bool = Field(
         False, description="the critic, not the actor, sees leak, plant, true state and sensor biases"
     )
@@ -133,6 +135,7 @@ class PPOSettings(TrainingSettings):
 class RecurrentPPOSettings(PPOSettings):
     """Settings of PPO with a recurrent layer (RecurrentPPO of sb3-contrib), which replaces the history of signals."""
 
+    algorithm = "RecurrentPPO"
     lstm_cells: int = Field(64, ge=1, le=4096, description="of the recurrent layer of the actor, and of the critic's")
 
     @model_validator(mode="after")
@@ -143,8 +146,9 @@ class RecurrentPPOSettings(PPOSettings):
 
 
 class SACSettings(TrainingSettings):
-    """Settings of SAC and TQC."""
+    """Settings of SAC; ``configs/agents/sac.yaml`` holds those of the ladders."""
 
+    algorithm = "SAC"
     paired: bool = Field(False, description="reward relative to a twin under the corrected controller")
     total_steps: int = Field(500_000, ge=1, le=10**12, description="control periods, all axes together")
     axes: int = Field(64, ge=1, le=65_536)
@@ -159,3 +163,9 @@ class SACSettings(TrainingSettings):
     def updates(self, steps: int) -> int:
         """Number of gradient steps in so many control periods."""
         return self.gradient_steps * max(steps - self.learning_starts, 0) // self.axes
+
+
+class TQCSettings(SACSettings):
+    """Settings of TQC, which are those of SAC."""
+
+    algorithm = "TQC"

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import imported
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings, SACSettings
+from hydro_agents.learning.settings import (
+    PPOSettings,
+    RecurrentPPOSettings,
+    SACSettings,
+    TQCSettings,
+    TrainingSettings,
+)
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.files import Group
@@ -73,12 +79,11 @@ class PolicyTrainer:
     """A trainer of stable-baselines3, which is imported when a training begins.
 
     Args:
-        algorithm: its class, by name.
-        settings: class of its settings.
+        settings: class of its settings; it names the algorithm.
     """
 
-    def __init__(self, algorithm: str, settings: type[Group]) -> None:
-        self.algorithm, self.settings = algorithm, settings
+    def __init__(self, settings: type[TrainingSettings]) -> None:
+        self.settings: type[Group] = settings
 
     def train(
         self,
@@ -92,13 +97,10 @@ class PolicyTrainer:
         progress: Callable[[Progress], None] | None,
     ) -> PolicyController:
         """Train a policy; the residual form corrects ``base``, a classical controller."""
-        from hydro_agents.learning.off_policy import train_off_policy
-        from hydro_agents.learning.training import train_ppo
+        from hydro_agents.learning.training import train_policy
 
-        if isinstance(settings, PPOSettings):
-            return train_ppo(config, settings, base, seed, folder, resume=resume, progress=progress)
-        assert isinstance(settings, SACSettings)
-        return train_off_policy(self.algorithm, config, settings, base, seed, folder, progress)
+        assert isinstance(settings, TrainingSettings)
+        return train_policy(config, settings, base, seed, folder, resume=resume, progress=progress)
 
     def load(self, path: Path) -> PolicyController:
         """Read weights that ``PolicyController.save`` wrote."""
@@ -106,10 +108,10 @@ class PolicyTrainer:
 
 
 TRAINERS: dict[str, Trainer] = {
-    "ppo": PolicyTrainer("PPO", PPOSettings),
-    "sac": PolicyTrainer("SAC", SACSettings),
-    "tqc": PolicyTrainer("TQC", SACSettings),
-    "recurrent_ppo": PolicyTrainer("RecurrentPPO", RecurrentPPOSettings),
+    "ppo": PolicyTrainer(PPOSettings),
+    "sac": PolicyTrainer(SACSettings),
+    "tqc": PolicyTrainer(TQCSettings),
+    "recurrent_ppo": PolicyTrainer(RecurrentPPOSettings),
 }
 
 

@@ -1,41 +1,38 @@
-"""Trains PPO of stable-baselines3 on the native vector environment, resumable; and what every training needs."""
+"""Trains a policy with an algorithm of stable-baselines3 or sb3-contrib on the native vector environment, resumable.
+
+The way of the data: task → :func:`make_env` (N axes) → :func:`make_features` (inputs of the network) →
+:func:`make_model` (the algorithm) → :func:`train_policy` (weights, log and checkpoints).
+"""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import torch
-from sb3_contrib import RecurrentPPO
-from stable_baselines3 import PPO
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from sb3_contrib import TQC, RecurrentPPO
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.callbacks import BaseCallback
 
 from hydro_agents.controllers.base import ClassicalController, Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
-from hydro_agents.learning.checkpoint import (
-    CHECKPOINT_FILE,
-    Checkpoint,
-    TrainingCallback,
-    load,
-    restore,
-    save,
-    session,
-)
+from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, CheckpointFile, restore, take
 from hydro_agents.learning.features import PolicyFeatures, periods_per_step
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.privileged import AsymmetricPolicy
+from hydro_agents.learning.privileged import ACTIVATIONS, AsymmetricPolicy
 from hydro_agents.learning.progress import Progress, training_logger
-from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings, TrainingSettings
+from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings, SACSettings, TrainingSettings
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import family_errors, validation_errors
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 
-ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+ALGORITHMS: dict[str, Any] = {"PPO": PPO, "RecurrentPPO": RecurrentPPO, "SAC": SAC, "TQC": TQC}
 
 
 def make_features(config: TaskConfig, settings: TrainingSettings, base: Controller | None) -> PolicyFeatures:
@@ -50,9 +47,15 @@ def make_features(config: TaskConfig, settings: TrainingSettings, base: Controll
             raise ConfigurationError("residual: true needs a controller that the policy corrects")
         corrected = cast(ClassicalController, base)
         kind_of(corrected)  # the weights' file must be able to name it
-    options = (settings.residual_scale, settings.see_correction, settings.full_preview, settings.see_estimates)
-    lags = (1,) if isinstance(settings, RecurrentPPOSettings) else None  # it remembers what it needs
-    features = PolicyFeatures(config, corrected, *options, lags=lags)
+    features = PolicyFeatures(
+        config,
+        corrected,
+        settings.residual_scale,
+        settings.see_correction,
+        settings.full_preview,
+        settings.see_estimates,
+        lags=(1,) if isinstance(settings, RecurrentPPOSettings) else None,  # it remembers what it needs
+    )
     return features.normalised() if settings.normalise else features
 
 
@@ -77,12 +80,20 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
             f"practice = {settings.practice}: must leave the control period and the names and scales of "
             "observations as they are in the task, because the policy must work there"
         )
-    paired = settings.residual and settings.paired
     if settings.family_units and features.base is not None:
         errors = family_errors(practised, features.base, sensor_frame=settings.family_units == "sensor")
         practised = in_family_units(practised, errors)
-    told, scale = isinstance(settings, PPOSettings) and settings.told_critic, settings.reward_scale
-    return AxisVecEnv(practised, settings.axes, features, seed, scale, paired, True, told, settings.prices)
+    return AxisVecEnv(
+        practised,
+        settings.axes,
+        features,
+        seed,
+        settings.reward_scale,
+        paired=settings.residual and settings.paired,
+        stagger=True,
+        told_critic=isinstance(settings, PPOSettings) and settings.told_critic,
+        prices=settings.prices,
+    )
 
 
 def discount(config: TaskConfig, settings: TrainingSettings) -> float:
@@ -102,44 +113,56 @@ def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConf
     return task_config(config, reward={"family_scale": scale, **limits})
 
 
-def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> OnPolicyAlgorithm:
-    """A PPO model with nearly zero initial output: a correction starts at the corrected controller."""
+def make_model(env: AxisVecEnv, settings: TrainingSettings, seed: int) -> Any:
+    """A model of the settings' algorithm with nearly zero output: a correction starts at the corrected controller."""
     assert env.features is not None
-    own: dict[str, Any] = {"actor_inputs": env.features.size} if settings.told_critic else {}
-    algorithm: Any = PPO
-    policy: Any = AsymmetricPolicy if settings.told_critic else "MlpPolicy"
-    if isinstance(settings, RecurrentPPOSettings):
-        algorithm, policy, own = RecurrentPPO, "MlpLstmPolicy", {"lstm_hidden_size": settings.lstm_cells}
-    model: OnPolicyAlgorithm = algorithm(
-        policy,
-        env,
-        learning_rate=settings.learning_rate_at,
-        n_steps=settings.steps_per_rollout,
-        batch_size=settings.axes * settings.steps_per_rollout // settings.minibatches,
-        n_epochs=settings.epochs,
-        gamma=discount(env.features.config, settings),
-        gae_lambda=settings.advantage_decay,
-        clip_range=settings.clip_range,
-        ent_coef=settings.entropy_weight,
-        policy_kwargs={
-            "net_arch": {"pi": list(settings.hidden_sizes), "vf": list(settings.hidden_sizes)},
-            "log_std_init": settings.initial_log_standard_deviation,
-            "activation_fn": ACTIVATIONS[settings.activation],
-            **own,
-        },
-        seed=seed,
-        device="cpu",
-    )
-    model.policy.get_parameter("log_std").requires_grad_(False)  # the exploration follows a schedule
+    policy: Any = "MlpPolicy"
+    network: dict[str, Any] = {"activation_fn": ACTIVATIONS[settings.activation]}
+    hidden = list(settings.hidden_sizes)
+    if isinstance(settings, PPOSettings):
+        options = _ppo_options(settings)
+        network |= {"net_arch": {"pi": hidden, "vf": hidden}, "log_std_init": settings.initial_log_standard_deviation}
+        if settings.told_critic:
+            policy, network["actor_inputs"] = AsymmetricPolicy, env.features.size
+        if isinstance(settings, RecurrentPPOSettings):
+            policy, network["lstm_hidden_size"] = "MlpLstmPolicy", settings.lstm_cells
+    else:
+        assert isinstance(settings, SACSettings)
+        options, network["net_arch"] = _sac_options(settings), hidden
+    gamma = discount(env.features.config, settings)
+    algorithm = ALGORITHMS[settings.algorithm]
+    model = algorithm(policy, env, gamma=gamma, policy_kwargs=network, seed=seed, device="cpu", **options)
     with torch.no_grad():
-        model.policy.get_parameter("action_net.weight").mul_(0.1 if settings.residual else 1.0)
+        if isinstance(settings, SACSettings):
+            model.actor.mu.weight.mul_(0.1)
+        else:
+            model.policy.log_std.requires_grad_(False)  # the exploration follows a schedule
+            model.policy.action_net.weight.mul_(0.1 if settings.residual else 1.0)
     return model
 
 
-def train_ppo(
+def _ppo_options(settings: PPOSettings) -> dict[str, Any]:
+    return {
+        "learning_rate": settings.learning_rate_at,
+        "n_steps": settings.steps_per_rollout,
+        "batch_size": settings.axes * settings.steps_per_rollout // settings.minibatches,
+        "n_epochs": settings.epochs,
+        "gae_lambda": settings.advantage_decay,
+        "clip_range": settings.clip_range,
+        "ent_coef": settings.entropy_weight,
+    }
+
+
+def _sac_options(settings: SACSettings) -> dict[str, Any]:
+    same = ("learning_rate", "buffer_size", "learning_starts", "batch_size", "gradient_steps")
+    options = {name: getattr(settings, name) for name in same}
+    return {**options, "train_freq": 1, "ent_coef": f"auto_{settings.initial_entropy_weight}"}
+
+
+def train_policy(
     config: TaskConfig,
-    settings: PPOSettings,
-    base: Controller | None,
+    settings: TrainingSettings,
+    base: Controller | None = None,
     seed: int = 0,
     folder: str | Path | None = None,
     resume: bool = False,
@@ -147,16 +170,16 @@ def train_ppo(
     checkpoint_seconds: float = 20.0,
     check: Callable[[PolicyController, int, float], bool] | None = None,
 ) -> PolicyController:
-    """Train a new policy, or continue from a checkpoint as if there had been no interruption.
+    """Train a new policy, or continue from a checkpoint; PPO continues as if there had been no interruption.
 
     Args:
         config: the task.
-        settings: settings of the training.
+        settings: settings of the training; their class names the algorithm.
         base: the controller that the residual form corrects.
         seed: seed of networks, exploration, plants, references and noise.
         folder: for ``checkpoint.safetensors``, ``progress.csv`` and logs of TensorBoard; ``None`` writes nothing.
         resume: continue from the checkpoint in ``folder``.
-        progress: called after every rollout.
+        progress: called after every rollout, or every ``log_every`` steps of SAC and TQC.
         checkpoint_seconds: time between checkpoints; the first is written before the first rollout.
         check: called between rollouts with the present policy, the number of steps and the seconds of training
             (without its own); true ends the training early.
@@ -168,80 +191,188 @@ def train_ppo(
         ConfigurationError: the settings are impossible, or the checkpoint is missing, damaged or of other settings.
         KeyboardInterrupt: Ctrl-C; the checkpoint holds the start of the interrupted rollout.
     """
+    if resume and folder is None:
+        raise ConfigurationError("resume: a folder with a checkpoint is needed")
     torch.set_num_threads(settings.torch_threads)
     features = make_features(config, settings, base)
+    file, checkpoint = None, None
+    if folder is not None:
+        file = _checkpoint_file(Path(folder), config, settings, features, seed)
+        if resume:
+            checkpoint = file.read()
+        else:
+            file.path.unlink(missing_ok=True)
+    done = checkpoint.steps if checkpoint is not None else 0
+
+    env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
+    model = make_model(env, settings, seed)
+    model.set_logger(training_logger(None if folder is None else Path(folder), done))
+    seconds = checkpoint.seconds if checkpoint is not None else 0.0
+    callback = TrainingCallback(config, settings, features, file, seconds, progress, checkpoint_seconds, check)
+    try:
+        if checkpoint is not None and file is not None:
+            restore(model, env, checkpoint, file.path)
+        if done < settings.total_steps:
+            if isinstance(settings, SACSettings):
+                model.learning_starts += done  # a resumed training fills a new buffer first
+            # The callback writes the log after the update.
+            model.learn(settings.total_steps - done, callback, log_interval=10**9, reset_num_timesteps=False)
+    except KeyboardInterrupt:
+        callback.write_checkpoint()
+        raise
+    finally:
+        model.logger.close()
+        env.close()
+    record = {
+        "algorithm": f"{settings.algorithm} ({type(model).__module__.split('.')[0].replace('_', '-')})",
+        "seed": seed,
+        "steps": int(model.num_timesteps),
+        "seconds": round(callback.seconds, 1),
+        "control_period": env.env.config.control_period,
+        "command_latency": env.env.config.command_latency_range or env.env.config.command_latency,
+        "settings": settings.model_dump(mode="json"),
+    }
+    return PolicyController.from_sb3(model, features, record)
+
+
+def _checkpoint_file(
+    folder: Path, config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int
+) -> CheckpointFile:
     made_with = {
         "seed": seed,
         "settings": {**settings.model_dump(mode="json"), "total_steps": 0},  # a resumed training may be longer
         "task": config.model_dump(mode="json"),
         "features": features.describe(),
     }
-    place = Path(folder) if folder is not None else None
-    checkpoint = _earlier(place, resume, made_with)
-    done, seconds = (checkpoint.steps, checkpoint.seconds) if checkpoint is not None else (0, 0.0)
-    env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
-    model = make_model(env, settings, seed)
-    model.set_logger(training_logger(place, done))
-
-    def current() -> PolicyController:
-        return PolicyController.from_sb3(model, features)
-
-    callback = TrainingCallback(
-        settings,
-        seconds,
-        progress,
-        None if place is None else lambda taken: save(taken, place, made_with),
-        checkpoint_seconds,
-        lambda passed: check is not None and check(current(), int(model.num_timesteps), passed),
-        _validation(config, base if settings.residual else None, current),
-    )
-    with session(model, env, callback):
-        if checkpoint is not None and place is not None:
-            restore(model, env, checkpoint, place / CHECKPOINT_FILE)
-        if done < settings.total_steps:
-            # The callback writes the log after the update.
-            model.learn(settings.total_steps - done, callback, log_interval=10**9, reset_num_timesteps=False)
-    record = training_record(type(model).__name__, env, seed, int(model.num_timesteps), callback.seconds, settings)
-    return PolicyController.from_sb3(model, features, record)
+    kind = "training checkpoint" if isinstance(settings, PPOSettings) else f"{settings.algorithm} checkpoint"
+    return CheckpointFile(folder / CHECKPOINT_FILE, kind, made_with)
 
 
-def _earlier(place: Path | None, resume: bool, made_with: Mapping[str, Any]) -> Checkpoint | None:
-    """The checkpoint of a training that is resumed; that of another one in the folder is removed."""
-    if place is None:
-        if resume:
-            raise ConfigurationError("resume: a folder with a checkpoint is needed")
-        return None
-    if resume:
-        return load(place, made_with)
-    (place / CHECKPOINT_FILE).unlink(missing_ok=True)
-    return None
+class TrainingCallback(BaseCallback):
+    """Logs, validates, writes checkpoints and calls ``check`` between rollouts; sets the exploration of PPO.
 
+    Its arguments are those of :func:`train_policy`; ``seconds`` is the duration of the earlier sessions.
+    """
 
-def _validation(
-    config: TaskConfig, corrected: Controller | None, current: Callable[[], PolicyController]
-) -> Callable[[], dict[str, float]]:
-    """A function that gives the errors of the present policy, and of the controller that it corrects, mm."""
-    base_error = cache(lambda: validation_errors(config, corrected)[0] if corrected is not None else math.nan)
+    model: Any
 
-    def validation() -> dict[str, float]:
-        mean, worst, failures = validation_errors(config, current())
-        beside = {"base_mean_error_mm": base_error(), "error_to_corrected": mean / base_error()}
-        return {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures, **beside}
+    def __init__(
+        self,
+        config: TaskConfig,
+        settings: TrainingSettings,
+        features: PolicyFeatures,
+        file: CheckpointFile | None,
+        seconds: float,
+        progress: Callable[[Progress], None] | None,
+        checkpoint_seconds: float,
+        check: Callable[[PolicyController, int, float], bool] | None,
+    ) -> None:
+        super().__init__()
+        self._config, self._settings, self._features, self._file = config, settings, features, file
+        self._progress, self._checkpoint_seconds, self._check = progress, checkpoint_seconds, check
+        self._log_every = settings.log_every if isinstance(settings, SACSettings) else 1
+        self._began = time.monotonic() - seconds
+        self._written: float | None = None  # when the last checkpoint was written
+        self._checkpoint: Checkpoint | None = None
+        self._logged = self._reported = -1  # steps
+        self._ended = False
+        self._base_error = math.nan  # mm, of the corrected controller; computed once
 
-    return validation
+    @property
+    def seconds(self) -> float:
+        """Duration of training, all sessions together, without the caller's checks."""
+        return time.monotonic() - self._began
 
+    def _policy(self) -> PolicyController:
+        return PolicyController.from_sb3(self.model, self._features)
 
-def training_record(
-    algorithm: str, env: AxisVecEnv, seed: int, steps: int, seconds: float, settings: TrainingSettings
-) -> dict[str, Any]:
-    """The record of a training for the JSON file of the weights."""
-    practised = env.env.config
-    return {
-        "algorithm": f"{algorithm} ({'stable-baselines3' if algorithm in ('PPO', 'SAC') else 'sb3-contrib'})",
-        "seed": seed,
-        "steps": steps,
-        "seconds": round(seconds, 1),
-        "control_period": practised.control_period,
-        "command_latency": practised.command_latency_range or practised.command_latency,
-        "settings": settings.model_dump(mode="json"),
-    }
+    def _on_training_start(self) -> None:
+        self._logged = self._reported = self.num_timesteps
+
+    def _on_rollout_start(self) -> None:
+        self._between_rollouts()
+        if self._check is not None:
+            before = time.monotonic()
+            self._ended = self._check(self._policy(), self.num_timesteps, self.seconds)
+            self._began += time.monotonic() - before
+
+    def _on_step(self) -> bool:
+        return not self._ended
+
+    def _on_rollout_end(self) -> None:
+        if self._passed(self._log_every, self._reported):
+            self._reported = self.num_timesteps
+            if self._progress is not None:
+                total = self._settings.total_steps
+                self._progress(Progress(self.num_timesteps, total, self.seconds, self._mean_reward()))
+
+    def _on_training_end(self) -> None:
+        if not self._ended:
+            self._between_rollouts()
+        self.write_checkpoint()
+
+    def _passed(self, every: int, since: int) -> bool:
+        """Whether a multiple of ``every`` steps was passed since a number of steps."""
+        return self.num_timesteps // every > since // every
+
+    def _between_rollouts(self) -> None:
+        """Log the last rollout and its update, set the exploration of the next, and copy the state at its start.
+
+        A rollout and its update share one exploration; otherwise the ratio of PPO would not begin at 1.
+        """
+        settings, steps = self._settings, self.num_timesteps
+        if isinstance(settings, PPOSettings):
+            share = min(steps / settings.total_steps, 1.0)
+            with torch.no_grad():
+                self.model.policy.log_std.fill_(settings.log_standard_deviation_at(share))
+        due = self._passed(self._log_every, self._logged)
+        if due:
+            self._log()
+            self._logged = steps
+        if self._file is not None and (due or self._checkpoint is None):
+            self._checkpoint = take(self.model, self._env, self.seconds)
+            if self._written is None or time.monotonic() - self._written > self._checkpoint_seconds:
+                self.write_checkpoint()
+
+    @property
+    def _env(self) -> AxisVecEnv:
+        return cast(AxisVecEnv, self.model.get_env())
+
+    def _mean_reward(self) -> float:
+        """Mean reward per control period over the last episodes; NaN before the first one has ended."""
+        episodes = self.model.ep_info_buffer or ()
+        return float(np.mean([episode["r"] / episode["l"] for episode in episodes])) if episodes else math.nan
+
+    def _log(self) -> None:
+        """Write a row of the log, with a validation if one is due."""
+        steps, every = self.num_timesteps, self._settings.validation_every
+        lengths = [episode["l"] for episode in self.model.ep_info_buffer or ()]
+        row = {f"reward/{name}": value for name, value in self._env.mean_rewards().items()}
+        row["rollout/ep_len_mean"] = float(np.mean(lengths)) if lengths else math.nan
+        if every and (self._passed(every, self._logged) or steps >= self._settings.total_steps):
+            row |= {f"validation/{name}": value for name, value in self._validation().items()}
+        row |= {"rollout/mean_reward": self._mean_reward(), "time/time_elapsed": self.seconds}
+        for name, value in row.items():
+            self.logger.record(name, value)
+        self.logger.dump(steps)
+
+    def _validation(self) -> dict[str, float]:
+        base = self._features.base
+        if base is not None and math.isnan(self._base_error):
+            self._base_error = validation_errors(self._config, base)[0]
+        mean, worst, failures = validation_errors(self._config, self._policy())
+        return {
+            "mean_error_mm": mean,
+            "worst_error_mm": worst,
+            "failures": failures,
+            "base_mean_error_mm": self._base_error,
+            "error_to_corrected": mean / self._base_error,
+        }
+
+    def write_checkpoint(self) -> None:
+        """Write the state at the start of the present rollout, or of the next rollout if none is in progress."""
+        if self._file is not None and self._checkpoint is not None:
+            if isinstance(self._settings, SACSettings):
+                self._checkpoint = take(self.model, self._env, self.seconds)
+            self._file.write(self._checkpoint)
+            self._written = time.monotonic()

@@ -8,7 +8,7 @@ import yaml
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID, PIDGains
-from hydro_agents.learning.features import Normalisation, PolicyFeatures, observed
+from hydro_agents.learning.features import Normalisation, PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.folders import config_folder
@@ -47,14 +47,9 @@ def test_a_normalisation_is_linear_near_its_centre_and_logarithmic_far_away():
 
 def test_units_are_those_that_the_inputs_have():
     """A constant, white noise of known size, and an input that moves now and then."""
-    rng = np.random.default_rng(0)
-
-    def act(observation, memory, step):
-        count = len(observation)
-        columns = [np.full(count, 7.0), rng.normal(3.0, 2e-4, count), np.where(rng.random(count) < 0.05, 1.0, 0.0)]
-        return np.stack(columns, axis=1), np.zeros((count, 1), np.float32), None
-
-    centre, unit = observed(CONFIG, act)
+    rng, rows = np.random.default_rng(0), 200_000
+    columns = [np.full(rows, 7.0), rng.normal(3.0, 2e-4, rows), np.where(rng.random(rows) < 0.05, 1.0, 0.0)]
+    centre, unit = Normalisation.of(np.stack(columns, axis=1))
     np.testing.assert_allclose(centre, [7.0, 3.0, 0.0], atol=1e-5)
     assert unit[0] == 1.0  # a constant has no size
     assert unit[1] == pytest.approx(0.8416 * 2e-4, rel=0.02)  # 60 % of a normal distribution

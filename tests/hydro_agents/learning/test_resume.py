@@ -13,7 +13,7 @@ from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.checkpoint import CHECKPOINT_FILE
 from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings, Prices
-from hydro_agents.learning.training import train_ppo
+from hydro_agents.learning.training import train_policy
 from hydro_agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 
@@ -27,7 +27,7 @@ KIND = "training checkpoint"
 
 
 def train(folder, **options):
-    return train_ppo(CONFIG, options.pop("settings", SETTINGS), BASE, seed=1, folder=folder, **options)
+    return train_policy(CONFIG, options.pop("settings", SETTINGS), BASE, seed=1, folder=folder, **options)
 
 
 def result(policy, folder):
@@ -112,7 +112,7 @@ def test_resume_needs_a_checkpoint_of_the_same_settings(tmp_path):
         ("another seed; cannot resume", CONFIG, BASE, 2),
     ):
         with pytest.raises(ConfigurationError, match=message):
-            train_ppo(config, SETTINGS, base, seed, tmp_path, resume=True)
+            train_policy(config, SETTINGS, base, seed, tmp_path, resume=True)
 
 
 def test_a_training_that_begins_anew_drops_the_checkpoint_before_anything_else(tmp_path):

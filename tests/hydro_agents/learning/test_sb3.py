@@ -8,7 +8,7 @@ from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.training import train_ppo
+from hydro_agents.learning.training import train_policy
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -21,7 +21,7 @@ SETTINGS = PPOSettings(total_steps=128, axes=4, steps_per_rollout=16, minibatche
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
 def test_there_and_back_with_the_critic(tmp_path, activation):
     settings = SETTINGS.model_copy(update={"activation": activation})
-    train_ppo(CONFIG, settings, PID(PIDGains(), CONFIG)).save(tmp_path / "policy")
+    train_policy(CONFIG, settings, PID(PIDGains(), CONFIG)).save(tmp_path / "policy")
     policy = PolicyController.load(tmp_path / "policy")
     env = AxisVecEnv(CONFIG, 4, policy.features)
     model = policy.to_sb3(env, n_steps=16, batch_size=32, seed=0)

@@ -8,7 +8,7 @@ from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.features import LASTING_TIME, PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings, Prices
-from hydro_agents.learning.training import in_family_units, make_env, make_features, make_model, train_ppo
+from hydro_agents.learning.training import in_family_units, make_env, make_features, make_model, train_policy
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import family_errors
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -76,7 +76,7 @@ def test_the_last_inputs_of_an_episode_hold_the_last_hidden_state():
 
 
 def test_weights_with_such_a_critic_go_to_a_file_and_to_stable_baselines3_and_back(tmp_path):
-    policy = train_ppo(CONFIG, SMALL, BASE)
+    policy = train_policy(CONFIG, SMALL, BASE)
     policy.save(tmp_path / "policy")
     again = PolicyController.load(tmp_path / "policy")
     env = AxisVecEnv(CONFIG, 4, again.features, told_critic=True)

@@ -13,7 +13,7 @@ from hydro_agents.controllers.flow_linearising import pace
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.training import discount, make_env, make_features, make_model, train_ppo
+from hydro_agents.learning.training import discount, make_env, make_features, make_model, train_policy
 from hydro_agents.running.cases import validation_cases, validation_errors
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
@@ -32,8 +32,8 @@ def weights_of(policy):
 
 
 def test_same_seed_gives_the_same_weights_and_another_does_not():
-    first, second = (train_ppo(CONFIG, SETTINGS, BASE, seed=1) for _ in range(2))
-    other = train_ppo(CONFIG, SETTINGS, BASE, seed=2)
+    first, second = (train_policy(CONFIG, SETTINGS, BASE, seed=1) for _ in range(2))
+    other = train_policy(CONFIG, SETTINGS, BASE, seed=2)
     np.testing.assert_array_equal(weights_of(first), weights_of(second))
     assert not np.array_equal(weights_of(first), weights_of(other))
     assert first.training["steps"] == 1024
@@ -46,10 +46,10 @@ def test_check_sees_the_policy_between_rollouts_and_may_end_the_training():
         seen.append((steps, seconds, weights_of(policy)))
         return steps >= 512
 
-    plain = train_ppo(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), BASE, seed=1, check=lambda *_: False)
-    reference = train_ppo(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), BASE, seed=1)
+    plain = train_policy(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), BASE, seed=1, check=lambda *_: False)
+    reference = train_policy(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), BASE, seed=1)
     np.testing.assert_array_equal(weights_of(plain), weights_of(reference))
-    policy = train_ppo(CONFIG, SETTINGS, BASE, seed=1, check=check)
+    policy = train_policy(CONFIG, SETTINGS, BASE, seed=1, check=check)
     assert [steps for steps, _, _ in seen] == [0, 256, 512]
     assert all(second >= 0.0 for _, second, _ in seen)
     assert not np.array_equal(seen[0][2], seen[1][2])
@@ -60,7 +60,7 @@ def test_check_sees_the_policy_between_rollouts_and_may_end_the_training():
 def test_weights_round_trip(tmp_path, residual):
     seen = {"see_correction": residual, "full_preview": True}
     settings = SETTINGS.model_copy(update={"residual": residual, "total_steps": 256, **seen})
-    policy = train_ppo(CONFIG, settings, BASE)
+    policy = train_policy(CONFIG, settings, BASE)
     policy.save(tmp_path / "policy")
     again = PolicyController.load(tmp_path / "policy.safetensors")
     assert again.activation == policy.activation
@@ -84,7 +84,7 @@ def test_learning_rate_falls_along_a_cosine_to_a_tenth():
 def test_log_of_a_training(tmp_path):
     """Schedules are followed, rows come once per update, and stable-baselines3's figures are in them."""
     settings = SETTINGS.model_copy(update={"validation_every": 600, "learning_rate": 0.01})
-    policy = train_ppo(CONFIG, settings, BASE, seed=1, folder=tmp_path)
+    policy = train_policy(CONFIG, settings, BASE, seed=1, folder=tmp_path)
     rows = read_progress(tmp_path / PROGRESS_FILE)
     share = np.array([0.25, 0.5, 0.75, 1.0])
     assert [row[STEPS] for row in rows] == [256.0, 512.0, 768.0, 1024.0]
@@ -114,7 +114,7 @@ def test_log_of_a_training(tmp_path):
 def test_an_update_begins_with_the_policy_of_its_rollout(tmp_path):
     """Ratio 1 in the first minibatch of each update, here the only one, although the exploration falls by e³."""
     settings = {"epochs": 1, "minibatches": 1, "initial_log_standard_deviation": 0.0}
-    train_ppo(CONFIG, SETTINGS.model_copy(update=settings), BASE, folder=tmp_path)
+    train_policy(CONFIG, SETTINGS.model_copy(update=settings), BASE, folder=tmp_path)
     rows = read_progress(tmp_path / PROGRESS_FILE)
     assert rows[-1]["train/std"] == pytest.approx(np.exp(-2.25))
     divergence = [row["train/approx_kl"] for row in rows]  # mean of ratio − 1 − ln ratio, 0 where the ratio is 1
@@ -131,8 +131,8 @@ def test_the_discount_is_that_of_a_time_relative_to_the_rig():
 
 
 def test_logs_validation_and_checkpoints_leave_the_weights_as_they_are(tmp_path):
-    silent = train_ppo(CONFIG, SETTINGS.model_copy(update={"validation_every": 0}), BASE, seed=3)
-    logged = train_ppo(
+    silent = train_policy(CONFIG, SETTINGS.model_copy(update={"validation_every": 0}), BASE, seed=3)
+    logged = train_policy(
         *(CONFIG, SETTINGS.model_copy(update={"validation_every": 256}), BASE),
         **{"seed": 3, "folder": tmp_path, "checkpoint_seconds": 0.0},
     )
@@ -150,7 +150,7 @@ def test_validation_covers_families_and_leaks_on_validation_plants():
 
 def test_progress_tells_where_a_training_stands():
     seen = []
-    train_ppo(CONFIG, SETTINGS, BASE, progress=seen.append)
+    train_policy(CONFIG, SETTINGS, BASE, progress=seen.append)
     assert [progress.steps for progress in seen] == [256, 512, 768, 1024]
     assert all(progress.total_steps == 1024 for progress in seen)
     assert all(progress.mean_reward < 0.0 for progress in seen[1:])
@@ -159,7 +159,7 @@ def test_progress_tells_where_a_training_stands():
 def test_minibatches_of_two_samples_and_seconds_of_training():
     smallest = {"axes": 4, "steps_per_rollout": 4, "minibatches": 8, "total_steps": 16, "hidden_sizes": [4]}
     began = time.monotonic()
-    policy = train_ppo(CONFIG, validate(PPOSettings, smallest, "ppo.yaml"), BASE)
+    policy = train_policy(CONFIG, validate(PPOSettings, smallest, "ppo.yaml"), BASE)
     assert 0.0 <= policy.training["seconds"] <= time.monotonic() - began + 0.1
 
 
@@ -218,7 +218,7 @@ def test_impossible_settings_are_refused_with_one_line(change, message):
 
 @pytest.fixture
 def saved(tmp_path):
-    policy = train_ppo(CONFIG, SETTINGS.model_copy(update={"total_steps": 256}), BASE)
+    policy = train_policy(CONFIG, SETTINGS.model_copy(update={"total_steps": 256}), BASE)
     policy.save(tmp_path / "policy")
     return tmp_path / "policy"
 
@@ -255,7 +255,7 @@ def test_foreign_and_damaged_weights_are_refused(saved):
 
 def test_tensorboard_gets_the_same_figures_where_it_is_installed(tmp_path):
     events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    train_ppo(CONFIG, SETTINGS, BASE, folder=tmp_path)
+    train_policy(CONFIG, SETTINGS, BASE, folder=tmp_path)
     stored = events.EventAccumulator(str(tmp_path))
     stored.Reload()
     rows = read_progress(tmp_path / PROGRESS_FILE)

@@ -15,7 +15,7 @@ from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.opponents import gains_file, shipped, usual_gains
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.training import train_ppo
+from hydro_agents.learning.training import train_policy
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.study import results
 from hydro_agents.study.settings import default_study
@@ -81,7 +81,7 @@ def test_a_policy_without_pressures_is_trained_saved_and_read_again(tmp_path):
     settings = PPOSettings(
         total_steps=512, axes=16, steps_per_rollout=16, minibatches=2, epochs=1, hidden_sizes=(8,), torch_threads=1
     )
-    trained = train_ppo(POSITION_ALONE, settings, base, seed=1)
+    trained = train_policy(POSITION_ALONE, settings, base, seed=1)
     features = PolicyFeatures(POSITION_ALONE, base)
     assert features.history == ("position", "velocity_estimate", "previous_command", "tracking_error")
     trained.save(tmp_path / "policy")
