@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.comparison import Grid
-from hydro_agents.evaluation.limit_cycles import comes_to_rest
+from hydro_agents.evaluation.limit_cycles import comes_to_rest, rest_warning
 from hydro_agents.evaluation.metrics import COMPARED, METRICS
 from hydro_agents.report.content import Content, interval, shown, verdict
 from hydro_agents.report.experiments import leaks_of, stiffness_text
@@ -41,9 +41,9 @@ def findings_of(content: Content) -> list[Block]:
         numbers += [Table("At standstill, at the smallest leak", header, standing), Points(AT_REST)]
     sentences = [*_best(content), *sentences]
     base = content.row("limit_cycle_summary", controller=content.baseline)
-    restless = f"{content.baseline} does not come to rest: ratios to it compare with a controller in this state."
+    warning = rest_warning(content.baseline, base, baseline=True) if base else ""
     return [
-        *([Text(restless, "caution")] if base and not comes_to_rest(base) else []),
+        *([Text(warning, "caution")] if warning else []),
         *([Cards(sentences)] if sentences else []),
         *([Fold("The numbers of these sentences", numbers)] if numbers else []),
     ]
