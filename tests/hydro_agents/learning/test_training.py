@@ -9,7 +9,6 @@ import pytest
 from refusal import undigested
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.controllers.flow_linearising import pace
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
@@ -19,6 +18,7 @@ from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 from hydro_env.task.configuration import task_config
+from hydro_env.task.paces import pace
 
 CONFIG = TaskConfig(episode_duration=0.1)
 BASE = PID(PIDGains(), CONFIG)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.controllers.flow_linearising import pace
 from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import Prices
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
+from hydro_env.task.paces import pace
 from hydro_env.task.rewards import REWARD_TERMS
 
 CONFIG = TaskConfig(episode_duration=0.1)
