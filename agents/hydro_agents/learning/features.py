@@ -7,6 +7,7 @@ sees 10 µm and 10 mm.
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from typing import Annotated, Any, NamedTuple
 
@@ -17,10 +18,11 @@ from pydantic import Field
 from hydro_agents.controllers.base import ClassicalController, Observation, ObservationLayout, rows
 from hydro_agents.controllers.preview import Preview
 from hydro_agents.controllers.registry import CONTROLLERS, kind_of, make_controller
+from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group
-from hydro_env.task.paces import pace
+from hydro_env.task.paces import full_speed, pace
 from hydro_env.task.signals import data_sheet
 
 MIDDLE = 0.6  # share of the samples that stay within one unit
@@ -45,6 +47,9 @@ STEPS_PER_PACE = 1.54
 
 LASTING_TIME = 0.2  # s; time constant of the slow average of the correction. Integral action handles slower errors.
 PREVIEW_PACES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # of the reference that a policy for any axis sees
+USUAL_ERROR = 0.03  # of untuned flow linearisation, as a part of the travel at full speed in a pace; on the paper's rig
+CORRECTION_RANGE = (0.1, 3.0)  # of the correction's size, relative to that at the usual error
+ERROR_PLANTS = 8  # plants of each family of references on which the error is simulated
 PREVIEW_SCALE = 0.01  # m; scale of the rebuilt samples of the preview, the same as in the observation
 FEATURE_LIMIT = 50.0  # inputs of the policy are limited to ± this value
 
@@ -131,6 +136,9 @@ class PolicyFeatures:
     Raises:
         ConfigurationError: the corrected controller has no estimates.
     """
+
+    for_any_axis = False
+    """Whether the inputs mean the same on every rig."""
 
     normalising_seeds = SCALES.take(240)
     """Plants on which the inputs are observed for their typical sizes."""
@@ -291,26 +299,32 @@ class AnyAxisFeatures(PolicyFeatures):
     They are the measured signals, the reference some paces ahead, what the corrected controller commands and estimates,
     a history in steps of the rig, and the data sheet. On a rig without a spool sensor the last command replaces it.
 
+    A correction is as large as the rig allows: in proportion to the travel that the corrected controller's error is.
+
     Args:
         config: the task on a rig.
         base: the controller that the policy corrects, with its gains for any rig.
-        residual_scale: command per 1 of the policy's output.
+        correction: command per 1 of the policy's output where that error is :data:`USUAL_ERROR`.
         sheet: whether the policy sees the data sheet.
+        error: the error, as a part of the travel at full speed in a pace; :meth:`normalised` simulates it.
     """
 
+    for_any_axis = True
     normalising_seeds = SCALES.take(60)
 
     def __init__(
         self,
         config: TaskConfig,
         base: ClassicalController,
-        residual_scale: float = 0.2,
+        correction: float = 0.2,
         sheet: bool = True,
+        error: float = USUAL_ERROR,
     ) -> None:
         periods = periods_per_step(config)
         lags = tuple(max(round(lag * periods), place) for place, lag in enumerate(HISTORY_LAGS, 1))
-        super().__init__(config, base, residual_scale, True, True, True, lags=lags)
-        self.sheet = sheet
+        factor = float(np.clip(error / USUAL_ERROR, *CORRECTION_RANGE))
+        super().__init__(config, base, correction * factor, True, True, True, lags=lags)
+        self.correction, self.sheet, self.error = correction, sheet, error
         own, horizon = pace(config), self._preview.horizon
         samples = np.minimum(np.array(PREVIEW_PACES) * own / config.control_period, horizon)
         columns = np.arange(horizon + 2)[:, None] - 1.0  # −1: the sample before now
@@ -320,7 +334,8 @@ class AnyAxisFeatures(PolicyFeatures):
         before[:2, 0] = -own / config.control_period, own / config.control_period
         self._weights = np.concatenate([weights, before], axis=1) / PREVIEW_SCALE
         reach = horizon * config.control_period / own
-        self._sheet = np.array([*data_sheet(config).values(), min(reach, 8.0) / 4.0], np.float32)
+        more = [min(reach, 8.0) / 4.0, math.log(error / USUAL_ERROR)]
+        self._sheet = np.array([*data_sheet(config).values(), *more], np.float32)
         estimates = len(getattr(base, "estimate_names", ()))
         self.moving = len(HISTORY_SIGNALS) * (1 + len(lags)) + self._weights.shape[1] + 3 + estimates
         self.size = self.moving + (len(self._sheet) if sheet else 0)
@@ -343,7 +358,16 @@ class AnyAxisFeatures(PolicyFeatures):
 
     def describe(self) -> dict[str, Any]:
         """All data to build this object again (JSON)."""
-        return super().describe() | {"any_axis": True, "sheet": self.sheet, "history_signals": list(HISTORY_SIGNALS)}
+        own = {"any_axis": True, "sheet": self.sheet, "correction": self.correction, "error": self.error}
+        return super().describe() | own | {"history_signals": list(HISTORY_SIGNALS)}
+
+    def normalised(self) -> PolicyFeatures:
+        """The same features with the error of the corrected controller and normalised by its values, by simulation."""
+        base: Any = self.base
+        errors = family_errors(self.config, base, ERROR_PLANTS, sensor_frame=True)
+        error = math.exp(np.mean(np.log(list(errors.values())))) / (full_speed(self.config.plant) * pace(self.config))
+        features = AnyAxisFeatures(self.config, base, self.correction, self.sheet, error)
+        return PolicyFeatures.normalised(features)
 
     def moved_to(self, config: TaskConfig) -> AnyAxisFeatures:
         """The same features on another rig, normalised there by simulation.
@@ -352,10 +376,9 @@ class AnyAxisFeatures(PolicyFeatures):
             ConfigurationError: the rig lacks a sensor that the corrected controller reads.
         """
         base: Any = self.base
-        features = AnyAxisFeatures(config, type(base)(base.gains, config), self.residual_scale, self.sheet)
-        normalised = features.normalised()
-        assert isinstance(normalised, AnyAxisFeatures)
-        return normalised
+        moved = AnyAxisFeatures(config, type(base)(base.gains, config), self.correction, self.sheet).normalised()
+        assert isinstance(moved, AnyAxisFeatures)
+        return moved
 
 
 class _StoredBase(Group):
@@ -377,6 +400,8 @@ class StoredFeatures(Group):
     history_lags: tuple[Annotated[int, Field(ge=1, le=LONGEST_LAG)], ...] = Field(min_length=1, max_length=100)
     any_axis: bool = False
     sheet: bool = True
+    correction: float = Field(0.2, gt=0.0, le=2.0)
+    error: float = Field(1.0, gt=0.0, le=1e6)
 
     def features(self) -> PolicyFeatures:
         """The features, not yet normalised.
@@ -390,7 +415,7 @@ class StoredFeatures(Group):
                 raise ConfigurationError(f"features.base.kind = '{self.base.kind}': unknown to this version")
             base = make_controller(self.base.kind, self.task, self.base.settings)
         if self.any_axis:
-            return AnyAxisFeatures(self.task, base, self.residual_scale, self.sheet)
+            return AnyAxisFeatures(self.task, base, self.correction, self.sheet, self.error)
         seen = {name: getattr(self, name) for name in ("see_correction", "full_preview", "see_estimates")}
         features = PolicyFeatures(self.task, base, self.residual_scale, **seen, lags=self.history_lags)
         if self.history_signals != features.history:
