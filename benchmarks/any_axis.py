@@ -37,7 +37,8 @@ from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.paces import pace
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
-UNTUNED, POLICY, TUNED, FIGURES, ZERO = "untuned", "any axis", "tuned for the rig", "PID from figures", "valve shut"
+UNTUNED, POLICY, TUNED = "flow linearisation, untuned", "policy for any axis", "flow linearisation, tuned for the rig"
+FIGURES, PROPORTIONAL, ZERO = "PID from the rig's figures", "P from the rig's figures", "no command"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
 PLANTS = 8  # of each family and leak
 STANDSTILLS = 16
@@ -85,6 +86,8 @@ def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) ->
     }
     if figures is not None:
         controllers[FIGURES] = PID(figures, task)
+        more = ("integral", "feedforward_extending", "feedforward_retracting", "overlap_compensation")
+        controllers[PROPORTIONAL] = PID(figures.model_copy(update=dict.fromkeys(more, 0.0)), task)
     if tuned is not None:
         controllers[TUNED] = FlowLinearising(tuned_for(task, tuned / f"rig_{number:03}", 420), task)
     facts = {"rig": number, "period_ms": 1e3 * task.control_period, "pace_ms": 1e3 * pace(task)}
