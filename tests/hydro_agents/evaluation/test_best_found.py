@@ -8,8 +8,9 @@ from published import assert_published
 from scipy.optimize import lsq_linear
 
 from hydro_agents.evaluation.best_found import BestFound, BoundSettings, best_found
-from hydro_agents.evaluation.bound_comparison import NOMINAL, TRUTH, means_by, summary
+from hydro_agents.evaluation.bound_comparison import MEASURED, TRUTH, means_by, summary
 from hydro_agents.evaluation.prediction import Prediction, bounded_least_squares, continued, true_schedule
+from hydro_agents.evaluation.state_filter import StateFilter
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.text import frame_markdown
@@ -40,8 +41,8 @@ def truth():
 
 
 @pytest.fixture(scope="module")
-def nominal():
-    return best_found(SHORT, CASES, "nominal")
+def measured():
+    return best_found(SHORT, CASES, "measured")
 
 
 @pytest.fixture(scope="module")
@@ -121,15 +122,56 @@ def test_smooth_motion_is_followed_to_micrometres(truth):
     assert errors(truth)[smooth].max() < 2e-6
 
 
-def test_the_truth_is_worth_something(truth, nominal):
-    assert np.all(errors(truth) <= errors(nominal) + 1e-6)
+def test_the_state_is_worth_something(truth, measured):
+    assert np.all(errors(truth) <= errors(measured) + 1e-6)
 
 
-@pytest.mark.parametrize("told", ["truth", "nominal"])
-def test_a_case_depends_on_neither_its_neighbours_nor_threads(told, truth, nominal):
+@pytest.mark.parametrize("told", ["truth", "measured"])
+def test_a_case_depends_on_neither_its_neighbours_nor_threads(told, truth, measured):
     again = best_found(SHORT, CASES.part(4, 6), told, {"threads": 3}, chunk=1)
-    whole = {"truth": truth, "nominal": nominal}[told]
+    whole = {"truth": truth, "measured": measured}[told]
     np.testing.assert_array_equal(again.position, whole.position[4:6])
+
+
+def test_with_a_measured_state_it_is_better_than_the_pid(measured, pid):
+    assert np.mean(errors(measured) < errors(pid)) > 0.9
+    assert errors(measured).mean() < 0.8 * errors(pid).mean()
+    assert np.all(measured.failed_at < 0)
+
+
+@pytest.mark.parametrize("config", [SHORT, CHANGING], ids=["constant", "changing leak, force, latency"])
+def test_the_filter_finds_the_state_below_the_noise_of_the_sensors(config):
+    """Position in the sensor's frame, speed, and pressures without the offsets of their sensors."""
+    env = ServoHydraulicVectorEnv(8, config, info=False)
+    env.reset(seed=list(range(40, 48)), options={"leakage_flow_lpm": 2.0})
+    axes, prediction = env.axes, prediction_of(config, env, 1)
+    estimate = StateFilter(config, axes)
+    wrong = []
+    for period in range(config.steps - 1):
+        state, truth = estimate.updated(axes, prediction), axes.state.copy()
+        truth[:, 0] += axes.column("bias")[:, 0]
+        wrong.append(state - truth)
+        env.step(np.full((8, 1), 0.1 * np.sin(0.2 * period)))
+    position, speed, pressure_a, pressure_b = np.sqrt(np.mean(np.square(wrong[20:]), axis=(0, 1)))[:4]
+    sensors = config.sensors
+    assert position < 0.3 * sensors.position.noise
+    assert speed < 0.1 * sensors.position.noise / config.control_period
+    assert pressure_a < sensors.pressure_a.bias
+    assert pressure_b < 0.5 * sensors.pressure_b.bias
+
+
+def test_the_filter_derives_as_the_integrator_does():
+    """The derivative of the next state, by a change of the first state that is ten times as large."""
+    env = ServoHydraulicVectorEnv(3, SHORT, info=False)
+    env.reset(seed=[1, 2, 3])
+    axes, prediction = env.axes, prediction_of(SHORT, env, 1)
+    state, command = axes.state.copy(), np.full(3, 0.1)
+    after, change = prediction.next_state(state, command, command, 0)
+    moved = state.copy()
+    moved[:, 2] += 1e3  # Pa
+    np.testing.assert_allclose(
+        prediction.next_state(moved, command, command, 0)[0] - after, 1e3 * change[:, :, 2], rtol=0.1
+    )
 
 
 def test_without_the_sensors_aim_the_true_position_follows():
@@ -151,7 +193,7 @@ def test_the_reference_beyond_the_preview():
 
 
 def test_impossible_settings_are_refused():
-    with pytest.raises(ConfigurationError, match=r"told = 'half': must be 'truth' or 'nominal'"):
+    with pytest.raises(ConfigurationError, match=r"told = 'half': must be 'truth' or 'measured'"):
         best_found(SHORT, CASES, "half")
     with pytest.raises(ConfigurationError, match="best found: horizon = 0"):
         best_found(SHORT, CASES, settings={"horizon": 0})
@@ -166,7 +208,7 @@ def test_the_command_writes_every_case_and_a_table(tmp_path):
     assert_published("bound", tmp_path / "out")
     cases = pd.read_csv(tmp_path / "out" / "bound.csv")
     shipped = {"PID", "PID mended", "ADRC", "LQG", "Flow linearisation", "PPO on flow linearisation"}
-    assert set(cases["controller"]) == {*shipped, TRUTH, NOMINAL}
+    assert set(cases["controller"]) == {*shipped, TRUTH, MEASURED}
     assert len(cases) == (len(shipped) + 2) * 2 * 6 * 3  # controllers, leaks, families, plants
     mean = cases[cases["controller"] == TRUTH]["error_mm"].mean()
     assert f"| {mean:.4f} |" in answer.stdout
@@ -190,11 +232,11 @@ def test_the_summary_has_both_frames():
             "true_error_mm": error + 0.03,
             "valve_travel_per_s": 2.0,
         }
-        for name, error in (("PID", 0.2), (NOMINAL, 0.1), (TRUTH, 0.0))
+        for name, error in (("PID", 0.2), (MEASURED, 0.1), (TRUTH, 0.0))
         for family in ("step", "sine")
     ]
     table = summary(pd.DataFrame(rows), "family")
-    assert list(table.columns) == ["PID", NOMINAL, TRUTH, "PID, true position", "floor, true position"]
+    assert list(table.columns) == ["PID", MEASURED, TRUTH, "PID, true position", "floor, true position"]
     np.testing.assert_allclose(table.loc["mean"], [0.2, 0.1, 0.0, 0.23, 0.03])
     travel = means_by(pd.DataFrame(rows), "valve_travel_per_s")
     assert frame_markdown(travel, 1).splitlines()[-1] == "| mean | 2.0 | 2.0 | 2.0 |"
