@@ -1,20 +1,16 @@
 """The single environment as Gymnasium and stable-baselines3 expect it: checkers, seeds, spec, copies, threads."""
 
-import copy
 import json
-import pickle
 import random
 import warnings
-from concurrent.futures import ThreadPoolExecutor
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 import hydro_env
-from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv
 
 ID = "ServoHydraulic-v0"
 
@@ -162,33 +158,6 @@ def test_np_random_is_gymnasiums():
 # Returned values ------------------------------------------------------------------------------------------------------
 
 
-def test_returned_arrays_are_fresh():
-    env = ServoHydraulicEnv()
-    kept, copies = [], []
-    observation, info = env.reset(seed=0)
-    kept.append((observation, info))
-    copies.append((observation.copy(), copy.deepcopy(info)))
-    for number in range(5):
-        observation, *_, info = env.step(np.full(1, 0.1 * number, np.float32))
-        kept.append((observation, info))
-        copies.append((observation.copy(), copy.deepcopy(info)))
-    env.reset()
-    for (observation, info), (before, info_before) in zip(kept, copies, strict=True):
-        np.testing.assert_array_equal(observation, before)
-        assert info == info_before
-    observation[:] = 7.0  # a caller may write into what it was given
-    info["reward_terms"]["effort"] = 7.0
-    assert (env.step(np.zeros(1))[0] != 7.0).any()
-
-
-def test_the_action_of_the_caller_is_left_alone():
-    env = ServoHydraulicEnv()
-    env.reset(seed=0)
-    action = np.array([3.0], dtype=np.float32)
-    env.step(action)
-    assert action.tolist() == [3.0]
-
-
 def test_types_of_what_step_returns():
     env = ServoHydraulicEnv()
     observation, info = env.reset(seed=0)
@@ -202,28 +171,6 @@ def test_types_of_what_step_returns():
 
 
 # Spec, copies, many at once -------------------------------------------------------------------------------------------
-
-
-def test_the_spec_makes_the_same_environment_again():
-    env = gym.make(ID, control_period=0.004, leakage={"healthy_share": 0.5})
-    text = env.spec.to_json()
-    assert json.loads(text)["kwargs"]["control_period"] == 0.004
-    for again in (gym.make(env.spec), gym.make(EnvSpec.from_json(text)), copy.deepcopy(env.spec).make()):
-        assert again.unwrapped.config == env.unwrapped.config
-        assert again.spec == env.spec
-        assert_same(rollout(env, seed=2), rollout(again, seed=2))
-
-
-def test_the_spec_is_plain_data_however_the_task_was_given(tmp_path):
-    task = TaskConfig(control_period=0.004)
-    task.to_yaml(tmp_path / "task.yaml")
-    for config in (task, task.model_dump(), tmp_path / "task.yaml"):
-        env = gym.make(ID, config=config, plant=PlantParameters())
-        again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-        assert again.unwrapped.config == env.unwrapped.config == task
-        envs = gym.make_vec(ID, num_envs=2, config=config)
-        assert json.loads(envs.spec.to_json())["kwargs"]["config"]
-        assert envs.unwrapped.config == task
 
 
 def test_no_leak_is_told_as_none():
@@ -244,54 +191,12 @@ def test_no_leak_is_told_as_none():
         assert (info["leakage_resistance"] == np.inf).all()
 
 
-def test_gym_make_cuts_episodes_with_its_own_limit_too():
-    env = gym.make(ID, max_episode_steps=7)
-    env.reset(seed=0)
-    assert [env.step(np.zeros(1, np.float32))[3] for _ in range(7)] == [False] * 6 + [True]
-
-
 def test_registration():
     assert hydro_env.ENVIRONMENT_ID == ID
     spec = gym.spec(ID)
     assert spec.entry_point == "hydro_env.env:ServoHydraulicEnv"
     assert spec.vector_entry_point == "hydro_env.vector_env:ServoHydraulicVectorEnv"
     assert spec.max_episode_steps is None
-
-
-@pytest.mark.parametrize(
-    "duplicate", [lambda env: pickle.loads(pickle.dumps(env)), copy.deepcopy], ids=["pickle", "copy"]
-)
-def test_a_copy_goes_on_like_the_original(duplicate):
-    env = ServoHydraulicEnv()
-    rollout(env, steps=20, seed=4)
-    other = duplicate(env)
-    actions = np.random.default_rng(3).uniform(-1, 1, (30, 1))
-    first = [env.step(action)[:4] for action in actions]
-    second = [other.step(action)[:4] for action in actions]
-    for a, b in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a[0], b[0])
-        assert a[1:] == b[1:]
-    np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
-
-
-def test_environments_in_one_process_do_not_meet():
-    """Interleaved, and of different tasks."""
-    tasks = ({}, {}, {"control_period": 0.01})
-    alone = [rollout(ServoHydraulicEnv(**task), seed=seed)[0] for seed, task in enumerate(tasks, 1)]
-    environments = [ServoHydraulicEnv(**task) for task in tasks]
-    rngs = [np.random.default_rng(0) for _ in environments]
-    rows = [[env.reset(seed=seed)[0]] for env, seed in zip(environments, (1, 2, 3), strict=True)]
-    for _ in range(60):
-        for env, rng, row in zip(environments, rngs, rows, strict=True):
-            row.append(env.step(rng.uniform(-1, 1, 1).astype(np.float32))[0])
-    np.testing.assert_array_equal(rows, alone)
-
-
-def test_environments_may_run_in_threads():
-    with ThreadPoolExecutor(2) as pool:
-        parallel = list(pool.map(lambda seed: rollout(ServoHydraulicEnv(), 200, seed=seed), range(4)))
-    for seed, rows in enumerate(parallel):
-        assert_same(rows, rollout(ServoHydraulicEnv(), 200, seed=seed))
 
 
 def test_whoever_steps_on_after_the_end_is_told_so_each_time():
@@ -303,24 +208,6 @@ def test_whoever_steps_on_after_the_end_is_told_so_each_time():
         assert not terminated
         assert info["reference"] == pytest.approx(0.001 * min(step, 10))
         assert env.observation_space.contains(observation)
-
-
-def test_close_may_be_called_twice():
-    env = ServoHydraulicEnv()
-    env.reset(seed=0)
-    env.close()
-    env.close()
-    assert np.isfinite(env.reset(seed=0)[0]).all()
-
-
-def test_step_needs_a_reset():
-    with pytest.raises(ConfigurationError, match="step: call reset first"):
-        ServoHydraulicEnv().step(np.zeros(1))
-
-
-def test_unknown_render_mode_is_refused():
-    with pytest.raises(ConfigurationError, match="render_mode = 'ascii': must be 'human', 'rgb_array' or None"):
-        ServoHydraulicEnv(render_mode="ascii")
 
 
 def test_parameters_tell_the_plant_of_the_episode():
