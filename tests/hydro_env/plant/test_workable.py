@@ -194,8 +194,3 @@ IMPOSSIBLE = {
 def test_an_impossible_rig_is_refused(groups, message):
     with refused(f"^rig: .*{message}"):
         refuse_unworkable(PlantParameters().replace(**groups))
-
-
-def test_a_second_rod_must_fit():
-    with pytest.raises(ConfigurationError, match=r"rod_diameter_a = 40 mm does not fit.* bore_diameter = 40 mm"):
-        PlantParameters().replace(cylinder={"rod_diameter_a": 0.04})

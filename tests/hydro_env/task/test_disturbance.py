@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from refusal import refused
 
 from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, simulate
 from hydro_env.plant.states import STATE_NAMES
@@ -105,17 +104,3 @@ def test_the_force_of_the_last_episode_is_forgotten():
     assert env.axes.external_force(0) != 0.0
     env.reset()
     assert env.axes.external_force(0) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("disturbance", "message"),
-    [
-        ({"kind": "gust"}, "disturbance.kind = 'gust': .*one of none, step, pulse, sine"),
-        ({"force_range": [500.0, 100.0]}, r"force_range = \[500, 100\]: must rise within 0 to 1e[+]06 N"),
-        ({"force_range": [float("nan"), 100.0]}, "force_range.* must be a number, not NaN"),
-        ({"pulse_duration": 0.0}, "pulse_duration = 0.0: .*unit: s"),
-    ],
-)
-def test_impossible_disturbances_are_refused_with_one_line(disturbance, message):
-    with refused(message):
-        ServoHydraulicEnv(disturbance=disturbance)

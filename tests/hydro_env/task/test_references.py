@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from refusal import refused
 from scipy import stats
 
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicEnv, ServoHydraulicVectorEnv
@@ -230,23 +229,3 @@ def test_a_users_reference_competes_with_the_others_by_weight():
     assert 430 < users.sum() < 570
     assert (info["reference"][users] == 0.01).all()
     assert (info["reference_family"][~users] == "step").all()
-
-
-@pytest.mark.parametrize(
-    ("references", "message"),
-    [
-        ({"weights": {"zigzag": 1.0}}, "unknown family 'zigzag'; known: step, point_to_point"),
-        ({"weights": {"step": 0.0}}, "at least one family needs a positive weight"),
-        ({"weights": {"step": -1.0}}, "weights.step = -1.0: .*within 0 to"),
-        ({"weights": {"user": 1.0}}, "family 'user' needs 'user', an array of positions"),
-        ({"weights": {"user": 1.0}, "user": [0.0, 0.3]}, r"references.user\[1\] = 0.3 m: must be a position within"),
-        ({"weights": {"user": 1.0}, "user": [float("nan")]}, r"references.user.*nan"),
-        ({"step_range": [0.02, 0.01]}, r"step_range = \[0.02, 0.01\]: must rise within 1e-06 to 10 m"),
-        ({"frequency_range": [0.0, 1.0]}, r"frequency_range = \[0, 1\]: must rise within 0.001 to 1000 Hz"),
-        ({"preview_times": [0.02, 0.01]}, "preview_times must rise"),
-        ({"range_share": 0.99}, "range_share = 0.99: .*at most 0.95"),
-    ],
-)
-def test_impossible_references_are_refused_with_one_line(references, message):
-    with refused(message):
-        ServoHydraulicEnv(references=references)

@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.folders import config_folder
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.task.configuration import task_config
@@ -198,69 +198,6 @@ def test_every_task_can_begin_on_every_rig(task, rig):
     observation, reward, *_ = envs.step(np.zeros((60, 1)))
     assert np.isfinite(observation).all()
     assert np.isfinite(reward).all()
-
-
-WRONG = {
-    "unknown rig": (
-        {"rig": "aalborg"},
-        f"rig 'aalborg': unknown; did you mean aalborg_svsdp_2017? known: {', '.join(RIGS)}; or give the path",
-    ),
-    "unknown task": ({"task": "hard"}, f"task 'hard': unknown; known: {', '.join(TASKS)}; or give the path"),
-    "no file": ({"rig": "absent/rig.yaml"}, "absent/rig.yaml: cannot be read: No such file"),
-    "two tasks": ({"task": "default", "config": {}}, "task: 'task' and 'config' are two names of one argument"),
-    "two rigs": ({"rig": "symmetric_eha", "plant": "kovari_2015"}, "task: rig = 'symmetric_eha' and plant = "),
-    "no text": ({"rig": 3}, "task: rig = '3': must be the name or the YAML file of a rig"),
-    "another rig's range": (
-        {"config": {"randomisation": {"load.mass": {"uniform": [40, 80]}}}, "rig": "aalborg_svsdp_2017"},
-        r"aalborg_svsdp_2017.yaml: load.mass = 658: the task draws it from 40 to 80, the range of another rig; give",
-    ),
-    "factor of infinity": (
-        {"randomisation": {"leakage.external_resistance": {"factor": [0.5, 2.0]}}},
-        "task: randomisation: leakage.external_resistance: the rig's own value is infinite and has no multiples",
-    ),
-    "negative factor": (
-        {"randomisation": {"load.mass": {"factor": [-1.0, 2.0]}}},
-        "task: randomisation.load.mass: factor needs positive bounds",
-    ),
-    "factor times": (
-        {"randomisation": {"load.mass": {"factor": [1.0, 2.0], "times": "supply.pressure"}}},
-        "task: randomisation.load.mass: factor already multiplies the rig's own value: leave out 'times'",
-    ),
-}
-
-
-@pytest.mark.parametrize(("arguments", "message"), WRONG.values(), ids=WRONG)
-def test_what_does_not_fit_is_answered_with_one_line(arguments, message):
-    for make in (ServoHydraulicEnv, ServoHydraulicVectorEnv):
-        with pytest.raises(ConfigurationError) as caught:
-            make(**arguments)
-        assert message in str(caught.value)
-        assert len(str(caught.value).splitlines()) == 1
-
-
-RIG_FILES = {
-    "a range of nothing": (
-        "randomisation: {load.weight: {factor: [1, 2]}}",
-        "'load.weight' is not a number of the plant",
-    ),
-    "a wrong range": ("randomisation: {load.mass: {factor: [2, 1]}}", "randomisation.load.mass: bounds = [2, 1]"),
-    "beyond a limit": (
-        "randomisation: {load.mass: {uniform: [0, 1]}}",
-        "randomisation: load.mass = 0 kg is below its limit",
-    ),
-    "cannot work": ("load: {external_force: 1e6}", "load.external_force = 1e+06 N: "),
-}
-
-
-@pytest.mark.parametrize(("text", "message"), RIG_FILES.values(), ids=RIG_FILES)
-def test_a_wrong_rig_is_named_with_its_key(text, message, tmp_path):
-    file = tmp_path / "rig.yaml"
-    file.write_text(text)
-    with pytest.raises(ConfigurationError) as caught:
-        task_config(rig=file)
-    assert str(caught.value).startswith(f"{file}: ")
-    assert message in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_the_rig_of_the_page_works(tmp_path):

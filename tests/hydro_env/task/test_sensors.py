@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from refusal import refused
 from scipy import stats
 
-from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, equilibrium
+from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, equilibrium
 from hydro_env.task.sensors import CHANNELS, SENSORS, Sensors
 from hydro_env.task.settings import ERROR_INTEGRAL_LIMIT, ERROR_INTEGRAL_TIME
 
@@ -275,25 +274,6 @@ def test_observations_stay_inside_the_box_whatever_is_done():
             assert ended > 0
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"position": {"noise": -1e-6}}, "sensors.position.noise = -1e-06: must be a number"),
-        ({"position": {"low": 0.3}}, "low = 0.3 must be below high = 0.2"),
-        ({"position": {"scale": 1.0}}, "sensors.position.scale = 1.0: unknown key; known here: noise, bias"),
-        ({"pressure_rise_time": -1.0}, "pressure_rise_time = -1.0: .*unit: s"),
-        ({"enabled": "perhaps"}, "sensors.enabled = 'perhaps'"),
-        ({"position": {"high": float("nan")}}, "sensors.position.high = nan"),
-    ],
-)
-def test_impossible_sensors_are_refused_with_one_line(given, message):
-    full = Sensors().model_dump()
-    for key, value in given.items():
-        full[key] = {**full[key], **value} if isinstance(value, dict) else value
-    with refused(message):
-        ServoHydraulicEnv(sensors=full)
-
-
 def test_a_sensor_that_is_not_fitted_leaves_the_observation():
     whole = ServoHydraulicVectorEnv(3)
     first, _ = whole.reset(seed=4)
@@ -303,5 +283,3 @@ def test_a_sensor_that_is_not_fitted_leaves_the_observation():
     assert list(without.axes.observation_names) == names
     kept = [whole.axes.observation_names.index(name) for name in names]
     np.testing.assert_array_equal(first[:, kept], second)
-    with pytest.raises(ConfigurationError, match=r"position.fitted = false"):
-        ServoHydraulicVectorEnv(1, sensors={"position": {"fitted": False}})
