@@ -2,11 +2,11 @@
 
 import pickle
 
-import gymnasium as gym
 import numpy as np
 import pytest
+from refusal import refused
 
-from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv
+from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv
 
 TASK = {
     "episode_duration": 0.2,
@@ -137,15 +137,6 @@ def test_states_move_between_single_and_vector_environments():
     assert (rows[0] != rows[1]).any()
 
 
-def test_through_the_wrappers_of_gymnasium():
-    env = gym.make("ServoHydraulic-v0", **TASK)
-    env.reset(seed=0)
-    state = env.unwrapped.get_state()
-    first = env.unwrapped.step(np.ones(1))[0]
-    env.unwrapped.set_state(state)
-    np.testing.assert_array_equal(env.unwrapped.step(np.ones(1))[0], first)
-
-
 def test_the_drawn_past_belongs_to_the_state():
     env = ServoHydraulicEnv(render_mode="rgb_array", **TASK)
     env.reset(seed=0)
@@ -160,24 +151,24 @@ def test_the_drawn_past_belongs_to_the_state():
 
 def test_wrong_states_are_answered_with_one_line():
     env, envs = begun(), ServoHydraulicVectorEnv(3, **TASK)
-    with pytest.raises(ConfigurationError, match="get_state: call reset first"):
+    with refused("get_state: call reset first"):
         envs.get_state()
-    with pytest.raises(ConfigurationError, match="set_state: call reset first, or give all axes a state"):
+    with refused("set_state: call reset first, or give all axes a state"):
         envs.set_state(env.get_state(), [0])
     envs.reset(seed=0)
     for wrong in (None, 3, "state", [], [None], {"arrays": 1}):
         for each in (env, envs):
-            with pytest.raises(ConfigurationError, match="set_state: must be a state from get_state"):
+            with refused("set_state: must be a state from get_state"):
                 each.set_state(wrong)
-    with pytest.raises(ConfigurationError, match="set_state: this is the state of another task"):
+    with refused("set_state: this is the state of another task"):
         ServoHydraulicEnv().set_state(env.get_state())
-    with pytest.raises(ConfigurationError, match="set_state: the state of 3 axes for 1: must be as many, or one"):
+    with refused("set_state: the state of 3 axes for 1: must be as many, or one"):
         env.set_state(envs.get_state())
     for axes in ([3], [-1], [0.5], [True]):
-        with pytest.raises(ConfigurationError, match=r"axes = .*: must be a whole number within 0 to 2"):
+        with refused(r"axes = .*: must be a whole number within 0 to 2"):
             envs.get_state(axes)
     for axes in (1, [], "01"):
-        with pytest.raises(ConfigurationError, match=r"axes = .*: must be numbers of axes"):
+        with refused(r"axes = .*: must be numbers of axes"):
             envs.set_state(env.get_state(), axes)
-    with pytest.raises(ConfigurationError, match="each axis may be named once"):
+    with refused("each axis may be named once"):
         envs.get_state([1, 1])

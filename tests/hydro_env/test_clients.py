@@ -40,7 +40,7 @@ def test_tools_may_inspect_an_environment_before_its_first_reset(make):
     env = make()
     assert not hasattr(env, "parameters")
     if make is ServoHydraulicEnv:
-        with pytest.raises(ConfigurationError, match="parameters: call reset first"):
+        with refused("parameters: call reset first"):
             _ = env.parameters
         env.reset(seed=0)
         assert hasattr(env, "parameters")
@@ -74,31 +74,6 @@ def test_wrappers_that_count_time_know_the_length():
     for _ in range(5):
         observation = env.step(np.zeros(1))[0]
     assert observation["time"] == pytest.approx(5 / 20)
-
-
-def test_a_planner_that_knows_get_state_and_set_state_alone():
-    """What tau-ctrl's planners do: branch, score candidates in a loop or on a vector environment, go on."""
-    env, candidates = gym.make(ID, episode_duration=0.1), np.linspace(-0.4, 0.4, 5)
-    plain = env.unwrapped
-    env.reset(seed=0)
-    untouched = ServoHydraulicEnv(episode_duration=0.1)
-    untouched.reset(seed=0)
-    for _ in range(6):
-        state = plain.get_state()
-        scores = []
-        for command in candidates:
-            plain.set_state(state)
-            scores.append([plain.step([command])[1] for _ in range(3)])
-        plain.set_state(state)
-        envs = ServoHydraulicVectorEnv(5, episode_duration=0.1)
-        envs.reset()
-        envs.set_state([state] * 5)
-        together = [envs.step(candidates[:, None])[1] for _ in range(3)]
-        np.testing.assert_array_equal(np.transpose(scores), together)
-        best = [candidates[np.argmax(np.sum(scores, axis=1))]]
-        mine, other = env.step(best), untouched.step(best)
-        np.testing.assert_array_equal(mine[0], other[0])
-        assert mine[1:4] == other[1:4]
 
 
 def test_the_vector_environment_tells_how_it_restarts():
@@ -165,14 +140,14 @@ def test_a_flat_info_of_one_axis():
 def test_wrong_seeds(make):
     env = make()
     for seed in (True, -1, 1.5, "3", object(), {}, NAN, [[1]], b"1"):
-        with pytest.raises(ConfigurationError, match=r"^seed = .*: must be a whole number of at least 0"):
+        with refused(r"^seed = .*: must be a whole number of at least 0"):
             env.reset(seed=seed)
-    with pytest.raises(ConfigurationError, match="seed"):
+    with refused("seed"):
         ServoHydraulicVectorEnv(2).reset(seed=[1, 1.5])
 
 
 def test_axes_that_do_not_fit_into_memory():
-    with pytest.raises(ConfigurationError, match="num_envs = 1000000 with 7200000 steps: too large for memory"):
+    with refused("num_envs = 1000000 with 7200000 steps: too large for memory"):
         ServoHydraulicVectorEnv(10**6, TaskConfig(control_period=0.5e-3, command_latency=0.0, episode_duration=3600.0))
 
 

@@ -3,8 +3,9 @@
 import math
 
 import pytest
+from refusal import refused
 
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.plant.parameters import PARAMETER_UNITS, PlantParameters
 from hydro_env.task.configuration import task_config
 from hydro_env.units import UNITS, flow_from_resistance, in_si, resistance_from_flow
@@ -60,11 +61,11 @@ def test_leaks_that_are_no_flow_are_refused():
     assert resistance_from_flow(1e-320) == resistance_from_flow(0) == math.inf
     assert flow_from_resistance(math.inf) == 0.0
     for wrong in (-1.0, math.nan, "1", None, [1.0, 2.0], 10**400, "9" * 10_000):
-        with pytest.raises(ConfigurationError, match="must be a number in l/min, at least 0"):
+        with refused("must be a number in l/min, at least 0"):
             resistance_from_flow(wrong)
-        with pytest.raises(ConfigurationError, match="must be a number in Pa s/m³, at least 0"):
+        with refused("must be a number in Pa s/m³, at least 0"):
             flow_from_resistance(wrong)
-    with pytest.raises(ConfigurationError, match="must be above 0"):
+    with refused("must be above 0"):
         flow_from_resistance(0.0)
 
 
@@ -83,7 +84,7 @@ def test_each_table_holds_the_si_unit_itself():
 def test_recordings_and_rigs_know_the_same_units():
     assert factor("position", "mm", "x") == 1e-3
     assert factor("pressure_a", "psi", "x") == pytest.approx(6894.757293168)
-    with pytest.raises(ConfigurationError, match="x: unit 'furlong': must be one of mm, m, "):
+    with refused("x: unit 'furlong': must be one of mm, m, "):
         factor("position", "furlong", "x")
 
 

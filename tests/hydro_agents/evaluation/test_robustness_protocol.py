@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+from refusal import refused
 from small_protocol import SMALL, named, small
 
 from hydro_agents.evaluation.conditions import file_sha256
@@ -10,7 +11,7 @@ from hydro_agents.evaluation.evaluate import StudyProtocol
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.report.robustness import GROUPS
 from hydro_agents.running.seeds import ROBUSTNESS
-from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 
 
 def plants_of(protocol, name):
@@ -66,8 +67,7 @@ def test_cases_are_paired_over_conditions_and_leaks_and_disjoint_from_the_ordina
         assert set(rows["leakage_flow_lpm"]) == {0.03, 4.0}
     everything = named("robustness")
     own = np.concatenate([everything.cases_in(name)[0].seeds for name in everything.conditions])
-    assert own.min() >= ROBUSTNESS.first
-    assert own.max() < ROBUSTNESS.first + ROBUSTNESS.count
+    assert ROBUSTNESS.first <= own.min() <= own.max() < ROBUSTNESS.first + ROBUSTNESS.count
     study = StudyProtocol(plants=9_000, conditions={"task": {}}).cases_in("task")[0]
     assert not set(own.tolist()) & set(study.seeds.tolist())
 
@@ -178,10 +178,8 @@ def test_a_sweep_makes_one_condition_per_parameter_and_factor(tmp_path):
 def test_what_is_wrong_is_named_in_one_line(tmp_path, changes, message):
     path = tmp_path / "own.yaml"
     path.write_text(yaml.safe_dump({**SMALL, **changes}))
-    with pytest.raises(ConfigurationError, match=message) as raised:
+    with refused(f"own.yaml.*{message}"):
         RobustnessProtocol.from_yaml(path)
-    assert "\n" not in str(raised.value)
-    assert "own.yaml" in str(raised.value)
 
 
 def test_a_protocol_moves_to_another_task_and_rig():
@@ -196,5 +194,5 @@ def test_a_protocol_moves_to_another_task_and_rig():
 
 
 def test_an_unknown_protocol_names_the_known_ones():
-    with pytest.raises(ConfigurationError, match=r"'robust': unknown; did you mean robustness\? known: leakage, "):
+    with refused(r"'robust': unknown; did you mean robustness\? known: leakage, "):
         named("robust")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 from stable_baselines3 import A2C, PPO, SAC, TD3
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
@@ -11,7 +12,7 @@ from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_policy
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.folders import pretrained_folder
-from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.1)
 LAYOUT = ObservationLayout.of(CONFIG)
@@ -63,12 +64,12 @@ def test_the_shipped_policy_trains_on_with_its_told_critic():
 
 def test_models_that_do_not_fit_are_refused():
     plain = AxisVecEnv(CONFIG, 2)
-    with pytest.raises(ConfigurationError, match="must be PolicyFeatures"):
+    with refused("must be PolicyFeatures"):
         PolicyController.from_sb3(PPO("MlpPolicy", plain, n_steps=8, batch_size=8, device="cpu"))
-    with pytest.raises(ConfigurationError, match="TD3Policy: must be an MlpPolicy of tanh or relu"):
+    with refused("TD3Policy: must be an MlpPolicy of tanh or relu"):
         PolicyController.from_sb3(TD3("MlpPolicy", plain, device="cpu", buffer_size=10))
     policy = PolicyController.load(pretrained_folder() / "policy")
-    with pytest.raises(ConfigurationError, match=r"inputs of shape \(13,\), the policy needs \(129,\)"):
+    with refused(r"inputs of shape \(13,\), the policy needs \(129,\)"):
         policy.to_sb3(plain)
 
 

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.progress import STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.trainers import TRAINERS, trainer
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.files import validate
 
 CONFIG = TaskConfig(episode_duration=0.1)
@@ -40,9 +41,9 @@ def test_ppo_is_a_trainer(tmp_path):
     policy = ppo.train(CONFIG, settings, base=BASE, **options)
     assert policy.features.base is BASE
     assert (tmp_path / "checkpoint.safetensors").exists()
-    with pytest.raises(ConfigurationError, match="needs a controller that the policy corrects"):
+    with refused("needs a controller that the policy corrects"):
         ppo.train(CONFIG, settings, base=None, **options)
-    with pytest.raises(ConfigurationError, match="PolicyController: must be one of CONTROLLERS"):
+    with refused("PolicyController: must be one of CONTROLLERS"):
         ppo.train(CONFIG, settings, base=policy, **options)
 
 
@@ -58,9 +59,8 @@ def test_ppo_is_a_trainer(tmp_path):
     ],
 )
 def test_a_trainer_that_cannot_be_used_is_refused_with_one_line(kind, message):
-    with pytest.raises(ConfigurationError, match=message) as caught:
+    with refused(message):
         trainer(kind)
-    assert "\n" not in str(caught.value)
 
 
 def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
@@ -81,7 +81,7 @@ def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
     np.testing.assert_array_equal(run.command, run_cases(CONFIG, policy, cases).command)
     assert not np.array_equal(run.command, run_cases(CONFIG, BASE, cases).command)
     assert np.isfinite(read_progress(tmp_path / "progress.csv")[-1]["train/critic_loss"])
-    with pytest.raises(ConfigurationError, match="must be a policy of PPO or A2C"):
+    with refused("must be a policy of PPO or A2C"):
         again.to_sb3(None)
 
 

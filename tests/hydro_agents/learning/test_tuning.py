@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import yaml
 from joblib import parallel_config
+from refusal import refused
 
 from hydro_agents.commands.study import Objective, train
 from hydro_agents.controllers import PID, PIDGains
@@ -13,7 +14,7 @@ from hydro_agents.learning.trials import JUDGED, LEAK_LEVELS, REFUSED, REST, Tri
 from hydro_agents.learning.tuning import Space, tune
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import TRAINING_SEEDS
-from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import Group, read_yaml
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
@@ -98,9 +99,9 @@ def test_a_log_of_other_settings_or_a_damaged_one_is_refused(tmp_path):
     log = tmp_path / "tuning.csv"
     tune("pid", SHORT, evaluations=6, log=log, **OPTIONS)
     for other, what in (({"objective": "mean"}, "objective"), ({"seed": 1}, "seed"), ({"cases": 7}, "cases")):
-        with pytest.raises(ConfigurationError, match=f"tuning.csv: was written with another {what}"):
+        with refused(f"tuning.csv: was written with another {what}"):
             tune("pid", SHORT, evaluations=6, log=log, resume=True, **{**OPTIONS, **other})
-    with pytest.raises(ConfigurationError, match="was written with another task"):
+    with refused("was written with another task"):
         tune("pid", TaskConfig(episode_duration=0.4), evaluations=6, log=log, resume=True, **OPTIONS)
     text = log.read_text()
     table = text.partition("\n")[2]
@@ -112,7 +113,7 @@ def test_a_log_of_other_settings_or_a_damaged_one_is_refused(tmp_path):
         text.replace("\n0,", "\n1,"),
     ):
         log.write_text(damaged)
-        with pytest.raises(ConfigurationError, match=r"tuning\.csv: is damaged"):
+        with refused(r"tuning\.csv: is damaged"):
             tune("pid", SHORT, evaluations=6, log=log, resume=True, **OPTIONS)
 
 
@@ -220,7 +221,7 @@ def test_refused_gains_are_bad_candidates(monkeypatch, tmp_path):
     best = tune("picky", SHORT, evaluations=40, population=20, cases=7, log=log)
     assert 50.0 <= best.gains.proportional <= 300.0
     assert str(REFUSED) in log.read_text()
-    with pytest.raises(ConfigurationError, match="kind 'none': unknown; known: pid"):
+    with refused("kind 'none': unknown; known: pid"):
         tune("none", SHORT)
 
 
@@ -273,7 +274,6 @@ def test_what_does_not_fit_is_told_and_nothing_is_lost(study, tmp_path):
         ({"resume": True, "seed": 5}, "was written with another seed"),
         ({"resume": True, "start": wrong}, r"wrong\.yaml: line 1: proportional = -3"),
     ):
-        with pytest.raises(ConfigurationError, match=message) as raised:
+        with refused(message):
             train("pid", folder, study, steps=14, **options)
-        assert "\n" not in str(raised.value)
         assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

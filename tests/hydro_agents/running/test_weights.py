@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusal import undigested
+from refusal import refused, undigested
 from safetensors.numpy import load_file, save_file
 
 from hydro_agents.detection.head import LeakageHead
@@ -155,7 +155,7 @@ def test_paths_that_name_no_weights(name, path, tmp_path, monkeypatch):
     assert tried(LOADERS[name], path)
     assert tried(LOADERS[name], Path(path))
     if not path.startswith("absent"):
-        with pytest.raises(ConfigurationError, match="must be the name of weights"):
+        with refused("must be the name of weights"):
             load_weights(path, name)
 
 
@@ -175,7 +175,7 @@ def test_a_checkpoint_holds_what_was_put_in(tmp_path):
         np.testing.assert_array_equal(tensors[name], array)
         assert tensors[name].dtype == array.dtype
         assert tensors[name].shape == array.shape
-    with pytest.raises(ConfigurationError, match="holds 'hydro_env kind': must be 'hydro_env other' of format 1"):
+    with refused("holds 'hydro_env kind': must be 'hydro_env other' of format 1"):
         load_checkpoint(tmp_path / "c.safetensors", "other")
 
 
@@ -207,7 +207,7 @@ def test_a_checkpoint_with_any_byte_changed_is_refused(tmp_path):
 )
 def test_tensors_must_be_those_that_are_wanted(found, message):
     wanted = {"weight": TENSORS["weight"]}
-    with pytest.raises(ConfigurationError, match=f"file: .*{message}"):
+    with refused(f"file: .*{message}"):
         require(found, wanted, "file")
     require({"weight": np.full((2, 3), np.inf, dtype=np.float32)}, wanted, "file", finite=False)
 
@@ -240,7 +240,7 @@ def test_weights_of_a_future_format_are_refused(tmp_path):
     path = copied("policy", tmp_path)
     file = path.with_name("policy.json")
     file.write_text(json.dumps(json.loads(file.read_text()) | {"format_version": 3}))
-    with pytest.raises(ConfigurationError, match="of format 1 or 2"):
+    with refused("of format 1 or 2"):
         load_weights(path, "policy")
 
 

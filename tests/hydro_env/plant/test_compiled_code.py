@@ -60,19 +60,6 @@ def test_a_plant_among_others_moves_exactly_as_it_does_alone(count):
         np.testing.assert_array_equal(own_peaks[0], peaks[axis])
 
 
-def test_the_order_in_which_plants_stand_does_not_matter():
-    count = 21
-    axes = drawn_plants(count)
-    voltage = 10.0 * np.random.default_rng(3).uniform(-1, 1, (count, 2))
-    order = np.random.default_rng(4).permutation(count)
-    state, peaks = axes.state.copy(), np.empty((count, kernel.N_PEAKS))
-    advance(state, axes.coefficient, voltage, DURATIONS, peaks, 0, count)
-    mixed, mixed_peaks = axes.state[order], np.empty((count, kernel.N_PEAKS))
-    advance(mixed, axes.coefficient[order], voltage[order], DURATIONS, mixed_peaks, 0, count)
-    np.testing.assert_array_equal(mixed, state[order])
-    np.testing.assert_array_equal(mixed_peaks, peaks[order])
-
-
 def test_only_the_given_plants_move():
     axes = drawn_plants(24)
     state, peaks = axes.state.copy(), np.full((24, kernel.N_PEAKS), -1.0)

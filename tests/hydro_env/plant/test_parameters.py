@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from hydro_env import PlantParameters, flow_from_resistance, resistance_from_flow
-from hydro_env.errors import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, from_vector, to_vector
 
@@ -47,23 +47,15 @@ def test_leakage_in_the_words_of_practice(flow_lpm, resistance):
 
 
 @pytest.mark.parametrize("parameters", [PlantParameters(), CHANGED], ids=["default", "changed"])
-def test_yaml_gives_back_an_equal_object(parameters, tmp_path):
+def test_yaml_and_vector_give_back_an_equal_object(parameters, tmp_path):
     path = tmp_path / "deeper" / "rig.yaml"
     parameters.to_yaml(path)
     assert PlantParameters.from_yaml(path) == parameters
     assert [file.name for file in path.parent.iterdir()] == ["rig.yaml"]  # no temporary file is left
-
-
-def test_yaml_may_name_only_what_differs(tmp_path):
-    path = tmp_path / "rig.yaml"
     path.write_text("load:\n  mass: 75\nsupply:\n  pressure: 8e6\n")  # YAML 1.1 reads 8e6 as text
     assert PlantParameters.from_yaml(path) == PlantParameters().replace(load={"mass": 75.0}, supply={"pressure": 8e6})
     path.write_text("")
     assert PlantParameters.from_yaml(path) == PlantParameters()
-
-
-@pytest.mark.parametrize("parameters", [PlantParameters(), CHANGED], ids=["default", "changed"])
-def test_vector_gives_back_an_equal_object(parameters):
     vector = to_vector(parameters)
     assert vector.shape == (len(PARAMETER_PATHS),)
     assert from_vector(vector) == parameters
@@ -74,9 +66,9 @@ def test_vector_gives_back_an_equal_object(parameters):
 
 def test_parameters_are_frozen():
     parameters = PlantParameters()
-    with pytest.raises(ConfigurationError, match="is frozen"):
+    with refused("is frozen"):
         parameters.load.mass = 80.0
-    with pytest.raises(ConfigurationError, match="is frozen"):
+    with refused("is frozen"):
         parameters.load = CHANGED.load
     changed = parameters.replace(load={"mass": 80.0})
     assert (parameters.load.mass, changed.load.mass) == (60.0, 80.0)
@@ -86,18 +78,18 @@ def test_unreadable_files_are_answered_with_one_line(tmp_path):
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(bytes(range(128, 256)))
     for path, reason in ((tmp_path / "absent.yaml", "No such file"), (tmp_path, "directory"), (binary, "not a text")):
-        with pytest.raises(ConfigurationError, match=f"^{path}: cannot be read: .*{reason}"):
+        with refused(f"^{path}: cannot be read: .*{reason}"):
             PlantParameters.from_yaml(path)
 
 
 def test_replace_and_vectors_are_validated():
-    with pytest.raises(ConfigurationError, match=r"unknown group 'loads'; did you mean load\? known: cylinder"):
+    with refused(r"unknown group 'loads'; did you mean load\? known: cylinder"):
         PlantParameters().replace(loads={"mass": 1.0})
-    with pytest.raises(ConfigurationError, match=r"load\.mass = -1"):
+    with refused(r"load\.mass = -1"):
         PlantParameters().replace(load={"mass": -1.0})
     vector = to_vector(PlantParameters())
     vector[PARAMETER_PATHS.index("load.mass")] = np.nan
-    with pytest.raises(ConfigurationError, match=r"load\.mass = nan"):
+    with refused(r"load\.mass = nan"):
         from_vector(vector)
 
 
@@ -112,7 +104,7 @@ def test_every_bound_itself_is_allowed_and_a_step_beyond_is_not():
                     if limit is None or not math.isfinite(limit):
                         continue
                     beyond = limit + sign * max(abs(limit), 1e-3) * 0.01
-                    with pytest.raises(ConfigurationError, match=rf"{group}\.{field} = "):
+                    with refused(rf"{group}\.{field} = "):
                         PlantParameters.from_dict({group: {field: beyond}})
                     checked += 1
     assert checked > 60

@@ -62,13 +62,11 @@ def test_nothing_overwrites_the_numbers_of_a_rig(name):
         if own == 0.0:
             assert (values[path] == 0.0).all()
             continue
-        assert chosen.min() >= own * low / paper * (1 - 1e-12)
-        assert chosen.max() <= own * high / paper * (1 + 1e-12)
+        assert own * low / paper * (1 - 1e-12) <= chosen.min() <= chosen.max() <= own * high / paper * (1 + 1e-12)
         assert chosen.max() - chosen.min() > 0.9 * own * (high - low) / paper
     excess = values["friction.breakaway_force"] / values["friction.coulomb_force"] - 1.0
     own = config.plant.friction.breakaway_force / config.plant.friction.coulomb_force - 1.0
-    assert excess.min() >= 0.4 * own - 1e-12
-    assert excess.max() <= 1.6 * own + 1e-12
+    assert 0.4 * own - 1e-12 <= excess.min() <= excess.max() <= 1.6 * own + 1e-12
 
 
 def test_settings_follow_from_stroke_speed_and_pressure(small):
