@@ -67,17 +67,26 @@ def test_wrappers_that_watch_every_step_are_content():
         env.close()
 
 
-def test_spaces():
+def test_spaces_and_layout_of_the_observation():
     env = ServoHydraulicEnv()
     assert env.action_space == gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
     assert env.observation_space.shape == (13,)
+    assert env.observation_space.dtype == np.float32
     assert np.isfinite(env.observation_space.high).all()
     np.testing.assert_array_equal(env.observation_space.low, -env.observation_space.high)
-    names = list(env.observation_names)
+    names = env.observation_names
+    assert len(set(names)) == 13
     largest = dict(zip(names, env.observation_space.high * env.observation_scale, strict=True))
     assert largest["pressure_b"] >= 400e5 * (1 - 1e-6)  # the transducer's range
     assert largest["position"] >= 0.2
     assert largest["previous_command"] == largest["spool_position"] == 1.0
+    units = dict(zip(names, env.observation_units, strict=True))
+    assert units["position"] == units["reference"] == units["tracking_error"] == "m"
+    assert (units["pressure_a"], units["pressure_b"], units["velocity_estimate"]) == ("Pa", "Pa", "m/s")
+    assert (env.observation_scale > 0.0).all()
+    vector = ServoHydraulicVectorEnv(2)
+    assert vector.observation_names == names
+    np.testing.assert_array_equal(vector.observation_scale, env.observation_scale)
 
 
 # Seeds ----------------------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from joblib import parallel_config
-from proportional import Proportional, exact_task
+from proportional import Constant, Proportional, exact_task
 from published import TABLES, assert_published
 
 from hydro_agents.controllers.sampled_loop import sampled_loop
@@ -128,20 +128,13 @@ def test_forces_and_leaks_that_the_task_changes_by_itself_do_not_count():
     pd.testing.assert_frame_equal(*(done("force_step", task, 40.0, [1.0]) for task in (EXACT, busy)))
 
 
-class Broken:
-    """A controller that returns NaN."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.full((len(observation), 1), np.nan), None
-
-
 def test_a_broken_controller_loses_its_own_rows_only(monkeypatch):
     for name, experiment in EXPERIMENTS.items():
         monkeypatch.setitem(EXPERIMENTS, name, experiment._replace(plants=1))
     monkeypatch.setattr(experiments, "TAKE_OVER", experiments.TAKE_OVER._replace(plants=1))
     protocol = RobustnessProtocol(parts=PARTS, conditions={"plain": {}})
     good = Proportional(100.0, protocol.task)
-    results = run(protocol, Participants({"P#0": good, "P#1": good, "broken": Broken()}), jobs=1)
+    results = run(protocol, Participants({"P#0": good, "P#1": good, "broken": Constant(np.nan)}), jobs=1)
     assert {error.partition(":")[0] for error in results.errors} == {
         f"broken under {name}" for name in PARTS if name != "leak_price"
     }

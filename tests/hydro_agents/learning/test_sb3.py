@@ -53,15 +53,6 @@ def test_there_and_back_with_the_critic(tmp_path, activation):
     assert trained.training == {"by": "a test"}
 
 
-def test_the_shipped_policy_trains_on_with_its_told_critic():
-    policy = PolicyController.load(pretrained_folder() / "policy")
-    model = policy.to_sb3(AxisVecEnv(TaskConfig(), 4, policy.features, told_critic=True), n_steps=8, batch_size=16)
-    again = PolicyController.from_sb3(model)
-    for mine, other in ((again.layers, policy.layers), (again.critic, policy.critic)):
-        np.testing.assert_array_equal(mine[-1][0], other[-1][0])
-    model.learn(64)
-
-
 def test_models_that_do_not_fit_are_refused():
     plain = AxisVecEnv(CONFIG, 2)
     with refused("must be PolicyFeatures"):

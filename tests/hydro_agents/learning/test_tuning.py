@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import yaml
 from joblib import parallel_config
+from proportional import Constant
 from refusal import refused
 
 from hydro_agents.commands.study import Objective, train
@@ -22,18 +23,6 @@ from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 SHORT = TaskConfig(episode_duration=0.3)
 OPTIONS = {"cases": 14, "population": 6}
-
-
-class Nothing:
-    """No command, or what it is told."""
-
-    def __init__(self, command=0.0):
-        self.command = command
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        if self.command is None:
-            raise RuntimeError("broken")
-        return np.full((len(observation), 1), self.command, dtype=np.float32), None
 
 
 def test_the_search_improves_what_it_is_asked_for():
@@ -142,7 +131,7 @@ def test_costs_are_error_and_price_of_the_same_cases_for_every_candidate():
     cases = TuningCases.of(SHORT, 14)
     pid = PID(PIDGains(proportional=200.0), SHORT)
     trial = Trial(SHORT, cases, 3)
-    costs = trial.costs([pid, Nothing(), pid])
+    costs = trial.costs([pid, Constant(), pid])
     run = run_cases(
         SHORT, pid, Cases(np.array(cases.seeds), np.array(cases.leakage_flow_lpm), np.array(cases.families))
     )
@@ -152,7 +141,7 @@ def test_costs_are_error_and_price_of_the_same_cases_for_every_candidate():
     np.testing.assert_array_equal(costs[0], costs[2])
     assert (costs[0] >= error + price - 1e-8).all()  # the first change is not in the run
     np.testing.assert_allclose(costs[0], error + price, atol=2e-6)
-    score = scores([trial], [pid, Nothing(), pid])[0]
+    score = scores([trial], [pid, Constant(), pid])[0]
     families = np.array(cases.families)
     means = [costs[0][families == name].mean() for name in dict.fromkeys(cases.families)]
     assert (score.mean, score.equal) == pytest.approx((costs[0].mean(), np.exp(np.mean(np.log(means)))))
@@ -175,8 +164,8 @@ def test_an_oscillation_at_rest_costs_although_it_hardly_shows_while_the_axis_mo
 
 def test_a_candidate_that_is_refused_or_fails_costs_much_and_disturbs_no_other():
     trial = Trial(SHORT, TuningCases.of(SHORT, 7), 4)
-    alone = trial.costs([Nothing()] * 4)
-    costs = trial.costs([None, Nothing(None), Nothing(np.nan), Nothing()])
+    alone = trial.costs([Constant()] * 4)
+    costs = trial.costs([None, Constant(None), Constant(np.nan), Constant()])
     assert (costs[:3] == REFUSED).all()
     np.testing.assert_array_equal(costs[3], alone[3])
 
@@ -191,8 +180,8 @@ def test_an_axis_that_fails_pays_the_stroke_until_the_end():
         initial_position_range=(0.0, 0.0),
     )
     cases = TuningCases.of(config, 1)
-    failing, resting = Trial(config, cases, 2).costs([Nothing(1.0), Nothing()])[:, 0]
-    run = run_cases(config, Nothing(1.0), Cases(np.array(cases.seeds), np.array([0.01]), np.array(cases.families)))
+    failing, resting = Trial(config, cases, 2).costs([Constant(1.0), Constant()])[:, 0]
+    run = run_cases(config, Constant(1.0), Cases(np.array(cases.seeds), np.array([0.01]), np.array(cases.families)))
     periods = run.failed_at[0] + 1
     assert 0 < periods < config.steps
     error = np.abs(run.reference[0, :periods].astype(float) - run.position[0, :periods] - run.position_bias[0]).sum()

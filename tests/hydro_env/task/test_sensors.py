@@ -154,14 +154,6 @@ def test_pressure_transducers_lag_as_a_first_order_system():
     assert seen > 1e5  # the lag matters in this run
 
 
-def test_transducers_without_rise_time_do_not_lag():
-    env = ServoHydraulicEnv(sensors={**sensors(), "pressure_rise_time": 0.0}, command_latency=0.0)
-    env.reset(seed=0)
-    for _ in range(20):
-        env.step(np.ones(1))
-        assert of_channel(env.axes, "measured", "pressure_a")[0] == pytest.approx(env.axes.state[0, 2], rel=1e-12)
-
-
 def test_velocity_estimate_of_a_steady_move():
     """A filtered difference: exact at constant speed, with the time constant of the filter on the way there."""
     plant = {"load": {"spring_stiffness": 0.0}, "supply": {"model": "constant"}}
@@ -234,23 +226,6 @@ def test_first_observation_is_the_equilibrium():
     assert si["spool_position"] == pytest.approx(rest["spool_position"], abs=1e-7)
     assert si["previous_command"] == pytest.approx(voltage / 10.0, abs=1e-7)
     assert si["velocity_estimate"] == si["error_integral"] == si["tracking_error"] == 0.0
-
-
-def test_layout_of_the_observation():
-    env = ServoHydraulicEnv()
-    size = env.observation_space.shape[0]
-    assert size == len(env.observation_names) == len(env.observation_units) == len(env.observation_scale) == 13
-    assert len(set(env.observation_names)) == size
-    units = dict(zip(env.observation_names, env.observation_units, strict=True))
-    assert units["position"] == units["reference"] == units["tracking_error"] == "m"
-    assert units["pressure_a"] == units["pressure_b"] == "Pa"
-    assert units["velocity_estimate"] == "m/s"
-    assert (env.observation_scale > 0.0).all()
-    assert env.observation_space.dtype == np.float32
-    assert not any("leak" in name for name in env.observation_names)
-    vector = ServoHydraulicVectorEnv(2)
-    assert vector.observation_names == env.observation_names
-    np.testing.assert_array_equal(vector.observation_scale, env.observation_scale)
 
 
 def test_observations_stay_inside_the_box_whatever_is_done():
