@@ -79,8 +79,7 @@ def test_equal_to_single_environments_on_the_default_task():
     sync = SyncVectorEnv([lambda: ServoHydraulicEnv(episode_duration=0.3)] * 5)
     np.testing.assert_array_equal(native.reset(seed=7)[0], sync.reset(seed=7)[0])
     for action in actions_of(5, 200):
-        for a, b in zip(native.step(action)[:4], sync.step(action)[:4], strict=True):
-            np.testing.assert_array_equal(a, b)
+        np.testing.assert_equal(native.step(action)[:4], sync.step(action)[:4])
 
 
 def test_next_step_mode_ignores_the_action_of_a_restarting_axis():
@@ -169,8 +168,7 @@ def test_single_environments_in_processes_of_their_own():
         np.testing.assert_array_equal(processes.reset(seed=4)[0], native.reset(seed=4)[0])
         for action in actions_of(2, 45):
             mine, other = native.step(action), processes.step(action)
-            for a, b in zip(mine[:4], other[:4], strict=True):
-                np.testing.assert_array_equal(a, b)
+            np.testing.assert_equal(mine[:4], other[:4])
             assert_equal_infos(mine[4], other[4])
     finally:
         processes.close()
@@ -248,8 +246,7 @@ def test_a_copy_goes_on_like_the_original_and_both_may_be_closed_twice(make, dup
     other = duplicate(env)
     for number in range(5):
         mine, copied = (each.step(np.full(env.action_space.shape, 0.1 * number)) for each in (env, other))
-        for a, b in zip(mine[:4], copied[:4], strict=True):
-            np.testing.assert_array_equal(a, b)
+        np.testing.assert_equal(mine[:4], copied[:4])
     np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
     for each in (env, env, other):
         each.close()

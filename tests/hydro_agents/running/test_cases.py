@@ -281,8 +281,7 @@ def test_leak_faults_and_force_stay_as_they_are_drawn():
     assert np.count_nonzero(fault) == 6, "both faults are there from the start"
     for _ in range(30):
         env.step(np.zeros((3, 1), dtype=np.float32))
-        for now, before in zip(_now(env), (leak, fault, force), strict=True):
-            np.testing.assert_array_equal(now, before)
+        np.testing.assert_equal(_now(env), (leak, fault, force))
 
 
 def _now(env):
