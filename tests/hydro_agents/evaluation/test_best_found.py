@@ -103,18 +103,12 @@ def test_a_step_finds_the_optimum_within_the_limits():
     np.testing.assert_allclose(found, known, atol=1e-4)
 
 
-def test_told_the_truth_it_is_never_worse_than_the_pid(truth, pid):
-    assert np.all(errors(truth) <= errors(pid))
+def test_told_the_truth_it_is_never_worse_than_the_pid_and_than_without_it(truth, nominal, pid):
     assert np.all(truth.failed_at < 0)
-
-
-def test_smooth_motion_is_followed_to_micrometres(truth):
+    assert np.all(errors(truth) <= errors(pid))
+    assert np.all(errors(truth) <= errors(nominal) + 1e-6)
     smooth = np.isin(CASES.families, ("point_to_point", "sine", "multi_sine"))
     assert errors(truth)[smooth].max() < 2e-6
-
-
-def test_the_truth_is_worth_something(truth, nominal):
-    assert np.all(errors(truth) <= errors(nominal) + 1e-6)
 
 
 @pytest.mark.parametrize("told", ["truth", "nominal"])
@@ -142,13 +136,16 @@ def test_the_reference_beyond_the_preview():
     np.testing.assert_array_equal(speeds, [15, 14, 13, 12, 11, 10, 9, 8, 8, 8, 8])
 
 
-def test_impossible_settings_are_refused():
+def test_wrong_input_gets_one_line(tmp_path):
     with refused(r"told = 'half': must be 'truth' or 'nominal'"):
         best_found(SHORT, CASES, "half")
     with refused("best found: horizon = 0"):
         best_found(SHORT, CASES, settings={"horizon": 0})
     with refused("reads the true states"):
         BestFound(SHORT, "truth", BoundSettings()).predict(np.zeros((1, 13)))
+    assert_one_clear_line(hydro("bound", "--task", "none.yaml", "--output", tmp_path / "out"), "none.yaml")
+    assert_one_clear_line(hydro("bound", "--leak", "-1", "--output", tmp_path / "out"), "leak_levels", "-1")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_command_writes_every_case_and_a_table(tmp_path):
@@ -166,28 +163,13 @@ def test_the_command_writes_every_case_and_a_table(tmp_path):
     assert_one_clear_line(hydro("bound", "--task", task, "--output", tmp_path / "out"), "holds results already")
 
 
-def test_wrong_input_gets_one_line(tmp_path):
-    assert_one_clear_line(hydro("bound", "--task", "none.yaml", "--output", tmp_path / "out"), "none.yaml")
-    wrong = hydro("bound", "--leak", "-1", "--output", tmp_path / "out")
-    assert_one_clear_line(wrong, "leak_levels", "-1")
-    assert not (tmp_path / "out").exists()
-
-
 def test_the_summary_has_both_frames():
-    rows = [
-        {
-            "controller": name,
-            "family": family,
-            "error_mm": error,
-            "true_error_mm": error + 0.03,
-            "valve_travel_per_s": 2.0,
-        }
-        for name, error in (("PID", 0.2), (NOMINAL, 0.1), (TRUTH, 0.0))
-        for family in ("step", "sine")
-    ]
-    table = summary(pd.DataFrame(rows), "family")
+    rows = pd.DataFrame([("PID", 0.2), (NOMINAL, 0.1), (TRUTH, 0.0)] * 2, columns=["controller", "error_mm"])
+    rows = rows.assign(
+        family=np.repeat(["step", "sine"], 3), true_error_mm=rows["error_mm"] + 0.03, valve_travel_per_s=2.0
+    )
+    table = summary(rows, "family")
     assert list(table.columns) == ["PID", NOMINAL, TRUTH, "PID, true position", "floor, true position"]
     np.testing.assert_allclose(table.loc["mean"], [0.2, 0.1, 0.0, 0.23, 0.03])
-    travel = means_by(pd.DataFrame(rows), "valve_travel_per_s")
-    assert frame_markdown(travel, 1).splitlines()[-1] == "| mean | 2.0 | 2.0 | 2.0 |"
+    assert frame_markdown(means_by(rows, "valve_travel_per_s"), 1).splitlines()[-1] == "| mean | 2.0 | 2.0 | 2.0 |"
     assert frame_markdown(table).splitlines()[-1] == "| mean | 0.2000 | 0.1000 | 0.0000 | 0.2300 | 0.0300 |"
