@@ -60,12 +60,15 @@ def test_of_several_tasks_the_geometric_mean_counts():
     assert best.score.mean == pytest.approx(np.sqrt(found[0].mean * found[1].mean))
 
 
-def test_few_cases_hold_every_family():
+def test_cases_are_training_cases_with_all_leaks_and_families():
     for count in (6, 14, 21, 42):
-        cases = TuningCases.of(TaskConfig(), count)
+        cases = TuningCases.of(TaskConfig(), count, seed=3)
+        assert cases.seeds == tuple(range(3 * count, 4 * count))
+        assert set(cases.seeds) <= set(TRAINING_SEEDS)
         numbers = [cases.families.count(family) for family in MOVING_FAMILIES]
         assert max(numbers) - min(numbers) <= (0 if count % 6 == 0 else 1)
         assert len(set(zip(cases.families, cases.leakage_flow_lpm, strict=True))) == count
+    assert set(cases.leakage_flow_lpm) == set(LEAK_LEVELS)  # 42: each with each
 
 
 def test_a_stopped_search_goes_on_bit_equal(tmp_path):
@@ -117,14 +120,6 @@ def test_a_given_start_is_where_the_search_begins_and_keeps_what_is_not_searched
     moved = space.values(space.point(outside))
     ends = [low["proportional"], low["integral"], high["derivative"]]
     assert [moved[name] for name in ("proportional", "integral", "derivative")] == pytest.approx(ends)
-
-
-def test_cases_are_training_cases_with_all_leaks_and_families():
-    cases = TuningCases.of(TaskConfig(), 42, seed=3)
-    assert cases.seeds == tuple(range(126, 168))
-    assert set(cases.seeds) <= set(TRAINING_SEEDS)
-    pairs = set(zip(cases.leakage_flow_lpm, cases.families, strict=True))
-    assert pairs == {(leak, name) for leak in LEAK_LEVELS for name in MOVING_FAMILIES}
 
 
 def test_costs_are_error_and_price_of_the_same_cases_for_every_candidate():
@@ -243,18 +238,9 @@ def study(tmp_path):
 def test_every_kind_is_tuned_and_resumed(kind, study, tmp_path):
     folder = tmp_path / "out"
     train(kind, folder, study, steps=14)
-    first = (folder / f"{kind}.yaml").read_text()
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
     make_controller(kind, TaskConfig(), read_yaml(folder / f"{kind}.yaml"))
     train(kind, folder, study, steps=14, resume=True)  # nothing is left to do
-    assert (folder / f"{kind}.yaml").read_text() == first
-    train(kind, folder, study, steps=28, resume=True)
-    assert len((folder / "tuning.csv").read_text().splitlines()) == 2 + 28
-
-
-def test_what_does_not_fit_is_told_and_nothing_is_lost(study, tmp_path):
-    folder = tmp_path / "out"
-    train("pid", folder, study, steps=14)
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("proportional: -3\n")
     for options, message in (
@@ -263,6 +249,8 @@ def test_what_does_not_fit_is_told_and_nothing_is_lost(study, tmp_path):
         ({"resume": True, "seed": 5}, "was written with another seed"),
         ({"resume": True, "start": wrong}, r"wrong\.yaml: line 1: proportional = -3"),
     ):
-        with refused(message):
-            train("pid", folder, study, steps=14, **options)
-        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+        with refused(message if kind == "pid" or "start" not in options else "wrong.yaml"):
+            train(kind, folder, study, steps=14, **options)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    train(kind, folder, study, steps=28, resume=True)
+    assert len((folder / "tuning.csv").read_text().splitlines()) == 2 + 28

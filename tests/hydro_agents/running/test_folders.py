@@ -76,6 +76,23 @@ def test_nothing_is_left_where_nothing_was_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{}", '{"files": []}', '{"files": {"a.csv": 1}}', '{"mine": true}', "\xff"]
+)
+@pytest.mark.parametrize(("name", "message"), [(MANIFEST_FILE, "list of results"), (LOCK_FILE, "lock of hydro")])
+def test_a_foreign_list_or_lock_is_left_alone(tmp_path, name, message, content):
+    (tmp_path / name).write_text(content)
+    if not (name == LOCK_FILE and content == ""):  # as every lock is
+        with refused(rf"\{name}: is not the {message}"):
+            write(tmp_path, "a.csv", overwrite=True)
+        assert (tmp_path / name).read_text() == content
+        assert not (tmp_path / "a.csv").exists()
+    (tmp_path / name).unlink()
+    (tmp_path / name).mkdir()
+    with refused(rf"\{name}: "):
+        write(tmp_path, "a.csv")
+
+
 def test_links_and_folders_in_place_of_a_file(tmp_path):
     (tmp_path / "a.csv").symlink_to(tmp_path / "nowhere")
     with refused("was not written by hydro"):
@@ -86,17 +103,6 @@ def test_links_and_folders_in_place_of_a_file(tmp_path):
     (tmp_path / "a.csv").mkdir()
     with refused("cannot be removed"):
         write(tmp_path, overwrite=True)
-
-
-@pytest.mark.parametrize(
-    "content", ["", "[]", "{}", '{"files": []}', '{"files": {"a.csv": 1}}', '{"mine": true}', "\xff"]
-)
-def test_a_foreign_list_is_left_alone(tmp_path, content):
-    (tmp_path / MANIFEST_FILE).write_text(content)
-    with refused(r"\.hydro\.json: is not the list of results"):
-        write(tmp_path, "a.csv", overwrite=True)
-    assert (tmp_path / MANIFEST_FILE).read_text() == content
-    assert not (tmp_path / "a.csv").exists()
 
 
 def test_a_list_that_was_tampered_with_reaches_no_other_folder(tmp_path):
@@ -132,16 +138,6 @@ def test_a_second_process_waits_and_a_killed_one_leaves_results_and_no_lock(tmp_
     write(tmp_path, "b.csv", resume=True)
     assert listed(tmp_path) == {"a.csv": "study", "b.csv": "study"}
     assert not (tmp_path / LOCK_FILE).exists()
-
-
-def test_a_foreign_file_in_place_of_the_lock_is_left_alone(tmp_path):
-    (tmp_path / LOCK_FILE).write_text("mine")
-    with refused(r"\.hydro\.lock: is not the lock of hydro"):
-        write(tmp_path, "a.csv")
-    (tmp_path / LOCK_FILE).unlink()
-    (tmp_path / LOCK_FILE).mkdir()
-    with refused("is not the lock of hydro"):
-        write(tmp_path, "a.csv")
 
 
 def test_of_many_processes_at_a_time_one_writes(tmp_path):
