@@ -31,36 +31,30 @@ def rollout(env, steps=60, action_seed=0, **reset):
 # Checkers -------------------------------------------------------------------------------------------------------------
 
 
-def test_gymnasium_finds_nothing_to_complain_about():
-    env = gym.make(ID)
+@pytest.fixture(autouse=True)
+def a_warning_is_an_error():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(env.unwrapped, skip_render_check=True)
+        yield
 
 
-def test_stable_baselines3_finds_nothing_to_complain_about():
+def test_gymnasium_and_stable_baselines3_find_nothing_to_complain_about():
+    check_env(gym.make(ID).unwrapped, skip_render_check=True)
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        checker.check_env(ServoHydraulicEnv(), warn=True, skip_render_check=True)
+    checker.check_env(ServoHydraulicEnv(), warn=True, skip_render_check=True)
 
 
 def test_wrappers_that_watch_every_step_are_content():
     """Whole episodes through the passive checker and the order enforcer of ``gym.make``, with statistics on top."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        env = gym.wrappers.RecordEpisodeStatistics(gym.make(ID, episode_duration=0.3))
-        env.reset(seed=0)
-        env.action_space.seed(0)
-        total = 0.0
-        for step in range(1, 61):
-            _, reward, terminated, truncated, info = env.step(env.action_space.sample())
-            total += reward
-            assert truncated == (step == 60)
-            assert not terminated
-        assert info["episode"]["l"] == 60
-        assert info["episode"]["r"] == pytest.approx(total)
-        env.close()
+    env = gym.wrappers.RecordEpisodeStatistics(gym.make(ID, episode_duration=0.3))
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    steps = [env.step(env.action_space.sample()) for _ in range(60)]
+    assert [truncated for *_, truncated, _ in steps] == [False] * 59 + [True]
+    assert not any(terminated for _, _, terminated, _, _ in steps)
+    episode = steps[-1][-1]["episode"]
+    assert (episode["l"], episode["r"]) == (60, pytest.approx(sum(reward for _, reward, *_ in steps)))
+    env.close()
 
 
 def test_spaces_and_layout_of_the_observation():
@@ -134,21 +128,18 @@ def test_without_a_seed_nothing_repeats():
 
 
 def test_global_random_generators_stay_untouched():
+    env, states = ServoHydraulicEnv(), []
     random.seed(1)
     np.random.seed(1)
-    before = random.getstate(), np.random.get_state()
-    for env in (ServoHydraulicEnv(), ServoHydraulicEnv()):
+    for _ in range(2):
+        states.append((random.getstate(), np.random.get_state()))
         rollout(env, seed=None)
-        rollout(env, seed=3)
-    after = random.getstate(), np.random.get_state()
-    assert after[0] == before[0]
-    assert after[1][0] == before[1][0]
-    np.testing.assert_array_equal(after[1][1], before[1][1])
-    assert after[1][2:] == before[1][2:]
+        first = rollout(env, seed=3)
+    assert_equal(*states)
     # And the other way round: they have no influence.
     random.seed(2)
     np.random.seed(2)
-    assert_equal(rollout(env, seed=3), rollout(ServoHydraulicEnv(), seed=3))
+    assert_equal(first, rollout(ServoHydraulicEnv(), seed=3))
 
 
 def test_np_random_is_gymnasiums():
@@ -178,22 +169,17 @@ def test_types_of_what_step_returns():
 # Spec, copies, many at once -------------------------------------------------------------------------------------------
 
 
-def test_no_leak_is_told_as_none():
-    env = ServoHydraulicEnv(leakage={"schedule": "growth"})
-    envs = ServoHydraulicVectorEnv(3, leakage={"schedule": "growth"})
-    for options in ({"leakage_flow_lpm": 0.0}, {"leakage_resistance": np.inf}):
-        observation, info = env.reset(seed=1, options=options)
-        assert info["leakage_flow_lpm"] == 0.0
-        assert info["leakage_resistance"] == np.inf
-        assert info["leakage_class"] == 0
-        assert env.parameters.leakage.internal_resistance == np.inf
-        for _ in range(400):
-            observation, _, _, _, info = env.step(np.full(1, 0.1))
-        assert np.isfinite(observation).all()
-        assert info["leakage_flow_lpm"] == 0.0
-        _, info = envs.reset(seed=1, options=options)
+@pytest.mark.parametrize("options", [{"leakage_flow_lpm": 0.0}, {"leakage_resistance": np.inf}])
+def test_no_leak_is_told_as_none(options):
+    envs = ServoHydraulicVectorEnv(2, leakage={"schedule": "growth"}, autoreset_mode="Disabled")
+    _, info = envs.reset(seed=1, options=options)
+    assert envs.axes.parameters(0).leakage.internal_resistance == np.inf
+    for _ in range(400):
         assert (info["leakage_flow_lpm"] == 0.0).all()
         assert (info["leakage_resistance"] == np.inf).all()
+        assert (info["leakage_class"] == 0).all()
+        observation, _, _, _, info = envs.step(np.full((2, 1), 0.1))
+        assert np.isfinite(observation).all()
 
 
 def test_registration():

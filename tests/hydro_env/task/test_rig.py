@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -196,19 +195,6 @@ def test_every_task_can_begin_on_every_rig(task, rig):
     observation, reward, *_ = envs.step(np.zeros((60, 1)))
     assert np.isfinite(observation).all()
     assert np.isfinite(reward).all()
-
-
-def test_the_rig_of_the_page_works(tmp_path):
-    page = (Path(__file__).parents[3] / "docs" / "own_rig.md").read_text(encoding="utf-8")
-    file = tmp_path / "rig.yaml"
-    for block in re.findall(r"```yaml\n(.*?)```", page, flags=re.DOTALL):
-        file.write_text(block)
-        config = task_config(rig=file)
-    values = drawn(config)  # of the last block
-    assert 118.0 <= values["load.mass"].min() < values["load.mass"].max() <= 122.0
-    assert 0.95 * 70e5 <= values["supply.pressure"].min() < values["supply.pressure"].max() <= 1.05 * 70e5
-    for name in TASKS:
-        assert f"`{name}`" in page
 
 
 def test_an_installed_package_finds_its_configurations(tmp_path):
