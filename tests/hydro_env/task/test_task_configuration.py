@@ -38,22 +38,13 @@ def test_yaml_gives_back_an_equal_object(changes, tmp_path):
 def test_file_mapping_and_keywords_say_the_same(tmp_path):
     path = tmp_path / "task.yaml"
     task_config(CHANGES).to_yaml(path)
-    environments = [
-        ServoHydraulicEnv(path),
-        ServoHydraulicEnv(str(path)),
-        ServoHydraulicEnv(CHANGES),
-        ServoHydraulicEnv(**CHANGES),
-        ServoHydraulicEnv(task_config(CHANGES)),
-        ServoHydraulicEnv(TaskConfig(), **CHANGES),
-        ServoHydraulicEnv({"reward": {"effort": 0.3}}, **CHANGES),
-    ]
-    rollouts = []
-    for env in environments:
+    other = {"reward": {"effort": 0.3}}
+    given = [(path,), (str(path),), (CHANGES,), (task_config(CHANGES),)]
+    environments = [ServoHydraulicEnv(*each) for each in given]
+    environments += [ServoHydraulicEnv(*each, **CHANGES) for each in ((), (TaskConfig(),), (other,))]
+    rollouts = [[env.reset(seed=1)[0], *(env.step(np.array([0.2]))[0] for _ in range(5))] for env in environments]
+    for env, rows in zip(environments, rollouts, strict=True):
         assert env.config == environments[0].config
-        rows = [env.reset(seed=1)[0]]
-        rows += [env.step(np.array([0.2]))[0] for _ in range(5)]
-        rollouts.append(rows)
-    for rows in rollouts[1:]:
         np.testing.assert_array_equal(rows, rollouts[0])
     assert ServoHydraulicVectorEnv(2, path).config == environments[0].config
 
