@@ -107,14 +107,11 @@ def test_stored_weights_keep_normalisation_and_estimates(tmp_path):
     assert (commands(plain) != commands(after)).any()
 
 
-def test_a_damaged_normalisation_is_refused(tmp_path):
+def test_a_damaged_normalisation_and_a_controller_that_estimates_nothing_are_refused(tmp_path):
     features = PolicyFeatures(CONFIG, BASE, 0.2).normalised()
     features.normalisation.unit[3] = 0.0
     policy(features).save(tmp_path / "policy")
     with refused(r"normalisation\.unit.*must be positive"):
         PolicyController.load(tmp_path / "policy")
-
-
-def test_a_controller_that_estimates_nothing_has_nothing_to_show():
     with refused("see_estimates: PID has no estimates"):
         PolicyFeatures(CONFIG, PID(PIDGains(), CONFIG), 0.2, see_estimates=True)

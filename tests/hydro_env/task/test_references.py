@@ -180,31 +180,16 @@ def test_preview_is_the_future_reference(family):
             assert seen[k][column] == pytest.approx(references[k + ahead] - references[k], abs=2e-8)
     names = env.observation_names[1:5]
     assert names == tuple(f"reference_preview_{ms}ms" for ms in (5, 10, 20, 40))
+    for times in ([0.1], []):
+        assert ServoHydraulicEnv(references={"preview_times": times}).observation_space.shape == (9 + len(times),)
 
 
-def test_other_preview_times():
-    env = ServoHydraulicEnv(references={"preview_times": [0.1]})
-    assert env.observation_space.shape == (10,)
-    env.reset(seed=0, options={"reference": np.linspace(0.0, 0.03, 61)})
-    observation = env.step(np.zeros(1, np.float32))[0]
-    assert observation[1] * env.observation_scale[1] == pytest.approx(20 * 0.0005, abs=1e-8)
-    assert ServoHydraulicEnv(references={"preview_times": []}).observation_space.shape == (9,)
-
-
-def test_a_users_reference_is_followed_sample_by_sample_and_held_at_its_end():
+@pytest.mark.parametrize("given", ["task", "option"])
+def test_a_users_reference_is_followed_sample_by_sample_and_held_at_its_end(given):
     wanted = 0.02 * np.sin(np.arange(30) * 0.2) + 0.01
-    short = {"episode_duration": 0.25, "start": "actual"}
-    for env in (
-        ServoHydraulicEnv(references={"user": wanted.tolist(), "weights": {"user": 1.0}}, **short),
-        ServoHydraulicEnv(**short),
-    ):
-        options = None if env.config.references.user else {"reference": wanted}
-        _, info = env.reset(seed=0, options=options)
-        assert info["reference_family"] == "user"
-        assert info["position"] == wanted[0]
-        heard = [info["reference"]]
-        truncated = False
-        while not truncated:
-            _, _, _, truncated, info = env.step(np.zeros(1, np.float32))
-            heard.append(info["reference"])
-        np.testing.assert_array_equal(heard, np.append(wanted, np.full(51 - 30, wanted[-1])))
+    of_task = {"references": {"user": wanted.tolist(), "weights": {"user": 1.0}}} if given == "task" else {}
+    env = ServoHydraulicEnv(episode_duration=0.25, start="actual", **of_task)
+    _, info = env.reset(seed=0, options={"reference": wanted} if given == "option" else None)
+    assert (info["reference_family"], info["position"]) == ("user", wanted[0])
+    heard = [info["reference"], *(env.step(np.zeros(1, np.float32))[-1]["reference"] for _ in range(50))]
+    np.testing.assert_array_equal(heard, np.append(wanted, np.full(51 - 30, wanted[-1])))

@@ -45,8 +45,9 @@ def test_factors_give_the_published_ranges_on_the_papers_rig():
     assert rows == {"friction.breakaway_force": (1.2, 1.8), "leakage.external_resistance": (1e12, 1e13)}
 
 
-def test_the_papers_rig_changes_nothing():
-    assert task_config(rig="kovari_2015") == TaskConfig()
+def test_a_task_moves_there_and_back(small):
+    assert task_config(rig="kovari_2015") == task_config(task_config(rig=small), rig="kovari_2015") == TaskConfig()
+    assert task_config(task_config(rig="symmetric_eha"), rig=small) == task_config(rig=small)
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -88,22 +89,20 @@ def test_settings_follow_from_stroke_speed_and_pressure(small):
     assert config.leakage == default.leakage
 
 
-def test_a_heavy_load_lowers_the_acceleration_of_references(small):
-    PlantParameters().replace(load={"mass": 5000.0, "spring_stiffness": 0.0}).to_yaml(small)
-    config = task_config(rig=small)
+def rig_with(file, **groups):
+    PlantParameters().replace(**groups).to_yaml(file)
+    return task_config(rig=file)
+
+
+def test_a_heavy_load_or_a_soft_oil_column_lowers_the_acceleration_of_references(small):
+    config = rig_with(small, load={"mass": 5000.0, "spring_stiffness": 0.0})
     back = 70e5 * math.pi / 4 * (0.04**2 - 0.028**2) - 1e5 * math.pi / 4 * 0.04**2
     assert config.references.acceleration_limit == pytest.approx(0.25 * back / 5003.0)
-
-
-def test_a_soft_oil_column_lowers_the_acceleration_of_references(small):
-    """A quarter of the stiffness halves the natural frequency."""
-    PlantParameters().replace(fluid={"bulk_modulus": 0.35e9}, load={"spring_stiffness": 0.0}).to_yaml(small)
-    assert task_config(rig=small).references.acceleration_limit == pytest.approx(2.0, rel=0.01)
-
-
-def test_a_weak_supply_makes_no_weak_cylinder(small):
-    PlantParameters().replace(supply={"model": "constant", "pressure": 35e5}).to_yaml(small)
-    assert task_config(rig=small).failure.pressure_rating == TaskConfig().failure.pressure_rating
+    # A quarter of the stiffness halves the natural frequency.
+    config = rig_with(small, fluid={"bulk_modulus": 0.35e9}, load={"spring_stiffness": 0.0})
+    assert config.references.acceleration_limit == pytest.approx(2.0, rel=0.01)
+    weak = rig_with(small, supply={"model": "constant", "pressure": 35e5})  # makes no weak cylinder
+    assert weak.failure.pressure_rating == TaskConfig().failure.pressure_rating
 
 
 def test_what_the_user_set_stays(small):
@@ -125,11 +124,6 @@ def test_what_the_user_set_stays(small):
     assert task_config({"randomisation": {}}, rig=small).randomisation == {}
     # A keyword comes after the rig.
     assert task_config(None, rig=small, plant={"load": {"mass": 33.0}}).plant.load.mass == 33.0
-
-
-def test_a_task_moves_there_and_back(small):
-    assert task_config(task_config(rig=small), rig="kovari_2015") == TaskConfig()
-    assert task_config(task_config(rig="symmetric_eha"), rig=small) == task_config(rig=small)
 
 
 def test_a_rig_brings_its_own_ranges(small):
@@ -204,15 +198,9 @@ def test_an_installed_package_finds_its_configurations(tmp_path):
     shutil.copytree(root / "hydro_env", tmp_path / "hydro_env", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(root / "configs", tmp_path / "hydro_env" / "configs")
     code = "from hydro_env.folders import config_file; print(config_file('tasks', 'worn').read_text())"
-    answer = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert answer.stdout.strip() == (root / "configs" / "tasks" / "worn.yaml").read_text().strip(), answer.stderr
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    shown = subprocess.check_output([sys.executable, "-c", code], cwd=tmp_path, env=environment, text=True)
+    assert shown.strip() == (root / "configs" / "tasks" / "worn.yaml").read_text().strip()
 
 
 def test_a_rig_says_which_sensors_it_has(small):
