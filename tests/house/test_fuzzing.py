@@ -17,10 +17,8 @@ from command_line import hydro, own_lines
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hydro_agents.detection.head import LeakageHead
-from hydro_agents.learning.policy import PolicyController
 from hydro_agents.rigs.simulation import read_table
-from hydro_agents.running.folders import config_folder, pretrained_folder
+from hydro_agents.running.folders import config_folder
 from hydro_agents.study.settings import StudySettings
 from hydro_env import (
     HydroError,
@@ -211,30 +209,6 @@ def use_actions(folder: Path, drawn: Any) -> None:
         refused_or_done(each.reset, seed=0)
 
 
-def use_weights(load: Any, name: str) -> Any:
-    def check(folder: Path, drawn: Any) -> None:
-        described, tensors = drawn
-        shutil.copy(pretrained_folder() / f"{name}.json", folder / "w.json")
-        shutil.copy(pretrained_folder() / f"{name}.safetensors", folder / "w.safetensors")
-        if described is not None:
-            file_of(folder, "w.json", described if isinstance(described, bytes) else json.dumps(described).encode())
-        if tensors is not None:
-            file_of(folder, "w.safetensors", tensors)
-        refused_or_done(load, folder / "w")
-
-    return check
-
-
-def weights_of(name: str) -> Any:
-    described = (pretrained_folder() / f"{name}.json").read_bytes()
-    tensors = (pretrained_folder() / f"{name}.safetensors").read_bytes()
-    return st.one_of(
-        st.tuples(st.one_of(damaged(json.loads(described)), edited(described)), st.none()),
-        st.tuples(st.none(), edited(tensors[:2000]).map(lambda head: head + tensors[2000:])),
-        st.tuples(st.none(), st.integers(0, len(tensors)).map(lambda length: tensors[:length])),
-    )
-
-
 SIMULATE = {
     "--voltage": ["3", "-10", "nan", "1e9", "abc"],
     "--input": ["step", "sine", "stop", "sweep", "x", "a.csv", "absent.csv", "/dev/null"],
@@ -336,8 +310,6 @@ TARGETS: dict[str, tuple[Any, Any]] = {
         use_options,
     ),
     "actions and seeds": (st.tuples(ARRAYS, ARRAYS), use_actions),
-    "policy weights": (weights_of("policy"), use_weights(PolicyController.load, "policy")),
-    "head weights": (weights_of("leakage_head"), use_weights(LeakageHead.load, "leakage_head")),
     "tables": (edited(b"time,voltage\n" + b"".join(b"%d.5,1e-1\n" % n for n in range(20))), use_table),
     "recordings": (st.tuples(edited(RECORDING), edited(COLUMNS)), use_recording),
     "command lines": (command_lines(), use_command_line),

@@ -103,9 +103,6 @@ def test_threshold_uses_the_false_alarms_it_may():
     healthy = np.arange(1000) / 1000
     assert detection_rate(healthy, threshold_at_false_alarm_rate(healthy, 0.01)) == pytest.approx(0.01)
     assert threshold_at_false_alarm_rate(healthy, 1.0) <= 0.0
-
-
-def test_detection_rate():
     assert detection_rate(np.array([0.1, 0.5, 0.9]), 0.5) == pytest.approx(2 / 3)
     assert math.isnan(detection_rate(np.array([]), 0.5))
 
@@ -121,22 +118,12 @@ THRESHOLD = 0.5
 
 
 def episodes(controllers=("A", "B")):
-    frames = []
-    for name in controllers:
-        score = SCORE if name == "A" else 1.0 - SCORE
-        frames.append(
-            pd.DataFrame(
-                {
-                    "controller": name,
-                    "leakage_flow_lpm": FLOW,
-                    "class": CLASS,
-                    "probability": score,
-                    "estimated_flow_lpm": SIZE,
-                    "flagged": score >= THRESHOLD,
-                }
-            )
-        )
-    return pd.concat(frames, ignore_index=True)
+    columns = {"leakage_flow_lpm": FLOW, "class": CLASS, "estimated_flow_lpm": SIZE}
+    scores = {"A": SCORE, "B": 1.0 - SCORE}
+    return pd.concat(
+        [pd.DataFrame({"controller": name, **columns, "probability": scores[name]}) for name in controllers],
+        ignore_index=True,
+    ).assign(flagged=lambda table: table["probability"] >= THRESHOLD)
 
 
 def test_bounds_come_from_the_task():

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from proportional import Proportional, Relay
+from proportional import Constant, Proportional, Relay
 
 from hydro_agents.evaluation import transitions
 from hydro_agents.evaluation.experiments import EXPERIMENTS, taken_over
@@ -51,17 +51,6 @@ def test_a_pause_does_not_spoil_the_next_move(monkeypatch):
     peak = table.groupby("pause_s")["peak_um"].mean()
     assert peak[20.0] < 1.2 * peak[0.5]
     assert (table["rest_um"] < 40.0).all()
-
-
-class Constant:
-    """Commands one number, and counts in its memory the periods since its start."""
-
-    def __init__(self, command):
-        self.command = command
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        count = np.zeros(len(observation)) if state is None else np.where(episode_start, 0.0, state + 1.0)
-        return np.full((len(observation), 1), self.command, np.float32), count
 
 
 def test_the_second_controller_begins_at_the_change():

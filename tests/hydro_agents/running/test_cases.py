@@ -1,5 +1,7 @@
 """Episodes of cases: the same as of single environments, whatever runs beside them, and what a failure leaves."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -105,13 +107,27 @@ def test_chunks_do_not_change_results():
 
 
 def test_a_part_of_the_cases():
-    part = CASES.part(1, 3)
-    assert len(part) == 2
-    assert part.seeds.tolist() == [12, 13]
-    assert part.leakage_flow_lpm.tolist() == [4.0, 0.3]
-    assert part.families.tolist() == ["sine", "step"]
-    bare = Cases(np.arange(4)).part(2, 9)
-    assert (len(bare), bare.leakage_flow_lpm, bare.families) == (2, None, None)
+    part, bare = CASES.part(1, 3), Cases(np.arange(4)).part(2, 9)
+    assert (part.seeds.tolist(), part.leakage_flow_lpm.tolist(), part.families.tolist()) == (
+        *([12, 13], [4.0, 0.3], ["sine", "step"]),
+    )
+    assert (len(part), len(bare), bare.leakage_flow_lpm, bare.families) == (2, 2, None, None)
+
+
+@pytest.mark.parametrize(
+    ("thing", "message"),
+    [
+        (lambda observation: 0.0, "function has no method predict"),
+        (Proportional, "Proportional is a class"),
+        (3, "int has no method predict"),
+    ],
+)
+def test_what_cannot_act_at_all_is_named(thing, message):
+    with pytest.raises(ControllerError, match=message):
+        check_predict(thing)
+    with pytest.raises(ControllerError, match=message):
+        run_cases(CONFIG, thing, CASES)
+    check_predict(Proportional())
 
 
 def test_the_controller_gets_its_memory_back_and_hears_where_episodes_begin():
@@ -219,6 +235,7 @@ class Answers:
         (lambda o: (object(), None), r"not numbers \(object\)"),
         (lambda o: np.zeros((5, 1)), r"returned ndarray, not a pair \(commands, state\)"),
         (lambda o: (np.zeros((5, 1)),), "not a pair"),
+        (lambda o: sys.exit(0), "predict raised SystemExit: 0"),
         (lambda o: {}["gain"], r"from seed 11, reference step, leak 0.01 l/min, at 0.010 s: predict raised KeyError"),
     ],
 )
@@ -226,28 +243,6 @@ def test_an_answer_that_is_no_command_is_named_with_its_case(answer, message):
     with pytest.raises(ControllerError, match=message) as raised:
         run_cases(CONFIG, Answers(answer), CASES)
     assert "\n" not in str(raised.value)
-
-
-def test_a_controller_that_ends_the_program_is_an_error():
-    class Quits(Proportional):
-        def predict(self, *arguments, **options):
-            raise SystemExit(0)
-
-    with pytest.raises(ControllerError, match="predict raised SystemExit: 0"):
-        run_cases(CONFIG, Quits(), Cases([1]))
-
-
-def test_what_cannot_act_at_all_is_named():
-    for thing, message in (
-        (lambda observation: 0.0, "function has no method predict"),
-        (Proportional, "Proportional is a class"),
-        (3, "int has no method predict"),
-    ):
-        with pytest.raises(ControllerError, match=message):
-            check_predict(thing)
-        with pytest.raises(ControllerError, match=message):
-            run_cases(CONFIG, thing, CASES)
-    check_predict(Proportional())
 
 
 def test_a_failed_axis_may_get_any_command(failing):
@@ -281,8 +276,7 @@ def test_leak_faults_and_force_stay_as_they_are_drawn():
     assert np.count_nonzero(fault) == 6, "both faults are there from the start"
     for _ in range(30):
         env.step(np.zeros((3, 1), dtype=np.float32))
-        for now, before in zip(_now(env), (leak, fault, force), strict=True):
-            np.testing.assert_array_equal(now, before)
+        np.testing.assert_equal(_now(env), (leak, fault, force))
 
 
 def _now(env):

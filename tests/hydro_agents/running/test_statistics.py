@@ -28,13 +28,13 @@ def test_mean_interval_leaves_nan_out():
     assert all(math.isnan(part) for part in mean_interval(np.array([])))
 
 
-def test_two_plants_give_no_interval():
+def test_three_plants_are_enough_for_an_interval_and_two_are_not():
     found = mean_interval(np.array([1.0, 3.0]))
     assert found.value == 2.0
-    assert math.isnan(found.low)
-    assert math.isnan(found.high)
-    assert math.isnan(ratio_interval(np.array([1.0, 3.0]), np.array([2.0, 2.0])).low)
+    assert np.isnan([found.low, found.high, ratio_interval(np.array([1.0, 3.0]), np.array([2.0, 2.0])).low]).all()
     assert np.isnan(interval(np.array([1.0, np.nan, np.inf]), 9)[1:]).all()
+    assert mean_interval(np.array([1.0, 2.0, 6.0]))[1:] == (1.0, 6.0)
+    assert ratio_interval([1, 2, 6], [1, 1, 1]) == (3.0, 1.0, 6.0)  # whole numbers and lists are numbers too
 
 
 def test_an_interval_is_the_percentile_bootstrap():
@@ -45,13 +45,6 @@ def test_an_interval_is_the_percentile_bootstrap():
     spread = np.std(means)
     assert found.low == pytest.approx(np.quantile(means, 0.025), abs=0.1 * spread)
     assert found.high == pytest.approx(np.quantile(means, 0.975), abs=0.1 * spread)
-
-
-def test_three_plants_are_enough_for_an_interval():
-    found = mean_interval(np.array([1.0, 2.0, 6.0]))
-    assert (found.low, found.high) == (1.0, 6.0)
-    lists = ratio_interval([1, 2, 6], [1, 1, 1])  # whole numbers and lists are numbers too
-    assert (lists.value, lists.low, lists.high) == (3.0, 1.0, 6.0)
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.8, 3.0])
@@ -93,12 +86,18 @@ def weights(seeds, strata, resamples=400, seed=0):
     return Weights(seed_weights(seeds, resamples, seed), plant_weights(np.array(strata), resamples, seed))
 
 
-def test_the_first_row_is_the_estimate_itself():
+def test_the_first_row_is_the_estimate_itself_and_strata_keep_their_number_of_plants():
     values = np.random.default_rng(0).normal(size=(3, 8, 5))
     drawn = weights(3, ["a"] * 8)
     assert means(values, drawn)[0] == pytest.approx(values.mean())
     # 120 values: the middle half is exactly the one of scipy.
     assert interquartile_means(values, drawn)[0] == pytest.approx(trim_mean(values.ravel(), 0.25))
+    strata = np.array(["a", "a", "b", "b", "b"])
+    drawn = plant_weights(strata, 200)
+    assert [set(drawn[:, strata == name].sum(axis=1)) for name in "ab"] == [{2.0}, {3.0}]
+    assert len(np.unique(drawn, axis=0)) > 20
+    np.testing.assert_array_equal(drawn, plant_weights(strata, 200))
+    assert np.all(seed_weights(4, 50).sum(axis=1) == 4.0)
 
 
 def test_a_resampling_is_what_repeated_plants_and_seeds_would_give():
@@ -122,16 +121,6 @@ def test_the_interquartile_mean_takes_parts_of_the_values_at_its_edges():
     values = np.array([0.0, 1.0, 2.0, 3.0, 100.0]).reshape(1, 5, 1)  # the middle 2.5 of 5: 0.75 · 1, 2, 0.75 · 3
     found = interquartile_means(values, Weights(np.ones((1, 1)), np.ones((1, 5))))[0]
     assert found == pytest.approx((0.75 + 2.0 + 2.25) / 2.5)
-
-
-def test_each_stratum_keeps_its_number_of_plants():
-    strata = np.array(["a", "a", "b", "b", "b"])
-    drawn = plant_weights(strata, 200)
-    assert np.all(drawn[:, :2].sum(axis=1) == 2.0)
-    assert np.all(drawn[:, 2:].sum(axis=1) == 3.0)
-    assert len(np.unique(drawn, axis=0)) > 20
-    np.testing.assert_array_equal(drawn, plant_weights(strata, 200))
-    assert np.all(seed_weights(4, 50).sum(axis=1) == 4.0)
 
 
 def test_intervals_cover_the_true_mean_of_plants():
