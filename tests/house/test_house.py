@@ -37,10 +37,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 58_100,
-    "hydro_agents": 169_700,
-    "hydro_rig": 150_500,
-    "tests": 276_000,
+    "hydro_env": 65_100,
+    "hydro_agents": 170_300,
+    "hydro_rig": 148_500,
+    "tests": 267_500,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 
