@@ -61,26 +61,15 @@ def test_the_spec_tells_the_length_of_an_episode_and_changes_no_episode():
         np.testing.assert_array_equal(mine[0], other[0])
         assert mine[1:] == other[1:]
     assert [row[3] for row in rows[0]] == [False] * 19 + [True]
+    timed = TimeAwareObservation(gym.make(ID, episode_duration=0.1), flatten=False, normalize_time=True)
+    timed.reset(seed=0)
+    assert [timed.step(np.zeros(1))[0]["time"].item() for _ in range(5)] == pytest.approx(np.arange(1, 6) / 20)
     vector = gym.make_vec(ID, num_envs=2, episode_duration=0.1)
     assert vector.spec.max_episode_steps == 20
     recreated = gym.make_vec(vector.spec)
     assert recreated.unwrapped.config == vector.unwrapped.config
     assert gym.make(ID, max_episode_steps=7).spec.max_episode_steps == 7
     assert gym.make_vec(ID, num_envs=2, max_episode_steps=7).spec.max_episode_steps == 7
-
-
-def test_wrappers_that_count_time_know_the_length():
-    env = TimeAwareObservation(gym.make(ID, episode_duration=0.1), flatten=False, normalize_time=True)
-    env.reset(seed=0)
-    for _ in range(5):
-        observation = env.step(np.zeros(1))[0]
-    assert observation["time"] == pytest.approx(5 / 20)
-
-
-def test_the_vector_environment_tells_how_it_restarts():
-    for mode in AutoresetMode:
-        envs = ServoHydraulicVectorEnv(2, autoreset_mode=mode)
-        assert envs.autoreset_mode is mode is envs.metadata["autoreset_mode"]
 
 
 @pytest.mark.parametrize("whole", [np.int64, np.int32, np.uint8])

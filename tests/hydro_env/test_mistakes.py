@@ -209,23 +209,16 @@ def test_the_files_that_a_study_names_are_read_too(tmp_path):
     assert lines[3].startswith("  study.yaml: line 5: controllers.PPO.settings.total_stps = 3: unknown key; did you ")
 
 
-def test_many_mistakes_are_cut(tmp_path):
+def test_many_mistakes_are_cut_and_numbers_are_decimal(tmp_path):
     file = tmp_path / "rig.yaml"
     file.write_text("load:\n" + "".join(f"  wrong{number}: 1\n" for number in range(MOST_MISTAKES + 5)))
     with pytest.raises(ConfigurationError) as caught:
         read_rig(file)
-    lines = str(caught.value).splitlines()
-    assert lines[0] == f"{file}: {MOST_MISTAKES + 5} mistakes"
-    assert len(lines) == 1 + MOST_MISTAKES + 1
-    assert lines[-1] == "  and 5 more"
-
-
-def test_numbers_are_decimal(tmp_path):
-    """YAML 1.1 reads 060 as 48 and 1:30 as 90."""
-    file = tmp_path / "rig.yaml"
-    file.write_text(
-        "load: {mass: 060, spring_stiffness: 00.5e5, external_force: -1_000}\nvalve: {natural_frequency: 0x100}\n"
-    )
+    first, *lines, last = str(caught.value).splitlines()
+    assert (first, len(lines), last) == (f"{file}: {MOST_MISTAKES + 5} mistakes", MOST_MISTAKES, "  and 5 more")
+    # YAML 1.1 reads 060 as 48 and 1:30 as 90.
+    load = "load: {mass: 060, spring_stiffness: 00.5e5, external_force: -1_000}\n"
+    file.write_text(load + "valve: {natural_frequency: 0x100}\n")
     plant = read_rig(file).plant
     assert (plant.load.mass, plant.load.spring_stiffness, plant.load.external_force) == (60.0, 5e4, -1000.0)
     assert plant.valve.natural_frequency == 256.0

@@ -70,22 +70,20 @@ def test_leaks_that_are_no_flow_are_refused():
 
 
 def test_the_unit_of_another_quantity_is_refused():
+    assert all(known[unit] == 1.0 for unit, known in UNITS.items())  # each table holds the SI unit itself
     with pytest.raises(ValueError, match="unit 'bar': must be one of mm, m, cm, in, um, µm"):
         in_si("63 bar", "m")
     with pytest.raises(ValueError, match="unit 'kg': must be one of N s/m"):
         in_si("63 kg", "N s/m")
 
 
-def test_each_table_holds_the_si_unit_itself():
-    for unit, known in UNITS.items():
-        assert known[unit] == 1.0
-
-
-def test_recordings_and_rigs_know_the_same_units():
+def test_recordings_and_tasks_know_the_same_units():
     assert factor("position", "mm", "x") == 1e-3
     assert factor("pressure_a", "psi", "x") == pytest.approx(6894.757293168)
     with refused("x: unit 'furlong': must be one of mm, m, "):
         factor("position", "furlong", "x")
+    config = TaskConfig(control_period="4 ms", references={"step_range": ["1 mm", "2 cm"]})
+    assert (config.control_period, config.references.step_range) == (0.004, (0.001, 0.02))
 
 
 def test_a_rig_with_units_is_the_rig_in_si(tmp_path):
@@ -106,9 +104,3 @@ def test_a_rig_with_units_is_the_rig_in_si(tmp_path):
     assert config.randomisation["load.mass"].uniform == (50.0, 70.0)
     assert config.randomisation["supply.pressure"].factor == (0.95, 1.05)
     assert config.sensors.pressure_a.high == 160e5
-
-
-def test_a_task_may_have_units_too():
-    config = TaskConfig(control_period="4 ms", references={"step_range": ["1 mm", "2 cm"]})
-    assert config.control_period == 0.004
-    assert config.references.step_range == (0.001, 0.02)

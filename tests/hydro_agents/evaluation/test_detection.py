@@ -41,13 +41,16 @@ def test_area_under_roc_is_the_statistic_of_mann_and_whitney(seed, decimals):
     assert area_under_roc(-scores, positive) == pytest.approx(1.0 - expected, rel=1e-12)
 
 
-def test_area_under_roc_at_its_ends():
+def test_areas_and_curves_at_their_ends():
     positive = np.array([False, False, True, True])
-    assert area_under_roc(np.array([0.1, 0.2, 0.3, 0.4]), positive) == 1.0
-    assert area_under_roc(np.array([0.4, 0.3, 0.2, 0.1]), positive) == 0.0
-    assert area_under_roc(np.full(4, 0.5), positive) == 0.5
+    for scores, area in (([0.1, 0.2, 0.3, 0.4], 1.0), ([0.4, 0.3, 0.2, 0.1], 0.0), ([0.5] * 4, 0.5)):
+        assert area_under_roc(np.array(scores), positive) == area
     for same in (True, False):
         assert math.isnan(area_under_roc(np.array([0.1, 0.2]), np.full(2, same)))
+    for positive in (np.array([True, False, True]), np.zeros(3, dtype=bool)):  # nothing is flagged at first
+        curve = precision_recall_curve(np.array([0.2, 0.9, 0.5]), positive)
+        assert (curve.x[0], curve.y[0], curve.threshold[0], curve.y[1]) == (0.0, 1.0, np.inf, 0.0)
+        assert curve.x[-1] == float(positive.any())
 
 
 def test_roc_curve_by_hand():
@@ -69,14 +72,6 @@ def test_curves_say_what_their_thresholds_do():
         assert roc.y[index] == pytest.approx(flagged[positive].mean())
         assert recall.y[index] == pytest.approx(positive[flagged].mean())
     np.testing.assert_array_equal(recall.x, roc.y)
-
-
-def test_where_nothing_is_flagged_precision_is_one_and_recall_zero():
-    for positive in (np.array([True, False, True]), np.zeros(3, dtype=bool)):
-        curve = precision_recall_curve(np.array([0.2, 0.9, 0.5]), positive)
-        assert (curve.x[0], curve.y[0], curve.threshold[0]) == (0.0, 1.0, np.inf)
-        assert curve.y[1] == 0.0
-        assert curve.x[-1] == float(positive.any())
 
 
 def test_average_precision_by_hand():
@@ -126,13 +121,9 @@ def episodes(controllers=("A", "B")):
     ).assign(flagged=lambda table: table["probability"] >= THRESHOLD)
 
 
-def test_bounds_come_from_the_task():
-    assert LeakBounds.of(TASK) == (0.05, 0.2, 0.5)
-    assert LeakBounds.of(TASK).moderate_label == "≥ 0.5"
-    assert LeakBounds.of(TaskConfig()) == (0.03, 0.1, 0.3)
-
-
 def test_rates_per_class_and_range():
+    assert LeakBounds.of(TASK) == (0.05, 0.2, 0.5)
+    assert LeakBounds.of(TaskConfig()) == (0.03, 0.1, 0.3)
     table = detection_rates(episodes(), TASK)
     own = table[table["controller"] == "A"]
     assert len(own) * 2 == len(table)

@@ -1,5 +1,6 @@
 """The protocol: which cases are run, who is compared with whom, and what a failing controller costs."""
 
+import itertools
 import math
 import warnings
 
@@ -34,24 +35,20 @@ def cases_of(**settings):
 def test_levels_share_plants_and_families_do_not():
     cases, table = cases_of(plants=4, leak_levels=(0.01, 1.0, 4.0), families=("sine", "step"))
     assert len(cases) == len(table) == 3 * 2 * 4
-    seeds = {}
-    for seed, leak, family, row in zip(
-        cases.seeds, cases.leakage_flow_lpm, cases.families, table.itertuples(), strict=True
-    ):
-        assert (leak, family) == (row.leakage_flow_lpm, row.family)
-        seeds.setdefault((leak, str(family)), []).append(int(seed))
+    np.testing.assert_array_equal(cases.leakage_flow_lpm, table["leakage_flow_lpm"])
+    np.testing.assert_array_equal(cases.families, table["family"])
+    seeds = table.assign(seed=cases.seeds).groupby(["family", "leakage_flow_lpm"])["seed"].agg(tuple)
     for family in ("sine", "step"):
-        assert seeds[0.01, family] == seeds[1.0, family] == seeds[4.0, family]
-        assert len(set(seeds[0.01, family])) == 4
-    assert not set(seeds[0.01, "sine"]) & set(seeds[0.01, "step"])
+        assert len(set(seeds[family])) == 1
+        assert len(set(seeds[family].iloc[0])) == 4
+    assert not set(seeds["sine"].iloc[0]) & set(seeds["step"].iloc[0])
 
 
 def test_seeds_of_the_protocol_do_not_move():
     cases, table = cases_of(plants=3)
-    assert len(cases) == 7 * 6 * 3
-    assert cases.seeds.dtype == np.int64
-    for row, seed in zip(table.itertuples(), cases.seeds, strict=True):
-        assert seed == 2_000_000 + 10_000 * REFERENCE_FAMILIES.index(row.family) + row.plant
+    assert (len(cases), cases.seeds.dtype) == (7 * 6 * 3, np.int64)
+    expected = 2_000_000 + 10_000 * table["family"].map(REFERENCE_FAMILIES.index) + table["plant"]
+    np.testing.assert_array_equal(cases.seeds, expected)
     assert list(table["plant"][:3]) == [0, 1, 2]
     assert list(dict.fromkeys(table["family"])) == list(MOVING_FAMILIES)
     largest, _ = cases_of(plants=10_000, leak_levels=(1.0,))
@@ -60,6 +57,20 @@ def test_seeds_of_the_protocol_do_not_move():
     assert watched[0] == 2_500_000
     assert not set(largest.seeds) & set(watched)
     assert max(watched) < TEST_SEEDS.stop
+
+
+def test_every_part_of_the_result_is_made_from_its_own_cases(evaluation):
+    result, phases, head = evaluation
+    assert set(result.levels.columns[:2]) == {"controller", "leakage_flow_lpm"}
+    assert set(result.families["family"]) == {"step", "sine"}
+    assert (set(result.ratios["controller"]), set(result.ratios["against"])) == ({"weak"}, {"strong"})
+    assert len(result.detection) == 2 * 100
+    for table in (result.cases, result.detection_summary, result.detection_rates):
+        assert list(table["controller"].unique()) == ["strong", "weak"]
+    assert set(result.detection_summary["threshold"]) == {head.settings.threshold}
+    assert set(result.curves["curve"]) == {"roc", "precision_recall"}
+    assert (result.bounds, result.errors) == ((0.03, 0.1, 0.3), {})
+    assert phases == [("evaluation", done, 6) for done in range(7)]  # both controllers track, rest and are watched
 
 
 def test_detection_cases_are_healthy_and_leaking_in_turn():
@@ -106,19 +117,29 @@ def evaluation():
     return result, phases, head
 
 
-def test_every_case_is_in_the_table_with_its_own_error(evaluation):
-    result, _, _ = evaluation
+@pytest.mark.parametrize(("name", "controller"), [("strong", STRONG), ("weak", WEAK)])
+def test_every_case_is_in_the_table_with_its_own_error_and_seen_by_the_head(evaluation, name, controller):
+    result, _, head = evaluation
     cases, table = cases_of(**SETTINGS.model_dump())
-    for name, controller in (("strong", STRONG), ("weak", WEAK)):
-        own = result.cases[result.cases["controller"] == name]
-        np.testing.assert_array_equal(own["seed"], cases.seeds)
-        for column in table.columns:
-            np.testing.assert_array_equal(own[column], table[column])
-        run = run_cases(CONFIG, controller, cases)
-        error = 1e3 * np.abs(run.reference.astype(np.float64) - run.position).mean(axis=1)
-        np.testing.assert_allclose(own["mean_error_mm"], error, rtol=1e-12)
-    assert list(result.cases["controller"].unique()) == ["strong", "weak"]
-    assert result.errors == {}
+    own = result.cases[result.cases["controller"] == name].reset_index(drop=True)
+    np.testing.assert_array_equal(own["seed"], cases.seeds)
+    pd.testing.assert_frame_equal(own[list(table)], table, check_dtype=False)
+    run = run_cases(CONFIG, controller, cases)
+    error = 1e3 * np.abs(run.reference.astype(np.float64) - run.position).mean(axis=1)
+    np.testing.assert_allclose(own["mean_error_mm"], error, rtol=1e-12)
+
+    own, watched = result.detection[result.detection["controller"] == name], detection_cases(CONFIG, 100)
+    signals = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
+    run = run_cases(CONFIG, controller, watched, [LAYOUT.index(signal) for signal in signals], states=False)
+    estimate = head.estimate_signals(run.signals)
+    np.testing.assert_array_equal(own["probability"], estimate.probability)
+    np.testing.assert_array_equal(own["estimated_flow_lpm"], estimate.flow_lpm)
+    np.testing.assert_array_equal(own["flagged"], estimate.probability >= head.settings.threshold)
+    np.testing.assert_array_equal(own["leakage_flow_lpm"], watched.leakage_flow_lpm)
+    np.testing.assert_array_equal(own["seed"], watched.seeds)
+    flow = own["leakage_flow_lpm"]
+    assert set(own["class"][flow <= 0.03]) == {"healthy"}
+    assert set(own["class"][(flow > 0.3) & (flow <= 1.0)]) == {"moderate"}
 
 
 def test_the_preview_is_left_out_of_standstills():
@@ -127,40 +148,6 @@ def test_the_preview_is_left_out_of_standstills():
     tables = [evaluate(task, {"hold": Constant()}, settings=settings).cases for task in tasks]
     np.testing.assert_array_equal(tables[0]["mean_error_mm"], tables[1]["mean_error_mm"])
     assert (tables[0]["steady_state_error_mm"] != tables[1]["steady_state_error_mm"]).any()
-
-
-def test_every_part_of_the_result_is_made_from_its_own_cases(evaluation):
-    result, phases, head = evaluation
-    assert set(result.levels.columns[:2]) == {"controller", "leakage_flow_lpm"}
-    assert set(result.families["family"]) == {"step", "sine"}
-    assert set(result.ratios["controller"]) == {"weak"}
-    assert set(result.ratios["against"]) == {"strong"}
-    assert len(result.detection) == 2 * 100
-    assert list(result.detection_summary["controller"]) == ["strong", "weak"]
-    assert set(result.detection_summary["threshold"]) == {head.settings.threshold}
-    assert set(result.curves["curve"]) == {"roc", "precision_recall"}
-    assert set(result.detection_rates["controller"]) == {"strong", "weak"}
-    assert result.bounds == (0.03, 0.1, 0.3)
-    assert phases == [("evaluation", done, 6) for done in range(7)]  # both controllers track, rest and are watched
-
-
-def test_the_head_sees_each_episode_under_each_controller(evaluation):
-    result, _, head = evaluation
-    watched = detection_cases(CONFIG, 100)
-    columns = [LAYOUT.index(name) for name in ("position", "pressure_a", "pressure_b", "spool_position")]
-    columns.append(LAYOUT.index("previous_command"))
-    for name, controller in (("strong", STRONG), ("weak", WEAK)):
-        own = result.detection[result.detection["controller"] == name]
-        run = run_cases(CONFIG, controller, watched, columns, states=False)
-        estimate = head.estimate_signals(run.signals)
-        np.testing.assert_array_equal(own["probability"], estimate.probability)
-        np.testing.assert_array_equal(own["estimated_flow_lpm"], estimate.flow_lpm)
-        np.testing.assert_array_equal(own["flagged"], estimate.probability >= head.settings.threshold)
-        np.testing.assert_array_equal(own["leakage_flow_lpm"], watched.leakage_flow_lpm)
-        np.testing.assert_array_equal(own["seed"], watched.seeds)
-        flow = own["leakage_flow_lpm"]
-        assert set(own["class"][flow <= 0.03]) == {"healthy"}
-        assert set(own["class"][(flow > 0.3) & (flow <= 1.0)]) == {"moderate"}
 
 
 class NotANumber:
@@ -246,19 +233,14 @@ PLANTS = 4
 
 def tracking_table():
     """Two controllers on two levels, two families and four plants; every metric is a number of its own."""
-    rows = []
-    for controller, factor in (("base", 1.0), ("other", 0.5)):
-        for level in (0.01, 4.0):
-            for family in ("step", "sine"):
-                for plant in range(PLANTS):
-                    error = factor * (1.0 + plant) * (10.0 if family == "step" else 1.0) * (1.0 + 0.1 * level)
-                    if (controller, level, family) == ("other", 4.0, "sine"):
-                        error *= 3.0  # worse than the base there
-                    rows.append(
-                        {"controller": controller, "leakage_flow_lpm": level, "family": family, "plant": plant}
-                        | {name: error + index for index, name in enumerate(METRICS)}
-                    )
-    return pd.DataFrame(rows)
+    columns = ["controller", "leakage_flow_lpm", "family", "plant"]
+    rows = itertools.product(("base", "other"), (0.01, 4.0), ("step", "sine"), range(PLANTS))
+    table = pd.DataFrame(rows, columns=columns)
+    other, sine = table["controller"] == "other", table["family"] == "sine"
+    error = (1.0 + table["plant"]) * np.where(sine, 1.0, 10.0) * (1.0 + 0.1 * table["leakage_flow_lpm"])
+    # The other is better by half, and worse than the base on sines with the large leak.
+    error *= np.where(other, np.where(sine & (table["leakage_flow_lpm"] == 4.0), 1.5, 0.5), 1.0)
+    return table.assign(**{name: error + index for index, name in enumerate(METRICS)})
 
 
 CASES = tracking_table()

@@ -86,25 +86,15 @@ def test_a_relay_on_the_plant_oscillates_and_a_weak_loop_does_not():
 
 def standstills(amplitudes, failed=0, count=16):
     """``count`` standstills, of which the first have a limit cycle of these amplitudes in µm."""
-    cycles = len(amplitudes)
-    return pd.DataFrame(
-        {
-            "limit_cycle": np.arange(count) < cycles,
-            "amplitude_um": [*amplitudes, *[2.0] * (count - cycles)],
-            "frequency_hz": [5.0 + number for number in range(cycles)] + [np.nan] * (count - cycles),
-            "failed": np.arange(count) >= count - failed,
-        }
-    )
+    number, cycles = np.arange(count), len(amplitudes)
+    columns = {"limit_cycle": number < cycles, "amplitude_um": [*amplitudes, *[2.0] * (count - cycles)]}
+    columns |= {"frequency_hz": np.where(number < cycles, 5.0 + number, np.nan), "failed": number >= count - failed}
+    return pd.DataFrame(columns)
 
 
 def test_standstills_are_counted_with_the_largest_limit_cycle():
-    assert counted(standstills([20.0, 90.0, 30.0], failed=2)) == {
-        "limit_cycles": 3,
-        "standstills": 16,
-        "failures": 2,
-        "largest_amplitude_um": 90.0,
-        "frequency_hz": 6.0,
-    }
+    expected = {"limit_cycles": 3, "standstills": 16, "failures": 2, "largest_amplitude_um": 90.0, "frequency_hz": 6.0}
+    assert counted(standstills([20.0, 90.0, 30.0], failed=2)) == expected
     none = counted(standstills([]))
     assert (none["limit_cycles"], none["largest_amplitude_um"]) == (0, 0.0)
     assert np.isnan(none["frequency_hz"])

@@ -126,27 +126,22 @@ def test_standstills():
     assert standstills(pulses, 0.005) == [(30, 50), (69, 94)]  # 20 samples are 0.1 s, 19 are not
 
 
-def test_without_a_standstill_there_is_nothing_to_settle_on():
-    found = metrics_of(np.arange(50.0), np.arange(50.0), period=0.005)
-    for name in ("settling_time_s", "unsettled_share", "steady_state_error_mm", "overshoot_percent"):
-        assert math.isnan(found[name])
-
-
-def test_errors_of_a_sine():
+def test_errors_and_reversals_of_a_sine():
     time = 0.001 * np.arange(1, 2001)
     error = 0.003 * np.sin(2.0 * math.pi * 5.0 * time)
-    found = metrics_of(error, np.zeros(2000), period=0.001)
+    found = metrics_of(error, np.zeros(2000), period=0.001, command=100.0 * error)
     assert found["mean_error_mm"] == pytest.approx(3.0 * 2.0 / math.pi, rel=1e-3)
     assert found["rms_error_mm"] == pytest.approx(3.0 / math.sqrt(2.0), rel=1e-6)
     assert found["peak_error_mm"] == pytest.approx(3.0, rel=1e-6)
+    assert found["reversals_per_s"] == pytest.approx(10.0)  # two in a period
+    for name in ("settling_time_s", "unsettled_share", "steady_state_error_mm", "overshoot_percent"):
+        assert math.isnan(metrics_of(np.arange(50.0), np.arange(50.0), period=0.005)[name])  # it never stands still
 
 
 def test_itae():
     time = PERIOD * np.arange(1, 20_001)
-    found = metrics_of(np.full(20_000, 0.001), np.zeros(20_000))
-    assert found["itae_mm_s2"] == pytest.approx(1.0 * 2.0**2 / 2.0, rel=1e-3)
-    decay = metrics_of(-0.001 * np.exp(-time / 0.1), np.zeros(20_000))
-    assert decay["itae_mm_s2"] == pytest.approx(0.1**2, rel=1e-3)  # ∫ t exp(−t/τ) dt = τ²
+    for error, expected in ((np.full(20_000, 0.001), 2.0), (-0.001 * np.exp(-time / 0.1), 0.1**2)):
+        assert metrics_of(error, np.zeros(20_000))["itae_mm_s2"] == pytest.approx(expected, rel=1e-3)  # ∫ t |e| dt
 
 
 def test_command_spool_and_failure():
@@ -192,26 +187,17 @@ def test_every_case_of_a_rollout():
     np.testing.assert_allclose(found["mean_error_sensor_mm"], [0.09 + 0.11 * 10 / 10, 0.1], rtol=1e-3)
 
 
-def test_a_standstill_that_the_preview_cuts_short_does_not_end_the_search():
+def test_where_overshoot_and_steady_state_are_counted():
+    reference = np.concatenate([[0.0, 0.004, 0.008], np.full(40, 0.01)])  # from the sample before the step
+    position = reference + 0.001 * (np.arange(43) == 20)
+    assert metrics_of(reference, position, period=0.005)["overshoot_percent"] == pytest.approx(50.0)
+    reference = np.concatenate([np.zeros(3), np.full(6, 0.01)])  # at slow sampling the last sample
+    position = reference + np.concatenate([np.zeros(7), [0.003, 0.001]])
+    assert metrics_of(reference, position, period=0.05)["steady_state_error_mm"] == pytest.approx(1.0)
+    # A standstill that the preview cuts short does not end the search: of the second one alone.
     reference = np.repeat([0.0, 0.01, 0.02], [10, 20, 60])
     found = metrics_of(reference, reference + 0.001, 0.005, preview=0.06)
-    assert found["steady_state_error_mm"] == pytest.approx(1.0)  # of the second one alone
-    assert found["unsettled_share"] == 1.0
-
-
-def test_overshoot_counts_from_the_sample_before_the_step():
-    reference = np.concatenate([[0.0, 0.004, 0.008], np.full(40, 0.01)])
-    position = reference.copy()
-    position[20] += 0.001
-    assert metrics_of(reference, position, period=0.005)["overshoot_percent"] == pytest.approx(50.0)
-
-
-def test_at_slow_sampling_the_steady_state_is_the_last_sample():
-    reference = np.concatenate([np.zeros(3), np.full(6, 0.01)])
-    position = reference.copy()
-    position[-2:] += [0.003, 0.001]
-    found = metrics_of(reference, position, period=0.05)
-    assert found["steady_state_error_mm"] == pytest.approx(1.0)
+    assert (found["steady_state_error_mm"], found["unsettled_share"]) == (pytest.approx(1.0), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -230,10 +216,3 @@ def test_at_slow_sampling_the_steady_state_is_the_last_sample():
 def test_reversals_are_turning_points_of_swings_that_a_valve_follows(command, count):
     assert reversals(np.array(command)) == count
     assert reversals(-np.array(command)) == count
-
-
-def test_a_sine_reverses_twice_a_period():
-    time = 0.005 * np.arange(1, 401)
-    zeros = np.zeros(400)
-    found = metrics_of(zeros, zeros, 0.005, command=0.3 * np.sin(2.0 * math.pi * 5.0 * time))
-    assert found["reversals_per_s"] == pytest.approx(10.0)

@@ -195,19 +195,11 @@ def test_all_tables_of_a_run_are_written(tmp_path):
     results.write(tmp_path)
     assert_published("robustness", tmp_path, absent=("bound",))
     facts = pd.read_csv(tmp_path / "protocol.csv").set_index("key")["value"]
-    assert facts["sha256"] == protocol.sha256
-    assert (facts["baseline"], facts["date"]) == ("P", "today")
-    assert pd.read_csv(tmp_path / "conditions.csv")["changes"].tolist() == [
-        "{}",
-        '{"task": {"command_latency": 0.004}}',
-    ]
-    assert set(results.table("worst_cases")["controller"]) == {"P", "Q"}
-    assert (results.table("worst_cases").groupby("controller").size() == 2).all()
-
-
-def test_one_controller_has_no_comparison():
-    protocol = small(conditions={"plain": {}})
-    results = run(protocol, Participants({"P": Proportional()}), jobs=1)
-    assert results.table("comparison").empty
-    assert results.table("families").empty
-    assert results.table("ranking")["controller"].tolist() == ["P"]
+    assert (facts["sha256"], facts["baseline"], facts["date"]) == (protocol.sha256, "P", "today")
+    changes = pd.read_csv(tmp_path / "conditions.csv")["changes"].tolist()
+    assert changes == ["{}", '{"task": {"command_latency": 0.004}}']
+    assert results.table("worst_cases").groupby("controller").size().to_dict() == {"P": 2, "Q": 2}
+    alone = run(small(conditions={"plain": {}}), Participants({"P": Proportional()}), jobs=1)
+    assert alone.table("comparison").empty
+    assert alone.table("families").empty
+    assert alone.table("ranking")["controller"].tolist() == ["P"]

@@ -32,15 +32,12 @@ def test_a_relay_cycles_on_the_real_plant_and_a_soft_loop_does_not(monkeypatch):
     assert not (relay["failed"] | soft["failed"]).any()
 
 
-def test_the_pid_does_not_cycle_at_a_leak_of_1_l_min_although_noise_moves_it(monkeypatch):
+def test_the_pid_does_not_cycle_and_its_offsets_are_those_of_the_reading(monkeypatch):
+    """Noise moves it; with an integral it holds its reading on the reference, whatever the bias of the sensor is."""
     table = held(PID, [1.0], 0.3, 3, monkeypatch)
     assert not table["limit_cycle"].any()
     assert (table["unrest_um"] > table["amplitude_um"]).all()
     assert (table["valve_travel_per_s"] > 0.0).all()
-
-
-def test_offsets_are_those_of_the_reading(monkeypatch):
-    """A controller with an integral holds its reading on the reference, whatever the bias of the sensor is."""
     table = held(HiddenPreview(PID, TASK), [0.3], 0.0, 4, monkeypatch)
     assert (table["offset_um"] < 10.0).all()  # biases reach 80 µm
 

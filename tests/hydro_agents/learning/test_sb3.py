@@ -27,12 +27,8 @@ def test_there_and_back_with_the_critic(tmp_path, activation):
     env = AxisVecEnv(CONFIG, 4, policy.features)
     model = policy.to_sb3(env, n_steps=16, batch_size=32, seed=0)
     again = PolicyController.from_sb3(model)
-    for mine, other in ((policy.layers, again.layers), (policy.critic, again.critic)):
-        for (weight, bias), (other_weight, other_bias) in zip(mine, other, strict=True):
-            np.testing.assert_array_equal(weight, other_weight)
-            np.testing.assert_array_equal(bias, other_bias)
-    assert again.log_standard_deviation == policy.log_standard_deviation
-    assert again.activation == activation
+    np.testing.assert_equal((policy.layers, policy.critic), (again.layers, again.critic))
+    assert (again.log_standard_deviation, again.activation) == (policy.log_standard_deviation, activation)
 
     inputs = env.reset()
     observation, _ = ServoHydraulicVectorEnv(4, CONFIG).reset(seed=0)

@@ -77,14 +77,6 @@ def test_weights_round_trip(tmp_path, residual):
         assert np.abs(a).max() <= 1.0
 
 
-def test_learning_rate_falls_along_a_cosine_to_a_tenth():
-    settings = SETTINGS.model_copy(update={"learning_rate": 0.01})
-    assert settings.learning_rate_at(1.0) == 0.01
-    assert settings.learning_rate_at(0.5) == pytest.approx(0.0055)
-    assert settings.learning_rate_at(0.75) == pytest.approx(0.001 + 0.009 * 0.5 * (1 + np.sqrt(0.5)))
-    assert settings.learning_rate_at(0.0) == settings.learning_rate_at(-0.1) == pytest.approx(0.001)
-
-
 def test_log_of_a_training(tmp_path):
     """Schedules are followed, rows come once per update, and stable-baselines3's figures are in them."""
     settings = SETTINGS.model_copy(update={"validation_every": 600, "learning_rate": 0.01})
@@ -94,7 +86,9 @@ def test_log_of_a_training(tmp_path):
     assert [row[STEPS] for row in rows] == [256.0, 512.0, 768.0, 1024.0]
     assert list(pd.read_csv(tmp_path / PROGRESS_FILE)[STEPS]) == [256, 512, 768, 1024]
     rate = [row["train/learning_rate"] for row in rows]
-    np.testing.assert_allclose(rate, 0.001 + 0.009 * 0.5 * (1 + np.cos(np.pi * share)))
+    np.testing.assert_allclose(rate, 0.001 + 0.009 * 0.5 * (1 + np.cos(np.pi * share)))  # a cosine to a tenth
+    assert settings.learning_rate_at(1.0) == 0.01
+    assert settings.learning_rate_at(0.0) == settings.learning_rate_at(-0.1) == pytest.approx(0.001)
     np.testing.assert_allclose([row["train/std"] for row in rows], np.exp(-1.5 - 1.5 * (share - 0.25)), rtol=1e-6)
     assert policy.log_standard_deviation == -3.0
     for name in ("approx_kl", "clip_fraction", "explained_variance", "entropy_loss", "value_loss", "loss"):
@@ -135,12 +129,10 @@ def test_the_discount_is_that_of_a_time_relative_to_the_rig():
 
 
 def test_logs_validation_and_checkpoints_leave_the_weights_as_they_are(tmp_path):
-    silent = train_policy(CONFIG, SETTINGS.model_copy(update={"validation_every": 0}), BASE, seed=3)
-    logged = train_policy(
-        *(CONFIG, SETTINGS.model_copy(update={"validation_every": 256}), BASE),
-        **{"seed": 3, "folder": tmp_path, "checkpoint_seconds": 0.0},
-    )
-    np.testing.assert_array_equal(weights_of(silent), weights_of(logged))
+    silent, logged = (SETTINGS.model_copy(update={"validation_every": every}) for every in (0, 256))
+    policies = [train_policy(CONFIG, silent, BASE, seed=3)]
+    policies.append(train_policy(CONFIG, logged, BASE, seed=3, folder=tmp_path, checkpoint_seconds=0.0))
+    np.testing.assert_array_equal(*map(weights_of, policies))
 
 
 def test_validation_covers_families_and_leaks_on_validation_plants():

@@ -86,12 +86,17 @@ def test_infos_of_ended_axes():
         assert not np.array_equal(info["terminal_observation"], inputs[axis])
 
 
-def test_stagger_spreads_the_ends():
+def test_stagger_spreads_the_ends_and_inputs_are_cut_off():
     env = make(count=10, stagger=True)
     env.reset()
     ends = [int(env.step(np.zeros((10, 1)))[2].sum()) for _ in range(20)]
     assert sum(ends) == 10
     assert max(ends) <= 2
+    bare = make(base=None)
+    bare.features = PolicyFeatures(CONFIG, None)
+    bare.reset()
+    cut = [bare._inputs(np.full((6, len(LAYOUT.names)), far, np.float32), None) for far in (1e6, -1e6)]
+    assert (cut[0].max(), cut[1].min()) == (50.0, -50.0)
 
 
 def test_history_holds_differences_at_the_lags_and_restarts_with_the_episode():
@@ -221,14 +226,6 @@ def test_reward_scale_multiplies_and_the_return_is_the_environments():
         _, quarter, _, others = scaled.step(np.ones((6, 1)))
         np.testing.assert_allclose(quarter, 0.25 * reward, rtol=1e-6)
     assert [info["episode"] for info in infos] == [info["episode"] for info in others]
-
-
-def test_inputs_are_cut_off():
-    env = make(base=None)
-    env.features = PolicyFeatures(CONFIG, None)
-    env.reset()
-    assert env._inputs(np.full((6, len(LAYOUT.names)), 1e6, dtype=np.float32), None).max() == 50.0
-    assert env._inputs(np.full((6, len(LAYOUT.names)), -1e6, dtype=np.float32), None).min() == -50.0
 
 
 @pytest.mark.parametrize("kind", ["plain", "features", "paired"])

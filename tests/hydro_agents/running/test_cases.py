@@ -85,25 +85,36 @@ def test_each_case_is_the_episode_of_a_single_environment():
 
 
 def test_what_is_not_fixed_is_drawn_from_the_seed():
-    drawn = run_cases(CONFIG, Proportional(), Cases(np.arange(40)))
+    cases = (Cases(np.arange(40)), Cases(np.arange(40)), Cases(np.arange(40), np.full(40, 0.5)))
+    drawn, again, fixed = (run_cases(CONFIG, Proportional(), each) for each in cases)
     assert len(set(drawn.leakage_flow_lpm)) > 20
-    again = run_cases(CONFIG, Proportional(), Cases(np.arange(40)))
     np.testing.assert_array_equal(drawn.position, again.position)
-    fixed = run_cases(CONFIG, Proportional(), Cases(np.arange(40), np.full(40, 0.5)))
     np.testing.assert_allclose(fixed.leakage_flow_lpm, 0.5)
     np.testing.assert_array_equal(fixed.reference[:, 0] != 0, drawn.reference[:, 0] != 0)
 
 
-def test_chunks_do_not_change_results():
+def test_chunks_do_not_change_results_and_without_states_only_signals_are_kept():
+    sizes, done = Proportional(), []
     whole = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR])
-    done = []
-    parts = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR], chunk=2, progress=done.append)
+    parts = run_cases(CONFIG, sizes, CASES, signal_columns=[ERROR], chunk=2, progress=done.append)
     assert done == [2, 4, 5]
-    for name in whole.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
-    sizes = Proportional()
-    run_cases(CONFIG, sizes, CASES, chunk=2)
+    np.testing.assert_equal(vars(parts), vars(whole))
     assert {call[3] for call in sizes.calls} == {1, 2}
+    signals = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR], states=False)
+    for name in ("position", "reference", "command", "spool", "reward"):
+        assert getattr(signals, name).shape == (5, 0)
+    np.testing.assert_array_equal(signals.signals, whole.signals)
+    assert run_cases(CONFIG, Proportional(), CASES).signals is None
+
+
+def test_commands_beyond_one_are_recorded_as_they_acted():
+    limited = Proportional(1e4)
+    plain = limited.predict
+    limited.predict = lambda *arguments: (np.clip(plain(*arguments)[0], -1.0, 1.0), None)
+    far, near = (run_cases(CONFIG, each, CASES) for each in (Proportional(1e4), limited))
+    assert np.abs(far.command).max() == 1.0
+    for name in ("position", "command", "spool", "reward"):
+        np.testing.assert_array_equal(getattr(far, name), getattr(near, name))
 
 
 def test_a_part_of_the_cases():
@@ -138,25 +149,6 @@ def test_the_controller_gets_its_memory_back_and_hears_where_episodes_begin():
     assert starts[0].tolist() == [True] * 5
     assert not np.any(starts[1:])
     assert set(deterministic) == {True}
-
-
-def test_without_states_only_signals_are_kept():
-    run = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR], states=False)
-    full = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR])
-    for array in (run.position, run.reference, run.command, run.spool, run.reward):
-        assert array.shape == (5, 0)
-    np.testing.assert_array_equal(run.signals, full.signals)
-    assert run_cases(CONFIG, Proportional(), CASES).signals is None
-
-
-def test_commands_beyond_one_are_recorded_as_they_acted():
-    strong, limited = Proportional(1e4), Proportional(1e4)
-    plain = limited.predict
-    limited.predict = lambda *arguments: (np.clip(plain(*arguments)[0], -1.0, 1.0), None)
-    far, near = run_cases(CONFIG, strong, CASES), run_cases(CONFIG, limited, CASES)
-    assert np.abs(far.command).max() == 1.0
-    for name in ("position", "command", "spool", "reward"):
-        np.testing.assert_array_equal(getattr(far, name), getattr(near, name))
 
 
 @pytest.fixture(scope="module")

@@ -68,12 +68,18 @@ def test_other_files_stay_and_one_command_does_not_replace_another(tmp_path):
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_nothing_is_left_where_nothing_was_written(tmp_path):
+def test_nothing_is_left_where_nothing_was_written_and_no_other_folder_is_reached(tmp_path):
     with pytest.raises(RuntimeError, match="early"), output_folder(tmp_path / "new" / "out", "study", FILES):
         raise RuntimeError("early")
     assert list(tmp_path.iterdir()) == []
     write(tmp_path)
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "out").mkdir()
+    files = {"../mine.txt": "study", str(tmp_path / "mine.txt"): "study", "../*": "study"}
+    (tmp_path / "out" / MANIFEST_FILE).write_text(json.dumps({"files": files}))  # as somebody tampered with it
+    write(tmp_path / "out", "a.csv", overwrite=True)
+    assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
 @pytest.mark.parametrize(
@@ -103,15 +109,6 @@ def test_links_and_folders_in_place_of_a_file(tmp_path):
     (tmp_path / "a.csv").mkdir()
     with refused("cannot be removed"):
         write(tmp_path, overwrite=True)
-
-
-def test_a_list_that_was_tampered_with_reaches_no_other_folder(tmp_path):
-    (tmp_path / "mine.txt").write_text("mine")
-    (tmp_path / "out").mkdir()
-    files = {"../mine.txt": "study", str(tmp_path / "mine.txt"): "study", "../*": "study"}
-    (tmp_path / "out" / MANIFEST_FILE).write_text(json.dumps({"files": files}))
-    write(tmp_path / "out", "a.csv", overwrite=True)
-    assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
 KILLED = """

@@ -108,19 +108,19 @@ def test_a_resampling_is_what_repeated_plants_and_seeds_would_give():
     assert interquartile_means(values, drawn)[0] == pytest.approx(trim_mean(repeated.ravel(), 0.25))
 
 
+def ones(plants, resamples=1):
+    return Weights(np.ones((resamples, 1)), np.ones((resamples, plants)))
+
+
 def test_missing_cases_do_not_count():
     values = np.array([[[1.0, np.nan], [3.0, 5.0], [np.nan, np.nan]]])
-    ones = Weights(np.ones((1, 1)), np.ones((1, 3)))
-    assert means(values, ones)[0] == 3.0
-    assert interquartile_means(values, ones)[0] == pytest.approx(3.0)
-    assert np.isnan(means(np.full((1, 2, 2), np.nan), Weights(np.ones((1, 1)), np.ones((1, 2)))))[0]
-    assert np.isnan(interquartile_means(np.full((1, 2, 2), np.nan), Weights(np.ones((4, 1)), np.ones((4, 2))))).all()
-
-
-def test_the_interquartile_mean_takes_parts_of_the_values_at_its_edges():
+    nothing = np.full((1, 2, 2), np.nan)
+    assert means(values, ones(3))[0] == 3.0
+    assert interquartile_means(values, ones(3))[0] == pytest.approx(3.0)
+    assert np.isnan(means(nothing, ones(2)))[0]
+    assert np.isnan(interquartile_means(nothing, ones(2, 4))).all()
     values = np.array([0.0, 1.0, 2.0, 3.0, 100.0]).reshape(1, 5, 1)  # the middle 2.5 of 5: 0.75 · 1, 2, 0.75 · 3
-    found = interquartile_means(values, Weights(np.ones((1, 1)), np.ones((1, 5))))[0]
-    assert found == pytest.approx((0.75 + 2.0 + 2.25) / 2.5)
+    assert interquartile_means(values, ones(5))[0] == pytest.approx((0.75 + 2.0 + 2.25) / 2.5)
 
 
 def test_intervals_cover_the_true_mean_of_plants():
@@ -155,7 +155,7 @@ def test_pairs_cancel_what_plants_have_in_common():
 def test_probability_of_improvement_counts_pairs_of_training_seeds():
     mine = np.array([1.0, 3.0]).reshape(2, 1, 1)
     theirs = np.array([2.0, 3.0, 4.0]).reshape(3, 1, 1)
-    ones = Weights(np.ones((1, 2)), np.ones((1, 1)))
+    both = Weights(np.ones((1, 2)), np.ones((1, 1)))
     # 1 beats all three; 3 loses, ties, wins.
-    assert improvements(mine, theirs, ones, np.ones((1, 3)))[0] == pytest.approx((3 + 1.5) / 6)
-    assert improvements(mine, theirs, Weights(np.array([[0.0, 2.0]]), ones.plants), np.array([[3.0, 0, 0]]))[0] == 0.0
+    assert improvements(mine, theirs, both, np.ones((1, 3)))[0] == pytest.approx((3 + 1.5) / 6)
+    assert improvements(mine, theirs, Weights(np.array([[0.0, 2.0]]), both.plants), np.array([[3.0, 0, 0]]))[0] == 0.0

@@ -62,24 +62,20 @@ def nested(_, number):
     return {"jobs": np.array([effective_n_jobs(None)])}
 
 
-def test_a_job_starts_no_others():
+def test_all_cores_are_the_default_and_a_job_starts_no_others(monkeypatch):
     with workers(2):
         found, _ = run_jobs({str(number): Job(nested, None, (number,)) for number in range(4)}, None, None, None)
     assert [result.metrics["jobs"].item() for result in found.values()] == [1, 1, 1, 1]
+    monkeypatch.setattr(places, "cpu_count", lambda: 64)
+    for wanted, jobs in ((None, 64), (3, 3)):
+        with workers(wanted):
+            assert effective_n_jobs(None) == jobs
 
 
 def test_a_worker_with_other_code_is_refused(monkeypatch):
     monkeypatch.setattr(running, "digest_of_code", lambda *rooms: "another")
     with workers(2), refused("has another version of hydro_env"):
         run_jobs({str(number): Job(nested, None, (number,)) for number in range(4)}, None, None, None)
-
-
-def test_all_cores_are_the_default(monkeypatch):
-    monkeypatch.setattr(places, "cpu_count", lambda: 64)
-    with workers():
-        assert effective_n_jobs(None) == 64
-    with workers(3):
-        assert effective_n_jobs(None) == 3
 
 
 COMMANDS = ("study", "ladder", "evaluate", "alarms", "leak-bound", "train pid", "trend data", "record")

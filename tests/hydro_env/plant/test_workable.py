@@ -70,40 +70,29 @@ def test_the_rod_may_sit_on_either_side():
         assert min(chamber_volumes(turned, position)) > 0.0
 
 
-def test_the_softest_position_is_the_minimum():
+def test_softest_position_and_reach():
     rig = PlantParameters()
+    refuse_unworkable(rig.replace(leakage={"internal_resistance": 1.95e9}))  # with 1.9e9 it is refused, see below
     found = minimize_scalar(
         lambda x: closed_port_natural_frequency(rig, x), bounds=(-0.2, 0.2), method="bounded", options={"xatol": 1e-9}
     )
     assert softest_position(rig) == pytest.approx(found.x, abs=1e-6)
-
-
-def test_reach_ends_where_the_force_does():
-    rig = PlantParameters()
-    out, back = force_limits(rig)
-    assert out == pytest.approx(8732, rel=1e-3)
-    assert back == pytest.approx(4361, rel=1e-3)
+    out, back = force_limits(rig)  # reach ends where the force does
+    assert (out, back) == pytest.approx((8732, 4361), rel=1e-3)
     assert reachable_range(rig) == pytest.approx((-back / 89e3, out / 89e3))
 
 
 def test_the_longest_stable_step():
     rig = PlantParameters()
-    found = inner_step(rig, 0.05)
-    state, _ = equilibrium(rig, 0.05)
+    found, (state, _) = inner_step(rig, 0.05), equilibrium(rig, 0.05)
     assert found.rate == max(rates(State(**state), plant_coefficients(rig)))
-    assert found.step * found.rate <= STABLE_PRODUCT
-    assert found.stable * found.rate == pytest.approx(STABLE_PRODUCT)
+    assert found.step * found.rate <= STABLE_PRODUCT == pytest.approx(found.stable * found.rate)
     shortest = shortest_inner_step(rig)
-    assert shortest.cause == "chamber_a"
-    assert shortest.steps == math.ceil(5e-3 * shortest.rate / STABLE_PRODUCT)
-
-
-def test_lugre_friction_is_judged_at_speed():
-    """Sliding at v, bristles relax at σ_0 v / F_c."""
-    rig = PlantParameters().replace(friction={"model": "lugre", "bristle_stiffness": 1e9, "bristle_damping": 0.0})
-    found = inner_step(rig)
-    assert found.cause == "friction"
-    assert found.rate == pytest.approx(1e9 * max(speed_limits(rig)) / 120.0, rel=1e-3)
+    assert (shortest.cause, shortest.steps) == ("chamber_a", math.ceil(5e-3 * shortest.rate / STABLE_PRODUCT))
+    # Lugre friction is judged at speed: sliding at v, bristles relax at σ_0 v / F_c.
+    lugre = rig.replace(friction={"model": "lugre", "bristle_stiffness": 1e9, "bristle_damping": 0.0})
+    found = inner_step(lugre)
+    assert (found.cause, found.rate) == ("friction", pytest.approx(1e9 * max(speed_limits(rig)) / 120.0, rel=1e-3))
 
 
 def test_the_probe_estimates_the_true_error():
@@ -113,10 +102,6 @@ def test_the_probe_estimates_the_true_error():
     fast, exact = (simulate(rig, voltage, PERIOD, method=method).states for method in ("fast", "radau"))
     true = (np.abs(fast - exact).max(axis=0) / state_ranges(rig, exact)).max()
     assert probe(rig).error == pytest.approx(true, rel=0.02)
-
-
-def test_the_limit_of_a_leak_is_the_limit():
-    refuse_unworkable(PlantParameters().replace(leakage={"internal_resistance": 1.95e9}))  # refused: 1.9e9, see below
 
 
 IMPOSSIBLE = [
