@@ -1,6 +1,7 @@
 """How hard are drawn rigs: a policy for any axis, and its opponents, on test rigs that nobody used.
 
     python benchmarks/any_axis.py [--weights WEIGHTS] [--rigs 100] [--tuned FOLDER] [--split test] [--output FILE]
+    python benchmarks/any_axis.py --rig kovari_2015 --rig my.yaml
 
 Errors are those in the sensor's frame, every family of references weighing the same; a failed axis is wrong by its
 stroke for the rest of the episode. ``--tuned`` adds gains tuned for each rig, as ``benchmarks/no_tuning.py`` does. The
@@ -123,16 +124,17 @@ def main() -> None:
     parser.add_argument("--weights", default=str(pretrained_folder() / "policy_any_axis"))
     parser.add_argument("--rigs", type=int, default=100)
     parser.add_argument("--split", default="test", choices=("training", "validation", "test"))
+    parser.add_argument("--rig", action="append", help="instead of drawn ones; repeat for several")
     parser.add_argument("--first", type=int, default=0, help="number of the first rig")
     parser.add_argument("--tuned", type=Path, help="folder for gains of each rig: minutes per rig")
     parser.add_argument("--output", type=Path, default=Path("results/any_axis.csv"))
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
     law = {"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": []}
-    tasks = rig_tasks(task_config(law=law))
+    tasks = [task_config(rig=rig) for rig in given.rig] if given.rig else rig_tasks(task_config(law=law))
     rows = pd.read_csv(given.output) if given.output.exists() else pd.DataFrame({"rig": []})
     began = time.perf_counter()
-    missing = [number for number in range(given.rigs) if number not in set(rows["rig"])]
+    missing = [number for number in range(len(tasks)) if number not in set(rows["rig"])]
     jobs = [delayed(rig_rows)(number, tasks[number], given.weights, given.tuned) for number in missing]
     for done, found in enumerate(Parallel(given.jobs, return_as="generator_unordered")(jobs), 1):
         rows = pd.concat([rows, pd.DataFrame(found)], ignore_index=True) if len(rows) else pd.DataFrame(found)
