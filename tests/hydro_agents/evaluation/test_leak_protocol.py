@@ -148,9 +148,10 @@ def test_the_detector_knows_the_rig_and_nothing_else_of_a_condition():
     np.testing.assert_array_equal(protocol.cases_in("null", 1.0, 3).faults["valve_null_shift"], [0.02] * 3)
 
 
-def test_windows_anywhere_are_cut_from_longer_runs():
+def test_windows_anywhere_are_cut_from_longer_runs_and_motions_change_what_is_asked_alone():
     protocol = small(conditions={"plain": {"duration": 0.3}, "late": {"duration": 0.3, "begins": "anywhere"}})
     assert protocol.task_in("late").steps == 3 * protocol.task_in("plain").steps == 180
+    assert all(motion.change(protocol.task).plant == protocol.task.plant for motion in MOTIONS.values())
 
 
 def test_groups_and_detectors_choose_what_is_read():
@@ -203,9 +204,3 @@ def test_operations_that_no_training_holds_move_the_axes_and_keep_their_memory(n
     runs = [run_cases(config, ACTING[name].make(config, 4, 3), cases, [0]) for _ in range(2)]
     assert np.ptp(runs[0].position, axis=1).max() > 1e-3
     np.testing.assert_array_equal(runs[0].signals, runs[1].signals)
-
-
-def test_motions_change_what_is_asked_alone():
-    task = small().task
-    for motion in MOTIONS.values():
-        assert motion.change(task).plant == task.plant

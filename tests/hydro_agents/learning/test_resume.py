@@ -78,23 +78,17 @@ def test_interrupted_training_ends_as_an_uninterrupted_one(tmp_path, changes):
 
 
 def test_a_finished_training_resumes_to_the_same_policy_and_may_be_made_longer(tmp_path, whole):
-    train(tmp_path)
-    assert load_checkpoint(tmp_path / CHECKPOINT_FILE, KIND)[1]["steps"] == 1280
-    again = result(train(tmp_path, resume=True), tmp_path / PROGRESS_FILE)
-    np.testing.assert_array_equal(again[0], whole[0])
-    longer = train(tmp_path, settings=SETTINGS.model_copy(update={"total_steps": 1536}), resume=True)
-    assert longer.training["steps"] == 1536
-    assert [row[STEPS] for row in read_progress(tmp_path / PROGRESS_FILE)] == list(range(256, 1537, 256))
-
-
-def test_rows_after_the_checkpoint_are_written_once(tmp_path, whole):
     with pytest.raises(KeyboardInterrupt):
         train(tmp_path, progress=interrupt_at(768))
     curve = tmp_path / PROGRESS_FILE
     with curve.open("a") as file:  # as a killed training leaves it: a row after the checkpoint, and half a row
         file.write(curve.read_text().splitlines()[-1].replace("512", "768", 1) + "\n1024,0.1")
-    found = result(train(tmp_path, resume=True), curve)
-    np.testing.assert_array_equal(found[1], whole[1])
+    np.testing.assert_equal(result(train(tmp_path, resume=True), curve), whole)
+    assert load_checkpoint(tmp_path / CHECKPOINT_FILE, KIND)[1]["steps"] == 1280
+    np.testing.assert_array_equal(result(train(tmp_path, resume=True), curve)[0], whole[0])
+    longer = train(tmp_path, settings=SETTINGS.model_copy(update={"total_steps": 1536}), resume=True)
+    assert longer.training["steps"] == 1536
+    assert [row[STEPS] for row in read_progress(curve)] == list(range(256, 1537, 256))
 
 
 def test_resume_needs_a_checkpoint_of_the_same_settings(tmp_path):

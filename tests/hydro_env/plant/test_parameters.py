@@ -19,31 +19,19 @@ CHANGED = PlantParameters().replace(
 )
 
 
-def test_derived_values_of_the_model():
-    c = plant_coefficients(PlantParameters())
-    assert c.area_a == pytest.approx(1.2566e-3, rel=1e-4)
-    assert c.area_b == pytest.approx(6.409e-4, rel=1e-4)
-    assert c.edge_gain == pytest.approx(8.909e-8, rel=1e-4)
-    assert c.volume_a0 == pytest.approx(30e-6 + 1.2566e-3 * 0.2, rel=1e-4)
-    assert c.volume_b0 == pytest.approx(30e-6 + 6.409e-4 * 0.2, rel=1e-4)
-    assert 1.0 / c.inverse_mass == pytest.approx(63.0)
-
-
-def test_defaults_are_those_of_the_paper():
-    p = PlantParameters()
+def test_defaults_are_those_of_the_paper_and_so_are_the_values_derived_from_them():
+    p, c = PlantParameters(), plant_coefficients(PlantParameters())
     assert (p.cylinder.bore_diameter, p.cylinder.rod_diameter, p.cylinder.stroke) == (0.040, 0.028, 0.400)
     assert (p.load.mass, p.load.spring_stiffness) == (60.0, 89e3)
     assert (p.valve.rated_flow, p.valve.rated_pressure_drop) == (pytest.approx(1.6667e-4, rel=1e-4), 70e5)
     assert (p.fluid.density, p.fluid.bulk_modulus) == (872.0, 1.4e9)
     assert p.supply.accumulator_volume == 1e-3
-
-
-@pytest.mark.parametrize(
-    ("flow_lpm", "resistance"), [(0.03, 2e13), (0.1, 6e12), (0.3, 2e12), (1.0, 6e11), (4.0, 1.5e11), (0.0, math.inf)]
-)
-def test_leakage_in_the_words_of_practice(flow_lpm, resistance):
-    assert resistance_from_flow(flow_lpm) == pytest.approx(resistance)
-    assert flow_from_resistance(resistance_from_flow(flow_lpm)) == pytest.approx(flow_lpm)
+    assert (c.area_a, c.area_b, c.edge_gain) == pytest.approx((1.2566e-3, 6.409e-4, 8.909e-8), rel=1e-4)
+    volumes = (30e-6 + 1.2566e-3 * 0.2, 30e-6 + 6.409e-4 * 0.2)
+    assert (c.volume_a0, c.volume_b0, 1.0 / c.inverse_mass) == pytest.approx((*volumes, 63.0), rel=1e-4)
+    for flow, resistance in ((0.03, 2e13), (0.1, 6e12), (1.0, 6e11), (4.0, 1.5e11), (0.0, math.inf)):
+        assert resistance_from_flow(flow) == pytest.approx(resistance)
+        assert flow_from_resistance(resistance_from_flow(flow)) == pytest.approx(flow)
 
 
 @pytest.mark.parametrize("parameters", [PlantParameters(), CHANGED], ids=["default", "changed"])

@@ -173,13 +173,13 @@ def test_error_integral_is_leaky_and_limited():
 
 def test_switched_off_sensors_tell_the_exact_truth():
     env = ServoHydraulicEnv(sensors={"enabled": False}, command_latency=0.0)
-    names = list(env.observation_names)
     rng = np.random.default_rng(0)
     observation, info = env.reset(seed=3)
-    previous, last_command = env.axes.column("command")[0], None
-    for _ in range(50):
+    rest, voltage = equilibrium(env.parameters, info["position"])
+    command = voltage / 10.0
+    for step in range(50):
         state = env.axes.state[0]
-        si = dict(zip(names, observation * env.observation_scale, strict=True))
+        si = dict(zip(env.observation_names, observation * env.observation_scale, strict=True))
         expected = {
             "position": state[0],
             "pressure_a": state[2],
@@ -187,27 +187,18 @@ def test_switched_off_sensors_tell_the_exact_truth():
             "spool_position": state[4],
             "reference": info["reference"],
             "tracking_error": info["reference"] - state[0],
-            "previous_command": previous if last_command is None else last_command,
+            "previous_command": command,
         }
+        if step == 0:  # the equilibrium
+            expected |= {name: rest[name] for name in ("pressure_a", "pressure_b", "spool_position")}
+            expected |= {"velocity_estimate": 0.0, "error_integral": 0.0}
         for name, value in expected.items():
-            assert si[name] == pytest.approx(value, rel=2e-7, abs=1e-9), name
-        assert info["position"] == state[0]
-        assert info["velocity"] == state[1]
+            exact = {"rel": 2e-7, "abs": 1e-9} if step else {"rel": 1e-6, "abs": 1e-7}
+            assert si[name] == pytest.approx(value, **exact), name
+        assert (info["position"], info["velocity"]) == (state[0], state[1])
         action = rng.uniform(-1, 1, 1)
-        last_command = action[0]
+        command = action[0]
         observation, _, _, _, info = env.step(action)
-
-
-def test_first_observation_is_the_equilibrium():
-    env = ServoHydraulicEnv(sensors={"enabled": False})
-    observation, info = env.reset(seed=4)
-    rest, voltage = equilibrium(env.parameters, info["position"])
-    si = dict(zip(env.observation_names, observation * env.observation_scale, strict=True))
-    assert si["pressure_a"] == pytest.approx(rest["pressure_a"], rel=1e-6)
-    assert si["pressure_b"] == pytest.approx(rest["pressure_b"], rel=1e-6)
-    assert si["spool_position"] == pytest.approx(rest["spool_position"], abs=1e-7)
-    assert si["previous_command"] == pytest.approx(voltage / 10.0, abs=1e-7)
-    assert si["velocity_estimate"] == si["error_integral"] == si["tracking_error"] == 0.0
 
 
 def test_observations_stay_inside_the_box_whatever_is_done():
