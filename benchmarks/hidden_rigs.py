@@ -13,13 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.drawn_rigs import TRIES, drawn_answers
-from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.rigs.stable_gain import stable_pid
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import write_text
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.task.configuration import task_config
+from hydro_env.task.drawn_rigs import TRIES, drawn_answers
+from hydro_env.task.law import RigLaw
+from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_env.task.rig import read_rig
 from hydro_env.task.sensors import SENSOR_COLUMNS
 from hydro_env.units import flow_from_resistance
@@ -102,7 +103,7 @@ def _drawn(file: Path, seed: int, kind: int, duration: float) -> tuple[dict[str,
     """The answers of a rig that can work, and the task that records it."""
     fault = ConfigurationError(f"{file}: no rig was drawn")
     for attempt in range(TRIES):
-        texts, _ = drawn_answers(seed, attempt)
+        texts, _ = drawn_answers(RigLaw(), seed, attempt)
         if float(texts["bore"].split(" ")[0]) > LARGEST_BORE:
             continue
         for name in ("overlap", "absent"):

@@ -24,13 +24,13 @@ from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_policy
 from hydro_agents.learning.tuning import tune
-from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.running.seeds import LEARNING
 from hydro_agents.study.settings import default_study
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import read_yaml, validate, write_text, write_yaml
 from hydro_env.plant.parameters import from_vector
 from hydro_env.task.configuration import task_config
+from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_env.task.rig import read_rig
 from hydro_rig.identification.identification_page import identify_to_folder
 from hydro_rig.identification.identify import identify

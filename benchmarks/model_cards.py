@@ -33,6 +33,7 @@ class Case(NamedTuple):
 
 CASES = {
     "policy": Case({}),
+    "policy_any_axis": Case({}),
     "policy_2ms": Case({"task": "period_2ms"}, pid="pid_2ms"),
     "policy_10ms": Case({"task": "period_10ms"}, pid="pid_10ms"),
     **{

@@ -3,7 +3,7 @@
 Run: python benchmarks/no_tuning.py tune [--evaluations 700] [--folder FOLDER]
      python benchmarks/no_tuning.py test [--rigs 30] [--evaluations 420] [--folder FOLDER]
 
-``tune`` searches one set of gains over drawn rigs (:mod:`benchmarks.drawn_rigs`), the defaults of the class. ``test``
+``tune`` searches one set of gains over rigs of :mod:`hydro_env.task.drawn_rigs`, the defaults of the class. ``test``
 judges these on other drawn rigs, beside gains tuned for each rig, and the PID that follows from the rig's figures:
 errors in the sensor's frame on drawn plants with all leaks and kinds of reference, failures, limit cycles. An
 interrupted run goes on where it was.
@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmarks.drawn_rigs import drawn_task
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID
@@ -36,9 +35,12 @@ from hydro_env import TaskConfig
 from hydro_env.files import read_yaml, write_text, write_yaml
 from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
 from hydro_env.task.configuration import task_config
+from hydro_env.task.drawn_rigs import drawn_task
+from hydro_env.task.law import RigLaw
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 KIND = "flow_linearising"
+LAW = RigLaw(preview_paces=())  # previews as in the default task
 TRAINING_RIGS, CASES = 12, 14
 COUNTED = 16  # standstills per rig and controller in the test
 UNTUNED, TUNED, FIGURES = "untuned", "tuned", "PID from figures"
@@ -46,7 +48,7 @@ UNTUNED, TUNED, FIGURES = "untuned", "tuned", "PID from figures"
 
 def tune_for_any_rig(folder: Path, evaluations: int) -> None:
     """Tune one set of gains over the training rigs, from those of the paper's rig; the log is the checkpoint."""
-    tasks = [drawn_task(folder, seed, "mixed_leaks") for seed in RIGS.take(TRAINING_RIGS)]
+    tasks = [drawn_task(task_config("mixed_leaks"), LAW, seed) for seed in RIGS.take(TRAINING_RIGS)]
     start = FlowLinearisingGains(**read_yaml(usual_gains(KIND)))
     log, began = folder / "tuning.csv", time.perf_counter()
 
@@ -99,8 +101,7 @@ def family_errors(controller: Controller, task: TaskConfig, skip: int) -> tuple[
 
 def judged_rig(number: int, folder: Path, evaluations: int) -> Iterator[dict[str, Any]]:
     """A row of results for each controller on one drawn rig; ``evaluations`` = 0: none is tuned for it."""
-    own = folder / f"rig_{number:02}"
-    task = drawn_task(own, UNTUNED_RIGS.take(1, number)[0])
+    task = drawn_task(TaskConfig(), LAW, UNTUNED_RIGS.take(1, number)[0])
     plant = task.plant
     facts = {
         "rig": number,
@@ -117,7 +118,7 @@ def judged_rig(number: int, folder: Path, evaluations: int) -> Iterator[dict[str
     }
     controllers: dict[str, Controller] = {UNTUNED: FlowLinearising(FlowLinearisingGains(), task)}
     if evaluations:
-        controllers[TUNED] = FlowLinearising(tuned_for(task, own, evaluations), task)
+        controllers[TUNED] = FlowLinearising(tuned_for(task, folder / f"rig_{number:02}", evaluations), task)
     figures = pid_from_figures(task)
     if figures is not None:
         controllers[FIGURES] = PID(figures, task)

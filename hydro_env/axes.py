@@ -25,6 +25,7 @@ from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import TaskConfig
+from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.faults import FAULTS, KIND_OF_FAULT
 from hydro_env.task.record import (
     CANNOT_BE_HELD,
@@ -40,7 +41,7 @@ from hydro_env.task.record import (
     table,
 )
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
-from hydro_env.task.settings import draws_of, settings_of
+from hydro_env.task.settings import padded_draws, settings_of
 from hydro_env.task.signals import POSITION, layout_of, observation_layout
 from hydro_env.types import Floats
 
@@ -91,9 +92,10 @@ class Axes:
         self.observation_space = spaces.Box(-self.limit.astype(np.float32), self.limit.astype(np.float32))
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
 
-        self._task = settings_of(config)
-        self._layout = layout_of(config)
-        samples = config.steps + 1 + max(config.preview_samples, default=0)
+        self.tasks = rig_tasks(config)
+        self._task = np.concatenate([settings_of(task) for task in self.tasks])
+        self._layout = np.stack([layout_of(task, config.law) for task in self.tasks])
+        samples = int(self._task["samples"].max())
         try:
             self.arrays = AxisArrays(
                 record=table(count, RECORD),
@@ -102,7 +104,7 @@ class Axes:
                 observation=np.zeros((count, len(self.scale)), dtype=np.float32),
             )
             self.physical = np.zeros((count, len(PARAMETER_PATHS)))
-            self.options = ResetOptions(config, count, samples)
+            self.options = ResetOptions(self.tasks, count, samples)
         except MemoryError:
             raise ConfigurationError(f"num_envs = {count} with {config.steps} steps: too large for memory") from None
         self._name_parts()
@@ -110,8 +112,8 @@ class Axes:
         weights = np.array([config.references.weights.get(name, 0.0) for name in REFERENCE_FAMILIES])
         self._chances = Chances(
             seeds=table(count, SEEDS),
-            plant=to_vector(config.plant),
-            draws=draws_of(config),
+            plant=np.array([to_vector(task.plant) for task in self.tasks]),
+            draws=padded_draws(self.tasks),
             family_weights=weights / weights.sum(),
         )
         self._chances.seeds["episode"] = -1
@@ -210,8 +212,16 @@ class Axes:
 
     def ended(self) -> NDArray[np.bool_]:
         """True for the axes that have failed or reached the end of their episode, shape (N,)."""
-        ended: NDArray[np.bool_] = (self.column("failure") != NO_FAILURE) | (self.column("step") >= self.config.steps)
+        ended: NDArray[np.bool_] = (self.column("failure") != NO_FAILURE) | (self.column("step") >= self.steps())
         return ended
+
+    def rigs(self) -> Indices:
+        """Number of each axis's rig among :attr:`tasks`, (N,)."""
+        return self.column("rig").astype(np.int64)
+
+    def steps(self) -> Floats | float:
+        """Control periods in the present episode of each axis, (N,), or of all axes."""
+        return self._task["steps"][self.rigs()] if len(self.tasks) > 1 else float(self.config.steps)
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("record", "state", "coefficient", "peaks", "reference", "observation", "numbers", "_fixed_arguments")
@@ -275,7 +285,7 @@ class Axes:
 
     def leakage_class(self, flow_lpm: Floats) -> Indices:
         """Class label (index into LEAKAGE_CLASSES) of leaks in l/min at 100 bar; ``record`` holds the present label."""
-        exceeded: Indices = (flow_lpm[:, None] > self._task["class_limits"]).sum(axis=1)
+        exceeded: Indices = (flow_lpm[:, None] > self._task["class_limits"][0]).sum(axis=1)
         return exceeded
 
     def faults(self) -> dict[str, Floats]:

@@ -32,8 +32,8 @@ Observation = NDArray[np.float32]
 _FLOW, _CLASS, _POSITION, _VELOCITY, _REFERENCE = (
     COLUMN[name] for name in ("leak_flow", "leak_class", "position", "velocity", "reference")
 )
-_FAMILY, _FAILURE, _REWARD, _STEP, _FAULTY = (
-    COLUMN[name] for name in ("reference_family", "failure", "reward", "step", "faulty")
+_FAMILY, _FAILURE, _REWARD, _STEP, _FAULTY, _RIG = (
+    COLUMN[name] for name in ("reference_family", "failure", "reward", "step", "faulty", "rig")
 )
 _TERMS = tuple(enumerate(REWARD_TERMS, COLUMN["costs"]))
 _FIRST = np.zeros(1, dtype=np.int64)
@@ -105,6 +105,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     |---|---|
     | ``task`` | name in ``configs/tasks``, or a YAML file |
     | ``rig`` | name in ``configs/rigs``, or a YAML file of a rig; references, sensors and reward follow |
+    | ``rig="drawn"`` | every episode has another rig (docs/drawn_rigs.md); ``law={"split": "test"}`` changes the law |
     | a field of :class:`TaskConfig` | for example ``control_period=0.002``, ``leakage={"healthy_share": 0.5}`` |
     | ``config`` | the whole task: a :class:`TaskConfig`, a mapping, or the same as ``task`` |
     | ``render_mode`` | ``"rgb_array"``, or ``"human"`` for a window in real time |
@@ -118,6 +119,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     | ``reference`` | name of a family; or an array in m, one value per control period, whose last value is repeated |
     | ``parameters`` | of the rig: ``{"load": {"mass": 80.0}}`` |
     | ``initial_position`` | m, as the sensor measures it |
+    | ``rig`` | number of a drawn rig |
     | ``faults`` | ``{"valve_null_shift": 0.01}``; names and units: :data:`hydro_env.task.faults.FAULTS` |
     | ``persist`` | ``True``: the options also apply to the automatic resets that follow |
 
@@ -177,14 +179,14 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         self.observation_names = self._axes.observation_names
         self.observation_units = self._axes.observation_units
         self.observation_scale = self._axes.scale
-        self._steps = self.config.steps
         self._seeded = False
         self._begun = False
         self._history: list[tuple[float, float]] = []  # position and reference, for drawing
         self._renderer: AxisRenderer | None = None
         self._pace = Pace()
         # Wrappers that record or show each step use this rate: real time, like the window.
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.rigs[0].control_period)}
+        self._task = self.rigs[0]  # of the present episode
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -202,6 +204,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         self._begun = False  # remains false if the episode cannot begin
         self._axes.begin(_FIRST)
         self._begun = True
+        self._task = self.rigs[int(self._axes.numbers[0, _RIG])]
         self._history = []
         self._pace.begin()
         self._record_frame()
@@ -226,7 +229,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             self._axes.observation[0].copy(),
             row[_REWARD],
             row[_FAILURE] != 0.0,
-            row[_STEP] >= self._steps,
+            row[_STEP] >= self._task.steps,
             self._info(row),
         )
 
@@ -257,7 +260,13 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             if state.generator is not None:
                 self.np_random.bit_generator.state = deepcopy(state.generator)
             self._history = list(state.history)
+        self._task = self.rigs[int(self._axes.numbers[0, _RIG])]
         self._seeded = self._begun = True
+
+    @property
+    def rigs(self) -> tuple[TaskConfig, ...]:
+        """The task on each of its rigs, by the number ``info["rig"]``; one unless the task has a law."""
+        return self._axes.tasks
 
     @property
     def axes(self) -> Axes:
@@ -295,6 +304,8 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             "reward_terms": terms,
             "faults": {name: float(size[0]) for name, size in self._axes.faults().items()} if row[_FAULTY] else {},
         }
+        if self.config.law is not None:
+            info["rig"] = int(row[_RIG])
         if self._info_kind == "flat":
             info |= {"reference_family": int(row[_FAMILY]), "failure": int(row[_FAILURE])}
             del info["reward_terms"], info["faults"]
@@ -309,7 +320,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             return
         row = self._axes.numbers[0]
         self._history.append((row[_POSITION], row[_REFERENCE]))
-        if self.render_mode == "human" and self._pace.due(row[_STEP] * self.config.control_period):
+        if self.render_mode == "human" and self._pace.due(row[_STEP] * self._task.control_period):
             self.render()
 
     def render(self) -> NDArray[np.uint8] | None:

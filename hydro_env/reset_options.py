@@ -44,7 +44,7 @@ class ResetOptions:
     """The parts of the next episode that the caller fixes, for each of N axes.
 
     Args:
-        config: the task.
+        tasks: the task on each of its rigs.
         count: number of axes N.
         samples: number of samples of a reference, preview included.
 
@@ -52,24 +52,24 @@ class ResetOptions:
         ConfigurationError: the randomisation can draw impossible plants, or the task's own reference is impossible.
     """
 
-    def __init__(self, config: TaskConfig, count: int, samples: int) -> None:
-        self.config = config
+    def __init__(self, tasks: Sequence[TaskConfig], count: int, samples: int) -> None:
         self.count = count
         self._samples = samples
-        self._base = to_vector(config.plant)
-        self._draws = draws_of(config)
+        self._rigs = [(to_vector(task.plant), draws_of(task)) for task in tasks]
+        self._half = 0.5 * min(task.plant.cylinder.stroke for task in tasks)
         self.fixed = Fixed(
             parameters=np.full((count, len(PARAMETER_PATHS)), np.nan),
             leakage_flow_lpm=np.full(count, np.nan),
             initial_position=np.full(count, np.nan),
+            rig=np.full(count, -1, dtype=np.int64),
             family=np.full(count, -1, dtype=np.int64),
             user_reference=np.zeros((1, samples)),
             faults=np.full((count, len(FAULTS)), np.nan),
         )
         self.persistent = np.zeros(count, dtype=np.bool_)
         self._check_parameters(np.full(len(PARAMETER_PATHS), np.nan), "task: randomisation")
-        if config.references.user:
-            row = np.asarray(config.references.user)
+        if tasks[0].references.user:
+            row = np.asarray(tasks[0].references.user)
             self.fixed.user_reference[:] = self._checked_reference(row, "references.user")
         self._own_reference = self.fixed.user_reference[0].copy()
 
@@ -79,6 +79,7 @@ class ResetOptions:
         self.fixed.parameters[passing] = np.nan
         self.fixed.leakage_flow_lpm[passing] = np.nan
         self.fixed.initial_position[passing] = np.nan
+        self.fixed.rig[passing] = -1
         self.fixed.family[passing] = -1
         self.fixed.faults[passing] = np.nan
         if len(self.fixed.user_reference) == self.count:
@@ -104,6 +105,7 @@ class ResetOptions:
                 raise UnknownKeyError(f"reset options: {unknown(name, OPTION_NAMES, 'option')}")
         leak = self._leak_option(options, axes)
         position = self._position_option(options, axes)
+        rig = self._rig_option(options, axes)
         parameters = self._parameter_option(options.get("parameters"), axes)
         families, user = self._reference_option(options.get("reference"), axes)
         faults = self._fault_option(options.get("faults"), axes)
@@ -112,6 +114,7 @@ class ResetOptions:
             raise ConfigurationError(f"reset options: persist = {shown(persist)}: must be true or false")
         self.fixed.leakage_flow_lpm[axes] = leak
         self.fixed.initial_position[axes] = position
+        self.fixed.rig[axes] = rig
         self.fixed.parameters[axes] = parameters
         self.fixed.family[axes] = families
         self.fixed.faults[axes] = faults
@@ -157,13 +160,24 @@ class ResetOptions:
         if "initial_position" not in options:
             return np.full(len(axes), np.nan)
         position = self._per_axis(options["initial_position"], "initial_position", axes)
-        half = 0.5 * self.config.plant.cylinder.stroke
-        wrong = ~(np.abs(position) <= half)
+        wrong = ~(np.abs(position) <= self._half)
         if wrong.any():
+            first = position[wrong][0]
             raise ConfigurationError(
-                f"reset options: initial_position = {position[wrong][0]:g} m: must be within the stroke, ±{half:g} m"
+                f"reset options: initial_position = {first:g} m: must be within the stroke, ±{self._half:g} m"
             )
         return position
+
+    def _rig_option(self, options: Mapping[str, Any], axes: Indices) -> Indices:
+        if "rig" not in options:
+            return np.full(len(axes), -1, dtype=np.int64)
+        number = self._per_axis(options["rig"], "rig", axes)
+        wrong = ~np.isin(number, np.arange(len(self._rigs)))
+        if wrong.any():
+            raise ConfigurationError(
+                f"reset options: rig = {number[wrong][0]:g}: must be the number of a rig, 0 to {len(self._rigs) - 1}"
+            )
+        return number.astype(np.int64)
 
     def _fault_option(self, given: Any, axes: Indices) -> Floats:
         magnitudes = np.full((len(axes), len(FAULTS)), np.nan)
@@ -225,20 +239,21 @@ class ResetOptions:
 
     def _check_parameters(self, row: Floats, where: str) -> None:
         """Check that the plant is valid for the least favourable draws with these parameters fixed (if not NaN)."""
-        vector = np.where(np.isnan(row), self._base, row)
-        for draw in self._draws:
-            index, times = int(draw["parameter"]), int(draw["times"])
-            if not np.isnan(row[index]):
-                continue
-            factor = vector[times] if times >= 0 else 1.0
-            values = [factor * draw["low"], factor * draw["high"]]
-            if draw["otherwise_probability"] > 0.0:
-                values.append(draw["otherwise"])
-            vector[index] = min(values) if PARAMETER_PATHS[index] in MUST_EXCEED_ANOTHER else max(values)
-        try:
-            from_vector(vector)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{where}: {error}") from None
+        for base, draws in self._rigs:
+            vector = np.where(np.isnan(row), base, row)
+            for draw in draws:
+                index, times = int(draw["parameter"]), int(draw["times"])
+                if not np.isnan(row[index]):
+                    continue
+                factor = vector[times] if times >= 0 else 1.0
+                values = [factor * draw["low"], factor * draw["high"]]
+                if draw["otherwise_probability"] > 0.0:
+                    values.append(draw["otherwise"])
+                vector[index] = min(values) if PARAMETER_PATHS[index] in MUST_EXCEED_ANOTHER else max(values)
+            try:
+                from_vector(vector)
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{where}: {error}") from None
 
     def _reference_option(self, given: Any, axes: Indices) -> tuple[Indices, Floats | None]:
         families = np.full(len(axes), -1, dtype=np.int64)
@@ -279,12 +294,12 @@ class ResetOptions:
         """The reference with the length that an episode needs; its last value is repeated."""
         if values.ndim != 1 or len(values) == 0:
             raise ConfigurationError(f"{where}: must be a row of positions in m")
-        half = 0.5 * self.config.plant.cylinder.stroke
-        wrong = ~(np.abs(values) < half)
+        wrong = ~(np.abs(values) < self._half)
         if wrong.any():
             first = int(np.argmax(wrong))
             raise ConfigurationError(
-                f"{where}[{first}] = {values[first]:g} m: must be a position within the stroke, ±{half:g} m (unit: m)"
+                f"{where}[{first}] = {values[first]:g} m: must be a position within the stroke, ±{self._half:g} m "
+                "(unit: m)"
             )
         row = np.empty(self._samples)
         row[: len(values)] = values[: self._samples]

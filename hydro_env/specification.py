@@ -13,6 +13,7 @@ from gymnasium.envs.registration import EnvSpec
 from pydantic import BaseModel
 
 from hydro_env.task.configuration import TaskConfig
+from hydro_env.task.drawn_rigs import rig_tasks
 
 NAMED = ("config", "task", "rig", "plant")
 """Keywords with possible file names."""
@@ -40,8 +41,12 @@ class PlainSpec:
             if any(isinstance(kwargs.get(name), str) for name in NAMED):
                 kwargs = {key: inner for key, inner in kwargs.items() if key not in NAMED}
                 kwargs["config"] = _plain(self.config)
-            value = dataclasses.replace(value, kwargs=kwargs, max_episode_steps=self.config.steps)
+            value = dataclasses.replace(value, kwargs=kwargs, max_episode_steps=self._longest())
         self._spec = value
+
+    def _longest(self) -> int:
+        """Control periods in the longest episode."""
+        return max(task.steps for task in rig_tasks(self.config))
 
 
 def _plain(value: Any) -> Any:

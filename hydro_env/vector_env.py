@@ -89,6 +89,8 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             raise ConfigurationError(f"autoreset_mode = {shown(autoreset_mode)}: {allowed}") from None
         self._info_kind = info_kind(info)
         self.config = task_config(config, **overrides)
+        if max_episode_steps is not None and self.config.law is not None:
+            raise ConfigurationError("max_episode_steps: drawn rigs differ in their periods; give episode_duration")
         if max_episode_steps is not None and max_episode_steps != self.config.steps:
             steps = whole_number("max_episode_steps", max_episode_steps, 1)
             self.config = task_config(self.config, episode_duration=steps * self.config.control_period)
@@ -106,9 +108,13 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         self._present = np.ones(self.num_envs, dtype=np.bool_)
         self._present.flags.writeable = False
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
-        self._steps = self.config.steps
         self._seeded = False
         self._begun = False
+
+    @property
+    def rigs(self) -> tuple[TaskConfig, ...]:
+        """The task on each of its rigs, by the numbers ``info["rig"]``; one unless the task has a law."""
+        return self._axes.tasks
 
     @property
     def axes(self) -> Axes:
@@ -211,7 +217,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         record = self._axes.record
         reward = record["reward"].copy()
         terminated = record["failure"] != NO_FAILURE
-        truncated = record["step"] >= self._steps
+        truncated = record["step"] >= self._axes.steps()
 
         final: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.NEXT_STEP and self._ended.any():
@@ -325,6 +331,8 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             "reference_family": family,
             "failure": failure,
         }
+        if self.config.law is not None:
+            values["rig"] = column("rig").astype(np.int64)
         if self._info_kind == "flat":
             values |= {f"reward_{name}": -costs[:, index] for index, name in enumerate(REWARD_TERMS)}
             values |= {

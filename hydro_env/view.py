@@ -43,7 +43,8 @@ class View:
     @classmethod
     def of(cls, axes: Axes, history: Sequence[tuple[float, float]]) -> View:
         """The first axis now; ``history`` holds position and reference (m) of each sample that is drawn."""
-        record, config = axes.record[0], axes.config
+        record = axes.record[0]
+        config = axes.tasks[int(record["rig"])]
         state, step, cylinder = State(*axes.state[0]), int(record["step"]), config.plant.cylinder
         past = np.array(history).reshape(-1, 2)
         return cls(

@@ -23,6 +23,21 @@ class Proportional:
         return command[:, None].astype(np.float32), holding
 
 
+class Constant:
+    """Commands one number, or fails where it is none; counts in its memory the periods since its start."""
+
+    def __init__(self, command: float | None = 0.0) -> None:
+        self.command = command
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        if self.command is None:
+            raise RuntimeError("broken")
+        count = np.zeros(len(observation)) if state is None else np.where(episode_start, 0.0, state + 1.0)
+        return np.full((len(observation), 1), self.command, np.float32), count
+
+
 class Relay:
     """Command of one size, towards the reference."""
 

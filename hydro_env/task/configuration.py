@@ -20,6 +20,7 @@ from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.parts.leakage import LeakLaw
 from hydro_env.task.faults import Faults
 from hydro_env.task.groups import Range, TaskGroup, interval
+from hydro_env.task.law import RigLaw
 from hydro_env.task.randomisation import Randomisation, check_draws, default_randomisation
 from hydro_env.task.record import OPTION_NAMES
 from hydro_env.task.reference_signals import MOVING_FAMILIES, REFERENCE_FAMILIES
@@ -90,10 +91,10 @@ class References(TaskGroup):
             raise ValueError("weights: at least one family needs a positive weight")
         if self.weights.get("user", 0.0) > 0.0 and not self.user:
             raise ValueError("weights: family 'user' needs 'user', an array of positions in m")
-        if any(not 0.0 < t <= 0.5 for t in self.preview_times) or list(self.preview_times) != sorted(
+        if any(not 0.0 < t <= 2.0 for t in self.preview_times) or list(self.preview_times) != sorted(
             set(self.preview_times)
         ):
-            raise ValueError("preview_times must rise, each within 0 (excluded) to 0.5 s")
+            raise ValueError("preview_times must rise, each within 0 (excluded) to 2 s")
         return self
 
 
@@ -185,6 +186,7 @@ class TaskConfig(TaskGroup):
     plant: PlantParameters = Field(
         default_factory=PlantParameters, description="the nominal rig, which randomisation varies"
     )
+    law: RigLaw | None = Field(None, description="each episode draws its rig from it; none: the plant above")
     randomisation: Randomisation = Field(default_factory=default_randomisation)
     leakage: LeakageDraw = Field(default_factory=LeakageDraw)
     references: References = Field(default_factory=References)

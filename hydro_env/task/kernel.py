@@ -33,6 +33,7 @@ from hydro_env.task.random_numbers import (
     NOISE,
     PLANT,
     REFERENCE,
+    RIG,
     between,
     log_between,
     redrawn,
@@ -77,12 +78,14 @@ _FAMILY_NUMBER = 1_000_000
 
 
 @inline
-def _draw_plant(physical, key, chances, fixed):
+def _draw_plant(physical, key, plant, draws, fixed):
     """Physical parameters of an episode: base and drawn values, except where the caller fixed them (not NaN)."""
     for index in range(fixed.shape[0]):
-        physical[index] = chances.plant[index] if math.isnan(fixed[index]) else fixed[index]
-    for number in range(chances.draws.shape[0]):
-        draw = chances.draws[number]
+        physical[index] = plant[index] if math.isnan(fixed[index]) else fixed[index]
+    for number in range(draws.shape[0]):
+        draw = draws[number]
+        if draw.parameter < 0:
+            break
         if draw.logarithmic:
             value = log_between(key, 2 * number, draw.low, draw.high)
         else:
@@ -93,6 +96,12 @@ def _draw_plant(physical, key, chances, fixed):
             value = draw.otherwise
         if math.isnan(fixed[draw.parameter]):
             physical[draw.parameter] = value
+
+
+@inline
+def _draw_rig(key, fixed, count):
+    """Number of the episode's rig; ``fixed`` replaces the draw if it is not negative."""
+    return fixed if fixed >= 0 else np.int64(count * uniform(key, 0))
 
 
 @inline
@@ -139,14 +148,16 @@ def _failure(s, peaks, c, settings):
 def _build(sources):
     def begin_episodes(chosen, task, layout, chances, fixed, physical, record, plant, references, observation):
         assert sources >= 0  # keys numba's cache
-        settings = task[0]
         states = plant[:, :FIRST_COEFFICIENT]
         coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
         for number in range(chosen.shape[0]):
             axis = chosen[number]
             row = record[axis]
-            reference = references[axis]
             root, episode = chances.seeds[axis].root, chances.seeds[axis].episode
+            rig = _draw_rig(source_key(root, episode, RIG), fixed.rig[axis], task.shape[0])
+            row.rig = rig
+            settings = task[rig]
+            reference = references[axis, : settings.samples]
             reference_key = source_key(root, episode, REFERENCE)
             family = _draw_family(reference_key, fixed.family[axis], chances.family_weights)
             row.reference_family = family
@@ -163,7 +174,13 @@ def _build(sources):
             while row.failure != NO_FAILURE and attempt < MOST_DRAWS:
                 row.redraws = attempt
                 drawn = redrawn(root, attempt)
-                _draw_plant(physical[axis], source_key(drawn, episode, PLANT), chances, fixed.parameters[axis])
+                _draw_plant(
+                    physical[axis],
+                    source_key(drawn, episode, PLANT),
+                    chances.plant[rig],
+                    chances.draws[rig],
+                    fixed.parameters[axis],
+                )
                 p = read_physical(physical[axis])
                 write_coefficients(coefficient[axis], coefficients(p))
                 draw_steady_force(row, coefficient[axis], force_key, settings)
@@ -211,12 +228,10 @@ def _build(sources):
             row.position = s.position
             row.reference = reference[0]
             sample(row, s, settings)
-            write_observation(observation[axis], row, reference, layout)
+            write_observation(observation[axis], row, reference, layout[rig])
 
     def step_axes(task, layout, record, plant, reference, observation, actions, first, last):
         assert sources >= 0
-        settings = task[0]
-        period = settings.control_period
         states = plant[:, :FIRST_COEFFICIENT]
         coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
         voltage = plant[:, FIRST_VOLTAGE:FIRST_DURATION]
@@ -224,6 +239,7 @@ def _build(sources):
         peaks = plant[:, FIRST_PEAK:]
         for axis in range(first, last):
             row = record[axis]
+            settings = task[np.int64(row.rig)]
             command = min(max(np.float64(actions[axis]), -1.0), 1.0)
             row.change = command - row.command
             row.command = command
@@ -234,13 +250,16 @@ def _build(sources):
 
         integrate_part(
             Plants(states, coefficient, voltage, durations, peaks),
-            Accuracy(settings.maximum_step, settings.tolerance, MOST_STEPS_PER_PERIOD),
+            Accuracy(task[0].maximum_step, task[0].tolerance, MOST_STEPS_PER_PERIOD),
             first,
             last,
         )
 
         for axis in range(first, last):
             row = record[axis]
+            rig = np.int64(row.rig)
+            settings = task[rig]
+            period = settings.control_period
             s = read_state(states[axis])
             row.step = min(row.step + 1.0, settings.steps)
             row.position = s.position
@@ -264,7 +283,7 @@ def _build(sources):
             row.failure = failure
             for index, cost in enumerate(costs(row, row.change, failure != NO_FAILURE, settings)):
                 row.costs[index] = cost
-            write_observation(observation[axis], row, reference[axis], layout)
+            write_observation(observation[axis], row, reference[axis], layout[rig])
 
         # Separate, so that a compiler that contracts products and sums cannot round the sum differently.
         for axis in range(first, last):
@@ -285,8 +304,8 @@ record gives the reason for the last one.
 
 Args:
     chosen: (M,), numbers of axes.
-    task: (1,), :data:`~hydro_env.task.settings.SETTINGS`.
-    layout: (observations,), :data:`~hydro_env.task.signals.LAYOUT`.
+    task: (rigs,), :data:`~hydro_env.task.settings.SETTINGS`.
+    layout: (rigs, observations), :data:`~hydro_env.task.signals.LAYOUT`.
     chances: :class:`~hydro_env.task.record.Chances`.
     fixed: :class:`~hydro_env.task.record.Fixed`.
     physical: (N, parameters), written.

@@ -14,7 +14,7 @@ import numpy as np
 
 from hydro_env.compiling import inline
 
-PLANT, LEAKAGE, INITIAL_STATE, REFERENCE, NOISE, DISTURBANCE, LATENCY, FAULT = range(8)
+PLANT, LEAKAGE, INITIAL_STATE, REFERENCE, NOISE, DISTURBANCE, LATENCY, FAULT, RIG = range(9)
 """Sources of randomness; each has its own key in every episode."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

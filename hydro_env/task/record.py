@@ -19,6 +19,7 @@ RECORD = np.dtype(
         ("step", "f8"),  # control periods since the start of the episode
         ("command", "f8"),  # −1…1, last one given
         ("change", "f8"),  # of the command since the previous period
+        ("rig", "f8"),  # number of the rig among those of the task
         ("reference_family", "f8"),  # index into REFERENCE_FAMILIES
         ("latency", "f8"),  # s, from sampling to the new command
         ("redraws", "f8"),  # rejected draws of this episode
@@ -90,8 +91,8 @@ class Chances(NamedTuple):
     """Seeds and distributions of the episodes of N axes."""
 
     seeds: NDArray[Any]  # (N,), SEEDS
-    plant: NDArray[np.float64]  # (parameters,), nominal values
-    draws: NDArray[Any]  # (drawn parameters,), DRAW
+    plant: NDArray[np.float64]  # (rigs, parameters), nominal values
+    draws: NDArray[Any]  # (rigs, drawn parameters), DRAW
     family_weights: NDArray[np.float64]  # (families,)
 
 
@@ -101,6 +102,7 @@ class Fixed(NamedTuple):
     parameters: NDArray[np.float64]  # (N, parameters)
     leakage_flow_lpm: NDArray[np.float64]  # (N,), l/min at 100 bar
     initial_position: NDArray[np.float64]  # (N,), m
+    rig: NDArray[np.int64]  # (N,), −1 means drawn
     family: NDArray[np.int64]  # (N,)
     user_reference: NDArray[np.float64]  # (1 or N, samples), m
     faults: NDArray[np.float64]  # (N, faults), magnitudes
@@ -112,6 +114,7 @@ OPTION_NAMES = (
     "reference",
     "parameters",
     "initial_position",
+    "rig",
     "faults",
     "persist",
     "reset_mask",

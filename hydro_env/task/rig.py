@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, ModelType, read_yaml, validate
-from hydro_env.folders import config_file
+from hydro_env.folders import config_file, config_folder
 from hydro_env.mistakes import kept, refuse
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.randomisation import Distribution, Randomisation, check_draws, default_randomisation, own_value
@@ -75,6 +75,22 @@ def rig_from(values: Mapping[str, Any], source: str) -> Rig:
     return Rig(plant, checked.randomisation, sensors, source)
 
 
+def law_of(given: str | Path) -> dict[str, Any] | None:
+    """The law from which rigs are drawn: of a name in ``configs/laws``, or in a file; ``None``: it is one rig.
+
+    Raises:
+        ConfigurationError: the file does not exist or is unreadable, or holds a law and something else.
+    """
+    named = config_folder() / "laws" / f"{given}.yaml"
+    file = named if Path(given).name == str(given) and named.is_file() else config_file("rigs", given)
+    values = read_yaml(file)
+    if "law" not in values:
+        return None
+    if not isinstance(values["law"], Mapping) or len(values) > 1:
+        raise ConfigurationError(f"{file}: a law is a mapping, and stands alone")
+    return dict(values["law"])
+
+
 def _paths(values: Mapping[str, Any]) -> list[str]:
     """``group.field`` of every value in nested groups."""
     return [
@@ -135,7 +151,9 @@ def task_from(
     if rig is not None:
         if not isinstance(rig, str | Path):
             raise ConfigurationError(f"task: rig = {str(rig)[:60]!r}: must be the name or the YAML file of a rig")
-        values = moved(validate(model, values, source, within).model_dump(), defaults, read_rig(rig))
+        law = law_of(rig)
+        checked = validate(model, values, source, within).model_dump()
+        values = moved(checked, defaults, read_rig(rig)) if law is None else checked | {"law": law}
     return validate(model, merged(values, overrides), source, within)
 
 

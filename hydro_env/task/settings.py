@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
@@ -78,6 +79,7 @@ _TASK, _SENSOR = _kind_of_group(TaskConfig), _kind_of_group(Sensor)
 _DERIVED = np.dtype(
     [
         ("steps", "f8"),
+        ("samples", "i8"),  # of the reference, preview included
         ("class_limits", "f8", (3,)),  # l/min at 100 bar; a leak's class is the number of limits that it exceeds
         ("latency_range", "f8", (2,)),  # s
         ("start_bias_share", "f8"),  # fraction of the position sensor's bias as initial offset from the reference
@@ -103,6 +105,7 @@ def settings_of(config: TaskConfig) -> NDArray[Any]:
     rise = sensors.pressure_rise_time / math.log(9.0) if sensors.enabled else 0.0
     derived = {
         "steps": config.steps,
+        "samples": config.steps + 1 + max(config.preview_samples, default=0),
         # Conversion from a resistance rounds a flow, which may then exceed the bound of its class slightly.
         "class_limits": np.array(config.leakage.class_bounds) * (1 + 1e-9),
         "latency_range": config.command_latency_range or (config.command_latency,) * 2,
@@ -156,6 +159,16 @@ DRAW = np.dtype(
     ]
 )
 """Distribution of one parameter of the plant."""
+
+
+def padded_draws(tasks: Sequence[TaskConfig]) -> NDArray[Any]:
+    """The rows of :func:`draws_of` of each task, (tasks, most drawn parameters); parameter −1 ends a shorter list."""
+    rows = [draws_of(task) for task in tasks]
+    padded = table(len(rows) * max(map(len, rows)), DRAW).reshape(len(rows), -1)
+    padded["parameter"] = -1
+    for number, row in enumerate(rows):
+        padded[number, : len(row)] = row
+    return padded
 
 
 def draws_of(config: TaskConfig) -> NDArray[Any]:

@@ -7,6 +7,7 @@ To add a measured signal, add a ``Sensor`` to :class:`~hydro_env.task.sensors.Se
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 from hydro_env.compiling import inline, named_tuple
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.fault_effects import lost_or_frozen, misread, read_truly
+from hydro_env.task.law import RigLaw
+from hydro_env.task.paces import full_speed, pace
 from hydro_env.task.random_numbers import between, noise_pair
 from hydro_env.task.record import table
 from hydro_env.task.sensors import CHANNELS
@@ -46,18 +49,53 @@ def _entries(half: float) -> tuple[tuple[str, str, float, float], ...]:
     )
 
 
-Entries = named_tuple("Entries", [name for name, *_ in _entries(1.0)], __name__)
+Entries = named_tuple("Entries", [*(name for name, *_ in _entries(1.0)), "constant"], __name__)
 """One value per entry of the observation except the previews, which follow the first entry."""
 
 LAYOUT = np.dtype([("scale", "f8"), ("limit", "f8"), ("preview", "i8"), ("entry", "i8")])
 """One entry: SI units per 1, largest absolute value in the observation, for a preview the periods ahead (else 0), and
-for another one its index in :data:`Entries`."""
+for another one its index in :data:`Entries`; a constant is 1 over its scale."""
+
+OWN_ENTRIES = (
+    ("reference", "half stroke", 1.5),
+    ("position", "half stroke", 1.5),
+    ("velocity_estimate", "full speed", 5.0),
+    ("pressure_a", "supply pressure", 5.0),
+    ("pressure_b", "supply pressure", 5.0),
+    ("spool_position", "1", 1.0),
+    ("previous_command", "1", 1.0),
+    ("tracking_error", "full speed, pace", 1000.0),
+    ("error_integral", "full speed, pace squared", 1000.0),
+)
+"""Name, unit and largest absolute value of each entry of a task that draws its rigs, except previews and data sheet."""
+
+SHEET = (
+    "log_periods_per_pace",
+    "latency_per_period",
+    "log_oscillation_times_pace",
+    "log_valve_frequency_times_pace",
+    "log_pace",
+    "log_full_speed",
+    "log_noise_per_travel",
+    "area_ratio",
+    "edge_ratio",
+    "overlap",
+    "weight",
+    "friction",
+    "supply",
+    "spool_sensor",
+)
+"""Entries of the data sheet, all of order 1; :func:`data_sheet` computes them."""
+
+SHEET_LIMIT = 10.0
 
 
 def observation_layout(
     config: TaskConfig,
 ) -> tuple[tuple[str, ...], tuple[str, ...], NDArray[np.float64], NDArray[np.float64]]:
     """Names, units, scales (SI per 1 of the observation) and largest absolute values (in the observation)."""
+    if config.law is not None:
+        return _own_layout(config.law)
     half = 0.5 * config.plant.cylinder.stroke
     reference, *others = _entries(half)
     previews = [(f"reference_preview_{1e3 * t:g}ms", "m", 0.01, 2.0 * half) for t in config.references.preview_times]
@@ -66,14 +104,84 @@ def observation_layout(
     return names, units, np.array(scale), np.array(largest) / np.array(scale)
 
 
-def layout_of(config: TaskConfig) -> NDArray[Any]:
-    """The layout of the observation for compiled code, one row (:data:`LAYOUT`) per entry."""
-    names, _, scale, limit = observation_layout(config)
+def _own_layout(
+    law: RigLaw,
+) -> tuple[tuple[str, ...], tuple[str, ...], NDArray[np.float64], NDArray[np.float64]]:
+    """The layout of a task that draws its rigs: the observation is in units of the rig, its scale is 1."""
+    reference, *others = OWN_ENTRIES
+    previews = [(f"reference_preview_{paces:g}_paces", "full speed, pace", 1000.0) for paces in law.preview_paces]
+    sheet = [(name, "1", SHEET_LIMIT) for name in SHEET] if law.sheet else []
+    names, units, largest = zip(reference, *previews, *others, *sheet, strict=True)
+    return names, units, np.ones(len(names)), np.array(largest)
+
+
+def data_sheet(config: TaskConfig) -> dict[str, float]:
+    """The nameplate of a rig as numbers of order 1, by the names of :data:`SHEET`."""
+    from hydro_env.plant.analysis import closed_port_natural_frequency, full_pressure_forces  # compiled code
+
+    plant, period, own = config.plant, config.control_period, pace(config)
+    speed, weakest = full_speed(plant), min(full_pressure_forces(plant))
+    cylinder, valve, noise = plant.cylinder, plant.valve, config.sensors.position
+    area_a = cylinder.bore_diameter**2 - cylinder.rod_diameter_a**2
+    values = {
+        "log_periods_per_pace": math.log(own / period),
+        "latency_per_period": config.command_latency / period,
+        "log_oscillation_times_pace": math.log(closed_port_natural_frequency(plant) * own),
+        "log_valve_frequency_times_pace": math.log(valve.natural_frequency * own),
+        "log_pace": math.log(own / 0.01),
+        "log_full_speed": math.log(speed / 0.3),
+        "log_noise_per_travel": math.log(max(noise.noise, noise.resolution, 1e-9) / (speed * own)) / 4.0,
+        "area_ratio": (cylinder.bore_diameter**2 - cylinder.rod_diameter**2) / area_a,
+        "edge_ratio": valve.edge_ratio,
+        "overlap": 20.0 * valve.overlap,
+        "weight": 3.0 * plant.load.external_force / weakest,
+        "friction": 20.0 * plant.friction.coulomb_force / weakest,
+        "supply": plant.supply.pressure / 100e5,
+        "spool_sensor": float(config.sensors.spool_position.fitted),
+    }
+    return {name: float(np.clip(values[name], -SHEET_LIMIT, SHEET_LIMIT)) for name in SHEET}
+
+
+def layout_of(config: TaskConfig, law: RigLaw | None = None) -> NDArray[Any]:
+    """The layout of the observation for compiled code, one row (:data:`LAYOUT`) per entry.
+
+    Args:
+        config: the task; on one of its rigs if it draws them.
+        law: from which the rig was drawn; ``None``: the task has one rig.
+    """
+    names, _, scale, limit = observation_layout(config) if law is None else _own_layout(law)
     layout = table(len(scale), LAYOUT)
-    layout["scale"], layout["limit"] = scale, limit
+    layout["limit"] = limit
     layout["preview"][1 : 1 + len(config.preview_samples)] = config.preview_samples
     layout["entry"] = [Entries._fields.index(name) if name in Entries._fields else 0 for name in names]
+    if law is not None:
+        scale = _own_scale(config, names)
+        if not config.sensors.spool_position.fitted:  # the best substitute
+            layout["entry"][names.index("spool_position")] = Entries._fields.index("previous_command")
+        layout["entry"][[index for index, name in enumerate(names) if name in SHEET]] = Entries._fields.index(
+            "constant"
+        )
+    layout["scale"] = scale
     return layout
+
+
+def _own_scale(config: TaskConfig, names: Sequence[str]) -> NDArray[np.float64]:
+    """SI units per 1 of each entry of a drawn rig's observation; for the data sheet, one over the value."""
+    speed, own = full_speed(config.plant), pace(config)
+    half, travel, supply = 0.5 * config.plant.cylinder.stroke, speed * own, config.plant.supply.pressure
+    scales = {
+        "reference": half,
+        "position": half,
+        "velocity_estimate": speed,
+        "pressure_a": supply,
+        "pressure_b": supply,
+        "spool_position": 1.0,
+        "previous_command": 1.0,
+        "tracking_error": travel,
+        "error_integral": travel * own,
+    }
+    scales |= {name: 1.0 / value if value else math.inf for name, value in data_sheet(config).items()}
+    return np.array([scales.get(name, travel) for name in names])
 
 
 @inline
@@ -148,6 +256,7 @@ def write_observation(observation, row, reference, layout):
         previous_command=row.command,
         tracking_error=now - row.measured[POSITION],
         error_integral=row.error_integral,
+        constant=1.0,
     )
     for place in range(observation.shape[0]):
         ahead = layout[place].preview

@@ -4,50 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.drawn_rigs import BORES_AND_RODS, DEAD, drawn_answers, drawn_task
 from benchmarks.no_tuning import family_errors, judged_rig, summary
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.rigs.new_rig import QUESTIONS
-from hydro_agents.running.seeds import RIGS, UNTUNED_RIGS
 from hydro_env import TaskConfig
-from hydro_env.plant.analysis import closed_port_natural_frequency, full_pressure_forces, speed_limits
 from hydro_env.task.configuration import task_config
-
-ROUNDED = 1.05  # masses and volumes have three digits
-LARGEST_GAP = np.sqrt(2.0) * ROUNDED  # neighbouring valve sizes are at most a factor of two apart
-
-
-def test_drawn_rigs_are_plausible_and_differ(tmp_path):
-    known = {question.key for question in QUESTIONS}
-    seen = []
-    for seed in [*RIGS.take(12), *UNTUNED_RIGS.take(12)]:
-        texts, timing = drawn_answers(seed)
-        assert texts.keys() <= known
-        assert (texts, timing) == drawn_answers(seed)
-        task = drawn_task(tmp_path, seed)
-        plant, period = task.plant, task.control_period
-        assert round(1e3 * plant.cylinder.bore_diameter) in BORES_AND_RODS
-        assert 70e5 <= plant.supply.pressure <= 250e5
-        assert 30.0 <= plant.valve.natural_frequency / (2.0 * np.pi) <= 150.0
-        assert period == timing["control_period"] >= task.command_latency >= 0.5e-3
-        assert 0.1 / LARGEST_GAP < np.mean(speed_limits(plant)) < 1.0 * LARGEST_GAP
-        assert min(full_pressure_forces(plant)) > 1.2 * plant.load.external_force
-        assert (tmp_path / f"rig_{seed}.yaml").is_file()
-        assert len(task.randomisation) > 10
-        seen.append((plant.cylinder.bore_diameter, plant.load.mass, plant.valve.natural_frequency))
-    assert len(set(seen)) == len(seen)
-
-
-def test_the_mass_gives_the_drawn_frequency_unless_the_supply_could_not_move_it(tmp_path):
-    limited = 0
-    for seed in UNTUNED_RIGS.take(24, 100):
-        plant = drawn_task(tmp_path, seed).plant
-        dead = 0.25 * np.pi * plant.cylinder.bore_diameter**2 * plant.cylinder.stroke * DEAD
-        assert plant.cylinder.dead_volume == pytest.approx(dead, rel=0.01)
-        frequency = closed_port_natural_frequency(plant) / (2.0 * np.pi)
-        assert frequency > 5.0  # hoses and piston lower it below the drawn one
-        limited += frequency > 80.0 * ROUNDED
-    assert limited < 8
 
 
 def test_errors_are_those_of_the_sensor_and_a_failure_costs_the_stroke():

@@ -3,6 +3,7 @@
 Each target draws a valid input and damages it. A few hundred cases run always, ten thousand with ``-m slow``.
 """
 
+import contextlib
 import json
 import math
 import shutil
@@ -17,10 +18,8 @@ from command_line import hydro, own_lines
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hydro_agents.detection.head import LeakageHead
-from hydro_agents.learning.policy import PolicyController
 from hydro_agents.rigs.simulation import read_table
-from hydro_agents.running.folders import config_folder, pretrained_folder
+from hydro_agents.running.folders import config_folder
 from hydro_agents.study.settings import StudySettings
 from hydro_env import (
     HydroError,
@@ -70,11 +69,8 @@ ARRAYS = st.one_of(
 def filled(shape: list[int], kind: str, value: Any) -> Any:
     """An array of this shape and type, filled with a value where the type can hold it."""
     array = np.zeros(shape, dtype=kind)
-    try:
-        with np.errstate(all="ignore"):
-            array[...] = value
-    except (ValueError, TypeError, OverflowError):
-        pass
+    with np.errstate(all="ignore"), contextlib.suppress(ValueError, TypeError, OverflowError):
+        array[...] = value
     return array
 
 
@@ -107,36 +103,35 @@ def damaged(draw: Any, base: Any) -> Any:
     return tree
 
 
+PIECES = [b"", b"&a ", b"*a", b"[" * 3000, b"9" * 5000, b"!!float ", b"\n", b"? ", b"{", b"- ", b"\t"]
+
+
 @st.composite
 def edited(draw: Any, base: bytes) -> bytes:
     """Bytes in which a few stretches are replaced, repeated or gone."""
     content = base
     for _ in range(draw(st.integers(1, 4))):
-        start = draw(st.integers(0, len(content)))
-        length = draw(st.integers(0, 20))
-        piece = draw(
-            st.one_of(
-                st.binary(max_size=10),
-                st.text(max_size=10).map(str.encode),
-                st.sampled_from(
-                    [b"", b"&a ", b"*a", b"[" * 3000, b"9" * 5000, b"!!float ", b"\n", b"? ", b"{", b"- ", b"\t"]
-                ),
-                st.just(content[start : start + 200] * 3),
-            )
-        )
+        start, length = draw(st.integers(0, len(content))), draw(st.integers(0, 20))
+        repeated, words = st.just(content[start : start + 200] * 3), st.text(max_size=10).map(str.encode)
+        piece = draw(st.one_of(st.binary(max_size=10), words, st.sampled_from(PIECES), repeated))
         content = content[:start] + piece + content[start + length :]
     return content
 
 
+def assert_one_line_or_a_heading(lines: list[str]) -> None:
+    """One line, or a heading and one line per mistake."""
+    heading, *mistakes = lines
+    assert not mistakes or ("mistakes" in heading and all(line.startswith("  ") for line in mistakes))
+
+
 def refused_or_done(call: Any, *arguments: Any, **keywords: Any) -> Any:
-    """The result, or ``None`` after an error of this project: one line, or a heading and one line per mistake."""
+    """The result, or ``None`` after an error of this project."""
     try:
         return call(*arguments, **keywords)
     except HydroError as error:
-        message = str(error)
-    heading, *mistakes = message.split("\n")
-    assert not mistakes or ("mistakes" in heading and all(line.startswith("  ") for line in mistakes))
-    assert all(0 < len(line) < 3000 for line in (heading, *mistakes))
+        lines = str(error).split("\n")
+    assert_one_line_or_a_heading(lines)
+    assert all(0 < len(line) < 3000 for line in lines)
     return None
 
 
@@ -154,19 +149,15 @@ SMALL_TASK = {**TaskConfig().model_dump(mode="json"), "episode_duration": 0.05}
 
 
 def read_text_of_a_file(model: Any) -> Any:
-    def check(folder: Path, content: bytes) -> None:
-        refused_or_done(model.from_yaml, file_of(folder, "a.yaml", content))
-
-    return check
+    return lambda folder, content: refused_or_done(model.from_yaml, file_of(folder, "a.yaml", content))
 
 
 def use_rig(folder: Path, values: Any) -> None:
     parameters = refused_or_done(PlantParameters.from_dict, values)
-    if parameters is None:
-        return
-    refused_or_done(refuse_unworkable, parameters)
-    refused_or_done(equilibrium, parameters)
-    refused_or_done(simulate, parameters, [1.0, -1.0], 1e-3)
+    if parameters is not None:
+        refused_or_done(refuse_unworkable, parameters)
+        refused_or_done(equilibrium, parameters)
+        refused_or_done(simulate, parameters, [1.0, -1.0], 1e-3)
 
 
 def use_task(folder: Path, values: Any) -> None:
@@ -175,8 +166,7 @@ def use_task(folder: Path, values: Any) -> None:
         refused_or_done(env.step, np.zeros(1, dtype=np.float32))
 
 
-def use_keywords(folder: Path, values: Any) -> None:
-    keywords = values if isinstance(values, dict) else {}
+def use_keywords(folder: Path, keywords: Any) -> None:
     refused_or_done(ServoHydraulicEnv, **keywords)
 
 
@@ -191,48 +181,19 @@ def use_study(folder: Path, values: Any) -> None:
 
 
 def use_options(folder: Path, options: Any) -> None:
-    env = ServoHydraulicEnv(SMALL_TASK)
-    if refused_or_done(env.reset, seed=0, options=options) is None:
-        env.reset(seed=1)
-    env.step(np.zeros(1, dtype=np.float32))
-    several = ServoHydraulicVectorEnv(3, SMALL_TASK)
-    if refused_or_done(several.reset, seed=0, options=options) is None:
-        several.reset(seed=1)
-    several.step(np.zeros((3, 1), dtype=np.float32))
+    for env in (ServoHydraulicEnv(SMALL_TASK), ServoHydraulicVectorEnv(3, SMALL_TASK)):
+        if refused_or_done(env.reset, seed=0, options=options) is None:
+            env.reset(seed=1)
+        env.step(np.zeros(env.action_space.shape, dtype=np.float32))
 
 
 def use_actions(folder: Path, drawn: Any) -> None:
     action, seed = drawn
-    env, several = ServoHydraulicEnv(SMALL_TASK), ServoHydraulicVectorEnv(2, SMALL_TASK)
-    for each in (env, several):
+    for each in (ServoHydraulicEnv(SMALL_TASK), ServoHydraulicVectorEnv(2, SMALL_TASK)):
         each.reset(seed=0)
         refused_or_done(each.step, action)
         refused_or_done(each.reset, seed=seed)
         refused_or_done(each.reset, seed=0)
-
-
-def use_weights(load: Any, name: str) -> Any:
-    def check(folder: Path, drawn: Any) -> None:
-        described, tensors = drawn
-        shutil.copy(pretrained_folder() / f"{name}.json", folder / "w.json")
-        shutil.copy(pretrained_folder() / f"{name}.safetensors", folder / "w.safetensors")
-        if described is not None:
-            file_of(folder, "w.json", described if isinstance(described, bytes) else json.dumps(described).encode())
-        if tensors is not None:
-            file_of(folder, "w.safetensors", tensors)
-        refused_or_done(load, folder / "w")
-
-    return check
-
-
-def weights_of(name: str) -> Any:
-    described = (pretrained_folder() / f"{name}.json").read_bytes()
-    tensors = (pretrained_folder() / f"{name}.safetensors").read_bytes()
-    return st.one_of(
-        st.tuples(st.one_of(damaged(json.loads(described)), edited(described)), st.none()),
-        st.tuples(st.none(), edited(tensors[:2000]).map(lambda head: head + tensors[2000:])),
-        st.tuples(st.none(), st.integers(0, len(tensors)).map(lambda length: tensors[:length])),
-    )
 
 
 SIMULATE = {
@@ -261,24 +222,24 @@ OTHERS = {
 }
 
 
+COMMANDS = ["simulate"] * 4 + ["train", "evaluate", "study", "benchmark", "reproduce", "x", ""]
+WORD_OR_NOTHING = st.one_of(st.none(), WORDS.map(lambda text: text.replace("\0", "")))
+
+
 @st.composite
 def command_lines(draw: Any) -> tuple[list[str], bytes]:
-    command = draw(
-        st.sampled_from(["simulate"] * 4 + ["train", "evaluate", "study", "benchmark", "reproduce", "x", ""])
-    )
+    command = draw(st.sampled_from(COMMANDS))
     table = SIMULATE if command == "simulate" else OTHERS
     line = [command] if command else []
     if command == "train":
         line += draw(st.lists(st.sampled_from(["ppo", "head", "pid", "x", "PID"]), max_size=2))
     for option in draw(st.lists(st.sampled_from(sorted(table)), max_size=4)):
-        value = draw(
-            st.one_of(st.sampled_from(table[option]), st.none(), WORDS.map(lambda text: text.replace("\0", "")))
-        )
+        value = draw(st.one_of(st.sampled_from(table[option]), WORD_OR_NOTHING))
         line += [option] if value is None else [option, value]
-    if command == "simulate":
-        line += ["--duration", "0.02"] if "--duration" not in line else []
-    else:
+    if command != "simulate":
         line += ["--output", "file"]  # refused before any work
+    elif "--duration" not in line:
+        line += ["--duration", "0.02"]
     return line, draw(edited(draw(st.sampled_from([RIG, STUDY, b"t,v\n0,1\n0.001,2\n"]))))
 
 
@@ -289,9 +250,9 @@ def use_command_line(folder: Path, drawn: Any) -> None:
     answer = hydro(*line)
     assert answer.returncode in (0, 2)
     if answer.returncode == 2 and "Usage" not in answer.stderr + answer.stdout:
-        heading, *mistakes = own_lines(answer.stderr)
-        assert heading.startswith("hydro: ")
-        assert not mistakes or ("mistakes" in heading and all(line.startswith("  ") for line in mistakes))
+        lines = own_lines(answer.stderr)
+        assert lines[0].startswith("hydro: ")
+        assert_one_line_or_a_heading(lines)
 
 
 def use_table(folder: Path, content: bytes) -> None:
@@ -336,8 +297,6 @@ TARGETS: dict[str, tuple[Any, Any]] = {
         use_options,
     ),
     "actions and seeds": (st.tuples(ARRAYS, ARRAYS), use_actions),
-    "policy weights": (weights_of("policy"), use_weights(PolicyController.load, "policy")),
-    "head weights": (weights_of("leakage_head"), use_weights(LeakageHead.load, "leakage_head")),
     "tables": (edited(b"time,voltage\n" + b"".join(b"%d.5,1e-1\n" % n for n in range(20))), use_table),
     "recordings": (st.tuples(edited(RECORDING), edited(COLUMNS)), use_recording),
     "command lines": (command_lines(), use_command_line),

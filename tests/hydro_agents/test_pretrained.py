@@ -3,14 +3,19 @@
 import numpy as np
 import pytest
 
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.evaluation.detection import area_under_roc, detection_rate
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.learning.opponents import opponent
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import Cases, family_errors, run_cases
+from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_agents.study.settings import default_study
+from hydro_env import ConfigurationError
+from hydro_env.task.configuration import task_config
+from hydro_env.task.drawn_rigs import rig_tasks
 
 STUDY = default_study()
 
@@ -38,6 +43,15 @@ def test_policy_beats_the_tuned_pid_at_every_leak(policy):
         assert error["PPO"][leak == level].mean() < error["PID"][leak == level].mean(), level
 
 
+def test_the_policy_for_any_axis_beats_what_it_corrects_on_rigs_that_it_never_saw():
+    tasks = rig_tasks(task_config(law={"split": "validation", "count": 2, "first": 50, "preview_paces": []}))
+    for task in (*tasks, task_config(rig="symmetric_eha", control_period=0.004)):
+        corrected = FlowLinearising(FlowLinearisingGains(), task)
+        errors = [family_errors(task, each, 6, sensor_frame=True) for each in (opponent("ppo", task, "PPO"), corrected)]
+        ratios = [errors[0][family] / errors[1][family] for family in errors[0]]
+        assert np.exp(np.mean(np.log(ratios))) < 0.99
+
+
 @pytest.mark.parametrize("controller", ["PID", "PPO"])
 def test_head_flags_leaks_under_either_controller(policy, controller):
     head = load_head(None, STUDY.task)
@@ -54,11 +68,8 @@ def test_head_flags_leaks_under_either_controller(policy, controller):
 
 
 def test_weights_of_another_task_are_refused():
-    from hydro_env import ConfigurationError
-    from hydro_env.task.configuration import task_config
-
     other = task_config(STUDY.task, control_period=0.004)
     with pytest.raises(ConfigurationError, match="trained on other observations"):
-        opponent("ppo", other, "PPO")
+        opponent(pretrained_folder() / "policy", other, "PPO")
     with pytest.raises(ConfigurationError, match="trained on other observations"):
         load_head(None, other)

@@ -1,5 +1,6 @@
 """What other libraries look for: errors that they understand, the spec, infos of numbers alone, NumPy integers."""
 
+import copy
 import json
 import re
 
@@ -11,10 +12,10 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import TimeAwareObservation
 from refusal import refused
 
-from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.rewards import REWARD_TERMS
 
-ID = "ServoHydraulic-v0"
+ID, NAN = "ServoHydraulic-v0", float("nan")
 BOTH = (ServoHydraulicEnv, ServoHydraulicVectorEnv)
 
 
@@ -40,7 +41,7 @@ def test_tools_may_inspect_an_environment_before_its_first_reset(make):
     env = make()
     assert not hasattr(env, "parameters")
     if make is ServoHydraulicEnv:
-        with pytest.raises(ConfigurationError, match="parameters: call reset first"):
+        with refused("parameters: call reset first"):
             _ = env.parameters
         env.reset(seed=0)
         assert hasattr(env, "parameters")
@@ -60,85 +61,15 @@ def test_the_spec_tells_the_length_of_an_episode_and_changes_no_episode():
         np.testing.assert_array_equal(mine[0], other[0])
         assert mine[1:] == other[1:]
     assert [row[3] for row in rows[0]] == [False] * 19 + [True]
+    timed = TimeAwareObservation(gym.make(ID, episode_duration=0.1), flatten=False, normalize_time=True)
+    timed.reset(seed=0)
+    assert [timed.step(np.zeros(1))[0]["time"].item() for _ in range(5)] == pytest.approx(np.arange(1, 6) / 20)
     vector = gym.make_vec(ID, num_envs=2, episode_duration=0.1)
     assert vector.spec.max_episode_steps == 20
     recreated = gym.make_vec(vector.spec)
     assert recreated.unwrapped.config == vector.unwrapped.config
     assert gym.make(ID, max_episode_steps=7).spec.max_episode_steps == 7
     assert gym.make_vec(ID, num_envs=2, max_episode_steps=7).spec.max_episode_steps == 7
-
-
-def test_wrappers_that_count_time_know_the_length():
-    env = TimeAwareObservation(gym.make(ID, episode_duration=0.1), flatten=False, normalize_time=True)
-    env.reset(seed=0)
-    for _ in range(5):
-        observation = env.step(np.zeros(1))[0]
-    assert observation["time"] == pytest.approx(5 / 20)
-
-
-def test_a_spec_holds_the_content_of_a_file_not_its_path(tmp_path):
-    path = tmp_path / "task.yaml"
-    path.write_text("leakage: {healthy_share: 0.9}\nepisode_duration: 0.5\n")
-    for make, count in ((gym.make, {}), (gym.make_vec, {"num_envs": 2})):
-        for given in (path, str(path)):
-            env = make(ID, **count, config=given, reward={"effort": 0.2})
-            text = env.spec.to_json() if make is gym.make else json.dumps(env.spec.kwargs)
-            assert str(path) not in text
-            assert "healthy_share" in text
-    path_of_config = env.unwrapped.config
-    single = gym.make(ID, config=path, reward={"effort": 0.2})
-    text = single.spec.to_json()
-    path.unlink()
-    assert gym.make(EnvSpec.from_json(text)).unwrapped.config == path_of_config
-
-
-def test_a_spec_is_json_and_makes_the_same_environment_again():
-    given = {"control_period": np.float64(0.002), "references": {"weights": {"user": 1.0}, "user": np.zeros(5)}}
-    single = gym.make(ID, **given)
-    assert gym.make(EnvSpec.from_json(single.spec.to_json())).unwrapped.config == single.unwrapped.config
-    vector = gym.make_vec(ID, num_envs=2, autoreset_mode=AutoresetMode.SAME_STEP, **given)
-    json.loads(vector.spec.to_json())
-    again = gym.make_vec(vector.spec).unwrapped
-    assert again.config == vector.unwrapped.config
-    assert again.autoreset_mode is AutoresetMode.SAME_STEP
-
-
-def test_a_planner_that_knows_get_state_and_set_state_alone():
-    """What tau-ctrl's planners do: branch, score candidates in a loop or on a vector environment, go on."""
-    env, candidates = gym.make(ID, episode_duration=0.1), np.linspace(-0.4, 0.4, 5)
-    plain = env.unwrapped
-    env.reset(seed=0)
-    untouched = ServoHydraulicEnv(episode_duration=0.1)
-    untouched.reset(seed=0)
-    for _ in range(6):
-        state = plain.get_state()
-        scores = []
-        for command in candidates:
-            plain.set_state(state)
-            scores.append([plain.step([command])[1] for _ in range(3)])
-        plain.set_state(state)
-        envs = ServoHydraulicVectorEnv(5, episode_duration=0.1)
-        envs.reset()
-        envs.set_state([state] * 5)
-        together = [envs.step(candidates[:, None])[1] for _ in range(3)]
-        np.testing.assert_array_equal(np.transpose(scores), together)
-        best = [candidates[np.argmax(np.sum(scores, axis=1))]]
-        mine, other = env.step(best), untouched.step(best)
-        np.testing.assert_array_equal(mine[0], other[0])
-        assert mine[1:4] == other[1:4]
-
-
-def test_the_vector_environment_tells_how_it_restarts():
-    for mode in AutoresetMode:
-        envs = ServoHydraulicVectorEnv(2, autoreset_mode=mode)
-        assert envs.autoreset_mode is mode is envs.metadata["autoreset_mode"]
-
-
-def test_both_show_their_arrays():
-    single, vector = ServoHydraulicEnv(), ServoHydraulicVectorEnv(3)
-    single.reset(seed=1)
-    vector.reset(seed=1)
-    assert single.axes.column("position")[0] == vector.axes.column("position")[0]
 
 
 @pytest.mark.parametrize("whole", [np.int64, np.int32, np.uint8])
@@ -153,133 +84,92 @@ def test_numpy_integers_are_whole_numbers(whole):
     assert ServoHydraulicVectorEnv(2, max_episode_steps=whole(9)).config.steps == 9
 
 
-def test_a_flat_info_holds_the_same_numbers_and_nothing_else():
-    flat, full = (ServoHydraulicVectorEnv(3, info=kind, episode_duration=0.05) for kind in ("flat", True))
+def flattened(info):
+    """The numbers of an info with names, as a flat one holds them; which axes they are of is left out."""
+    terms = {f"reward_{name}": values for name, values in info.get("reward_terms", {}).items()}
+    left_out = re.compile("(reward_)?_.*|reference_family|failure|faults|reward_terms")
+    return {name: values for name, values in (info | terms).items() if not left_out.fullmatch(name)}
+
+
+@pytest.mark.parametrize("make", BOTH)
+def test_a_flat_info_holds_the_same_numbers_and_nothing_else(make):
+    options = {"episode_duration": 0.05} | ({} if make is ServoHydraulicEnv else {"num_envs": 3})
+    flat, full = (make(info=kind, **options) for kind in ("flat", True))
     infos = [env.reset(seed=0)[1] for env in (flat, full)]
-    for _ in range(15):
-        mine, other = infos
-        for name, values in mine.items():
-            assert values.shape == (3,)
-            assert values.dtype.kind in "fib", name
-            if name.startswith("reward_"):
-                np.testing.assert_array_equal(values, other["reward_terms"][name.removeprefix("reward_")])
-            elif name.removeprefix("_") in ("reference_family", "failure") or name.startswith("_reward"):
-                assert values.shape == (3,)
-            else:
-                np.testing.assert_array_equal(values, other[name])
+    for _ in range(9):
+        mine, other = infos[0], flattened(infos[1])
+        assert all(np.asarray(value).dtype.kind in "fib" for value in mine.values())
         assert {f"reward_{name}" for name in REWARD_TERMS} <= set(mine)
-        infos = [env.step(np.ones((3, 1)))[-1] for env in (flat, full)]
+        np.testing.assert_equal({name: mine[name] for name in other}, other)
+        infos = [env.step(np.ones(env.action_space.shape))[-1] for env in (flat, full)]
 
 
 def test_a_flat_info_is_flat_when_episodes_end_too():
-    envs = ServoHydraulicVectorEnv(3, info="flat", episode_duration=0.05, autoreset_mode="SameStep")
-    named = ServoHydraulicVectorEnv(3, episode_duration=0.05, autoreset_mode="SameStep")
-    for each in (envs, named):
-        each.reset(seed=0)
-        for _ in range(10):
-            info = each.step(np.zeros((3, 1)))[-1]
-        if each is envs:
-            flat = info
+    infos = []
+    for kind in ("flat", True):
+        envs = ServoHydraulicVectorEnv(3, info=kind, episode_duration=0.05, autoreset_mode="SameStep")
+        envs.reset(seed=0)
+        infos.append([envs.step(np.zeros((3, 1)))[-1] for _ in range(10)][-1])
+    flat, named = infos
     assert flat["final_obs"].dtype == np.float32
-    np.testing.assert_array_equal(flat["final_obs"], np.stack(info["final_obs"]))
-    np.testing.assert_array_equal(flat["final_position"], info["final_info"]["position"])
+    np.testing.assert_array_equal(flat["final_obs"], np.stack(named["final_obs"]))
+    np.testing.assert_array_equal(flat["final_position"], named["final_info"]["position"])
     assert all(values.dtype.kind in "fib" for values in flat.values())
-
-
-def test_a_flat_info_of_one_axis():
-    env, full = ServoHydraulicEnv(info="flat"), ServoHydraulicEnv()
-    mine, other = env.reset(seed=0)[1], full.reset(seed=0)[1]
-    assert all(isinstance(value, np.float64 | np.int64) for value in mine.values())
-    assert mine["position"] == other["position"]
-    mine, other = env.step(np.ones(1))[-1], full.step(np.ones(1))[-1]
-    assert mine["reward_tracking"] == other["reward_terms"]["tracking"]
-    assert ServoHydraulicEnv(info=False).reset(seed=0)[1] == {}
-
-
-NAN, HUGE = float("nan"), 10**400
-
-
-class Odd:
-    """An object that NumPy cannot make numbers of."""
-
-    def __array__(self, *_, **__):
-        raise RuntimeError("no array")
 
 
 @pytest.mark.parametrize("make", BOTH)
 def test_wrong_seeds(make):
     env = make()
     for seed in (True, -1, 1.5, "3", object(), {}, NAN, [[1]], b"1"):
-        with pytest.raises(ConfigurationError, match=r"^seed = .*: must be a whole number of at least 0"):
+        with refused(r"^seed = .*: must be a whole number of at least 0"):
             env.reset(seed=seed)
-    with pytest.raises(ConfigurationError, match="seed"):
+    with refused("seed"):
         ServoHydraulicVectorEnv(2).reset(seed=[1, 1.5])
 
 
+def test_axes_that_do_not_fit_into_memory():
+    with refused("num_envs = 1000000 with 7200000 steps: too large for memory"):
+        ServoHydraulicVectorEnv(10**6, TaskConfig(control_period=0.5e-3, command_latency=0.0, episode_duration=3600.0))
+
+
+def test_a_spec_is_json_of_the_content_and_makes_the_same_environment_again(tmp_path):
+    task = TaskConfig(control_period=0.002, references={"weights": {"user": 1.0}, "user": [0.0] * 5})
+    file = tmp_path / "task.yaml"
+    task.to_yaml(file)
+    more, specs = {"plant": PlantParameters(), "reward": {"effort": np.float64(0.2)}}, []
+    for config in (task, task.model_dump(), file, str(file)):
+        single = gym.make(ID, config=config, **more)
+        vector = gym.make_vec(ID, num_envs=2, config=config, autoreset_mode=AutoresetMode.SAME_STEP, **more)
+        specs.append((single.spec.to_json(), vector.spec))
+        assert single.unwrapped.config == vector.unwrapped.config
+    file.unlink()
+    for text, of_many in specs:
+        assert str(file) not in text
+        again = gym.make(EnvSpec.from_json(text))
+        assert again.unwrapped.config == single.unwrapped.config == copy.deepcopy(again.spec).make().unwrapped.config
+        json.loads(of_many.to_json())
+        again = gym.make_vec(of_many).unwrapped
+        assert again.config == single.unwrapped.config
+        assert again.autoreset_mode is AutoresetMode.SAME_STEP
+
+
 @pytest.mark.parametrize(
-    ("name", "values"),
+    ("name", "values", "message"),
     [
-        ("num_envs", ("3", 1.5, 10**9, True, None, [], NAN, -1)),
-        ("threads", ("2", 0, 10**9, True, [])),
-        ("max_episode_steps", ("5", 0, 2.5, True, [])),
-        ("render_mode", ("human", 5, [], {})),
-        ("autoreset_mode", ("later", 3, [], None, {})),
-        ("info", ("round", 1, None, [])),
-        ("config", (5, [], b"a", object())),
+        ("num_envs", ("3", 1.5, 10**9, True, None, [], NAN, -1, 0), "must be a whole number within 1 to 1000000"),
+        ("threads", ("2", 0, 1.5, 10**9, True, []), "must be a whole number within 1 to 1024"),
+        ("max_episode_steps", ("5", 0, 2.5, True, []), "must be a whole number of at least 1"),
+        ("render_mode", ("human", 5, [], {}), "the vector environment does not draw"),
+        ("autoreset_mode", ("later", 3, [], None, {}), "must be one of NextStep, SameStep, Disabled"),
+        ("info", ("round", 1, None, []), ""),
+        ("config", (5, [], b"a", object()), "must be a YAML file, a mapping or a TaskConfig"),
     ],
 )
-def test_wrong_arguments(name, values):
+def test_wrong_arguments(name, values, message):
     for value in values:
-        with refused(name) as caught:
+        with refused(f"{name} = .*{message}") as caught:
             ServoHydraulicVectorEnv(**{name: value})
         assert len(str(caught.value)) < 300
-    if name in ("render_mode", "info", "config"):
-        for value in values:
-            if value != "human":
-                with pytest.raises(ConfigurationError, match=name):
-                    ServoHydraulicEnv(**{name: value})
-
-
-@pytest.mark.parametrize("make", BOTH)
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"leakage_flow_lpm": "1"},
-        {"leakage_flow_lpm": None},
-        {"leakage_flow_lpm": [[1.0]]},
-        {"leakage_flow_lpm": HUGE},
-        {"initial_position": object()},
-        {"initial_position": 1j},
-        {"reference": ["0.1", 0.2]},
-        {"reference": [[0.1], [0.2, 0.3]]},
-        {"reference": Odd()},
-        {"parameters": [1]},
-        {"parameters": {"load": {"mass": "60"}}},
-        {"parameters": {3: {"mass": 60.0}}},
-        {"parameters": {"load": {None: 60.0}}},
-        {"parameters": {"supply": {"model": None}}},
-        {"persist": 1},
-        {3: 4},
-        7,
-        "persist",
-    ],
-    ids=lambda options: re.sub(" at 0x[0-9a-f]+", "", str(options))[:60],  # the same in every worker of pytest
-)
-def test_wrong_options(make, options):
-    with refused(r"^reset options"):
-        make().reset(seed=0, options=options)
-
-
-@pytest.mark.parametrize("mask", [[True], "TF", [[True], [True, False]], [1, 0], [False, False], None])
-def test_wrong_masks(mask):
-    envs = ServoHydraulicVectorEnv(2)
-    envs.reset(seed=0)
-    if mask is not None:
-        with pytest.raises(ConfigurationError, match="reset_mask must be a boolean array"):
-            envs.reset(options={"reset_mask": mask})
-    assert np.isfinite(envs.step(np.zeros((2, 1)))[0]).all()
-
-
-def test_axes_that_do_not_fit_into_memory():
-    with pytest.raises(ConfigurationError, match="num_envs = 1000000 with 7200000 steps: too large for memory"):
-        ServoHydraulicVectorEnv(10**6, TaskConfig(control_period=0.5e-3, command_latency=0.0, episode_duration=3600.0))
+        if name in ("render_mode", "info", "config") and value != "human":
+            with refused(f"{name} = "):
+                ServoHydraulicEnv(**{name: value})

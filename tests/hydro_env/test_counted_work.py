@@ -33,21 +33,17 @@ def begun(count, **settings):
     return envs, actions
 
 
-def test_no_python_call_per_axis():
+def test_few_python_calls_in_a_step_and_none_per_axis():
     counts = []
     for count in (16, 1024):
         envs, actions = begun(count)
         counts.append(calls_of(lambda envs=envs, actions=actions: envs.step(actions)))
     assert counts[0] == counts[1]
     assert counts[0]["call"] <= 40, counts
-
-
-def test_few_python_calls_in_a_step_of_one_axis():
     env = ServoHydraulicEnv()
     env.reset(seed=0)
-    action = np.zeros(1, np.float32)
-    env.step(action)
-    counted = calls_of(lambda: env.step(action))
+    env.step(actions[0])
+    counted = calls_of(lambda: env.step(actions[0]))
     assert counted["call"] <= 20, counted
     assert counted["c_call"] <= 40, counted
 
@@ -80,12 +76,8 @@ def test_a_step_leaves_nothing_behind_and_takes_only_what_it_returns():
     assert growth < 4096  # nothing grows with the number of steps
     # Besides what is returned: the last observation that is kept, the commands as float64, and small change.
     assert peak < arrays + row + 3 * 8 * 1024 + 8192
-
-
-def test_a_step_of_one_axis_leaves_nothing_behind():
     env = ServoHydraulicEnv()
     env.reset(seed=0)
-    action = np.zeros(1, np.float32)
-    growth, peak = memory_of(lambda: env.step(action), 300)
+    growth, peak = memory_of(lambda: env.step(actions[0]), 300)
     assert growth < 4096  # the same after 300 steps and after 900
     assert peak < 16384  # the integrator's working memory, given back after each step

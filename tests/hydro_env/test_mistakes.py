@@ -1,7 +1,10 @@
 """Mistakes in files, as clumsy hands make them: each is told, with its line, what is allowed and what was meant."""
 
+import re
+
 import pytest
 from command_line import hydro, own_lines
+from refusal import refused
 
 from hydro_agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
@@ -11,89 +14,90 @@ from hydro_env.mistakes import did_you_mean, kept, one_of, refuse, unknown
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 
-RIGS = {
-    "misspelt unit": (
-        "cylinder: {bore_diameter: 63 mn}",
-        "'63 mn': unit 'mn': must be one of mm, m, cm, in, um, µm (unit",
+RIGS = [
+    # Units and numbers.
+    ("cylinder: {bore_diameter: 63 mn}", "'63 mn': unit 'mn': must be one of mm, m, cm, in, um, µm (unit"),
+    ("supply: {pressure: 160 bars}", "must be one of bar, MPa, psi, kPa, Pa, mbar, GPa; did you mean bar?"),
+    ("valve: {rated_flow: 40 L/min}", "one of l/min, cm³/min, l/s, cm³/s, m³/s; did you mean l/min?"),
+    ("load: {mass: 3 bar}", "line 1: load.mass = '3 bar': unit 'bar': must be one of kg, t, g"),
+    ("randomisation: {load.mass: {uniform: [1 kg, 3 mm]}}", "load.mass: unit 'mm': must be one of kg, t, g"),
+    ("sensors: {pressure_a: {high: 3 mm}}", "pressure_a.high = '3 mm': unit 'mm': must be one of bar, MPa"),
+    ("load: {mass: heavy}", "load.mass = 'heavy': must be a number within 0.01 to 1e+06 (unit: kg)"),
+    (
+        "supply: {pressure: 70}",
+        "supply.pressure = 70: must be a number within 100000 to 1e+08 (unit: Pa); 70 bar",
     ),
-    "plural of a unit": (
-        "supply: {pressure: 160 bars}",
-        "must be one of bar, MPa, psi, kPa, Pa, mbar, GPa; did you mean bar?",
-    ),
-    "capitals of a unit": (
-        "valve: {rated_flow: 40 L/min}",
-        "must be one of l/min, cm³/min, l/s, cm³/s, m³/s; did you mean l/min?",
-    ),
-    "range for a number": ("cylinder: {stroke: 1:30}", "cylinder.stroke = '1:30': must be a number within 0.01 to 10"),
-    "decimal comma": (
-        "load:\n  mass: 120,5 kg",
-        "line 2: load.mass = '120,5 kg': must be a number within 0.01 to 1e+06 (unit: kg); decimals need a point",
-    ),
-    "decimal comma in braces": ("load: {mass: 1,5}", "load.5: a key must be text; decimals need a point"),
-    "decimal commas in a list": (
-        "randomisation: {load.mass: {factor: [0,9, 1,1]}}",
-        "[0, 9, 1, 1]: must be a list of 2 entries, each a number; decimals need a point",
-    ),
-    "nested list": (
+    ("supply: {pressure: 120 MPa}", "within 0.1 to 100 MPa; 120 bar meant?"),
+    ("supply: {pressure: 3000 bar}", "within 1 to 1000 bar; 3000 psi meant?"),
+    ("cylinder: {bore_diameter: 40 m}", "m; 40 mm meant?"),
+    ("fluid: {bulk_modulus: 14 bar}", "bar; 14 "),
+    ("cylinder: {stroke: 400}", "cylinder.stroke = 400: must be a number within 0.01 to 10 (unit: m)"),
+    ("valve: {rated_flow: 10}", "valve.rated_flow = 10: must be a number within 1e-07 to 0.1 (unit: m³/s)"),
+    ("load: {mass: -60.0}", "load.mass = -60.0: must be a number within 0.01 to 1e+06 (unit: kg)"),
+    ("load: {mass: 1e9}", "must be a number within 0.01 to 1e+06"),
+    ("leakage: {internal_resistance: 1}", "must be a number, at least 1e+08 (unit"),  # the other bound is infinity
+    ("load: {mass: .nan}", "load.mass = nan: "),
+    ("load: {mass: nan}", "load.mass = 'nan': "),
+    ("load: {mass: .inf}", "load.mass = inf: must be a number within 0.01 to 1e+06 (unit: kg)"),
+    ("load: {mass: true}", "load.mass = true: must be a number, not true/false"),
+    ("load: {mass: [60]}", "load.mass = [60]: "),
+    ("load:\n  mass:", "line 2: load.mass: is empty; must be a number within"),
+    (
         "cylinder: {bore_diameter: [[63]]}",
-        "line 1: cylinder.bore_diameter: must be a number within 0.005 to 1 (unit: m)",
+        "line 1: cylinder.bore_diameter: must be a number within 0.005 to 1 (un",
     ),
-    "nothing": ("load:\n  mass:", "line 2: load.mass: is empty; must be a number within"),
-    "empty group": ("load:", "line 1: load: is empty; must be a group of settings"),
-    "begin of a name": (
-        "cylinder: {rod: 36 mm}",
-        "cylinder.rod = '36 mm': unknown key; did you mean rod_diameter? known here: bore",
+    ("cylinder: {stroke: 1:30}", "cylinder.stroke = '1:30': must be a number within 0.01 to 10"),
+    (
+        "load:\n  mass: 120,5 kg",
+        "line 2: load.mass = '120,5 kg': must be a number within 0.01 to 1e+06 (unit: kg); de",
     ),
-    "capitals of a name": ("Load: {mass: 3}", "Load: unknown key; did you mean load? known here: cylinder, "),
-    "American spelling": ("randomization: {load.mass: {factor: [1, 2]}}", "unknown key; did you mean randomisation?"),
-    "field without its group": ("mass: 120 kg", "mass = '120 kg': unknown key; did you mean load.mass?"),
-    "path without its group": (
-        "randomisation: {mass: {factor: [1, 2]}}",
-        "'mass' is not a number of the plant; did you mean load.mass?",
-    ),
-    "leak of the task": (
-        "randomisation: {leakage.internal_resistance: {factor: [1, 2]}}",
-        "is drawn by the group 'leakage' of the task",
-    ),
-    "choice": ("supply: {model: accumulater}", "must be one of constant, accumulator, pump; did you mean accumulator?"),
-    "capitals of a choice": (
-        "friction: {model: Stribeck}",
-        "must be one of none, coulomb, stribeck, lugre; did you mean stribeck?",
-    ),
-    "no space after the colon": (
-        "cylinder:\n  stroke:3",
-        "cylinder = 'stroke:3': must be a group of settings; a space must follow the colon",
-    ),
-    "no space after a later colon": (
-        "load:\n  mass: 3\n  damping:5\n",
-        "not valid YAML in line 3: a colon with a space after it is missing",
-    ),
-    "tab": ("load:\n\tmass: 3", "not valid YAML in line 2: a tab; indent with spaces"),
-    "indentation": ("load:\n  mass: 3\n damping: 5", "not valid YAML in line 3: wrong indentation"),
-    "indentation of a value": (
-        "load: 3\n  mass: 3",
-        "not valid YAML in line 2: a colon where none can stand; is the indentation right?",
-    ),
-    "open brace": (
-        "\nload: {mass: 3\nfluid: {}",
-        "not valid YAML in line 2: the bracket that opens here is not closed",
-    ),
-    "open quotation mark": (
-        "load: {mass: '3 kg}",
-        "not valid YAML in line 1: the quotation mark that opens here is not closed",
-    ),
-}
+    ("load: {mass: 1,5}", "load.5: a key must be text; decimals need a point"),
+    ("randomisation: {load.mass: {factor: [0,9, 1,1]}}", "[0, 9, 1, 1]: must be a list of 2 entries, each a number"),
+    # Names of groups, fields and choices.
+    ("load: {weight: 60}", "load.weight = 60: unknown key; known here: mass, spring_stiffness"),
+    ("loads: {mass: 60}", "loads: unknown key; did you mean load? known here: cylinder, valve, lines, fluid, load"),
+    ("load:", "line 1: load: is empty; must be a group of settings"),
+    ("load: 60", "load = 60: "),
+    ("cylinder: {rod: 36 mm}", "cylinder.rod = '36 mm': unknown key; did you mean rod_diameter? known here: bore"),
+    ("Load: {mass: 3}", "Load: unknown key; did you mean load? known here: cylinder, "),
+    ("randomization: {load.mass: {factor: [1, 2]}}", "unknown key; did you mean randomisation?"),
+    ("mass: 120 kg", "mass = '120 kg': unknown key; did you mean load.mass?"),
+    ("randomisation: {mass: {factor: [1, 2]}}", "'mass' is not a number of the plant; did you mean load.mass?"),
+    ("randomisation: {load.weight: {factor: [1, 2]}}", "'load.weight' is not a number of the plant"),
+    ("randomisation: {leakage.internal_resistance: {factor: [1, 2]}}", "is drawn by the group 'leakage' of the task"),
+    ("randomisation: {load.mass: {factor: [2, 1]}}", "randomisation.load.mass: bounds = [2, 1]"),
+    ("randomisation: {load.mass: {uniform: [0, 1]}}", "randomisation: load.mass = 0 kg is below its limit"),
+    ("supply: {model: accumulater}", "must be one of constant, accumulator, pump; did you mean accumulator?"),
+    ("friction: {model: Stribeck}", "must be one of none, coulomb, stribeck, lugre; did you mean stribeck?"),
+    # What does not fit together.
+    ("cylinder: {rod_diameter: 0.05}", "rod_diameter = 50 mm does not fit: "),
+    ("cylinder: {rod_diameter_a: 0.04}", "rod_diameter_a = 40 mm does not fit"),
+    ("supply: {tank_pressure: 80e5}", "pressure = 70 bar must be above tank_pressure = 80 bar"),
+    ("supply: {precharge_pressure: 75e5}", "precharge_pressure = 75 bar must be below pressure"),
+    ("supply: {relief_slope: 0}", "nothing limits the pressure"),
+    ("friction: {breakaway_force: 100}", "breakaway_force = 100 N must not be below coulomb_force = 120 N"),
+    ("friction: {model: lugre, coulomb_force: 0}", "coulomb_force = 0 N must be above 0 with model lugre"),
+    ("load: {external_force: 1e6}", "load.external_force = 1e+06 N: "),
+    # YAML.
+    ("cylinder:\n  stroke:3", "cylinder = 'stroke:3': must be a group of settings; a space must follow the colon"),
+    ("load:\n  mass: 3\n  damping:5\n", "not valid YAML in line 3: a colon with a space after it is missing"),
+    ("load:\n\tmass: 3", "not valid YAML in line 2: a tab; indent with spaces"),
+    ("load:\n  mass: 3\n damping: 5", "not valid YAML in line 3: wrong indentation"),
+    ("load: 3\n  mass: 3", "not valid YAML in line 2: a colon where none can stand; is the indentation right?"),
+    ("\nload: {mass: 3\nfluid: {}", "not valid YAML in line 2: the bracket that opens here is not closed"),
+    ("load: {mass: '3 kg}", "not valid YAML in line 1: the quotation mark that opens here is not closed"),
+    ('"lo\\nad": 1', "lo ad = 1: unknown key"),
+    ("- load", "must be a mapping of settings, not a list"),
+    ("7: 1", "7 is a key: keys must be text"),
+]
 
 
-@pytest.mark.parametrize(("text", "message"), RIGS.values(), ids=RIGS)
+@pytest.mark.parametrize(("text", "message"), RIGS)
 def test_one_mistake_in_a_rig_is_told_in_one_line(text, message, tmp_path):
     file = tmp_path / "rig.yaml"
     file.write_text(text)
-    with pytest.raises(ConfigurationError) as caught:
-        read_rig(file)
-    assert message in str(caught.value)
-    assert str(caught.value).startswith(f"{file}: ")
-    assert "\n" not in str(caught.value)
+    with refused(f"^{re.escape(str(file))}: .*{re.escape(message)}"):
+        task_config(rig=file)
 
 
 SEVERAL = """\
@@ -205,23 +209,16 @@ def test_the_files_that_a_study_names_are_read_too(tmp_path):
     assert lines[3].startswith("  study.yaml: line 5: controllers.PPO.settings.total_stps = 3: unknown key; did you ")
 
 
-def test_many_mistakes_are_cut(tmp_path):
+def test_many_mistakes_are_cut_and_numbers_are_decimal(tmp_path):
     file = tmp_path / "rig.yaml"
     file.write_text("load:\n" + "".join(f"  wrong{number}: 1\n" for number in range(MOST_MISTAKES + 5)))
     with pytest.raises(ConfigurationError) as caught:
         read_rig(file)
-    lines = str(caught.value).splitlines()
-    assert lines[0] == f"{file}: {MOST_MISTAKES + 5} mistakes"
-    assert len(lines) == 1 + MOST_MISTAKES + 1
-    assert lines[-1] == "  and 5 more"
-
-
-def test_numbers_are_decimal(tmp_path):
-    """YAML 1.1 reads 060 as 48 and 1:30 as 90."""
-    file = tmp_path / "rig.yaml"
-    file.write_text(
-        "load: {mass: 060, spring_stiffness: 00.5e5, external_force: -1_000}\nvalve: {natural_frequency: 0x100}\n"
-    )
+    first, *lines, last = str(caught.value).splitlines()
+    assert (first, len(lines), last) == (f"{file}: {MOST_MISTAKES + 5} mistakes", MOST_MISTAKES, "  and 5 more")
+    # YAML 1.1 reads 060 as 48 and 1:30 as 90.
+    load = "load: {mass: 060, spring_stiffness: 00.5e5, external_force: -1_000}\n"
+    file.write_text(load + "valve: {natural_frequency: 0x100}\n")
     plant = read_rig(file).plant
     assert (plant.load.mass, plant.load.spring_stiffness, plant.load.external_force) == (60.0, 5e4, -1000.0)
     assert plant.valve.natural_frequency == 256.0
@@ -243,7 +240,7 @@ def test_kept_errors_are_raised_together():
     refuse(errors, "here")
     with kept(errors):
         raise ConfigurationError("a: wrong")
-    with pytest.raises(ConfigurationError, match=r"^a: wrong$"):
+    with refused(r"^a: wrong$"):
         refuse(errors, "here")
     with kept(errors):
         raise UnknownKeyError("b: unknown")

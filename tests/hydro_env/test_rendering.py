@@ -79,17 +79,41 @@ def test_frame_is_a_plain_array_of_its_own():
 
 
 @pytest.mark.parametrize("position", [-0.2, -0.07, 0.0, 0.13, 0.2])
-def test_piston_and_load_stand_at_the_true_position(position):
+def test_piston_and_load_stand_at_the_true_position_on_the_scale_of_the_stroke(position):
     middle, moved = draw(position=0.0), draw(position=position)
+    half = draw(position=position / 2, stroke=0.2)
     expected = position / 0.4 * rendering.STROKE_PIXELS
     for row, color in ((PISTON_ROW, rendering.PISTON), (LOAD_ROW, rendering.POSITION)):
         assert center(moved, row, color) - center(middle, row, color) == pytest.approx(expected, abs=1.0)
+        assert center(half, row, color) == pytest.approx(center(moved, row, color), abs=1.0)
 
 
-def test_stroke_sets_the_scale():
-    for row, color in ((PISTON_ROW, rendering.PISTON), (LOAD_ROW, rendering.POSITION)):
-        short, long = draw(position=0.05, stroke=0.2, reference=0), draw(position=0.1, stroke=0.4, reference=0)
-        assert center(short, row, color) == pytest.approx(center(long, row, color), abs=0.5)
+def test_oil_turns_from_blue_to_red_with_pressure_and_a_spring_shows_where_there_is_one():
+    low, high = (draw(pressure_a=pressure)[PISTON_ROW, 100].astype(int) for pressure in (1e5, 68e5))
+    assert low[2] > low[0]
+    assert high[0] > high[2]
+    between = [draw(has_spring=there)[115:150, 750:920] != np.array(canvas.PAPER) for there in (True, False)]
+    assert between[0].any(axis=-1).sum() > 100
+    assert not between[1].any()
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2, 20_000])
+@pytest.mark.parametrize("coming", [0, 1, 20_000])
+def test_any_length_of_history_and_extreme_values_can_be_drawn(samples, coming):
+    past = {name: np.zeros(samples) for name in ("history_position", "history_reference")}
+    extreme = {"pressure_a": -0.9e5, "pressure_b": 900e5, "supply_pressure": 600e5, "leakage_flow_lpm": 100.0}
+    extreme |= {"position": 0.21, "reference": -0.5, "spool_position": -1.0, "command": 1.2}
+    future = np.zeros(coming)
+    picture = draw(history_time=0.001 * np.arange(samples), time=20.0, reference_preview=future, **past, **extreme)
+    assert picture.std() > 0
+
+
+def test_missing_pygame_and_an_unknown_mode_are_refused(monkeypatch):
+    with pytest.raises(ValueError, match="ansi"):
+        AxisRenderer("ansi")
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(DependencyNotInstalled, match=r'pip install "hydro_env\[render\]"'):
+        AxisRenderer("rgb_array")
 
 
 @pytest.mark.parametrize("reference", [-0.12, 0.05, 0.15])
@@ -116,14 +140,6 @@ def test_leak_arrow_grows_with_the_leak_and_points_to_the_lower_pressure():
     assert len(where(draw(pressure_a=20e5, pressure_b=20e5), rendering.LEAK)[0]) == 0
 
 
-def test_oil_turns_from_blue_to_red_with_pressure():
-    low, high = (draw(pressure_a=pressure)[PISTON_ROW, 100].astype(int) for pressure in (1e5, 68e5))
-    assert low[2] > low[0]
-    assert high[0] > high[2]
-    untouched = draw(pressure_a=1e5)[PISTON_ROW - 36, 380], draw(pressure_a=68e5)[PISTON_ROW - 36, 380]
-    assert np.array_equal(*untouched)
-
-
 def test_spool_moves_the_valve_symbol_by_a_box_at_full_stroke():
     def left_edge(spool):
         row = draw(spool_position=spool)[VALVE_ROW, :460]
@@ -131,15 +147,6 @@ def test_spool_moves_the_valve_symbol_by_a_box_at_full_stroke():
 
     assert left_edge(1.0) - left_edge(0.0) == pytest.approx(rendering.VALVE_BOX, abs=1)
     assert left_edge(0.0) - left_edge(-1.0) == pytest.approx(rendering.VALVE_BOX, abs=1)
-
-
-def test_spring_only_where_there_is_one():
-    def marks(picture):
-        between = picture[115:150, 750:920]
-        return (between != np.array(canvas.PAPER)).any(axis=-1).sum()
-
-    assert marks(draw(has_spring=True)) > 100
-    assert marks(draw(has_spring=False)) == 0
 
 
 def test_external_force_points_against_extension_when_positive():
@@ -158,19 +165,6 @@ def test_plot_shows_history_and_what_is_coming():
     assert np.array_equal(usual[:340], later[:340])
     assert len(where(usual[plot], rendering.REFERENCE_COMING)[0]) > 10
     assert len(where(draw(reference_preview=np.zeros(0))[plot], rendering.REFERENCE_COMING)[0]) == 0
-
-
-@pytest.mark.parametrize("samples", [0, 1, 2, 20_000])
-@pytest.mark.parametrize("coming", [0, 1, 20_000])
-def test_any_length_of_history_can_be_drawn(samples, coming):
-    past = {name: np.zeros(samples) for name in ("history_position", "history_reference")}
-    picture = draw(history_time=0.001 * np.arange(samples), time=20.0, reference_preview=np.zeros(coming), **past)
-    assert picture.std() > 0
-
-
-def test_extreme_values_can_be_drawn():
-    extreme = {"pressure_a": -0.9e5, "pressure_b": 900e5, "supply_pressure": 600e5, "leakage_flow_lpm": 100.0}
-    assert draw(**extreme, position=0.21, reference=-0.5, spool_position=-1.0, command=1.2).std() > 0
 
 
 def test_array_mode_opens_no_display(monkeypatch):
@@ -217,35 +211,17 @@ def dummy_video(monkeypatch):
 
 
 @pytest.mark.usefixtures("dummy_video")
-def test_window_shows_the_same_picture_and_closes_once():
+@pytest.mark.parametrize("by_its_user", [True, False])
+def test_a_window_shows_the_same_picture_and_stays_closed(by_its_user):
     renderer = AxisRenderer("human")
     assert not pygame.display.get_init()
     assert renderer.draw(make_view()) is None
     shown = np.swapaxes(pygame.surfarray.array3d(pygame.display.get_surface()), 0, 1)
     assert np.array_equal(shown, draw())
+    if by_its_user:
+        pygame.event.post(pygame.event.Event(pygame.QUIT))
+        assert [renderer.draw(make_view()) for _ in range(2)] == [None, None]
+        assert not pygame.display.get_init()
+    renderer.close()
     renderer.close()
     assert not pygame.display.get_init()
-    renderer.close()
-
-
-@pytest.mark.usefixtures("dummy_video")
-def test_window_closed_by_its_user_stays_closed():
-    renderer = AxisRenderer("human")
-    renderer.draw(make_view())
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-    assert renderer.draw(make_view()) is None
-    assert not pygame.display.get_init()
-    assert renderer.draw(make_view()) is None
-    assert not pygame.display.get_init()
-    renderer.close()
-
-
-def test_missing_pygame_is_named_with_its_remedy(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(DependencyNotInstalled, match=r'pip install "hydro_env\[render\]"'):
-        AxisRenderer("rgb_array")
-
-
-def test_unknown_mode_is_refused():
-    with pytest.raises(ValueError, match="ansi"):
-        AxisRenderer("ansi")

@@ -1,5 +1,7 @@
 """The vector environment is N single environments, bit for bit, in each way of restarting."""
 
+import copy
+import pickle
 import threading
 
 import gymnasium as gym
@@ -73,40 +75,10 @@ def test_equal_to_single_environments_bit_for_bit(count, mode):
 
 
 def test_equal_to_single_environments_on_the_default_task():
-    native = ServoHydraulicVectorEnv(5, episode_duration=0.3)
-    sync = SyncVectorEnv([lambda: ServoHydraulicEnv(episode_duration=0.3)] * 5)
+    native, sync = ServoHydraulicVectorEnv(5, episode_duration=0.1), SyncVectorEnv([make_short] * 5)
     np.testing.assert_array_equal(native.reset(seed=7)[0], sync.reset(seed=7)[0])
-    for action in actions_of(5, 200):
-        for a, b in zip(native.step(action)[:4], sync.step(action)[:4], strict=True):
-            np.testing.assert_array_equal(a, b)
-
-
-def test_an_axis_does_not_depend_on_how_many_there_are():
-    rows = []
-    for count in (1, 4, 9, 130):
-        envs = ServoHydraulicVectorEnv(count, **CRASHING)
-        observation = [envs.reset(seed=5)[0][0]]
-        for action in actions_of(1, 120):
-            observation.append(envs.step(np.repeat(action, count, axis=0))[0][0])
-        rows.append(observation)
-        envs.close()
-    for row in rows[1:]:
-        np.testing.assert_array_equal(row, rows[0])
-
-
-def test_next_step_mode_ignores_the_action_of_a_restarting_axis():
-    envs = ServoHydraulicVectorEnv(2, episode_duration=0.05)
-    envs.reset(seed=0)
-    for _ in range(10):
-        _, _, _, truncated, _ = envs.step(np.zeros((2, 1)))
-    assert truncated.all()
-    observation, reward, terminated, truncated, info = envs.step(np.ones((2, 1)))
-    assert (reward == 0.0).all()
-    assert not (terminated | truncated).any()
-    assert (info["velocity"] == 0.0).all()
-    single = ServoHydraulicEnv(episode_duration=0.05)
-    single.reset(seed=0)
-    np.testing.assert_array_equal(observation[0], single.reset()[0])
+    for action in actions_of(5, 60):
+        np.testing.assert_equal(native.step(action)[:4], sync.step(action)[:4])
 
 
 def test_disabled_mode_asks_for_the_reset():
@@ -121,29 +93,6 @@ def test_disabled_mode_asks_for_the_reset():
         envs.step(np.zeros((3, 1)))
     envs.reset(options={"reset_mask": np.array([False, False, True])})
     assert np.isfinite(envs.step(np.zeros((3, 1)))[0]).all()
-
-
-def test_returned_arrays_are_fresh():
-    envs = ServoHydraulicVectorEnv(4, **CRASHING, autoreset_mode="SameStep")
-    kept = [envs.reset(seed=0)]
-    copies = [(kept[0][0].copy(), {k: v.copy() for k, v in kept[0][1].items() if isinstance(v, np.ndarray)})]
-    for action in actions_of(4, 60):
-        observation, *_, info = envs.step(action)
-        kept.append((observation, info))
-        copies.append((observation.copy(), {k: v.copy() for k, v in info.items() if isinstance(v, np.ndarray)}))
-        assert not any(np.shares_memory(observation, row) for row, _ in kept[:-1])
-    for (observation, info), (before, info_before) in zip(kept, copies, strict=True):
-        np.testing.assert_array_equal(observation, before)
-        for key, value in info_before.items():
-            if key != "final_obs":
-                np.testing.assert_array_equal(info[key], value)
-    # What a caller writes into its arrays does not come back.
-    kept[-1][0][:] = 9.0
-    observation, *_ = envs.step(np.zeros((4, 1)))
-    assert np.abs(observation[:, 0]).max() < 9.0
-    observation[:] = 9.0
-    partly, _ = envs.reset(options={"reset_mask": np.array([True, False, False, False])})
-    assert np.abs(partly[:, 0]).max() < 9.0
 
 
 def test_seeds():
@@ -164,12 +113,9 @@ def test_seeds():
     single = ServoHydraulicEnv()
     single.reset(seed=10)
     np.testing.assert_array_equal(again[0], single.reset()[0])
-
-
-def test_axes_without_a_seed_of_their_own_differ():
-    rows = [ServoHydraulicVectorEnv(4).reset(seed=[3, None, None, None])[0] for _ in range(2)]
-    assert len(np.unique(np.concatenate(rows)[:, 5])) == 7  # only the seeded axis repeats
-    np.testing.assert_array_equal(rows[0][0], rows[1][0])
+    partly = np.concatenate([first([3, None, None, None])[0] for _ in range(2)])
+    assert len(np.unique(partly[:, 5])) == 7  # only the seeded axis repeats
+    np.testing.assert_array_equal(partly[0], partly[4])
 
 
 def test_make_vec():
@@ -203,8 +149,7 @@ def test_single_environments_in_processes_of_their_own():
         np.testing.assert_array_equal(processes.reset(seed=4)[0], native.reset(seed=4)[0])
         for action in actions_of(2, 45):
             mine, other = native.step(action), processes.step(action)
-            for a, b in zip(mine[:4], other[:4], strict=True):
-                np.testing.assert_array_equal(a, b)
+            np.testing.assert_equal(mine[:4], other[:4])
             assert_equal_infos(mine[4], other[4])
     finally:
         processes.close()
@@ -232,19 +177,69 @@ def test_vector_environments_side_by_side_and_in_a_thread():
         np.testing.assert_array_equal(together[seed], alone[seed])
 
 
-def test_close_may_be_called_twice():
-    envs = ServoHydraulicVectorEnv(130, threads=2)
-    envs.reset(seed=0)
-    envs.step(np.zeros((130, 1)))
-    envs.close()
-    envs.close()
+def many(**task):
+    return ServoHydraulicVectorEnv(130, autoreset_mode="SameStep", threads=2, **task)  # with worker threads
 
 
-def test_without_info():
-    envs, full = ServoHydraulicVectorEnv(3, info=False), ServoHydraulicVectorEnv(3)
-    rows, info = envs.reset(seed=0)
+def numbers(info):
+    """All arrays and numbers of an info, also inner ones, as they are now."""
+    return copy.deepcopy({name: value for name, value in info.items() if name != "final_obs"})
+
+
+BOTH = pytest.mark.parametrize(
+    "make",
+    [ServoHydraulicEnv, lambda **task: ServoHydraulicVectorEnv(130, autoreset_mode="SameStep", threads=2, **task)],
+)
+
+
+@BOTH
+def test_what_is_returned_is_fresh_and_what_is_given_is_left_alone(make):
+    env = make(**CRASHING)
+    kept = [env.reset(seed=0)]
+    copies = [(kept[0][0].copy(), numbers(kept[0][1]))]
+    for number in range(60):
+        action = np.full(env.action_space.shape, 0.1 * number - 3.0, np.float32)
+        observation, *_, info = env.step(action)
+        assert (action == np.float32(0.1 * number - 3.0)).all()
+        assert not any(np.shares_memory(observation, row) for row, _ in kept)
+        kept.append((observation, info))
+        copies.append((observation.copy(), numbers(info)))
+    for (observation, info), (before, info_before) in zip(kept, copies, strict=True):
+        np.testing.assert_array_equal(observation, before)
+        np.testing.assert_equal(numbers(info), info_before)
+    # What a caller writes into its arrays does not come back.
+    observation[:] = 9.0
+    info["reward_terms"]["effort"] = 7.0
+    observation, *_ = env.step(np.zeros(env.action_space.shape))
+    assert np.abs(observation[..., 0]).max() < 9.0
+    if env.action_space.shape != (1,):
+        observation[:] = 9.0
+        partly, _ = env.reset(options={"reset_mask": np.arange(130) == 0})
+        assert np.abs(partly[:, 0]).max() < 9.0
+
+
+@BOTH
+@pytest.mark.parametrize("duplicate", [lambda env: pickle.loads(pickle.dumps(env)), copy.deepcopy])
+def test_a_copy_goes_on_like_the_original_and_both_may_be_closed_twice(make, duplicate):
+    env = make()
+    env.reset(seed=0)
+    env.step(np.ones(env.action_space.shape))
+    other = duplicate(env)
+    for number in range(5):
+        mine, copied = (each.step(np.full(env.action_space.shape, 0.1 * number)) for each in (env, other))
+        np.testing.assert_equal(mine[:4], copied[:4])
+    np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
+    for each in (env, env, other):
+        each.close()
+    assert np.isfinite(env.reset(seed=0)[0]).all()
+
+
+@BOTH
+def test_without_info(make):
+    env, full = make(info=False), make()
+    rows, info = env.reset(seed=0)
     assert info == {}
     np.testing.assert_array_equal(rows, full.reset(seed=0)[0])
-    mine, other = (env.step(np.ones((3, 1))) for env in (envs, full))
+    mine, other = (each.step(np.ones(env.action_space.shape)) for each in (env, full))
     assert mine[4] == {}
     np.testing.assert_array_equal(mine[1], other[1])

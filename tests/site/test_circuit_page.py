@@ -63,45 +63,6 @@ def test_a_task_runs(name, tmp_path):
         assert not terminated, info
 
 
-def test_the_supplies_are_what_they_are_called(tmp_path):
-    run = moved(rig("constant pressure, no back pressure", tmp_path))
-    assert np.all(run.supply_pressure == 1e7)
-    run = moved(rig("accumulator alone, pump stopped and no relief valve", tmp_path))
-    assert np.all(np.diff(run.supply_pressure) <= 0.0)  # nothing comes in
-    run = moved(rig("pump and relief valve alone", tmp_path))
-    assert np.ptp(run.gas_volume) == 0.0
-    assert np.ptp(run.supply_pressure) > 1e4
-
-
-def test_the_valves_are_what_they_are_called(tmp_path):
-    run = moved(rig("ideal valve, zero-lapped", tmp_path))
-    assert run.spool_position[1:] == pytest.approx(run.voltage[:-1] / 10.0)
-    run = moved(rig("spool of second order behind an ideal drive", tmp_path))
-    assert run.coil_current[1:] == pytest.approx(run.voltage[:-1] / 4.0)
-    assert abs(run.spool_velocity).max() > 0.01
-
-
-def test_the_loads_are_what_they_are_called(tmp_path):
-    alone, lifted = rig("mass alone", tmp_path), rig("lifted weight", tmp_path)
-    assert np.all(moved(alone).friction_force == 0.0)
-    rest = moved(lifted, 0.5)
-    assert rest.load_force[0] == pytest.approx(589.0, rel=1e-6)
-    symmetric = moved(rig("symmetric cylinder, oil without air", tmp_path))
-    assert symmetric.pressure_a[0] == pytest.approx(symmetric.pressure_b[0])
-
-
-def test_friction_and_leaks_are_what_they_are_called(tmp_path):
-    assert abs(moved(rig("bristles", tmp_path)).bristle_deflection).max() > 1e-5
-    dry = moved(rig("dry friction without a peak", tmp_path))
-    assert abs(dry.friction_force).max() == pytest.approx(120.0, rel=1e-3)
-    through = moved(rig("throttle instead of a worn seal", tmp_path))
-    drop = through.pressure_a - through.pressure_b
-    far = abs(drop) > 10e5  # beyond the laminar part near zero
-    assert far.any()
-    assert abs(through.leakage_flow[far]) == pytest.approx(1e-3 / 60 * np.sqrt(abs(drop[far]) / 1e7), rel=5e-3)
-    assert moved(rig("both seals worn", tmp_path)).external_leakage_flow.min() > 0.0
-
-
 def test_the_tasks_are_what_they_are_called(tmp_path):
     env = ServoHydraulicEnv(task("another circuit, nothing drawn", tmp_path))
     env.reset(seed=1)

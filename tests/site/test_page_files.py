@@ -54,24 +54,16 @@ def test_the_file_of_a_rig_makes_an_environment(text, tmp_path):
     assert set(given.get("randomisation", {})) <= set(env.config.randomisation)
 
 
-def test_the_map_of_a_historian_reads_a_file(tmp_path):
-    file = tmp_path / "map.yaml"
-    (text,) = blocks("trend.md", "yaml")
-    file.write_text(text, encoding="utf-8")
-    names = read_map(file).columns()
-    assert (names["time"].unit, names["oil_temperature"].column) == ("ns", "oil")
-
-
-def test_the_map_of_columns_reads_a_file(tmp_path):
-    file = tmp_path / "map.yaml"
-    whole, names = blocks("diagnose.md", "yaml")
-    file.write_text(names, encoding="utf-8")
-    assert read_map(file).columns()["pressure_b"].column == "Druck B"
-    file.write_text(whole, encoding="utf-8")
-    columns = read_map(file).columns()
-    assert columns["command"].rows_early == 1
-    assert columns["position"].offset == -200.0
-    assert columns["spool_position"].gain == 0.125
+def test_maps_of_columns_read_files(tmp_path):
+    file, maps = tmp_path / "map.yaml", []
+    for text in (*blocks("trend.md", "yaml"), *blocks("diagnose.md", "yaml")):
+        file.write_text(text, encoding="utf-8")
+        maps.append(read_map(file).columns())
+    historian, whole, names = maps
+    assert (historian["time"].unit, historian["oil_temperature"].column) == ("ns", "oil")
+    assert names["pressure_b"].column == "Druck B"
+    assert whole["command"].rows_early == 1
+    assert (whole["position"].offset, whole["spool_position"].gain) == (-200.0, 0.125)
 
 
 def test_the_condition_belongs_into_a_protocol(tmp_path):

@@ -41,15 +41,6 @@ def test_the_charts_show_the_numbers_of_their_files(monkeypatch):
         assert text.endswith(pictures.data_mark(chart)), "run: python docs/pictures.py"
 
 
-def test_the_animation_is_small_and_moves(monkeypatch):
-    from PIL import Image
-
-    file = DOCS / "images" / "leak.webp"
-    assert file.stat().st_size < 500_000
-    with Image.open(file) as picture:
-        assert picture.n_frames > 20
-
-
 def test_the_check_of_links_finds_faults(tmp_path, monkeypatch):
     check = script(DOCS / "check_links.py", monkeypatch)
     assert check.complaints(tmp_path) == [f"{tmp_path}: holds no pages"]

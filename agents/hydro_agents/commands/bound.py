@@ -37,10 +37,10 @@ def bound(
 ) -> None:
     """Find the smallest errors that a controller could reach, and compare them with those of the shipped controllers.
 
-    A search plans the commands with the simulator itself. It knows the true state, and either the true plant with its
-    leak or only the data sheet; the difference is the value of knowing the plant. The command prints the mean error for
-    each family of references and each leak, and writes all cases as CSV. It takes some minutes; the first
-    seconds of the search show how many on your machine.
+    A search plans the commands with the simulator itself. It knows the plant with its leak, and either the true state
+    or what a Kalman filter makes of the measured signals: the bound that a controller can reach. The command prints
+    the mean error for each family of references and each leak, and writes all cases as CSV. It takes some minutes; the
+    first seconds of the search show how many on your machine.
     """
     from hydro_agents.evaluation.bound_comparison import ComparisonSettings, compare, means_by, summary
     from hydro_agents.running.text import frame_markdown

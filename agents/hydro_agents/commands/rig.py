@@ -12,9 +12,9 @@ from typing import Annotated
 import typer
 
 from hydro_agents.commands.options import Latency, Overwrite, OverwriteFile, Period, Rig, check_new_file, say
-from hydro_agents.rigs.new_rig import QUESTIONS, Question, answers_from, parsed
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
+from hydro_env.task.nameplates import QUESTIONS, Question, answers_from, parsed
 
 BACK = "<"  # typed as an answer: asks the question before once more
 
@@ -33,8 +33,8 @@ def new_rig(
     Enter skips what you do not know. The file marks every value as given, computed or assumed, and holds a range for
     every uncertain one. Check it next with `hydro check-rig`.
     """
-    from hydro_agents.rigs.new_rig import new_rig as written_rig
     from hydro_env.files import write_text
+    from hydro_env.task.nameplates import new_rig as written_rig
 
     check_new_file(output, overwrite)
     given = _named_figures(figures or [])

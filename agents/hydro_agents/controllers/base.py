@@ -85,6 +85,8 @@ class ObservationLayout:
     @classmethod
     def of(cls, config: TaskConfig) -> ObservationLayout:
         """The layout of a task's observations."""
+        if config.law is not None:
+            raise ConfigurationError("law: a controller is made for one rig; rig_tasks(config) lists those of the law")
         names, _, scale, _ = observation_layout(config)
         return cls(tuple(names), tuple(float(value) for value in scale), config.control_period)
 

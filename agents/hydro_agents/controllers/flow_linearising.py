@@ -6,7 +6,6 @@ linearisation, dynamic pressure feedback. Merritt, *Hydraulic Control Systems* (
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from hydro_agents.controllers.preview import Jumps, Preview, braked, path_weight
 from hydro_env import TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
+from hydro_env.task.paces import delay, full_speed, pace
 from hydro_env.types import Floats
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
@@ -132,23 +132,23 @@ class FlowLinearising:
         self.layout.needs(("pressure_a", "pressure_b"), "flow linearisation")
         # Without a spool sensor, the last command replaces the spool position.
         self._spool = "spool_position" if "spool_position" in self.layout.names else "previous_command"
-        self.delay = _delay(config)
+        self.delay = delay(config)
         self.pace = pace(config)
-        g, plant, period, delay = gains, config.plant, config.control_period, self.delay
+        g, plant, period = gains, config.plant, config.control_period
         oscillation, mass = closed_port_natural_frequency(plant), plant.load.mass + plant.cylinder.piston_mass
         self._lead = g.lead * (
-            delay + max(g.damping + plant.load.viscous_damping / (mass * oscillation), 0.0) / oscillation
+            self.delay + max(g.damping + plant.load.viscous_damping / (mass * oscillation), 0.0) / oscillation
         )
         self._model = FlowModel(plant)
         jump = max(speed_limits(plant)) * period
         self._preview = Preview(config)
-        self._full_speed = full_speed = float(np.mean(speed_limits(plant)))
-        self._ahead = g.prediction * delay
+        self._full_speed = full_speed(plant)
+        self._ahead = g.prediction * self.delay
         self._weights = self._reference_weights()
         self._jumps = Jumps(
             self._model,
             jump,
-            g.set_off_delay * delay,
+            g.set_off_delay * self.delay,
             g.set_off_share,
             self._preview.times,
         )
@@ -158,8 +158,8 @@ class FlowLinearising:
         leak = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
         self._filter = MotionFilter(
             noise,
-            np.array([noise, g.flow_gain_spread, g.leak_spread * leak, g.offset_spread * full_speed]),
-            g.motion_spread * full_speed,
+            np.array([noise, g.flow_gain_spread, g.leak_spread * leak, g.offset_spread * self._full_speed]),
+            g.motion_spread * self._full_speed,
             np.array([g.flow_gain_memory, g.leak_memory, g.offset_memory]),
             period,
         )
@@ -280,16 +280,3 @@ class FlowLinearising:
         target = now.reference[:, 1] + travel + self._jumps.begun(jumps, flow.force, now.supply)
         error = target - position_ahead
         return wanted_speed, error
-
-
-def pace(config: TaskConfig) -> float:
-    """Time in s by which a rig is fast or slow: its delay, or half a period of its oscillation if that is longer."""
-    return max(_delay(config), math.pi / closed_port_natural_frequency(config.plant))
-
-
-def _delay(config: TaskConfig) -> float:
-    """Time in s from a sample to the resulting motion: latency, half a control period, valve."""
-    valve = config.plant.valve
-    lag = {"ideal": 0.0, "spool": 1.0, "drive": 1.0}[valve.model] * 2.0 * valve.damping_ratio / valve.natural_frequency
-    coil = valve.coil_inductance / valve.coil_resistance if valve.model == "drive" else 0.0
-    return config.command_latency + 0.5 * config.control_period + lag + coil

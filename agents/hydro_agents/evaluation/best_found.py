@@ -1,7 +1,7 @@
-"""The best found: a predictive search on the simulator itself that knows the plant's true state.
+"""The best found: a predictive search on the simulator itself that knows the plant.
 
 It estimates how much better than a given controller any controller could be. It is not a controller itself, because no
-rig can measure the true state.
+rig can measure the true plant.
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from hydro_agents.evaluation.prediction import (
-    SCHEDULED,
     Prediction,
     bounded_least_squares,
     continued,
-    nominal_plants,
     random_changes,
     true_schedule,
 )
+from hydro_agents.evaluation.state_filter import StateFilter
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
@@ -28,7 +27,7 @@ from hydro_env.files import Group, validate
 from hydro_env.task.signals import POSITION
 from hydro_env.types import Floats
 
-Told = Literal["truth", "nominal"]
+Told = Literal["truth", "measured"]
 
 
 class BoundSettings(Group):
@@ -48,7 +47,6 @@ class BoundSettings(Group):
 
 
 EFFORT = 2e-7  # m; cost of a change of the command by 1, squared
-CORRECTION_TIME = 0.02  # s; filter time of the model error that corrects the nominal plant's prediction
 
 EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)
 """m; one Gauss–Newton step for each of these limits: its cost is quadratic below the limit, linear above."""
@@ -66,22 +64,22 @@ def best_found(
 ) -> Rollout:
     """Run every case under the best commands that the search finds in each control period.
 
-    With ``told="truth"`` the search knows the plant of the episode, its state, its leak and its forces, present and
-    future. With ``told="nominal"`` it knows the true state and the data sheet (``config.plant``). Both know the
-    reference within the task's preview.
+    The search knows the plant of the episode, its leak and its forces, present and future, and the reference within the
+    task's preview. With ``told="truth"`` it also knows the state; with ``told="measured"`` it estimates the state from
+    the measured signals (:class:`~hydro_agents.evaluation.state_filter.StateFilter`), as a controller must.
 
     Args:
         config: the task.
         cases: the episodes. A case's result depends on neither the others nor the chunk.
-        told: ``"truth"`` or ``"nominal"``.
+        told: ``"truth"`` or ``"measured"``.
         settings: :class:`BoundSettings` or its fields.
         chunk: cases that run together.
 
     Raises:
         ConfigurationError: impossible settings.
     """
-    if told not in ("truth", "nominal"):
-        raise ConfigurationError(f"best found: told = {told!r}: must be 'truth' or 'nominal'")
+    if told not in ("truth", "measured"):
+        raise ConfigurationError(f"best found: told = {told!r}: must be 'truth' or 'measured'")
     if not isinstance(settings, BoundSettings):
         settings = validate(BoundSettings, settings or {}, "best found")
     searcher = BestFound(config, told, settings)
@@ -96,7 +94,7 @@ class BestFound:
 
     Args:
         config: the task.
-        told: ``"truth"`` or ``"nominal"``.
+        told: ``"truth"`` or ``"measured"``.
         settings: size of the search.
     """
 
@@ -111,20 +109,17 @@ class BestFound:
         """Prepare for the episodes of the axes, which have just been reset."""
         self.close()
         config, settings = self.config, self.settings
-        if self.told == "truth":
-            plants, latency = axes.coefficient.copy(), axes.column("latency").copy()
-            schedule = true_schedule(config, axes, config.steps + settings.horizon)
-        else:
-            plants, latency = nominal_plants(config, axes.count), np.full(axes.count, config.command_latency)
-            schedule = plants[None, :, SCHEDULED]
+        plants, latency = axes.coefficient.copy(), axes.column("latency").copy()
+        schedule = true_schedule(config, axes, config.steps + settings.horizon)
         self._axes = axes
         self._prediction = Prediction(config, plants, latency, schedule, settings.threads)
-        offset = axes.column("bias")[:, POSITION] if settings.aim == "sensor" and config.sensors.enabled else 0.0
+        # A measured state is in the frame of the sensor already.
+        biased = settings.aim == "sensor" and config.sensors.enabled and self.told == "truth"
+        offset = axes.column("bias")[:, POSITION] if biased else 0.0
         self._target = axes.reference - np.reshape(offset, (-1, 1))
         self._plan = np.repeat(axes.column("command")[:, None], settings.horizon, axis=1)
         self._generator = np.random.default_rng(0)
-        self._drift: Floats | None = None
-        self._expected: Floats | None = None
+        self._filter = StateFilter(config, axes) if self.told == "measured" else None
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
@@ -137,22 +132,19 @@ class BestFound:
         axes = self._axes
         step = int(axes.column("step").max())
         now, before = axes.state.copy(), axes.column("command").copy()
-        if self.told == "nominal":
-            self._correct(now)
+        if self._filter is not None:
+            now = self._filter.updated(axes, prediction)
         target = continued(self._target, step, self._known, settings.horizon)
         plan = np.concatenate([self._plan[:, 1:], self._plan[:, -1:]], axis=1)
         for _ in range(max(settings.iterations, 1)):
             tried = self._candidates(now, before, plan, target, step)
-            positions = prediction.positions(now, before, tried, step, self._drift)
+            positions = prediction.positions(now, before, tried, step)
             cost = np.abs(target[:, None, :] - positions).mean(axis=2)
             changes = np.diff(tried, axis=2, prepend=np.broadcast_to(before[:, None, None], (*tried.shape[:2], 1)))
             cost += EFFORT * (changes**2).mean(axis=2)
             plan = tried[np.arange(len(tried)), np.argmin(cost, axis=1)]
         self._plan = plan
-        action = plan[:, :1].astype(np.float32)
-        if self.told == "nominal":
-            self._expected = prediction.next_state(now, before, action[:, 0].astype(np.float64), step)
-        return action, None
+        return plan[:, :1].astype(np.float32), None
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -165,7 +157,7 @@ class BestFound:
         assert self._prediction is not None
         tried = [plan]
         if settings.iterations > 0:
-            positions, jacobian = self._prediction.sensitivities(now, before, plan, step, self._drift)
+            positions, jacobian = self._prediction.sensitivities(now, before, plan, step)
             error = target - positions
             for even in EVEN_ERRORS:
                 weight = 1.0 / np.maximum(np.abs(error), even)
@@ -174,12 +166,3 @@ class BestFound:
         changes = random_changes(self._generator, settings.samples, settings.horizon, CHANGE_SIZES)
         random = np.clip(plan[:, None, :] + changes, -1.0, 1.0)
         return np.concatenate([np.stack(tried, axis=1), random], axis=1)
-
-    def _correct(self, now: Floats) -> None:
-        """Update the model error of the nominal plant per period; it acts like the integral of other controllers."""
-        if self._expected is None:
-            self._drift = np.zeros_like(now)
-            return
-        assert self._drift is not None
-        blend = self.config.control_period / (self.config.control_period + CORRECTION_TIME)
-        self._drift = self._drift + blend * (now - self._expected - self._drift)

@@ -16,7 +16,7 @@ from hydro_agents.evaluation.runner import run
 from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
 
-TRUTH, NOMINAL = "told the truth", "told the nominal plant"
+TRUTH, MEASURED = "told the truth", "measured state"
 COLUMNS = {
     "leakage_flow_lpm": "leakage_flow_lpm",
     "family": "family",
@@ -59,7 +59,7 @@ def compare(
         bound_plants=settings.plants,
         **settings.model_dump(exclude={"search"}),
     )
-    told: dict[str, Told] = {NOMINAL: "nominal", TRUTH: "truth"}
+    told: dict[str, Told] = {MEASURED: "measured", TRUTH: "truth"}
     searches = {name: partial(best_found, told=which, settings=settings.search) for name, which in told.items()}
     rows = run(protocol, Participants(controllers, searches=searches), jobs=1, progress=progress).rows
     return pd.concat([rows["tracking"], rows["best_found"]], ignore_index=True)[list(COLUMNS)].rename(columns=COLUMNS)

@@ -13,7 +13,6 @@ import numpy as np
 from hydro_env import TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.compiling import SOURCES, compiled
-from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.kernel import (
     IMPACT_SPEED,
@@ -24,7 +23,7 @@ from hydro_env.plant.kernel import (
     Plants,
     integrate,
 )
-from hydro_env.plant.states import N_STATES, State
+from hydro_env.plant.states import N_STATES, TYPICAL_SIZE, State
 from hydro_env.task.fault_effects import FAULT_COLUMNS
 from hydro_env.task.schedules import LEAK_COLUMNS, follow_schedules
 from hydro_env.task.settings import settings_of
@@ -38,6 +37,7 @@ POSITION = State._fields.index("position")
 PERTURBATION = 0.01
 """Change of a command, as a fraction of 10 V, for the sensitivities; its effect is far above the integrator's error."""
 
+STATE_CHANGE = 1e-4 * TYPICAL_SIZE  # of each state, for derivatives
 ROWS_PER_THREAD = 128  # smallest number of rows per thread; with fewer, starting the thread takes longer than its work
 
 
@@ -66,9 +66,7 @@ class Prediction:
         self._threads = threads if threads is not None else (os.cpu_count() or 1)
         self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="bound") if self._threads > 1 else None
 
-    def positions(
-        self, state: Floats, before: Floats, commands: Floats, step: int, drift: Floats | None = None
-    ) -> Floats:
+    def positions(self, state: Floats, before: Floats, commands: Floats, step: int) -> Floats:
         """Positions (N, M, H), m, at the end of each period; infinite from a failure on.
 
         Args:
@@ -76,7 +74,6 @@ class Prediction:
             before: the command that acts until the first of ``commands`` does, (N,), as a fraction of 10 V.
             commands: M sequences for each axis, (N, M, H), as fractions of 10 V.
             step: number of the period that begins.
-            drift: error of the model per period, added to the state at its end, (N, states).
         """
         axes, sequences, horizon = commands.shape
         states = np.tile(state, (sequences, 1, 1))  # (M, N, states)
@@ -93,16 +90,12 @@ class Prediction:
             failed |= (peaks[..., IMPACT_SPEED] > self._failure.end_stop_speed) | (
                 peaks[..., PEAK_PRESSURE] > self._failure.pressure_rating
             )
-            if drift is not None:
-                states += drift
             position = states[..., POSITION]
             failed |= ~np.isfinite(position)
             positions[:, :, period] = np.where(failed, np.inf, position).T
         return positions
 
-    def sensitivities(
-        self, state: Floats, before: Floats, commands: Floats, step: int, drift: Floats | None = None
-    ) -> tuple[Floats, Floats]:
+    def sensitivities(self, state: Floats, before: Floats, commands: Floats, step: int) -> tuple[Floats, Floats]:
         """Positions (N, H) of one sequence of commands (N, H), and their change per change of each command (N, H, H).
 
         Entry [n, i, j] is the change of the position at the end of period i, m per 1 of command j. The differences are
@@ -125,19 +118,23 @@ class Prediction:
             voltage[:last, :, 1] = FULL_VOLTAGE * commands[:, period]
             voltage[own, :, 1] += FULL_VOLTAGE * changes[:, period]
             self._advance(states[:last], voltage[:last], peaks[:last], step + period)
-            if drift is not None:
-                states[:last] += drift
             positions[period, :last] = states[:last, :, POSITION]
             positions[period, last:] = positions[period, 0]
         differences = (positions[:, 1:] - positions[:, :1]) / changes.T
         return np.ascontiguousarray(positions[:, 0].T), np.ascontiguousarray(differences.transpose(2, 0, 1))
 
-    def next_state(self, state: Floats, before: Floats, command: Floats, step: int) -> Floats:
-        """State (N, states) after one period with one command (N,) for each axis."""
-        states = state[None].copy()
-        voltage = FULL_VOLTAGE * np.stack([before, command], axis=1)[None]
-        self._advance(states, voltage, np.zeros((1, self.count, N_PEAKS)), step)
-        return np.asarray(states[0])
+    def next_state(self, state: Floats, before: Floats, command: Floats, step: int) -> tuple[Floats, Floats]:
+        """State (N, states) after one period with one command (N,) per axis, and its derivative.
+
+        The derivative (N, states, states) has the change of each state (second index) per change of each first state.
+        """
+        states = np.tile(state, (N_STATES + 1, 1, 1))
+        changed = np.arange(N_STATES)
+        states[changed + 1, :, changed] += STATE_CHANGE[:, None]
+        voltage = np.tile(FULL_VOLTAGE * np.stack([before, command], axis=1), (N_STATES + 1, 1, 1))
+        self._advance(states, voltage, np.zeros((N_STATES + 1, self.count, N_PEAKS)), step)
+        change = (states[1:] - states[0]) / STATE_CHANGE[:, None, None]
+        return states[0], np.ascontiguousarray(change.transpose(1, 2, 0))
 
     def close(self) -> None:
         """Stop the worker threads; may be called more than once."""
@@ -171,11 +168,6 @@ def true_schedule(config: TaskConfig, axes: Axes, periods: int) -> Floats:
     schedule = np.empty((periods, axes.count, len(SCHEDULED)))
     _follow(settings_of(config), axes.record.copy(), axes.coefficient.copy(), np.array(SCHEDULED), schedule)
     return schedule
-
-
-def nominal_plants(config: TaskConfig, count: int) -> Floats:
-    """The coefficients of the task's nominal plant, once for each axis, (N, coefficients)."""
-    return np.tile(coefficient_array(config.plant), (count, 1))
 
 
 def _build(sources: int) -> Any:

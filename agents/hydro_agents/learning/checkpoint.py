@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
+from hydro_agents.learning.rigs_env import RigsVecEnv
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.weights import (
     Tensors,
@@ -87,7 +88,7 @@ def _difference(before: Any, now: Any) -> str:
     return ""
 
 
-def take(model: Any, env: AxisVecEnv, seconds: float) -> Checkpoint:
+def take(model: Any, env: AxisVecEnv | RigsVecEnv, seconds: float) -> Checkpoint:
     """Copy the state of a training at the start of a rollout.
 
     Args:
@@ -109,7 +110,7 @@ def take(model: Any, env: AxisVecEnv, seconds: float) -> Checkpoint:
     return Checkpoint(tensors, int(model.num_timesteps), int(model._n_updates), seconds)
 
 
-def restore(model: Any, env: AxisVecEnv, checkpoint: Checkpoint, where: str | Path) -> None:
+def restore(model: Any, env: AxisVecEnv | RigsVecEnv, checkpoint: Checkpoint, where: str | Path) -> None:
     """Restore the state that :func:`take` copied into a new ``model`` and ``env`` of the same settings.
 
     Raises:
@@ -125,7 +126,7 @@ def restore(model: Any, env: AxisVecEnv, checkpoint: Checkpoint, where: str | Pa
     model.num_timesteps, model._n_updates = checkpoint.steps, checkpoint.updates
 
 
-def _restore_rollout(model: Any, env: AxisVecEnv, tensors: Tensors, where: str | Path) -> None:
+def _restore_rollout(model: Any, env: AxisVecEnv | RigsVecEnv, tensors: Tensors, where: str | Path) -> None:
     """Restore optimiser, environment, generators and the last observation of PPO."""
     observation = env.reset()
     require(tensors, _axes(env), where, finite=False)
@@ -166,7 +167,7 @@ def _networks(model: Any) -> dict[str, torch.Tensor]:
     return own
 
 
-def _axes(env: AxisVecEnv) -> dict[str, NDArray[Any]]:
+def _axes(env: AxisVecEnv | RigsVecEnv) -> dict[str, NDArray[Any]]:
     """The state of the axes; of an array with named fields, which safetensors cannot hold, the bytes."""
     return {
         f"axes.{name}": array if array.dtype.names is None else np.frombuffer(array.tobytes(), dtype=np.uint8)

@@ -7,6 +7,7 @@ sees 10 µm and 10 mm.
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from typing import Annotated, Any, NamedTuple
 
@@ -15,14 +16,15 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from hydro_agents.controllers.base import ClassicalController, Observation, ObservationLayout, rows
-from hydro_agents.controllers.flow_linearising import pace
 from hydro_agents.controllers.preview import Preview
 from hydro_agents.controllers.registry import CONTROLLERS, kind_of, make_controller
+from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group
+from hydro_env.task.paces import full_speed, pace
+from hydro_env.task.signals import data_sheet
 
-NORMALISING_SEEDS = SCALES.take(240)  # plants on which the inputs are observed for their typical sizes
 MIDDLE = 0.6  # share of the samples that stay within one unit
 RARE = 0.3  # unit of an input that is constant most of the time, as a fraction of its standard deviation
 LEAST = 0.02
@@ -44,6 +46,10 @@ STEPS_PER_PACE = 1.54
 """A *step of the rig* is this part of its pace; in the default task, whose pace is 7.7 ms, it is a control period."""
 
 LASTING_TIME = 0.2  # s; time constant of the slow average of the correction. Integral action handles slower errors.
+PREVIEW_PACES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # of the reference that a policy for any axis sees
+USUAL_ERROR = 0.03  # of untuned flow linearisation, as a part of the travel at full speed in a pace; on the paper's rig
+CORRECTION_RANGE = (0.1, 3.0)  # of the correction's size, relative to that at the usual error
+ERROR_PLANTS = 8  # plants of each family of references on which the error is simulated
 PREVIEW_SCALE = 0.01  # m; scale of the rebuilt samples of the preview, the same as in the observation
 FEATURE_LIMIT = 50.0  # inputs of the policy are limited to ± this value
 
@@ -131,6 +137,12 @@ class PolicyFeatures:
         ConfigurationError: the corrected controller has no estimates.
     """
 
+    for_any_axis = False
+    """Whether the inputs mean the same on every rig."""
+
+    normalising_seeds = SCALES.take(240)
+    """Plants on which the inputs are observed for their typical sizes."""
+
     def __init__(
         self,
         config: TaskConfig,
@@ -153,7 +165,7 @@ class PolicyFeatures:
             raise ConfigurationError(f"see_estimates: {type(base).__name__} has no estimates")
         self.history = tuple(name for name in HISTORY_SIGNALS if name in self.layout.names)  # a rig may lack sensors
         self.lags = lags if lags is not None else history_lags(config)
-        self._columns = np.array([self.layout.index(name) for name in self.history])
+        self._columns = self._columns_of(self.history)
         self._lags = np.array(self.lags)
         self._length = max(self.lags) + 1
         self._command_column = self.layout.index("previous_command")
@@ -167,6 +179,7 @@ class PolicyFeatures:
             self.size += 3 if self.see_correction else 1
         if self.see_estimates:
             self.size += len(estimates)
+        self.moving = self.size  # inputs that are normalised
 
     def __call__(
         self, observation: Observation, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
@@ -198,9 +211,7 @@ class PolicyFeatures:
         past = ring[:, (state.slot - self._lags) % self._length].reshape(len(signals), -1)
         changes = np.tile(signals, len(self.lags)) - past
         state = state._replace(ring=ring, slot=(state.slot + 1) % self._length, reference=reference)
-        seen = [inputs]
-        if self.full_preview:
-            seen.append(((reference[:, self._rebuilt] - reference[:, 1:2]) / PREVIEW_SCALE).astype(np.float32))
+        seen = self._seen(inputs, signals, reference)
         if self.base is None:
             return self._normalised([*seen, changes]), state
         command, memory = self.base.predict(observation, state.base, episode_start)
@@ -209,6 +220,20 @@ class PolicyFeatures:
             own.append(self.base.estimates(memory))  # type: ignore[attr-defined]
         state = state._replace(base=memory, base_command=command, correction=correction, lasting=lasting)
         return self._normalised([*seen, *own, changes]), state
+
+    def _columns_of(self, names: tuple[str, ...]) -> NDArray[np.int64]:
+        """Columns of signals in the observation."""
+        return np.array([self.layout.index(name) for name in names])
+
+    def _seen(
+        self, inputs: NDArray[np.float32], signals: NDArray[np.float32], reference: NDArray[np.float64]
+    ) -> list[NDArray[np.float32]]:
+        """What the policy sees of the present observation and of the reference."""
+        del signals
+        if not self.full_preview:
+            return [inputs]
+        ahead = (reference[:, self._rebuilt] - reference[:, 1:2]) / PREVIEW_SCALE
+        return [inputs, ahead.astype(np.float32)]
 
     def _normalised(self, parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
         inputs: NDArray[np.float32] = np.concatenate(parts, axis=1, dtype=np.float32)
@@ -222,8 +247,9 @@ class PolicyFeatures:
         spread = 0.0 if self.base is not None else 0.2
         generator = np.random.default_rng(0)
         plain, state, seen = self._with(None), None, []
-        env = ServoHydraulicVectorEnv(len(NORMALISING_SEEDS), self.config, autoreset_mode="SameStep", info=False)
-        observation, _ = env.reset(seed=list(NORMALISING_SEEDS))
+        seeds = self.normalising_seeds
+        env = ServoHydraulicVectorEnv(len(seeds), self.config, autoreset_mode="SameStep", info=False)
+        observation, _ = env.reset(seed=list(seeds))
         for step in range(self.config.steps):
             inputs, state = plain(observation, state, np.full(len(observation), step == 0))
             seen.append(inputs)
@@ -267,6 +293,94 @@ class PolicyFeatures:
         }
 
 
+class AnyAxisFeatures(PolicyFeatures):
+    """Inputs of the same number and meaning on every rig, each in units of its own size under the corrected controller.
+
+    They are the measured signals, the reference some paces ahead, what the corrected controller commands and estimates,
+    a history in steps of the rig, and the data sheet. On a rig without a spool sensor the last command replaces it.
+
+    A correction is as large as the rig allows: in proportion to the travel that the corrected controller's error is.
+
+    Args:
+        config: the task on a rig.
+        base: the controller that the policy corrects, with its gains for any rig.
+        correction: command per 1 of the policy's output where that error is :data:`USUAL_ERROR`.
+        sheet: whether the policy sees the data sheet.
+        error: the error, as a part of the travel at full speed in a pace; :meth:`normalised` simulates it.
+    """
+
+    for_any_axis = True
+    normalising_seeds = SCALES.take(60)
+
+    def __init__(
+        self,
+        config: TaskConfig,
+        base: ClassicalController,
+        correction: float = 0.2,
+        sheet: bool = True,
+        error: float = USUAL_ERROR,
+    ) -> None:
+        periods = periods_per_step(config)
+        lags = tuple(max(round(lag * periods), place) for place, lag in enumerate(HISTORY_LAGS, 1))
+        factor = float(np.clip(error / USUAL_ERROR, *CORRECTION_RANGE))
+        super().__init__(config, base, correction * factor, True, True, True, lags=lags)
+        self.correction, self.sheet, self.error = correction, sheet, error
+        own, horizon = pace(config), self._preview.horizon
+        samples = np.minimum(np.array(PREVIEW_PACES) * own / config.control_period, horizon)
+        columns = np.arange(horizon + 2)[:, None] - 1.0  # −1: the sample before now
+        weights = np.maximum(1.0 - np.abs(columns - samples), 0.0)  # linear between samples
+        weights[1] -= 1.0
+        before = np.zeros((horizon + 2, 1))
+        before[:2, 0] = -own / config.control_period, own / config.control_period
+        self._weights = np.concatenate([weights, before], axis=1) / PREVIEW_SCALE
+        reach = horizon * config.control_period / own
+        more = [min(reach, 8.0) / 4.0, math.log(error / USUAL_ERROR)]
+        self._sheet = np.array([*data_sheet(config).values(), *more], np.float32)
+        estimates = len(getattr(base, "estimate_names", ()))
+        self.moving = len(HISTORY_SIGNALS) * (1 + len(lags)) + self._weights.shape[1] + 3 + estimates
+        self.size = self.moving + (len(self._sheet) if sheet else 0)
+
+    def _columns_of(self, names: tuple[str, ...]) -> NDArray[np.int64]:
+        present = ["previous_command" if name not in self.layout.names else name for name in HISTORY_SIGNALS]
+        return super()._columns_of(tuple(present))
+
+    def _seen(
+        self, inputs: NDArray[np.float32], signals: NDArray[np.float32], reference: NDArray[np.float64]
+    ) -> list[NDArray[np.float32]]:
+        del inputs
+        return [signals, (reference @ self._weights).astype(np.float32)]
+
+    def _normalised(self, parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+        moving = super()._normalised(parts)
+        if not self.sheet or self.normalisation is None:
+            return moving
+        return np.concatenate([moving, np.tile(self._sheet, (len(moving), 1))], axis=1, dtype=np.float32)
+
+    def describe(self) -> dict[str, Any]:
+        """All data to build this object again (JSON)."""
+        own = {"any_axis": True, "sheet": self.sheet, "correction": self.correction, "error": self.error}
+        return super().describe() | own | {"history_signals": list(HISTORY_SIGNALS)}
+
+    def normalised(self) -> PolicyFeatures:
+        """The same features with the error of the corrected controller and normalised by its values, by simulation."""
+        base: Any = self.base
+        errors = family_errors(self.config, base, ERROR_PLANTS, sensor_frame=True)
+        error = math.exp(np.mean(np.log(list(errors.values())))) / (full_speed(self.config.plant) * pace(self.config))
+        features = AnyAxisFeatures(self.config, base, self.correction, self.sheet, error)
+        return PolicyFeatures.normalised(features)
+
+    def moved_to(self, config: TaskConfig) -> AnyAxisFeatures:
+        """The same features on another rig, normalised there by simulation.
+
+        Raises:
+            ConfigurationError: the rig lacks a sensor that the corrected controller reads.
+        """
+        base: Any = self.base
+        moved = AnyAxisFeatures(config, type(base)(base.gains, config), self.correction, self.sheet).normalised()
+        assert isinstance(moved, AnyAxisFeatures)
+        return moved
+
+
 class _StoredBase(Group):
     kind: str
     settings: dict[str, Any]
@@ -284,6 +398,10 @@ class StoredFeatures(Group):
     normalised: bool = False
     history_signals: tuple[str, ...]
     history_lags: tuple[Annotated[int, Field(ge=1, le=LONGEST_LAG)], ...] = Field(min_length=1, max_length=100)
+    any_axis: bool = False
+    sheet: bool = True
+    correction: float = Field(0.2, gt=0.0, le=2.0)
+    error: float = Field(1.0, gt=0.0, le=1e6)
 
     def features(self) -> PolicyFeatures:
         """The features, not yet normalised.
@@ -296,6 +414,8 @@ class StoredFeatures(Group):
             if self.base.kind not in CONTROLLERS:
                 raise ConfigurationError(f"features.base.kind = '{self.base.kind}': unknown to this version")
             base = make_controller(self.base.kind, self.task, self.base.settings)
+        if self.any_axis:
+            return AnyAxisFeatures(self.task, base, self.correction, self.sheet, self.error)
         seen = {name: getattr(self, name) for name in ("see_correction", "full_preview", "see_estimates")}
         features = PolicyFeatures(self.task, base, self.residual_scale, **seen, lags=self.history_lags)
         if self.history_signals != features.history:

@@ -18,6 +18,7 @@ from hydro_env.task.rig import read_rig
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 SHIPPED_WEIGHTS = {"ppo": "policy"}
+ANY_AXIS = "any_axis"
 ANY_RIG = ("flow_linearising",)
 """Kinds whose class has gains for any rig as its defaults; benchmarks/no_tuning.py tunes and judges them."""
 
@@ -42,7 +43,7 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
         ('PID', 'PolicyController')
     """
     if kind in SHIPPED_WEIGHTS:
-        return TRAINERS[kind].load(shipped_weights(kind, config))
+        return on_rig(TRAINERS[kind].load(shipped_weights(kind, config)), config)
     if takes_gains_for_any_rig(kind, config):
         return make_controller(kind, config)
     settings = gains_file(kind, config) or usual_gains(kind)
@@ -52,10 +53,25 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
 
 
 def shipped_weights(kind: str, config: TaskConfig) -> Path:
-    """The shipped weights of a kind: those for the task's rig if they exist, else those for the paper's rig."""
+    """The shipped weights of a kind: those for the task's rig if they exist, else those for any axis."""
     usual = pretrained_folder() / SHIPPED_WEIGHTS[kind]
+    if config.plant == PlantParameters() and config.control_period == TaskConfig().control_period:
+        return usual
     own = usual.with_name(f"{usual.name}_{shipped_rig(config)}")
-    return own if weight_files(own)[0].is_file() else usual
+    return own if weight_files(own)[0].is_file() else usual.with_name(f"{usual.name}_{ANY_AXIS}")
+
+
+def on_rig(controller: Controller, config: TaskConfig) -> Controller:
+    """A policy for any axis on the rig of a task; any other controller as it is.
+
+    Raises:
+        ConfigurationError: the rig lacks a sensor that the policy needs.
+    """
+    features = getattr(controller, "features", None)
+    if not getattr(features, "for_any_axis", False) or getattr(features, "config", None) == config:
+        return controller
+    moved: Controller = controller.moved_to(config)  # type: ignore[attr-defined]
+    return moved
 
 
 def shipped_rig(config: TaskConfig) -> str:
@@ -130,7 +146,7 @@ def opponent(
             names = unknown(what, (*CONTROLLERS, *SHIPPED_WEIGHTS))
             raise ConfigurationError(f"'{what}': {names}; or give module:attribute, or a path of weights")
         else:
-            controller = (trainer or TRAINERS["ppo"]).load(Path(what))
+            controller = on_rig((trainer or TRAINERS["ppo"]).load(Path(what)), config)
         check_predict(controller)
         layout = getattr(getattr(controller, "features", controller), "layout", None)
         if isinstance(layout, ObservationLayout):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
+from copy import copy, deepcopy
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
@@ -12,9 +12,16 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Observation, as_batch
-from hydro_agents.learning.features import FEATURE_LIMIT, FeatureState, Normalisation, PolicyFeatures, StoredFeatures
+from hydro_agents.learning.features import (
+    FEATURE_LIMIT,
+    AnyAxisFeatures,
+    FeatureState,
+    Normalisation,
+    PolicyFeatures,
+    StoredFeatures,
+)
 from hydro_agents.running.weights import Tensors, load_weights, require, save_weights
-from hydro_env import ConfigurationError
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 
 if TYPE_CHECKING:
@@ -245,6 +252,18 @@ class PolicyController:
                     module.bias.copy_(torch.from_numpy(bias.copy()))
         return model
 
+    def moved_to(self, config: TaskConfig) -> PolicyController:
+        """A policy for any axis on the rig of another task.
+
+        Raises:
+            ConfigurationError: the policy serves the rig of its training alone, or the rig lacks a sensor.
+        """
+        if not isinstance(self.features, AnyAxisFeatures):
+            raise ConfigurationError("moved_to: must be a policy for any axis")
+        moved = copy(self)
+        moved.features = self.features.moved_to(config)
+        return moved
+
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`hydro_agents.running.weights.save_weights`."""
         tensors = _named(self.layers, "layer") | _named(self.critic or [], "critic")
@@ -285,7 +304,7 @@ class PolicyController:
                     f"{path}: {name} = {list(sizes)}: must begin with {first}, end with 1 and stay within 4096"
                 )
         if stored.features.normalised:
-            like = Normalisation(_empty(features.size), _empty(features.size))
+            like = Normalisation(_empty(features.moving), _empty(features.moving))
             features.normalisation = _stored(tensors, "normalisation", like, path)
             if not (features.normalisation.unit > 0.0).all():
                 raise ConfigurationError(f"{path}: tensor 'normalisation.unit' must be positive")

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from hydro_env.files import Group
+from hydro_env.task.law import RigLaw
 
 LARGEST_ROLLOUT = 10_000_000  # largest number of samples of a rollout; it takes some gigabytes of memory
 
@@ -60,6 +61,10 @@ class TrainingSettings(Group):
     practice: dict[str, Any] = Field(
         default_factory=dict, description="fields of the task with other values in training, such as the share of leaks"
     )
+    law: RigLaw | None = Field(
+        None, description="rigs of the training, for a policy that serves any axis; none: the task's own rig"
+    )
+    sheet: bool = Field(True, description="whether a policy for any axis sees the data sheet")
     reward_scale: float = Field(0.2, gt=0.0, le=1e6)
     total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
     axes: int = Field(256, ge=1, le=65_536)
@@ -83,6 +88,11 @@ class TrainingSettings(Group):
         for name, value in of_a_correction.items():
             if value and not self.residual:
                 raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
+        if self.law is not None:
+            if not self.residual or not self.normalise or getattr(self, "told_critic", False):
+                raise ValueError("law: needs residual: true, normalise: true and told_critic: false")
+            if self.axes % self.law.count:
+                raise ValueError(f"axes = {self.axes}: must be a multiple of law.count = {self.law.count}")
         return self
 
 

@@ -21,17 +21,20 @@ from stable_baselines3.common.callbacks import BaseCallback
 from hydro_agents.controllers.base import ClassicalController, Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
 from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, CheckpointFile, restore, take
-from hydro_agents.learning.features import PolicyFeatures, periods_per_step
+from hydro_agents.learning.features import AnyAxisFeatures, PolicyFeatures, periods_per_step
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.privileged import ACTIVATIONS, AsymmetricPolicy
 from hydro_agents.learning.progress import Progress, training_logger
+from hydro_agents.learning.rigs_env import RigsVecEnv
 from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings, SACSettings, TrainingSettings
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import family_errors, validation_errors
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
+from hydro_env.task.drawn_rigs import rig_tasks
 
+VALIDATION_RIGS, VALIDATION_PLANTS = 8, 8
 ALGORITHMS: dict[str, Any] = {"PPO": PPO, "RecurrentPPO": RecurrentPPO, "SAC": SAC, "TQC": TQC}
 
 
@@ -47,6 +50,9 @@ def make_features(config: TaskConfig, settings: TrainingSettings, base: Controll
             raise ConfigurationError("residual: true needs a controller that the policy corrects")
         corrected = cast(ClassicalController, base)
         kind_of(corrected)  # the weights' file must be able to name it
+    if settings.law is not None:
+        assert corrected is not None
+        return AnyAxisFeatures(config, corrected, settings.residual_scale, settings.sheet).normalised()
     features = PolicyFeatures(
         config,
         corrected,
@@ -96,6 +102,23 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
     )
 
 
+def make_axes(
+    config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int
+) -> AxisVecEnv | RigsVecEnv:
+    """The axes of a training, of :func:`make_env`; of every rig of the settings' law, if there is one.
+
+    Rewards count per step of the rig, so that fast and slow rigs weigh the same.
+    """
+    if settings.law is None or not isinstance(features, AnyAxisFeatures):
+        return make_env(config, settings, features, seed)
+    envs, axes = [], settings.axes // settings.law.count
+    for number, task in enumerate(rig_tasks(task_config(config, law=settings.law.model_dump()))):
+        scale = settings.reward_scale / periods_per_step(task)
+        own = settings.model_copy(update={"axes": axes, "reward_scale": scale})
+        envs.append(make_env(task, own, features.moved_to(task), seed + number * axes))
+    return RigsVecEnv(envs, features)
+
+
 def discount(config: TaskConfig, settings: TrainingSettings) -> float:
     """Discount per control period: that of the settings holds per step of the rig."""
     return math.pow(settings.discount, 1.0 / periods_per_step(config))
@@ -113,7 +136,7 @@ def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConf
     return task_config(config, reward={"family_scale": scale, **limits})
 
 
-def make_model(env: AxisVecEnv, settings: TrainingSettings, seed: int) -> Any:
+def make_model(env: AxisVecEnv | RigsVecEnv, settings: TrainingSettings, seed: int) -> Any:
     """A model of the settings' algorithm with nearly zero output: a correction starts at the corrected controller."""
     assert env.features is not None
     policy: Any = "MlpPolicy"
@@ -132,6 +155,10 @@ def make_model(env: AxisVecEnv, settings: TrainingSettings, seed: int) -> Any:
     gamma = discount(env.features.config, settings)
     algorithm = ALGORITHMS[settings.algorithm]
     model = algorithm(policy, env, gamma=gamma, policy_kwargs=network, seed=seed, device="cpu", **options)
+    if isinstance(env, RigsVecEnv) and isinstance(settings, PPOSettings):
+        periods = env.periods_per_step()
+        model.rollout_buffer.gamma = settings.discount ** (1.0 / periods)
+        model.rollout_buffer.gae_lambda = settings.advantage_decay ** (1.0 / periods)
     with torch.no_grad():
         if isinstance(settings, SACSettings):
             model.actor.mu.weight.mul_(0.1)
@@ -204,7 +231,7 @@ def train_policy(
             file.path.unlink(missing_ok=True)
     done = checkpoint.steps if checkpoint is not None else 0
 
-    env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
+    env = make_axes(config, settings, features, LEARNING.training(seed, settings.axes).start)
     model = make_model(env, settings, seed)
     model.set_logger(training_logger(None if folder is None else Path(folder), done))
     seconds = checkpoint.seconds if checkpoint is not None else 0.0
@@ -228,8 +255,8 @@ def train_policy(
         "seed": seed,
         "steps": int(model.num_timesteps),
         "seconds": round(callback.seconds, 1),
-        "control_period": env.env.config.control_period,
-        "command_latency": env.env.config.command_latency_range or env.env.config.command_latency,
+        "control_period": config.control_period,
+        "command_latency": config.command_latency_range or config.command_latency,
         "settings": settings.model_dump(mode="json"),
     }
     return PolicyController.from_sb3(model, features, record)
@@ -277,6 +304,7 @@ class TrainingCallback(BaseCallback):
         self._logged = self._reported = -1  # steps
         self._ended = False
         self._base_error = math.nan  # mm, of the corrected controller; computed once
+        self._rigs: list[tuple[AnyAxisFeatures, dict[str, float]]] = []  # for validation, with its errors in m
 
     @property
     def seconds(self) -> float:
@@ -335,7 +363,7 @@ class TrainingCallback(BaseCallback):
                 self.write_checkpoint()
 
     @property
-    def _env(self) -> AxisVecEnv:
+    def _env(self) -> AxisVecEnv | RigsVecEnv:
         return cast(AxisVecEnv, self.model.get_env())
 
     def _mean_reward(self) -> float:
@@ -357,6 +385,8 @@ class TrainingCallback(BaseCallback):
         self.logger.dump(steps)
 
     def _validation(self) -> dict[str, float]:
+        if isinstance(self._features, AnyAxisFeatures):
+            return self._validation_on_rigs(self._features)
         base = self._features.base
         if base is not None and math.isnan(self._base_error):
             self._base_error = validation_errors(self._config, base)[0]
@@ -368,6 +398,22 @@ class TrainingCallback(BaseCallback):
             "base_mean_error_mm": self._base_error,
             "error_to_corrected": mean / self._base_error,
         }
+
+    def _validation_on_rigs(self, features: AnyAxisFeatures) -> dict[str, float]:
+        """Errors relative to the corrected controller's on validation rigs, every family weighing the same."""
+        if not self._rigs:
+            law = {"split": "validation", "count": VALIDATION_RIGS}
+            for task in rig_tasks(task_config(self._config, law=law)):
+                own = features.moved_to(task)
+                assert own.base is not None
+                self._rigs.append((own, family_errors(task, own.base, VALIDATION_PLANTS, sensor_frame=True)))
+        ratios = []
+        for own, base in self._rigs:
+            errors = family_errors(
+                own.config, PolicyController.from_sb3(self.model, own), VALIDATION_PLANTS, sensor_frame=True
+            )
+            ratios.append(math.exp(np.mean([math.log(errors[name] / base[name]) for name in base])))
+        return {"error_to_corrected": float(np.median(ratios)), "worst_error_to_corrected": max(ratios)}
 
     def write_checkpoint(self) -> None:
         """Write the state at the start of the present rollout, or of the next rollout if none is in progress."""

@@ -16,6 +16,7 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.evaluate import Evaluation, ratio_table
 from hydro_agents.evaluation.metrics import METRICS
+from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.running.statistics import Interval, share_interval
 from hydro_agents.running.text import correction_name
 from hydro_env import TaskConfig, __version__
@@ -53,7 +54,7 @@ def controller_card(
     against = evaluation.controllers[0]
     algorithm = str(training.get("algorithm", "trained"))
     called = f"{algorithm} alone" if corrects is None else correction_name(algorithm, corrects)
-    config = getattr(getattr(controller, "features", None), "config", None)
+    features = getattr(controller, "features", None)
     return _card(
         title=f"{shipped if weights is None else name}: {called}, for a hydraulic servo axis",
         tags=["reinforcement-learning", "deep-reinforcement-learning", "hydraulics", ENVIRONMENT],
@@ -61,7 +62,7 @@ def controller_card(
         metrics=list(_tracking(evaluation, name, against, corrects)),
         training=training,
         values={
-            "axis": _axis(config) if config is not None else "",
+            "axis": _axis(features.config, features.for_any_axis) if isinstance(features, PolicyFeatures) else "",
             "against": against,
             "corrects": corrects,
             "command": command,
@@ -97,7 +98,11 @@ def head_card(head: LeakageHead, evaluation: Evaluation, command: str, weights: 
     )
 
 
-def _axis(config: TaskConfig) -> str:
+def _axis(config: TaskConfig, for_any: bool = False) -> str:
+    if for_any:
+        return (
+            "It serves any rig that measures its position and both pressures; the results are those on the paper's rig."
+        )
     cylinder, period = config.plant.cylinder, 1e3 * config.control_period
     sizes = f"bore {1e3 * cylinder.bore_diameter:.4g} mm, stroke {1e3 * cylinder.stroke:.4g} mm"
     return f"It was trained for a cylinder of {sizes}, with a control period of {period:g} ms."

@@ -41,13 +41,16 @@ def test_area_under_roc_is_the_statistic_of_mann_and_whitney(seed, decimals):
     assert area_under_roc(-scores, positive) == pytest.approx(1.0 - expected, rel=1e-12)
 
 
-def test_area_under_roc_at_its_ends():
+def test_areas_and_curves_at_their_ends():
     positive = np.array([False, False, True, True])
-    assert area_under_roc(np.array([0.1, 0.2, 0.3, 0.4]), positive) == 1.0
-    assert area_under_roc(np.array([0.4, 0.3, 0.2, 0.1]), positive) == 0.0
-    assert area_under_roc(np.full(4, 0.5), positive) == 0.5
+    for scores, area in (([0.1, 0.2, 0.3, 0.4], 1.0), ([0.4, 0.3, 0.2, 0.1], 0.0), ([0.5] * 4, 0.5)):
+        assert area_under_roc(np.array(scores), positive) == area
     for same in (True, False):
         assert math.isnan(area_under_roc(np.array([0.1, 0.2]), np.full(2, same)))
+    for positive in (np.array([True, False, True]), np.zeros(3, dtype=bool)):  # nothing is flagged at first
+        curve = precision_recall_curve(np.array([0.2, 0.9, 0.5]), positive)
+        assert (curve.x[0], curve.y[0], curve.threshold[0], curve.y[1]) == (0.0, 1.0, np.inf, 0.0)
+        assert curve.x[-1] == float(positive.any())
 
 
 def test_roc_curve_by_hand():
@@ -69,14 +72,6 @@ def test_curves_say_what_their_thresholds_do():
         assert roc.y[index] == pytest.approx(flagged[positive].mean())
         assert recall.y[index] == pytest.approx(positive[flagged].mean())
     np.testing.assert_array_equal(recall.x, roc.y)
-
-
-def test_where_nothing_is_flagged_precision_is_one_and_recall_zero():
-    for positive in (np.array([True, False, True]), np.zeros(3, dtype=bool)):
-        curve = precision_recall_curve(np.array([0.2, 0.9, 0.5]), positive)
-        assert (curve.x[0], curve.y[0], curve.threshold[0]) == (0.0, 1.0, np.inf)
-        assert curve.y[1] == 0.0
-        assert curve.x[-1] == float(positive.any())
 
 
 def test_average_precision_by_hand():
@@ -103,9 +98,6 @@ def test_threshold_uses_the_false_alarms_it_may():
     healthy = np.arange(1000) / 1000
     assert detection_rate(healthy, threshold_at_false_alarm_rate(healthy, 0.01)) == pytest.approx(0.01)
     assert threshold_at_false_alarm_rate(healthy, 1.0) <= 0.0
-
-
-def test_detection_rate():
     assert detection_rate(np.array([0.1, 0.5, 0.9]), 0.5) == pytest.approx(2 / 3)
     assert math.isnan(detection_rate(np.array([]), 0.5))
 
@@ -121,31 +113,17 @@ THRESHOLD = 0.5
 
 
 def episodes(controllers=("A", "B")):
-    frames = []
-    for name in controllers:
-        score = SCORE if name == "A" else 1.0 - SCORE
-        frames.append(
-            pd.DataFrame(
-                {
-                    "controller": name,
-                    "leakage_flow_lpm": FLOW,
-                    "class": CLASS,
-                    "probability": score,
-                    "estimated_flow_lpm": SIZE,
-                    "flagged": score >= THRESHOLD,
-                }
-            )
-        )
-    return pd.concat(frames, ignore_index=True)
-
-
-def test_bounds_come_from_the_task():
-    assert LeakBounds.of(TASK) == (0.05, 0.2, 0.5)
-    assert LeakBounds.of(TASK).moderate_label == "≥ 0.5"
-    assert LeakBounds.of(TaskConfig()) == (0.03, 0.1, 0.3)
+    columns = {"leakage_flow_lpm": FLOW, "class": CLASS, "estimated_flow_lpm": SIZE}
+    scores = {"A": SCORE, "B": 1.0 - SCORE}
+    return pd.concat(
+        [pd.DataFrame({"controller": name, **columns, "probability": scores[name]}) for name in controllers],
+        ignore_index=True,
+    ).assign(flagged=lambda table: table["probability"] >= THRESHOLD)
 
 
 def test_rates_per_class_and_range():
+    assert LeakBounds.of(TASK) == (0.05, 0.2, 0.5)
+    assert LeakBounds.of(TaskConfig()) == (0.03, 0.1, 0.3)
     table = detection_rates(episodes(), TASK)
     own = table[table["controller"] == "A"]
     assert len(own) * 2 == len(table)

@@ -1,10 +1,12 @@
 """Frequency response and stiffness: against formulas and linearised loops; all experiments as parts of a protocol."""
 
+from unittest import mock
+
 import numpy as np
 import pandas as pd
 import pytest
 from joblib import parallel_config
-from proportional import Proportional, exact_task
+from proportional import Constant, Proportional, exact_task
 from published import TABLES, assert_published
 
 from hydro_agents.controllers.sampled_loop import sampled_loop
@@ -86,13 +88,10 @@ def test_crossings():
 
 
 def test_a_hidden_preview_shows_the_present_reference():
-    class Watcher:
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            return observation, None
-
+    watcher = mock.Mock(predict=lambda observation, *_: (observation, None))
     names = Proportional(1.0, EXACT).layout.names
     given = np.ones((2, len(names)), dtype=np.float32)
-    seen, _ = HiddenPreview(Watcher(), EXACT).predict(given)
+    seen, _ = HiddenPreview(watcher, EXACT).predict(given)
     np.testing.assert_array_equal(seen, np.tile([not name.startswith("reference_preview") for name in names], (2, 1)))
     assert seen.dtype == given.dtype
     assert given.all()  # the observation itself is untouched
@@ -116,23 +115,13 @@ def test_a_leak_makes_the_loop_soft_and_gain_makes_it_stiff():
     assert all((table["recovery_s"] < 1.5).all() for table in tables.values())
 
 
-def test_deviations_are_counted_from_the_rest_before_the_force(monkeypatch):
+def test_deviations_are_counted_from_the_rest_before_the_force_and_no_other_force_counts(monkeypatch):
+    busy = exact_task(leakage={"schedule": "growth"}, disturbance={"kind": "mixed", "force_share": (0.3, 0.5)})
+    pd.testing.assert_frame_equal(*(done("force_step", task, 40.0, [1.0]) for task in (EXACT, busy)))
     monkeypatch.setattr(experiments, "FORCE_SHARE", 1e-13)
     table = done("force_step", EXACT, 40.0, [1.0], plants=2)
     assert (table["peak_mm"] < 1e-3).all()
     assert np.isfinite(table["recovery_s"]).all()
-
-
-def test_forces_and_leaks_that_the_task_changes_by_itself_do_not_count():
-    busy = exact_task(leakage={"schedule": "growth"}, disturbance={"kind": "mixed", "force_share": (0.3, 0.5)})
-    pd.testing.assert_frame_equal(*(done("force_step", task, 40.0, [1.0]) for task in (EXACT, busy)))
-
-
-class Broken:
-    """A controller that returns NaN."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.full((len(observation), 1), np.nan), None
 
 
 def test_a_broken_controller_loses_its_own_rows_only(monkeypatch):
@@ -141,7 +130,7 @@ def test_a_broken_controller_loses_its_own_rows_only(monkeypatch):
     monkeypatch.setattr(experiments, "TAKE_OVER", experiments.TAKE_OVER._replace(plants=1))
     protocol = RobustnessProtocol(parts=PARTS, conditions={"plain": {}})
     good = Proportional(100.0, protocol.task)
-    results = run(protocol, Participants({"P#0": good, "P#1": good, "broken": Broken()}), jobs=1)
+    results = run(protocol, Participants({"P#0": good, "P#1": good, "broken": Constant(np.nan)}), jobs=1)
     assert {error.partition(":")[0] for error in results.errors} == {
         f"broken under {name}" for name in PARTS if name != "leak_price"
     }

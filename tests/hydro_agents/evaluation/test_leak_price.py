@@ -13,16 +13,11 @@ TIGHT = TaskConfig().plant.replace(leakage={"internal_resistance": np.inf}, valv
 
 
 @pytest.mark.parametrize("force", [-2000.0, 0.0, 3000.0])
-def test_a_tight_seal_gives_the_speed_of_the_flow_law(force):
-    limits = speed_limits(TIGHT, force)
-    assert full_command_speed(TIGHT, 1.0, force) == pytest.approx(limits.extending, rel=5e-3)
-    assert -full_command_speed(TIGHT, -1.0, force) == pytest.approx(limits.retracting, rel=5e-3)
-
-
-def test_a_tight_seal_stalls_at_the_force_of_full_pressure():
-    limits = full_pressure_forces(TIGHT)
-    assert stall_force(TIGHT, 1.0) == pytest.approx(limits.extending, rel=1e-3)
-    assert stall_force(TIGHT, -1.0) == pytest.approx(limits.retracting, rel=1e-3)
+def test_a_tight_seal_gives_the_speed_of_the_flow_law_and_stalls_at_the_force_of_full_pressure(force):
+    speeds, forces = speed_limits(TIGHT, force), full_pressure_forces(TIGHT)
+    for sign, speed, stall in ((1.0, speeds.extending, forces.extending), (-1.0, speeds.retracting, forces.retracting)):
+        assert sign * full_command_speed(TIGHT, sign, force) == pytest.approx(speed, rel=5e-3)
+        assert stall_force(TIGHT, sign) == pytest.approx(stall, rel=1e-3)
 
 
 def test_the_speed_lost_is_about_the_leak_over_the_area():

@@ -6,6 +6,7 @@ import pytest
 import yaml
 from command_line import ROOT
 from joblib import parallel_config
+from refusal import refused
 from small_leaks import SMALL, Spread, ran, small
 
 from hydro_agents.detection.detector import Cause
@@ -83,26 +84,18 @@ def test_verdicts_follow_from_score_threshold_and_what_the_detector_says_otherwi
 
 
 def test_what_cannot_run_is_told_and_the_rest_stays():
-    conditions = {**SMALL["conditions"], "long": {"duration": 0.5}}
-    run = ran(small(conditions=conditions))
-    status = run.status.set_index("condition")
-    assert status.loc["long", "status"] == "not applicable"
-    assert status.loc["long", "message"] == "reads 60 samples"
+    run = ran(small(conditions={**SMALL["conditions"], "long": {"duration": 0.5}}))
+    told = run.status.set_index("condition").loc["long"]
+    assert (told["status"], told["message"]) == ("not applicable", "reads 60 samples")
     assert set(run.table("windows")["condition"]) == {"plain", "null"}
-
-
-def test_no_detector_for_any_window_is_an_error():
-    with pytest.raises(ConfigurationError, match="no detector ran under any condition"):
-        ran(detectors={"D": Spread(samples=1)})
-
-
-def test_a_detector_without_threshold_has_no_figures():
+    # A detector without threshold has no figures.
     conditions = {**SMALL["conditions"], "short": {"duration": 0.2}}
     detectors = dict.fromkeys(("D", "E"), SMALL["detectors"]["D"])
-    both = {"D": Spread(), "E": Spread(samples=40)}
-    run = ran(small(conditions=conditions, detectors=detectors), both)
+    run = ran(small(conditions=conditions, detectors=detectors), {"D": Spread(), "E": Spread(samples=40)})
     assert set(run.table("windows")["detector"]) == {"D"}
     assert "no threshold" in run.status.set_index(["detector", "condition"]).loc[("E", "plain"), "message"]
+    with refused("no detector ran under any condition"):
+        ran(detectors={"D": Spread(samples=1)})
 
 
 def test_the_bound_stands_beside_the_windows_and_is_kept(tmp_path):
@@ -122,24 +115,19 @@ def test_the_parts_can_be_chosen():
     assert small(bound_conditions=["plain"]).measured == ("windows", "leak_bound")
     run = ran(small(parts=["leak_bound"], bound_conditions=["null"], bound_windows=1))
     assert set(run.tables()) == {"bound", "conditions", "status", "protocol"}
-    with pytest.raises(ConfigurationError, match="unknown part 'tracking'; known: windows, leak_bound"):
+    with refused("unknown part 'tracking'; known: windows, leak_bound"):
         validate(LeakProtocol, {**SMALL, "parts": ["tracking"]}, "own.yaml")
 
 
-def test_every_level_and_condition_has_the_same_plants():
+def test_every_level_and_condition_has_the_same_plants_and_its_leaks():
     protocol = small()
-    cases = [protocol.cases_in(name, level, 10) for name in ("plain", "null") for level in (HEALTHY, 1.0)]
-    for other in cases[1:]:
-        np.testing.assert_array_equal(cases[0].seeds, other.seeds)
+    cases = [protocol.cases_in(name, level, 40) for name in ("plain", "null") for level in (HEALTHY, 1.0, DRAWN)]
+    assert all((each.seeds == cases[0].seeds).all() for each in cases)
     assert set(cases[0].seeds) <= set(TEST_SEEDS)
     assert set(protocol.cases_in("plain", HEALTHY, 10, validation=True).seeds) <= set(VALIDATION_SEEDS)
     assert min(cases[0].seeds) == LEAKAGE.first
-
-
-def test_leaks_are_fixed_healthy_or_drawn():
-    protocol = small()
     low, high = protocol.task.leakage.healthy_range
-    healthy, fixed, drawn = (protocol.cases_in("plain", level, 40).leakage_flow_lpm for level in (HEALTHY, 1.0, DRAWN))
+    healthy, fixed, drawn = (each.leakage_flow_lpm for each in cases[:3])
     assert low <= healthy.min() < healthy.max() <= high
     assert (fixed == 1.0).all()
     assert ((drawn <= high) == (np.arange(40) % 2 == 0)).all()
@@ -160,9 +148,10 @@ def test_the_detector_knows_the_rig_and_nothing_else_of_a_condition():
     np.testing.assert_array_equal(protocol.cases_in("null", 1.0, 3).faults["valve_null_shift"], [0.02] * 3)
 
 
-def test_windows_anywhere_are_cut_from_longer_runs():
+def test_windows_anywhere_are_cut_from_longer_runs_and_motions_change_what_is_asked_alone():
     protocol = small(conditions={"plain": {"duration": 0.3}, "late": {"duration": 0.3, "begins": "anywhere"}})
     assert protocol.task_in("late").steps == 3 * protocol.task_in("plain").steps == 180
+    assert all(motion.change(protocol.task).plant == protocol.task.plant for motion in MOTIONS.values())
 
 
 def test_groups_and_detectors_choose_what_is_read():
@@ -215,9 +204,3 @@ def test_operations_that_no_training_holds_move_the_axes_and_keep_their_memory(n
     runs = [run_cases(config, ACTING[name].make(config, 4, 3), cases, [0]) for _ in range(2)]
     assert np.ptp(runs[0].position, axis=1).max() > 1e-3
     np.testing.assert_array_equal(runs[0].signals, runs[1].signals)
-
-
-def test_motions_change_what_is_asked_alone():
-    task = small().task
-    for motion in MOTIONS.values():
-        assert motion.change(task).plant == task.plant

@@ -39,30 +39,19 @@ def step_run(damping, size=SIZE, start=0.0, before=0.05, after=0.9):
     return reference, position
 
 
-def metrics_of(reference, position, period=PERIOD, is_step=True, command=None, spool=None, failed=False):
+def metrics_of(reference, position, period=PERIOD, is_step=True, command=None, spool=None, failed=False, **options):
     zeros = np.zeros(len(reference))
-    return case_metrics(
-        position,
-        reference,
-        zeros if command is None else command,
-        zeros if spool is None else spool,
-        period,
-        is_step,
-        failed,
-    )
+    command, spool = (zeros if row is None else row for row in (command, spool))
+    return case_metrics(position, reference, command, spool, period, is_step, failed, **options)
 
 
-@pytest.mark.parametrize("damping", [0.2, 0.5, 0.7])
-@pytest.mark.parametrize("size", [SIZE, -SIZE, 0.001])
-def test_overshoot_of_a_second_order_lag(damping, size):
-    expected = 100.0 * math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))
-    found = metrics_of(*step_run(damping, size, start=-0.03))
-    assert found["overshoot_percent"] == pytest.approx(expected, rel=1e-3)
-
-
-@pytest.mark.parametrize("damping", [0.3, 0.6])
+@pytest.mark.parametrize("damping", [0.2, 0.3, 0.6, 0.7])
 @pytest.mark.parametrize("size", [SIZE, -SIZE])
-def test_settling_time_of_a_second_order_lag(damping, size):
+def test_overshoot_and_settling_time_of_a_second_order_lag(damping, size):
+    overshot = 100.0 * math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))
+    for step, start in ((size, -0.03), (0.001, 0.0)):
+        found = metrics_of(*step_run(damping, step, start))
+        assert found["overshoot_percent"] == pytest.approx(overshot, rel=1e-3)
     # |error| peaks at multiples of π/ω_d; it settles on the way from the last peak outside the band to the next zero.
     damped = FREQUENCY * math.sqrt(1.0 - damping**2)
     peaks = math.pi / damped * np.arange(20)
@@ -83,6 +72,8 @@ def test_settling_time_of_a_first_order_lag():
     assert settling_time(error, PERIOD) == pytest.approx(0.03 * math.log(SIZE / SETTLING_BAND), abs=1.5 * PERIOD)
     assert settling_time(-error, PERIOD) == settling_time(error, PERIOD)
     assert settling_time(error, PERIOD, band=SIZE) == 0.0
+    again = np.isin(np.arange(100), [0, 40])  # leaves the band again
+    assert settling_time(1.0 * again, 0.005) == pytest.approx(41 * 0.005)
 
 
 def test_never_settled_is_nan_and_counted():
@@ -93,12 +84,6 @@ def test_never_settled_is_nan_and_counted():
     assert math.isnan(found["settling_time_s"])
     assert found["unsettled_share"] == 1.0
     assert found["steady_state_error_mm"] == pytest.approx(1.01e3 * SETTLING_BAND)
-
-
-def test_leaving_the_band_again_counts():
-    error = np.zeros(100)
-    error[[0, 40]] = 1.0
-    assert settling_time(error, 0.005) == pytest.approx(41 * 0.005)
 
 
 def test_one_settled_and_one_unsettled_standstill():
@@ -117,9 +102,7 @@ def test_setting_off_before_a_step_that_is_seen_is_no_fault():
     reference = np.repeat([0.0, 0.01, 0.02], [10, 40, 40])
     position = reference.copy()
     position[44:50] = np.linspace(0.0105, 0.014, 6)  # towards the next target, 30 ms early
-    zeros = np.zeros(90)
-    blind = case_metrics(position, reference, zeros, zeros, 0.005, True, False)
-    seeing = case_metrics(position, reference, zeros, zeros, 0.005, True, False, preview=0.04)
+    blind, seeing = metrics_of(reference, position, 0.005), metrics_of(reference, position, 0.005, preview=0.04)
     assert (blind["unsettled_share"], seeing["unsettled_share"]) == (0.5, 0.0)
     assert seeing["steady_state_error_mm"] == seeing["overshoot_percent"] == 0.0
     assert blind["steady_state_error_mm"] > 0.5
@@ -143,27 +126,22 @@ def test_standstills():
     assert standstills(pulses, 0.005) == [(30, 50), (69, 94)]  # 20 samples are 0.1 s, 19 are not
 
 
-def test_without_a_standstill_there_is_nothing_to_settle_on():
-    found = metrics_of(np.arange(50.0), np.arange(50.0), period=0.005)
-    for name in ("settling_time_s", "unsettled_share", "steady_state_error_mm", "overshoot_percent"):
-        assert math.isnan(found[name])
-
-
-def test_errors_of_a_sine():
+def test_errors_and_reversals_of_a_sine():
     time = 0.001 * np.arange(1, 2001)
     error = 0.003 * np.sin(2.0 * math.pi * 5.0 * time)
-    found = metrics_of(error, np.zeros(2000), period=0.001)
+    found = metrics_of(error, np.zeros(2000), period=0.001, command=100.0 * error)
     assert found["mean_error_mm"] == pytest.approx(3.0 * 2.0 / math.pi, rel=1e-3)
     assert found["rms_error_mm"] == pytest.approx(3.0 / math.sqrt(2.0), rel=1e-6)
     assert found["peak_error_mm"] == pytest.approx(3.0, rel=1e-6)
+    assert found["reversals_per_s"] == pytest.approx(10.0)  # two in a period
+    for name in ("settling_time_s", "unsettled_share", "steady_state_error_mm", "overshoot_percent"):
+        assert math.isnan(metrics_of(np.arange(50.0), np.arange(50.0), period=0.005)[name])  # it never stands still
 
 
 def test_itae():
     time = PERIOD * np.arange(1, 20_001)
-    found = metrics_of(np.full(20_000, 0.001), np.zeros(20_000))
-    assert found["itae_mm_s2"] == pytest.approx(1.0 * 2.0**2 / 2.0, rel=1e-3)
-    decay = metrics_of(-0.001 * np.exp(-time / 0.1), np.zeros(20_000))
-    assert decay["itae_mm_s2"] == pytest.approx(0.1**2, rel=1e-3)  # ∫ t exp(−t/τ) dt = τ²
+    for error, expected in ((np.full(20_000, 0.001), 2.0), (-0.001 * np.exp(-time / 0.1), 0.1**2)):
+        assert metrics_of(error, np.zeros(20_000))["itae_mm_s2"] == pytest.approx(expected, rel=1e-3)  # ∫ t |e| dt
 
 
 def test_command_spool_and_failure():
@@ -209,28 +187,17 @@ def test_every_case_of_a_rollout():
     np.testing.assert_allclose(found["mean_error_sensor_mm"], [0.09 + 0.11 * 10 / 10, 0.1], rtol=1e-3)
 
 
-def test_a_standstill_that_the_preview_cuts_short_does_not_end_the_search():
-    reference = np.repeat([0.0, 0.01, 0.02], [10, 20, 60])
-    position = reference + 0.001
-    zeros = np.zeros(90)
-    found = case_metrics(position, reference, zeros, zeros, 0.005, True, False, preview=0.06)
-    assert found["steady_state_error_mm"] == pytest.approx(1.0)  # of the second one alone
-    assert found["unsettled_share"] == 1.0
-
-
-def test_overshoot_counts_from_the_sample_before_the_step():
-    reference = np.concatenate([[0.0, 0.004, 0.008], np.full(40, 0.01)])
-    position = reference.copy()
-    position[20] += 0.001
+def test_where_overshoot_and_steady_state_are_counted():
+    reference = np.concatenate([[0.0, 0.004, 0.008], np.full(40, 0.01)])  # from the sample before the step
+    position = reference + 0.001 * (np.arange(43) == 20)
     assert metrics_of(reference, position, period=0.005)["overshoot_percent"] == pytest.approx(50.0)
-
-
-def test_at_slow_sampling_the_steady_state_is_the_last_sample():
-    reference = np.concatenate([np.zeros(3), np.full(6, 0.01)])
-    position = reference.copy()
-    position[-2:] += [0.003, 0.001]
-    found = metrics_of(reference, position, period=0.05)
-    assert found["steady_state_error_mm"] == pytest.approx(1.0)
+    reference = np.concatenate([np.zeros(3), np.full(6, 0.01)])  # at slow sampling the last sample
+    position = reference + np.concatenate([np.zeros(7), [0.003, 0.001]])
+    assert metrics_of(reference, position, period=0.05)["steady_state_error_mm"] == pytest.approx(1.0)
+    # A standstill that the preview cuts short does not end the search: of the second one alone.
+    reference = np.repeat([0.0, 0.01, 0.02], [10, 20, 60])
+    found = metrics_of(reference, reference + 0.001, 0.005, preview=0.06)
+    assert (found["steady_state_error_mm"], found["unsettled_share"]) == (pytest.approx(1.0), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -249,10 +216,3 @@ def test_at_slow_sampling_the_steady_state_is_the_last_sample():
 def test_reversals_are_turning_points_of_swings_that_a_valve_follows(command, count):
     assert reversals(np.array(command)) == count
     assert reversals(-np.array(command)) == count
-
-
-def test_a_sine_reverses_twice_a_period():
-    time = 0.005 * np.arange(1, 401)
-    zeros = np.zeros(400)
-    found = metrics_of(zeros, zeros, 0.005, command=0.3 * np.sin(2.0 * math.pi * 5.0 * time))
-    assert found["reversals_per_s"] == pytest.approx(10.0)

@@ -71,15 +71,11 @@ def test_own_agents_and_training_seeds_stand_in_every_table(place):
     assert "Worst case 1 of calm" in (place / "results" / "own" / "robustness.html").read_text(encoding="utf-8")
 
 
-def test_a_failing_agent_is_named_and_the_others_stay(place):
+def test_a_failing_agent_is_named_and_resuming_uses_the_finished_jobs(place):
     answer = hydro(*OWN, "-o", "out", "--agent", "wild=robust_agents:Wild")
     assert_one_clear_line(answer, "wild under plain", "seed 22", "predict returned nan", "status.csv", "out holds")
-    assert set(pd.read_csv("out/tables/cases.csv")["controller"]) == {"PID"}
-
-
-def test_resuming_uses_the_finished_jobs(place):
-    done(*OWN, "-o", "out")
     first = pd.read_csv("out/tables/cases.csv")
+    assert set(first["controller"]) == {"PID"}
     assert_one_clear_line(hydro(*OWN, "-o", "out"), "holds results already", "--resume continues")
     done(*OWN, "-o", "out", "--resume", "--agent", "calm=robust_agents:Calm")
     cases = pd.read_csv("out/tables/cases.csv")

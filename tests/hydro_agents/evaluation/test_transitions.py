@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from proportional import Proportional, Relay
+from proportional import Constant, Proportional, Relay
 
 from hydro_agents.evaluation import transitions
 from hydro_agents.evaluation.experiments import EXPERIMENTS, taken_over
@@ -32,15 +32,12 @@ def test_a_relay_cycles_on_the_real_plant_and_a_soft_loop_does_not(monkeypatch):
     assert not (relay["failed"] | soft["failed"]).any()
 
 
-def test_the_pid_does_not_cycle_at_a_leak_of_1_l_min_although_noise_moves_it(monkeypatch):
+def test_the_pid_does_not_cycle_and_its_offsets_are_those_of_the_reading(monkeypatch):
+    """Noise moves it; with an integral it holds its reading on the reference, whatever the bias of the sensor is."""
     table = held(PID, [1.0], 0.3, 3, monkeypatch)
     assert not table["limit_cycle"].any()
     assert (table["unrest_um"] > table["amplitude_um"]).all()
     assert (table["valve_travel_per_s"] > 0.0).all()
-
-
-def test_offsets_are_those_of_the_reading(monkeypatch):
-    """A controller with an integral holds its reading on the reference, whatever the bias of the sensor is."""
     table = held(HiddenPreview(PID, TASK), [0.3], 0.0, 4, monkeypatch)
     assert (table["offset_um"] < 10.0).all()  # biases reach 80 µm
 
@@ -51,17 +48,6 @@ def test_a_pause_does_not_spoil_the_next_move(monkeypatch):
     peak = table.groupby("pause_s")["peak_um"].mean()
     assert peak[20.0] < 1.2 * peak[0.5]
     assert (table["rest_um"] < 40.0).all()
-
-
-class Constant:
-    """Commands one number, and counts in its memory the periods since its start."""
-
-    def __init__(self, command):
-        self.command = command
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        count = np.zeros(len(observation)) if state is None else np.where(episode_start, 0.0, state + 1.0)
-        return np.full((len(observation), 1), self.command, np.float32), count
 
 
 def test_the_second_controller_begins_at_the_change():

@@ -2,13 +2,18 @@
 
 import numpy as np
 import pytest
+from refusal import refused
+from stable_baselines3 import SAC
 
 from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.learning.features import PolicyFeatures
+from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.trainers import TRAINERS, trainer
+from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.files import validate
 
 CONFIG = TaskConfig(episode_duration=0.1)
@@ -40,9 +45,9 @@ def test_ppo_is_a_trainer(tmp_path):
     policy = ppo.train(CONFIG, settings, base=BASE, **options)
     assert policy.features.base is BASE
     assert (tmp_path / "checkpoint.safetensors").exists()
-    with pytest.raises(ConfigurationError, match="needs a controller that the policy corrects"):
+    with refused("needs a controller that the policy corrects"):
         ppo.train(CONFIG, settings, base=None, **options)
-    with pytest.raises(ConfigurationError, match="PolicyController: must be one of CONTROLLERS"):
+    with refused("PolicyController: must be one of CONTROLLERS"):
         ppo.train(CONFIG, settings, base=policy, **options)
 
 
@@ -58,17 +63,14 @@ def test_ppo_is_a_trainer(tmp_path):
     ],
 )
 def test_a_trainer_that_cannot_be_used_is_refused_with_one_line(kind, message):
-    with pytest.raises(ConfigurationError, match=message) as caught:
+    with refused(message):
         trainer(kind)
-    assert "\n" not in str(caught.value)
 
 
 def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
-    from hydro_agents.learning.settings import SACSettings
-
     sac = trainer("sac")
     small = {"axes": 8, "hidden_sizes": [8], "batch_size": 16, "learning_starts": 64, "gradient_steps": 1}
-    settings = validate(SACSettings, {**small, "total_steps": 800, "log_every": 200}, "sac.yaml")
+    settings = validate(sac.settings, {**small, "total_steps": 800, "log_every": 200}, "sac.yaml")
     seen = []
     options = {"seed": 0, "folder": tmp_path, "resume": False, "base": BASE}
     policy = sac.train(CONFIG, settings, progress=seen.append, **options)
@@ -81,21 +83,12 @@ def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
     np.testing.assert_array_equal(run.command, run_cases(CONFIG, policy, cases).command)
     assert not np.array_equal(run.command, run_cases(CONFIG, BASE, cases).command)
     assert np.isfinite(read_progress(tmp_path / "progress.csv")[-1]["train/critic_loss"])
-    with pytest.raises(ConfigurationError, match="must be a policy of PPO or A2C"):
+    with refused("must be a policy of PPO or A2C"):
         again.to_sb3(None)
-
-
-def test_the_output_of_sac_is_squashed_as_in_its_model():
-    from stable_baselines3 import SAC
-
-    from hydro_agents.learning.features import PolicyFeatures
-    from hydro_agents.learning.policy import PolicyController
-    from hydro_agents.learning.vec_env import AxisVecEnv
-
+    # The output is squashed as in the model.
     env = AxisVecEnv(CONFIG, 4, PolicyFeatures(CONFIG, BASE, 0.3))
     model = SAC("MlpPolicy", env, device="cpu", seed=0, buffer_size=100, policy_kwargs={"net_arch": [8]})
+    output, _ = model.predict(env.reset(), deterministic=True)
     policy = PolicyController.from_sb3(model)
-    inputs = env.reset()
-    output, _ = model.predict(inputs, deterministic=True)
     command, _ = policy.predict(env.env.axes.observation.copy())
     np.testing.assert_allclose(command, policy.features.command(output, env._state), atol=1e-6)

@@ -10,10 +10,10 @@ import yaml
 from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydro
 
 from hydro_agents.rigs.check_table import position_accuracy
-from hydro_agents.rigs.new_rig import QUESTIONS, answers_from, new_rig
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
+from hydro_env.task.nameplates import QUESTIONS, answers_from, new_rig
 from hydro_env.task.rig import read_rig
 
 LEAST = {

@@ -20,7 +20,6 @@ from hydro_agents.rigs.check_table import (
     implausible,
     stability_note,
 )
-from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.rigs.stable_gain import (
     beyond_dead_band,
     leaking,
@@ -39,6 +38,7 @@ from hydro_env.plant.kernel import STABLE_PRODUCT, TOLERANCE
 from hydro_env.plant.parts.valve import edge_openings
 from hydro_env.plant.probe import probe
 from hydro_env.task.configuration import task_config
+from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_env.task.rig import read_rig
 
 ROWS = check_rig(PlantParameters())

@@ -1,5 +1,7 @@
 """Episodes of cases: the same as of single environments, whatever runs beside them, and what a failure leaves."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -83,35 +85,60 @@ def test_each_case_is_the_episode_of_a_single_environment():
 
 
 def test_what_is_not_fixed_is_drawn_from_the_seed():
-    drawn = run_cases(CONFIG, Proportional(), Cases(np.arange(40)))
+    cases = (Cases(np.arange(40)), Cases(np.arange(40)), Cases(np.arange(40), np.full(40, 0.5)))
+    drawn, again, fixed = (run_cases(CONFIG, Proportional(), each) for each in cases)
     assert len(set(drawn.leakage_flow_lpm)) > 20
-    again = run_cases(CONFIG, Proportional(), Cases(np.arange(40)))
     np.testing.assert_array_equal(drawn.position, again.position)
-    fixed = run_cases(CONFIG, Proportional(), Cases(np.arange(40), np.full(40, 0.5)))
     np.testing.assert_allclose(fixed.leakage_flow_lpm, 0.5)
     np.testing.assert_array_equal(fixed.reference[:, 0] != 0, drawn.reference[:, 0] != 0)
 
 
-def test_chunks_do_not_change_results():
+def test_chunks_do_not_change_results_and_without_states_only_signals_are_kept():
+    sizes, done = Proportional(), []
     whole = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR])
-    done = []
-    parts = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR], chunk=2, progress=done.append)
+    parts = run_cases(CONFIG, sizes, CASES, signal_columns=[ERROR], chunk=2, progress=done.append)
     assert done == [2, 4, 5]
-    for name in whole.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
-    sizes = Proportional()
-    run_cases(CONFIG, sizes, CASES, chunk=2)
+    np.testing.assert_equal(vars(parts), vars(whole))
     assert {call[3] for call in sizes.calls} == {1, 2}
+    signals = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR], states=False)
+    for name in ("position", "reference", "command", "spool", "reward"):
+        assert getattr(signals, name).shape == (5, 0)
+    np.testing.assert_array_equal(signals.signals, whole.signals)
+    assert run_cases(CONFIG, Proportional(), CASES).signals is None
+
+
+def test_commands_beyond_one_are_recorded_as_they_acted():
+    limited = Proportional(1e4)
+    plain = limited.predict
+    limited.predict = lambda *arguments: (np.clip(plain(*arguments)[0], -1.0, 1.0), None)
+    far, near = (run_cases(CONFIG, each, CASES) for each in (Proportional(1e4), limited))
+    assert np.abs(far.command).max() == 1.0
+    for name in ("position", "command", "spool", "reward"):
+        np.testing.assert_array_equal(getattr(far, name), getattr(near, name))
 
 
 def test_a_part_of_the_cases():
-    part = CASES.part(1, 3)
-    assert len(part) == 2
-    assert part.seeds.tolist() == [12, 13]
-    assert part.leakage_flow_lpm.tolist() == [4.0, 0.3]
-    assert part.families.tolist() == ["sine", "step"]
-    bare = Cases(np.arange(4)).part(2, 9)
-    assert (len(bare), bare.leakage_flow_lpm, bare.families) == (2, None, None)
+    part, bare = CASES.part(1, 3), Cases(np.arange(4)).part(2, 9)
+    assert (part.seeds.tolist(), part.leakage_flow_lpm.tolist(), part.families.tolist()) == (
+        *([12, 13], [4.0, 0.3], ["sine", "step"]),
+    )
+    assert (len(part), len(bare), bare.leakage_flow_lpm, bare.families) == (2, 2, None, None)
+
+
+@pytest.mark.parametrize(
+    ("thing", "message"),
+    [
+        (lambda observation: 0.0, "function has no method predict"),
+        (Proportional, "Proportional is a class"),
+        (3, "int has no method predict"),
+    ],
+)
+def test_what_cannot_act_at_all_is_named(thing, message):
+    with pytest.raises(ControllerError, match=message):
+        check_predict(thing)
+    with pytest.raises(ControllerError, match=message):
+        run_cases(CONFIG, thing, CASES)
+    check_predict(Proportional())
 
 
 def test_the_controller_gets_its_memory_back_and_hears_where_episodes_begin():
@@ -122,25 +149,6 @@ def test_the_controller_gets_its_memory_back_and_hears_where_episodes_begin():
     assert starts[0].tolist() == [True] * 5
     assert not np.any(starts[1:])
     assert set(deterministic) == {True}
-
-
-def test_without_states_only_signals_are_kept():
-    run = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR], states=False)
-    full = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR])
-    for array in (run.position, run.reference, run.command, run.spool, run.reward):
-        assert array.shape == (5, 0)
-    np.testing.assert_array_equal(run.signals, full.signals)
-    assert run_cases(CONFIG, Proportional(), CASES).signals is None
-
-
-def test_commands_beyond_one_are_recorded_as_they_acted():
-    strong, limited = Proportional(1e4), Proportional(1e4)
-    plain = limited.predict
-    limited.predict = lambda *arguments: (np.clip(plain(*arguments)[0], -1.0, 1.0), None)
-    far, near = run_cases(CONFIG, strong, CASES), run_cases(CONFIG, limited, CASES)
-    assert np.abs(far.command).max() == 1.0
-    for name in ("position", "command", "spool", "reward"):
-        np.testing.assert_array_equal(getattr(far, name), getattr(near, name))
 
 
 @pytest.fixture(scope="module")
@@ -219,6 +227,7 @@ class Answers:
         (lambda o: (object(), None), r"not numbers \(object\)"),
         (lambda o: np.zeros((5, 1)), r"returned ndarray, not a pair \(commands, state\)"),
         (lambda o: (np.zeros((5, 1)),), "not a pair"),
+        (lambda o: sys.exit(0), "predict raised SystemExit: 0"),
         (lambda o: {}["gain"], r"from seed 11, reference step, leak 0.01 l/min, at 0.010 s: predict raised KeyError"),
     ],
 )
@@ -226,28 +235,6 @@ def test_an_answer_that_is_no_command_is_named_with_its_case(answer, message):
     with pytest.raises(ControllerError, match=message) as raised:
         run_cases(CONFIG, Answers(answer), CASES)
     assert "\n" not in str(raised.value)
-
-
-def test_a_controller_that_ends_the_program_is_an_error():
-    class Quits(Proportional):
-        def predict(self, *arguments, **options):
-            raise SystemExit(0)
-
-    with pytest.raises(ControllerError, match="predict raised SystemExit: 0"):
-        run_cases(CONFIG, Quits(), Cases([1]))
-
-
-def test_what_cannot_act_at_all_is_named():
-    for thing, message in (
-        (lambda observation: 0.0, "function has no method predict"),
-        (Proportional, "Proportional is a class"),
-        (3, "int has no method predict"),
-    ):
-        with pytest.raises(ControllerError, match=message):
-            check_predict(thing)
-        with pytest.raises(ControllerError, match=message):
-            run_cases(CONFIG, thing, CASES)
-    check_predict(Proportional())
 
 
 def test_a_failed_axis_may_get_any_command(failing):
@@ -281,8 +268,7 @@ def test_leak_faults_and_force_stay_as_they_are_drawn():
     assert np.count_nonzero(fault) == 6, "both faults are there from the start"
     for _ in range(30):
         env.step(np.zeros((3, 1), dtype=np.float32))
-        for now, before in zip(_now(env), (leak, fault, force), strict=True):
-            np.testing.assert_array_equal(now, before)
+        np.testing.assert_equal(_now(env), (leak, fault, force))
 
 
 def _now(env):

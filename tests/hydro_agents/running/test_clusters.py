@@ -1,20 +1,16 @@
-"""The page about clusters, word for word: its program on every backend, its array job with Slurm's variable."""
+"""The page about clusters, word for word: its array job with Slurm's variable (tests/site runs its program)."""
 
-import importlib.util
 import os
 import re
 import stat
 import subprocess
-import sys
 
 import pandas as pd
 import pytest
 from command_line import COMMAND, ROOT, environment
 
 PAGE = (ROOT / "docs" / "cluster.md").read_text(encoding="utf-8")
-(PROGRAM,) = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
 ARRAY, TABLES = re.findall(r"^```bash\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
-PACKAGES = {"loky": "joblib", "dask": "distributed", "ray": "ray"}
 STUDY = """
 task: {episode_duration: 0.4}
 controllers:
@@ -27,33 +23,6 @@ controllers:
 leakage_head: {episodes: 100, validation_episodes: 100, epochs: 1, width: 4, batch: 64}
 evaluation: {plants: 3, detection_episodes: 100, leak_levels: [0.01, 4.0], families: [step], bound_plants: 1}
 """
-
-
-@pytest.fixture(scope="module")
-def expected(tmp_path_factory):
-    return ran(PROGRAM.replace("jobs=2", "jobs=1"), tmp_path_factory.mktemp("alone"))
-
-
-def ran(program, folder):
-    """The tables of the program of the page; it must print nothing but that something is compiled."""
-    (folder / "program.py").write_text(program)
-    line = [sys.executable, "program.py"]
-    done = subprocess.run(line, cwd=folder, env=environment(), capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert [line for line in done.stderr.splitlines() if not line.startswith("hydro_env: compiling")] == []
-    tables = folder / "results" / "quick" / "tables"
-    return {path.name: pd.read_csv(path) for path in tables.glob("*.csv")}
-
-
-@pytest.mark.slow  # tests/hydro_agents/running/test_workers.py runs short jobs on every backend
-@pytest.mark.parametrize("backend", PACKAGES)
-def test_the_program_of_the_page_gives_the_same_bits_everywhere(backend, expected, tmp_path):
-    if not importlib.util.find_spec(PACKAGES[backend]):
-        pytest.skip(f"{PACKAGES[backend]} is not installed")
-    found = ran(PROGRAM.replace('"loky"', f'"{backend}"'), tmp_path)
-    assert found.keys() == expected.keys() >= {"ranking.csv", "status.csv"}
-    for name in expected:
-        pd.testing.assert_frame_equal(found[name], expected[name], check_exact=True)
 
 
 def without_times(file):

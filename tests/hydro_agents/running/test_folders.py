@@ -5,9 +5,9 @@ import subprocess
 import sys
 
 import pytest
+from refusal import refused
 
 from hydro_agents.running.folders import LOCK_FILE, MANIFEST_FILE, output_folder
-from hydro_env import ConfigurationError
 
 FILES = ("a.csv", "tables/*.csv", "b.csv")
 
@@ -27,11 +27,11 @@ def test_results_are_listed_and_replaced_only_on_request(tmp_path):
     folder = tmp_path / "new" / "out"
     write(folder, "a.csv", "tables/1.csv")
     assert listed(folder) == {"a.csv": "study", "tables/1.csv": "study"}
-    with pytest.raises(ConfigurationError, match=r"holds results already \(a.csv\); --overwrite replaces"):
+    with refused(r"holds results already \(a.csv\); --overwrite replaces"):
         write(folder)
-    with pytest.raises(ConfigurationError, match="--resume continues"):
+    with refused("--resume continues"):
         write(folder, resume=False)
-    with pytest.raises(ConfigurationError, match="exclude each other"):
+    with refused("exclude each other"):
         write(folder, resume=True, overwrite=True)
     write(folder, "b.csv", resume=True)
     assert set(listed(folder)) == {"a.csv", "b.csv", "tables/1.csv"}
@@ -46,12 +46,12 @@ def test_results_are_listed_and_replaced_only_on_request(tmp_path):
 def test_a_file_of_the_user_is_never_replaced(tmp_path, name, options):
     (tmp_path / "tables").mkdir()
     (tmp_path / name).write_text("mine")
-    with pytest.raises(ConfigurationError, match=f"{name}: was not written by hydro"):
+    with refused(f"{name}: was not written by hydro"):
         write(tmp_path, name, **options)
     (tmp_path / name).rename(tmp_path / "kept")
     write(tmp_path, "b.csv")
     (tmp_path / "kept").rename(tmp_path / name)
-    with pytest.raises(ConfigurationError, match=f"{name}: was not written by hydro"):
+    with refused(f"{name}: was not written by hydro"):
         write(tmp_path, name, **options)
     assert (tmp_path / name).read_text() == "mine"
 
@@ -61,51 +61,54 @@ def test_other_files_stay_and_one_command_does_not_replace_another(tmp_path):
     write(tmp_path, "a.csv")
     write(tmp_path, "c.csv", job="evaluate", writes=["c.csv"])
     assert listed(tmp_path) == {"a.csv": "study", "c.csv": "evaluate"}
-    with pytest.raises(ConfigurationError, match=r"a.csv: was written by hydro study, and hydro evaluate would"):
+    with refused(r"a.csv: was written by hydro study, and hydro evaluate would"):
         write(tmp_path, "a.csv", job="evaluate", writes=["a.csv"], overwrite=True)
     write(tmp_path, "c.csv", job="evaluate", writes=["c.csv"], overwrite=True)
     assert (tmp_path / "a.csv").read_text() == "ours"
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_nothing_is_left_where_nothing_was_written(tmp_path):
+def test_nothing_is_left_where_nothing_was_written_and_no_other_folder_is_reached(tmp_path):
     with pytest.raises(RuntimeError, match="early"), output_folder(tmp_path / "new" / "out", "study", FILES):
         raise RuntimeError("early")
     assert list(tmp_path.iterdir()) == []
     write(tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_links_and_folders_in_place_of_a_file(tmp_path):
-    (tmp_path / "a.csv").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(ConfigurationError, match="was not written by hydro"):
-        write(tmp_path, overwrite=True)
-    (tmp_path / "a.csv").unlink()
-    write(tmp_path, "a.csv")
-    (tmp_path / "a.csv").unlink()
-    (tmp_path / "a.csv").mkdir()
-    with pytest.raises(ConfigurationError, match="cannot be removed"):
-        write(tmp_path, overwrite=True)
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "out").mkdir()
+    files = {"../mine.txt": "study", str(tmp_path / "mine.txt"): "study", "../*": "study"}
+    (tmp_path / "out" / MANIFEST_FILE).write_text(json.dumps({"files": files}))  # as somebody tampered with it
+    write(tmp_path / "out", "a.csv", overwrite=True)
+    assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
 @pytest.mark.parametrize(
     "content", ["", "[]", "{}", '{"files": []}', '{"files": {"a.csv": 1}}', '{"mine": true}', "\xff"]
 )
-def test_a_foreign_list_is_left_alone(tmp_path, content):
-    (tmp_path / MANIFEST_FILE).write_text(content)
-    with pytest.raises(ConfigurationError, match=r"\.hydro\.json: is not the list of results"):
-        write(tmp_path, "a.csv", overwrite=True)
-    assert (tmp_path / MANIFEST_FILE).read_text() == content
-    assert not (tmp_path / "a.csv").exists()
+@pytest.mark.parametrize(("name", "message"), [(MANIFEST_FILE, "list of results"), (LOCK_FILE, "lock of hydro")])
+def test_a_foreign_list_or_lock_is_left_alone(tmp_path, name, message, content):
+    (tmp_path / name).write_text(content)
+    if not (name == LOCK_FILE and content == ""):  # as every lock is
+        with refused(rf"\{name}: is not the {message}"):
+            write(tmp_path, "a.csv", overwrite=True)
+        assert (tmp_path / name).read_text() == content
+        assert not (tmp_path / "a.csv").exists()
+    (tmp_path / name).unlink()
+    (tmp_path / name).mkdir()
+    with refused(rf"\{name}: "):
+        write(tmp_path, "a.csv")
 
 
-def test_a_list_that_was_tampered_with_reaches_no_other_folder(tmp_path):
-    (tmp_path / "mine.txt").write_text("mine")
-    (tmp_path / "out").mkdir()
-    files = {"../mine.txt": "study", str(tmp_path / "mine.txt"): "study", "../*": "study"}
-    (tmp_path / "out" / MANIFEST_FILE).write_text(json.dumps({"files": files}))
-    write(tmp_path / "out", "a.csv", overwrite=True)
-    assert (tmp_path / "mine.txt").read_text() == "mine"
+def test_links_and_folders_in_place_of_a_file(tmp_path):
+    (tmp_path / "a.csv").symlink_to(tmp_path / "nowhere")
+    with refused("was not written by hydro"):
+        write(tmp_path, overwrite=True)
+    (tmp_path / "a.csv").unlink()
+    write(tmp_path, "a.csv")
+    (tmp_path / "a.csv").unlink()
+    (tmp_path / "a.csv").mkdir()
+    with refused("cannot be removed"):
+        write(tmp_path, overwrite=True)
 
 
 KILLED = """
@@ -123,25 +126,15 @@ def test_a_second_process_waits_and_a_killed_one_leaves_results_and_no_lock(tmp_
     line = [sys.executable, "-c", KILLED, str(tmp_path)]
     with subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "ready\n"
-        with pytest.raises(ConfigurationError, match="another hydro command is writing here"):
+        with refused("another hydro command is writing here"):
             write(tmp_path, "b.csv", job="evaluate", writes=["b.csv"])
         process.kill()
     assert (tmp_path / LOCK_FILE).exists()
-    with pytest.raises(ConfigurationError, match="holds results already"):
+    with refused("holds results already"):
         write(tmp_path, "a.csv")
     write(tmp_path, "b.csv", resume=True)
     assert listed(tmp_path) == {"a.csv": "study", "b.csv": "study"}
     assert not (tmp_path / LOCK_FILE).exists()
-
-
-def test_a_foreign_file_in_place_of_the_lock_is_left_alone(tmp_path):
-    (tmp_path / LOCK_FILE).write_text("mine")
-    with pytest.raises(ConfigurationError, match=r"\.hydro\.lock: is not the lock of hydro"):
-        write(tmp_path, "a.csv")
-    (tmp_path / LOCK_FILE).unlink()
-    (tmp_path / LOCK_FILE).mkdir()
-    with pytest.raises(ConfigurationError, match="is not the lock of hydro"):
-        write(tmp_path, "a.csv")
 
 
 def test_of_many_processes_at_a_time_one_writes(tmp_path):

@@ -28,13 +28,13 @@ def test_mean_interval_leaves_nan_out():
     assert all(math.isnan(part) for part in mean_interval(np.array([])))
 
 
-def test_two_plants_give_no_interval():
+def test_three_plants_are_enough_for_an_interval_and_two_are_not():
     found = mean_interval(np.array([1.0, 3.0]))
     assert found.value == 2.0
-    assert math.isnan(found.low)
-    assert math.isnan(found.high)
-    assert math.isnan(ratio_interval(np.array([1.0, 3.0]), np.array([2.0, 2.0])).low)
+    assert np.isnan([found.low, found.high, ratio_interval(np.array([1.0, 3.0]), np.array([2.0, 2.0])).low]).all()
     assert np.isnan(interval(np.array([1.0, np.nan, np.inf]), 9)[1:]).all()
+    assert mean_interval(np.array([1.0, 2.0, 6.0]))[1:] == (1.0, 6.0)
+    assert ratio_interval([1, 2, 6], [1, 1, 1]) == (3.0, 1.0, 6.0)  # whole numbers and lists are numbers too
 
 
 def test_an_interval_is_the_percentile_bootstrap():
@@ -45,13 +45,6 @@ def test_an_interval_is_the_percentile_bootstrap():
     spread = np.std(means)
     assert found.low == pytest.approx(np.quantile(means, 0.025), abs=0.1 * spread)
     assert found.high == pytest.approx(np.quantile(means, 0.975), abs=0.1 * spread)
-
-
-def test_three_plants_are_enough_for_an_interval():
-    found = mean_interval(np.array([1.0, 2.0, 6.0]))
-    assert (found.low, found.high) == (1.0, 6.0)
-    lists = ratio_interval([1, 2, 6], [1, 1, 1])  # whole numbers and lists are numbers too
-    assert (lists.value, lists.low, lists.high) == (3.0, 1.0, 6.0)
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.8, 3.0])
@@ -93,12 +86,18 @@ def weights(seeds, strata, resamples=400, seed=0):
     return Weights(seed_weights(seeds, resamples, seed), plant_weights(np.array(strata), resamples, seed))
 
 
-def test_the_first_row_is_the_estimate_itself():
+def test_the_first_row_is_the_estimate_itself_and_strata_keep_their_number_of_plants():
     values = np.random.default_rng(0).normal(size=(3, 8, 5))
     drawn = weights(3, ["a"] * 8)
     assert means(values, drawn)[0] == pytest.approx(values.mean())
     # 120 values: the middle half is exactly the one of scipy.
     assert interquartile_means(values, drawn)[0] == pytest.approx(trim_mean(values.ravel(), 0.25))
+    strata = np.array(["a", "a", "b", "b", "b"])
+    drawn = plant_weights(strata, 200)
+    assert [set(drawn[:, strata == name].sum(axis=1)) for name in "ab"] == [{2.0}, {3.0}]
+    assert len(np.unique(drawn, axis=0)) > 20
+    np.testing.assert_array_equal(drawn, plant_weights(strata, 200))
+    assert np.all(seed_weights(4, 50).sum(axis=1) == 4.0)
 
 
 def test_a_resampling_is_what_repeated_plants_and_seeds_would_give():
@@ -109,29 +108,19 @@ def test_a_resampling_is_what_repeated_plants_and_seeds_would_give():
     assert interquartile_means(values, drawn)[0] == pytest.approx(trim_mean(repeated.ravel(), 0.25))
 
 
+def ones(plants, resamples=1):
+    return Weights(np.ones((resamples, 1)), np.ones((resamples, plants)))
+
+
 def test_missing_cases_do_not_count():
     values = np.array([[[1.0, np.nan], [3.0, 5.0], [np.nan, np.nan]]])
-    ones = Weights(np.ones((1, 1)), np.ones((1, 3)))
-    assert means(values, ones)[0] == 3.0
-    assert interquartile_means(values, ones)[0] == pytest.approx(3.0)
-    assert np.isnan(means(np.full((1, 2, 2), np.nan), Weights(np.ones((1, 1)), np.ones((1, 2)))))[0]
-    assert np.isnan(interquartile_means(np.full((1, 2, 2), np.nan), Weights(np.ones((4, 1)), np.ones((4, 2))))).all()
-
-
-def test_the_interquartile_mean_takes_parts_of_the_values_at_its_edges():
+    nothing = np.full((1, 2, 2), np.nan)
+    assert means(values, ones(3))[0] == 3.0
+    assert interquartile_means(values, ones(3))[0] == pytest.approx(3.0)
+    assert np.isnan(means(nothing, ones(2)))[0]
+    assert np.isnan(interquartile_means(nothing, ones(2, 4))).all()
     values = np.array([0.0, 1.0, 2.0, 3.0, 100.0]).reshape(1, 5, 1)  # the middle 2.5 of 5: 0.75 · 1, 2, 0.75 · 3
-    found = interquartile_means(values, Weights(np.ones((1, 1)), np.ones((1, 5))))[0]
-    assert found == pytest.approx((0.75 + 2.0 + 2.25) / 2.5)
-
-
-def test_each_stratum_keeps_its_number_of_plants():
-    strata = np.array(["a", "a", "b", "b", "b"])
-    drawn = plant_weights(strata, 200)
-    assert np.all(drawn[:, :2].sum(axis=1) == 2.0)
-    assert np.all(drawn[:, 2:].sum(axis=1) == 3.0)
-    assert len(np.unique(drawn, axis=0)) > 20
-    np.testing.assert_array_equal(drawn, plant_weights(strata, 200))
-    assert np.all(seed_weights(4, 50).sum(axis=1) == 4.0)
+    assert interquartile_means(values, ones(5))[0] == pytest.approx((0.75 + 2.0 + 2.25) / 2.5)
 
 
 def test_intervals_cover_the_true_mean_of_plants():
@@ -166,7 +155,7 @@ def test_pairs_cancel_what_plants_have_in_common():
 def test_probability_of_improvement_counts_pairs_of_training_seeds():
     mine = np.array([1.0, 3.0]).reshape(2, 1, 1)
     theirs = np.array([2.0, 3.0, 4.0]).reshape(3, 1, 1)
-    ones = Weights(np.ones((1, 2)), np.ones((1, 1)))
+    both = Weights(np.ones((1, 2)), np.ones((1, 1)))
     # 1 beats all three; 3 loses, ties, wins.
-    assert improvements(mine, theirs, ones, np.ones((1, 3)))[0] == pytest.approx((3 + 1.5) / 6)
-    assert improvements(mine, theirs, Weights(np.array([[0.0, 2.0]]), ones.plants), np.array([[3.0, 0, 0]]))[0] == 0.0
+    assert improvements(mine, theirs, both, np.ones((1, 3)))[0] == pytest.approx((3 + 1.5) / 6)
+    assert improvements(mine, theirs, Weights(np.array([[0.0, 2.0]]), both.plants), np.array([[3.0, 0, 0]]))[0] == 0.0

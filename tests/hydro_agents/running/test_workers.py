@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
 from joblib import effective_n_jobs
+from refusal import refused
 
 from hydro_agents.running import jobs as running
 from hydro_agents.running import workers as places
 from hydro_agents.running.jobs import Job, run_jobs
 from hydro_agents.running.workers import workers
-from hydro_env import ConfigurationError
 
 PACKAGES = {"loky": "joblib", "dask": "distributed", "ray": "ray"}
 installed = [
@@ -52,7 +52,7 @@ def test_a_killed_worker_changes_no_bit(backend, tmp_path, monkeypatch):
 
 
 def test_workers_that_are_killed_again_and_again_end_the_command(tmp_path):
-    with workers(2), pytest.raises(ConfigurationError, match=r"killed 4 times .*give a smaller --jobs"):
+    with workers(2), refused(r"killed 4 times .*give a smaller --jobs"):
         run_jobs(roots(tmp_path, fatal=99), None, None, None, at_once=True)
     assert len(list(tmp_path.iterdir())) == running.MOST_KILLED + 1
 
@@ -62,24 +62,20 @@ def nested(_, number):
     return {"jobs": np.array([effective_n_jobs(None)])}
 
 
-def test_a_job_starts_no_others():
+def test_all_cores_are_the_default_and_a_job_starts_no_others(monkeypatch):
     with workers(2):
         found, _ = run_jobs({str(number): Job(nested, None, (number,)) for number in range(4)}, None, None, None)
     assert [result.metrics["jobs"].item() for result in found.values()] == [1, 1, 1, 1]
+    monkeypatch.setattr(places, "cpu_count", lambda: 64)
+    for wanted, jobs in ((None, 64), (3, 3)):
+        with workers(wanted):
+            assert effective_n_jobs(None) == jobs
 
 
 def test_a_worker_with_other_code_is_refused(monkeypatch):
     monkeypatch.setattr(running, "digest_of_code", lambda *rooms: "another")
-    with workers(2), pytest.raises(ConfigurationError, match="has another version of hydro_env"):
+    with workers(2), refused("has another version of hydro_env"):
         run_jobs({str(number): Job(nested, None, (number,)) for number in range(4)}, None, None, None)
-
-
-def test_all_cores_are_the_default(monkeypatch):
-    monkeypatch.setattr(places, "cpu_count", lambda: 64)
-    with workers():
-        assert effective_n_jobs(None) == 64
-    with workers(3):
-        assert effective_n_jobs(None) == 3
 
 
 COMMANDS = ("study", "ladder", "evaluate", "alarms", "leak-bound", "train pid", "trend data", "record")

@@ -27,24 +27,18 @@ def test_rated_flow_counts_the_density_once():
     """(3) with (18): the valve's data sheet is the known answer."""
     flow = edge_flows(at(spool_position=1.0, pressure_a=70e5 - RATED_DROP), C)[0]
     assert flow == pytest.approx(PLANT.valve.rated_flow, rel=1e-9)
-    printed = C.edge_gain * math.sqrt(2 / PLANT.fluid.density) * math.sqrt(RATED_DROP)
-    assert PLANT.valve.rated_flow / printed == pytest.approx(20.9, abs=0.1)
 
 
 def test_flow_goes_with_the_root_of_the_pressure_drop():
     """(18) rows 3 and 4: half the drop gives 1/√2 of the flow; the printed difference gives half, and a wrong size."""
     flows = [edge_flows(at(spool_position=1.0, pressure_a=70e5 - drop), C)[0] for drop in (RATED_DROP, RATED_DROP / 2)]
     assert flows[1] / flows[0] == pytest.approx(math.sqrt(0.5), rel=1e-9)
-    printed = [C.edge_gain * math.sqrt(2 / PLANT.fluid.density) * drop for drop in (RATED_DROP, RATED_DROP / 2)]
-    assert printed[1] / printed[0] == 0.5
-    assert printed[0] > 50 * PLANT.valve.rated_flow
 
 
 def test_oil_leaves_chamber_a_on_the_other_side_of_the_spool():
     """(18) rows 3 and 4: with P_a = P_s the printed flow P→A vanishes; the oil flows to the tank."""
     _, a_to_tank, _, _ = edge_flows(at(spool_position=-1.0, pressure_a=70e5), C)
     assert a_to_tank == pytest.approx(C.edge_gain * math.sqrt(70e5 - TANK), rel=1e-9)
-    assert C.edge_gain * -1.0 * (70e5 - 70e5) == 0.0  # the printed form
 
 
 def test_chamber_b_shrinks_as_the_piston_extends():
@@ -81,11 +75,8 @@ def test_leakage_acts_at_standstill_and_lowers_chamber_b_outwards():
     rate = State(*derivative_array(np.array(state), np.array(c), 0.0))
     leak = 30e5 / resistance_from_flow(1.0)
     assert rate.pressure_a == pytest.approx(-c.bulk_modulus / c.volume_a0 * leak, rel=1e-9)
-    printed_leak = c.area_a * state.velocity * leak
-    assert printed_leak == 0.0
     out = 20e5 / 5e12
     assert rate.pressure_b == pytest.approx(c.bulk_modulus / c.volume_b0 * (leak - out), rel=1e-9)
-    assert rate.pressure_b != pytest.approx(c.bulk_modulus / c.volume_b0 * (leak + out), rel=1e-3)
 
 
 def test_friction_belongs_to_the_steady_force():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_env import ConfigurationError, PlantParameters, simulate
+from hydro_env import PlantParameters, simulate
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parts.friction import friction
@@ -91,8 +91,3 @@ def test_a_stopped_axis_swings_on_its_bristles_longer_than_stribeck_lets_it():
         after = run.velocity[400:]
         crossings.append(int((np.sign(after[1:]) != np.sign(after[:-1])).sum()))
     assert crossings[1] > crossings[0] + 5
-
-
-def test_a_seal_without_friction_has_no_bristles():
-    with pytest.raises(ConfigurationError, match="coulomb_force = 0 N must be above 0 with model lugre"):
-        PlantParameters().replace(friction={"model": "lugre", "coulomb_force": 0.0})

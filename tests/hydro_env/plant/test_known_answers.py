@@ -7,10 +7,15 @@ import pytest
 
 from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
 from hydro_env.errors import HydroError, InvalidStateError
-from hydro_env.plant.analysis import closed_port_natural_frequency, force_rate_terms, reachable_range, speed_limits
+from hydro_env.plant.analysis import (
+    closed_port_natural_frequency,
+    closed_port_stiffness,
+    force_rate_terms,
+    reachable_range,
+    speed_limits,
+)
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.states import STATE_NAMES
-from hydro_env.units import LITRE_PER_MINUTE
 
 CLOSED_VALVE = {"underlap": 0.0}
 TIGHT = {"internal_resistance": math.inf}
@@ -38,14 +43,11 @@ def double_rod_cylinder() -> PlantParameters:
     )
 
 
-def test_closed_port_natural_frequency_is_the_published_one():
+def test_closed_port_natural_frequency_and_oscillation_are_the_published_ones():
     parameters = double_rod_cylinder()
+    assert closed_port_stiffness(parameters) == pytest.approx(77.1e6, rel=1e-3)  # 2 β A² / V
     assert closed_port_natural_frequency(parameters) == pytest.approx(277.7, abs=0.1)
     assert linearise(parameters, voltage=0.0).hydraulic_mode.natural_frequency == pytest.approx(277.7, abs=0.1)
-
-
-def test_closed_port_oscillation_has_the_published_period():
-    parameters = double_rod_cylinder()
     run = simulate(parameters, np.zeros(4000), 0.25e-3, {"velocity": 0.01})
     rising = np.flatnonzero((run.velocity[:-1] < 0) & (run.velocity[1:] >= 0))
     crossing = run.time[rising] - run.velocity[rising] * 0.25e-3 / (run.velocity[rising + 1] - run.velocity[rising])
@@ -70,53 +72,6 @@ def test_no_load_speed_and_pressures(voltage, speed, bar_a, bar_b):
     assert run.pressure_b[-1] / 1e5 == pytest.approx(bar_b, abs=0.1)
     limits = speed_limits(parameters)
     assert abs(run.velocity[-1]) == pytest.approx(limits.extending if voltage > 0 else limits.retracting, rel=1e-3)
-
-
-def oil_volume(run, parameters):
-    """Oil in both chambers, counted at zero gauge pressure: ∫ dm/ρ with a constant bulk modulus, V exp(P/β)."""
-    area_a = np.pi / 4 * parameters.cylinder.bore_diameter**2
-    area_b = area_a - np.pi / 4 * parameters.cylinder.rod_diameter**2
-    half = parameters.cylinder.stroke / 2
-    dead = parameters.cylinder.dead_volume
-    beta = parameters.fluid.bulk_modulus
-    return (
-        (dead + area_a * (half + run.position)) * np.exp(run.pressure_a / beta),
-        (dead + area_b * (half - run.position)) * np.exp(run.pressure_b / beta),
-    )
-
-
-def test_leakage_with_closed_valve_loses_no_oil_and_comes_to_rest():
-    parameters = PlantParameters().replace(
-        valve=CLOSED_VALVE, fluid=PURE_OIL, leakage={"internal_resistance": resistance_from_flow(4.0)}
-    )
-    centred = {"spool_position": 0.0, "spool_velocity": 0.0, "coil_current": 0.0}
-    start = {"position": 0.03, "velocity": 0.0, "pressure_a": 40e5, "pressure_b": 20e5, **centred}
-    run = simulate(parameters, np.zeros(12000), 0.25e-3, start)
-    volume_a, volume_b = oil_volume(run, parameters)
-    # dP/dt = β/V (Q − dV/dt) carries oil at the density of the chamber: d(V exp(P/β)) = exp(P/β) Q dt.
-    beta = parameters.fluid.bulk_modulus
-    left_a = np.trapezoid(run.leakage_flow * np.exp(run.pressure_a / beta), run.time)
-    came_to_b = np.trapezoid(run.leakage_flow * np.exp(run.pressure_b / beta), run.time)
-    assert volume_a[0] - volume_a[-1] == pytest.approx(left_a, rel=1e-3)
-    assert volume_b[-1] - volume_b[0] == pytest.approx(came_to_b, rel=1e-3)
-    assert left_a == pytest.approx(came_to_b, rel=5e-3)
-    assert abs(run.velocity[-1]) < 1e-4
-    assert abs(run.pressure_a[-1] - run.pressure_b[-1]) < 0.05 * abs(run.pressure_a[0] - run.pressure_b[0])
-
-
-def test_oil_is_conserved_through_the_valve():
-    """The integrals of the port flows are the oil that the chambers gained, along a lively run."""
-    parameters = PlantParameters().replace(fluid=PURE_OIL)
-    voltage = 3.0 * np.sin(np.arange(8000) * 0.25e-3 * 2 * np.pi * 1.5)
-    run = simulate(parameters, voltage, 0.25e-3)
-    volume_a, volume_b = oil_volume(run, parameters)
-    into_a = run.flow_a - run.leakage_flow
-    into_b = -run.flow_b + run.leakage_flow
-    beta = parameters.fluid.bulk_modulus
-    for volume, flow, pressure in ((volume_a, into_a, run.pressure_a), (volume_b, into_b, run.pressure_b)):
-        mass_flow = flow * np.exp(pressure / beta)
-        gained = np.concatenate([[0.0], np.cumsum(0.5 * (mass_flow[1:] + mass_flow[:-1]) * 0.25e-3)])
-        assert np.abs(volume - volume[0] - gained).max() < 2e-4 * np.abs(flow).sum() * 0.25e-3
 
 
 @pytest.mark.parametrize(
@@ -159,16 +114,6 @@ def _envelope(time, values):
     return np.exp(np.interp(time, time[peaks], np.log(size[peaks] + 1e-12)))
 
 
-def test_the_reference_solver_agrees():
-    parameters = PlantParameters()
-    voltage = np.repeat([2.0, -1.5, 4.0, 0.0], 20)
-    fast = simulate(parameters, voltage, 5e-3)
-    exact = simulate(parameters, voltage, 5e-3, method="radau")
-    error = np.abs(fast.states - exact.states).max(axis=0) / np.maximum(np.ptp(exact.states, axis=0), 1e-12)
-    assert dict(zip(STATE_NAMES, error, strict=True))["position"] < 1e-6
-    assert error.max() < 3e-5
-
-
 def test_equilibrium_stays_where_it_is():
     parameters = PlantParameters().replace(leakage={"internal_resistance": resistance_from_flow(2.0)})
     for position in (-0.03, 0.0, 0.06):
@@ -176,11 +121,6 @@ def test_equilibrium_stays_where_it_is():
         run = simulate(parameters, np.full(400, voltage), 5e-3, state)
         assert np.abs(run.position - position).max() < 1e-9
         assert np.abs(run.supply_pressure - run.supply_pressure[0]).max() < 1.0
-
-
-def test_steady_spool_follows_the_voltage():
-    run = simulate(PlantParameters().replace(load={"spring_stiffness": 1e6}), np.full(40, 3.0), 5e-3)
-    assert run.spool_position[-1] == pytest.approx(0.3, abs=1e-6)
 
 
 def test_a_null_shift_moves_the_spool_and_nothing_else():
@@ -206,19 +146,20 @@ def no_load_speed(voltage, **valve):
     return (run.position[-1] - run.position[-51]) / 0.25, parameters
 
 
-def test_overlap_is_a_dead_band_that_keeps_the_rated_flow():
-    full, _ = no_load_speed(10.0)
-    assert no_load_speed(0.9, overlap=0.1)[0] == pytest.approx(0.0, abs=1e-6)
-    assert no_load_speed(5.5, overlap=0.1)[0] == pytest.approx(0.5 * full, rel=1e-3)
-    assert no_load_speed(10.0, overlap=0.1)[0] == pytest.approx(full, rel=1e-6)
-
-
-def test_a_knee_bends_the_flow_curve():
-    full, _ = no_load_speed(10.0)
-    bent = {"knee_position": 0.4, "knee_opening": 0.1}
-    assert no_load_speed(4.0, **bent)[0] == pytest.approx(0.1 * full, rel=1e-3)
-    assert no_load_speed(7.0, **bent)[0] == pytest.approx(0.55 * full, rel=1e-3)
-    assert no_load_speed(-10.0, **bent)[0] == pytest.approx(no_load_speed(-10.0)[0], rel=1e-6)
+@pytest.mark.parametrize(
+    ("voltage", "edges", "share"),
+    [
+        (0.9, {"overlap": 0.1}, 0.0),  # a dead band that keeps the rated flow
+        (5.5, {"overlap": 0.1}, 0.5),
+        (10.0, {"overlap": 0.1}, 1.0),
+        (4.0, {"knee_position": 0.4, "knee_opening": 0.1}, 0.1),
+        (7.0, {"knee_position": 0.4, "knee_opening": 0.1}, 0.55),
+        (-10.0, {"knee_position": 0.4, "knee_opening": 0.1}, 1.0),
+    ],
+)
+def test_overlap_and_knee_bend_the_flow_curve(voltage, edges, share):
+    full, _ = no_load_speed(math.copysign(10.0, voltage))
+    assert no_load_speed(voltage, **edges)[0] == pytest.approx(share * full, rel=1e-3, abs=1e-6)
 
 
 def test_unequal_edges_change_the_speed_by_the_formula():
@@ -321,10 +262,3 @@ def test_impossible_input_is_refused_with_one_line(arguments, message):
     with pytest.raises(HydroError, match=message) as caught:
         simulate(PlantParameters(), **call)
     assert "\n" not in str(caught.value)
-
-
-def test_leakage_flow_at_the_test_pressure():
-    parameters = PlantParameters().replace(leakage={"internal_resistance": resistance_from_flow(0.3)})
-    start = {**dict.fromkeys(STATE_NAMES, 0.0), "pressure_a": 100e5, "supply_pressure": 70e5, "gas_volume": 8e-4}
-    run = simulate(parameters, [0.0], 1e-6, start)
-    assert run.leakage_flow[0] / LITRE_PER_MINUTE == pytest.approx(0.3)

@@ -84,9 +84,9 @@ def test_the_bound_is_not_wastefully_high(rollout):
     ratios = []
     for axis in range(0, COUNT, 4):
         parameters = axes.parameters(axis)
-        ratios += [
-            bound / rate for rate, bound in (fastest_and_estimate(parameters, state) for state in states[:, axis])
-        ]
+        for state in states[:, axis]:
+            rate, bound = fastest_and_estimate(parameters, state)
+            ratios.append(bound / rate)
     assert np.median(ratios) < 5.0
     assert min(ratios) > 0.95  # and it is an upper estimate
 

@@ -3,9 +3,10 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from refusal import refused
 
 import hydro_env  # noqa: F401
-from hydro_env import ConfigurationError, ServoHydraulicVectorEnv
+from hydro_env import ServoHydraulicVectorEnv
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT
 from hydro_env.task.sensors import CHANNELS
 
@@ -53,8 +54,7 @@ def test_each_kind_occurs_with_its_probability_and_range():
         assert abs(hit.mean() - 0.1) < 4 * np.sqrt(0.09 / COUNT)
         low, high = getattr(envs.config.faults, kind).range
         largest = np.abs(sizes).max(axis=1)[hit == 1]
-        assert largest.min() >= low
-        assert largest.max() <= high
+        assert low <= largest.min() <= largest.max() <= high
     assert (target[:, FAULTS.index("valve_null_shift")] < 0.0).any()
     assert (target[:, FAULTS.index("valve_underlap")] >= 0.0).all()
 
@@ -82,12 +82,25 @@ def test_a_fault_of_the_plant_is_the_parameter_of_that_name():
     np.testing.assert_allclose(first, second, atol=1e-5)
 
 
-def test_an_external_leak_adds_to_that_of_the_rod_seal():
+def test_one_axis_with_a_leak_to_the_outside_and_an_offset():
     envs = ServoHydraulicVectorEnv(1)
-    envs.reset(
-        seed=3, options={"faults": {"external_leak": 1.0}, "parameters": {"leakage": {"external_resistance": 1e12}}}
-    )
-    assert 1.0 / envs.axes.parameters(0).leakage.external_resistance == pytest.approx(1e-12 + 1e-3 / 60 / 1e7)
+    leak = {"parameters": {"leakage": {"external_resistance": 1e12}}}
+    envs.reset(seed=3, options={"faults": {"external_leak": 1.0, "position_offset": 0.005}, **leak})
+    both = 1.0 / envs.axes.parameters(0).leakage.external_resistance  # of the rod seal and of the fault
+    assert both == pytest.approx(1e-12 + 1e-3 / 60 / 1e7)
+    # The axis begins where the faulty sensor reads the reference.
+    read = 0.005 * 0.4 + envs.axes.column("bias")[0, column("position")]
+    assert envs.axes.column("reference")[0] - envs.axes.column("position")[0] == pytest.approx(read)
+
+
+def test_a_saved_state_keeps_its_faults():
+    env = gym.make("ServoHydraulic-v0", task="faulty").unwrapped
+    env.reset(seed=4, options={"faults": {"pressure_b_freeze": 1.0, "valve_null_shift": -0.01}})
+    state, rows = env.get_state(), []
+    for _ in range(2):
+        env.set_state(state)
+        rows.append([env.step(np.array([0.2], np.float32))[0] for _ in range(20)])
+    np.testing.assert_array_equal(*rows)
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
@@ -100,13 +113,6 @@ def test_a_sensor_reads_beside_the_truth(channel):
     np.testing.assert_allclose(wrong[:, place], 0.97 * right[:, place] + 0.02 * span, rtol=1e-12, atol=1e-12)
     others = [index for index in range(len(CHANNELS)) if index != place]
     np.testing.assert_array_equal(wrong[:, others], right[:, others])
-
-
-def test_the_axis_begins_where_the_faulty_sensor_reads_the_reference():
-    envs = ServoHydraulicVectorEnv(1)
-    envs.reset(seed=3, options={"faults": {"position_offset": 0.005}})
-    read = 0.005 * 0.4 + envs.axes.column("bias")[0, column("position")]
-    assert envs.axes.column("reference")[0] - envs.axes.column("position")[0] == pytest.approx(read)
 
 
 def test_a_frozen_sensor_stands_still_and_a_lost_sample_reads_the_lower_end():
@@ -123,24 +129,19 @@ def test_hysteresis_follows_half_its_width_behind():
     drive, command = envs.axes.column("drive"), envs.axes.column("command")
     assert abs(drive[0] - command[0]) <= 0.05 + 1e-12
     assert drive[1] == command[1]
-    envs.step(np.full((2, 1), 0.5, np.float32))
-    assert envs.axes.column("drive")[0] == pytest.approx(0.45)
-    envs.step(np.full((2, 1), 0.42, np.float32))  # the play is not used up
-    assert envs.axes.column("drive")[0] == pytest.approx(0.45)
+    for level in (0.5, 0.42):  # back by less than the play
+        envs.step(np.full((2, 1), level, np.float32))
+        assert envs.axes.column("drive")[0] == pytest.approx(0.45)
 
 
 def test_schedules():
-    envs = ServoHydraulicVectorEnv(
-        3, faults={"tank_pressure": {"schedule": "growth", "start_range": [0.5, 0.5]}}, episode_duration=1.0
-    )
+    growth = {"tank_pressure": {"schedule": "growth", "start_range": [0.5, 0.5]}}
+    envs = ServoHydraulicVectorEnv(3, faults=growth, episode_duration=1.0)
     envs.reset(seed=1, options={"faults": {"tank_pressure": 4e5}})
-    seen = []
-    for _ in range(200):
-        *_, info = envs.step(np.zeros((3, 1), np.float32))
-        seen.append(info["faults"].get("tank_pressure", np.zeros(3))[0])
+    infos = [envs.step(np.zeros((3, 1), np.float32))[-1]["faults"] for _ in range(200)]
+    seen = [faults.get("tank_pressure", np.zeros(3))[0] for faults in infos]
     assert seen[98] == 0.0
-    assert seen[150] == pytest.approx(2e5, rel=0.02)
-    assert seen[-2] == pytest.approx(4e5, rel=0.02)
+    assert (seen[150], seen[-2]) == (pytest.approx(2e5, rel=0.02), pytest.approx(4e5, rel=0.02))
 
 
 def test_info_of_one_axis_of_many_and_flat():
@@ -156,39 +157,15 @@ def test_info_of_one_axis_of_many_and_flat():
     assert 2e5 <= info["fault_tank_pressure"] <= 8e5
 
 
-def test_a_saved_state_keeps_its_faults():
-    env = gym.make("ServoHydraulic-v0", task="faulty").unwrapped
-    env.reset(seed=4, options={"faults": {"pressure_b_freeze": 1.0, "valve_null_shift": -0.01}})
-    state = env.get_state()
-    first = [env.step(np.array([0.2], np.float32))[0] for _ in range(20)]
-    env.set_state(state)
-    np.testing.assert_array_equal(first, [env.step(np.array([0.2], np.float32))[0] for _ in range(20)])
-
-
 @pytest.mark.parametrize(
     ("faults", "message"),
     [
-        ({"valve": 1.0}, "unknown fault 'valve'; did you mean valve_flow? known: valve_null_shift"),
+        ({"valve": 1.0}, "unknown fault 'valve'; did you mean valve_flow. known: valve_null_shift"),
         ({"valve_underlap": -0.1}, "faults.valve_underlap = -0.1: must be within 0 to 0.4"),
-        ({"tank_pressure": float("nan")}, "faults.tank_pressure = nan: must be within 0 to 5e+06"),
+        ({"tank_pressure": float("nan")}, "faults.tank_pressure = nan: must be within 0 to 5e[+]06"),
         (3.0, "faults must be a mapping"),
     ],
 )
 def test_impossible_faults_are_refused(faults, message):
-    with pytest.raises(ConfigurationError) as error:
+    with refused(message):
         gym.make("ServoHydraulic-v0").reset(options={"faults": faults})
-    assert message in str(error.value).replace("e+06", "e+06")
-
-
-@pytest.mark.parametrize(
-    ("faults", "message"),
-    [
-        ({"valve_flow": {"range": [0.2, 0.1]}}, "faults.valve_flow: range = [0.2, 0.1]: must rise within 0 to 0.9"),
-        ({"sensor_gain": {"sensors": ["force"]}}, "unknown sensor 'force'; known: position"),
-        ({"pump": {}}, "faults.pump"),
-    ],
-)
-def test_impossible_settings_are_refused(faults, message):
-    with pytest.raises(ConfigurationError) as error:
-        gym.make("ServoHydraulic-v0", faults=faults)
-    assert message in str(error.value)

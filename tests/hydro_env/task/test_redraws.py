@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 
-from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv
+from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv
 from hydro_env.plant.kernel import MOST_STEPS_PER_PERIOD, STEPS
 from hydro_env.task.kernel import MOST_DRAWS
 
@@ -62,18 +63,12 @@ def test_what_decides_nothing_is_not_drawn_again():
     _, info = envs.reset(seed=0, options=options)
     _, other = easy.reset(seed=0, options={"leakage_flow_lpm": 0.01})
     assert envs.axes.column("redraws").any()
-    assert not easy.axes.column("redraws").any()
+    assert not easy.axes.column("redraws").any()  # an ordinary episode is drawn once
     np.testing.assert_array_equal(info["reference_family"], other["reference_family"])
     for name in ("bias", "noise_key"):
         np.testing.assert_array_equal(envs.axes.column(name), easy.axes.column(name))
     moved = info["position"] != other["position"]
     np.testing.assert_array_equal(moved, envs.axes.column("redraws") > 0)
-
-
-def test_ordinary_episodes_are_drawn_once():
-    envs = ServoHydraulicVectorEnv(2000, info=False)
-    envs.reset(seed=0)
-    assert not envs.axes.column("redraws").any()
 
 
 def test_automatic_resets_draw_again_too():
@@ -90,12 +85,8 @@ def test_automatic_resets_draw_again_too():
 @pytest.mark.parametrize("make", [ServoHydraulicEnv, lambda: ServoHydraulicVectorEnv(3)])
 def test_where_nothing_drawn_can_help_one_line_says_so(make):
     fixed = {"initial_position": -0.15, "parameters": {"load": {"spring_stiffness": 1e5}}}
-    with pytest.raises(
-        ConfigurationError, match=r"axis 0: initial position -150 mm cannot be held by its plant"
-    ) as caught:
+    with refused(rf"axis 0: initial position -150 mm cannot be held by its plant.* {MOST_DRAWS - 1} others"):
         make().reset(seed=0, options=fixed)
-    assert len(str(caught.value).splitlines()) == 1
-    assert f"{MOST_DRAWS - 1} others" in str(caught.value)
 
 
 def test_a_period_that_takes_too_many_steps_ends_the_episode_with_a_name():

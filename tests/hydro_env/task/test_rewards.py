@@ -22,38 +22,25 @@ def rollout(env, policy, seed=0, options=None):
             return rows
 
 
-def test_the_reward_is_the_sum_of_its_terms():
-    rng = np.random.default_rng(0)
-    for reward, info, _, _ in rollout(ServoHydraulicEnv(), lambda _: rng.uniform(-1, 1)):
-        assert tuple(info["reward_terms"]) == REWARD_TERMS == ("tracking", "effort", "failure")
-        assert reward == pytest.approx(sum(info["reward_terms"].values()), rel=1e-12, abs=1e-15)
-        assert all(value <= 0.0 for value in info["reward_terms"].values())
-
-
-def test_each_term_is_what_the_configuration_says():
+def test_the_reward_is_the_sum_of_its_terms_and_each_is_what_the_configuration_says():
     reward = {"tracking": 2.0, "error_scale": 0.004, "error_limit": 3.0, "effort": 0.5}
-    rng = np.random.default_rng(1)
-    commands = np.append(np.zeros(20), rng.uniform(-1.5, 1.5, 380))
+    commands = np.append(np.zeros(20), np.random.default_rng(1).uniform(-1.5, 1.5, 380))
     env = ServoHydraulicEnv(reward=reward)
     env.reset(seed=1)
-    previous = env.axes.column("command")[0]
-    limited = 0
+    previous, limited = env.axes.column("command")[0], 0
     for command in commands:
-        _, _, terminated, _, info = env.step(np.array([command]))
+        _, total, terminated, _, info = env.step(np.array([command]))
         assert not terminated
-        error = abs(info["tracking_error"])
+        error, acting, terms = abs(info["tracking_error"]), np.clip(command, -1.0, 1.0), info["reward_terms"]
         assert info["tracking_error"] == info["reference"] - info["position"]
-        acting = np.clip(command, -1.0, 1.0)
-        terms = info["reward_terms"]
+        assert tuple(terms) == REWARD_TERMS == ("tracking", "effort", "failure")
+        assert total == pytest.approx(sum(terms.values()), rel=1e-12, abs=1e-15)
         assert terms["tracking"] == pytest.approx(-2.0 * min(error / 0.004, 3.0), rel=1e-12)
         assert terms["effort"] == pytest.approx(-0.5 * (acting - previous) ** 2, rel=1e-9, abs=1e-15)
         assert terms["failure"] == 0.0
         limited += error > 0.012
         previous = acting
     assert 0 < limited < 400  # the limit was met, and not always
-
-
-def test_a_weight_of_zero_removes_a_term():
     rows = rollout(ServoHydraulicEnv(reward=dict.fromkeys(REWARD_TERMS, 0.0)), lambda _: 0.5)
     assert {row[0] for row in rows} == {0.0}
 
@@ -67,46 +54,33 @@ def test_perfect_tracking_costs_nothing():
         assert -1e-3 < reward <= 0.0
 
 
-def test_an_end_stop_met_at_speed_terminates_and_is_paid_once():
+@pytest.mark.parametrize(("side", "start"), [(1.0, 0.08), (-1.0, -0.09)])
+def test_an_end_stop_met_at_speed_terminates_and_is_paid_once(side, start):
     env = ServoHydraulicEnv(plant=FREE, randomisation={}, reward={"failure": 123.0})
-    rows = rollout(env, lambda _: 1.0, options={"initial_position": 0.08, "reference": "step"})
-    *before, last = rows
-    assert len(rows) < 400
+    *before, last = rollout(env, lambda _: side, options={"initial_position": start, "reference": "step"})
     assert all(info["failure"] == "none" and info["reward_terms"]["failure"] == 0.0 for _, info, _, _ in before)
     assert not any(terminated or truncated for _, _, terminated, truncated in before)
     reward, info, terminated, truncated = last
-    assert terminated
-    assert not truncated
-    assert info["failure"] == "end stop hit at speed"
-    assert info["reward_terms"]["failure"] == -123.0
-    assert reward < -123.0
-    # It was the outer end of the stroke, within the way of one period.
-    assert info["position"] == pytest.approx(0.2, abs=1e-3)
-    assert before[-1][1]["velocity"] > 0.05
-    assert before[-1][1]["position"] < 0.2
+    assert (terminated, truncated, info["failure"]) == (True, False, "end stop hit at speed")
+    assert info["reward_terms"]["failure"] == -123.0 > reward
+    # It was this end of the stroke, within the way of one period.
+    assert side * info["position"] == pytest.approx(0.2, abs=1e-3)
+    assert side * before[-1][1]["velocity"] > 0.05
+    assert side * before[-1][1]["position"] < 0.2
 
 
-def test_the_inner_end_stop_fails_too():
-    env = ServoHydraulicEnv(plant=FREE, randomisation={})
-    info = rollout(env, lambda _: -1.0, options={"initial_position": -0.09, "reference": "step"})[-1][1]
-    assert info["failure"] == "end stop hit at speed"
-    assert info["position"] == pytest.approx(-0.2, abs=1e-3)
-
-
-def test_an_end_stop_met_slowly_is_no_failure():
+@pytest.mark.parametrize("allowed", [0.05, 0.01])
+def test_an_end_stop_met_slowly_is_no_failure(allowed):
     """Also: whoever rests against the stop goes on until the clock."""
-    env = ServoHydraulicEnv(plant=FREE, randomisation={}, episode_duration=4.0, failure={"end_stop_speed": 0.05})
+    env = ServoHydraulicEnv(plant=FREE, randomisation={}, episode_duration=4.0, failure={"end_stop_speed": allowed})
     rows = rollout(env, lambda _: 0.2, options={"initial_position": 0.17, "reference": "step"})
     _, info, terminated, truncated = rows[-1]
-    assert not terminated
-    assert truncated
-    assert len(rows) == 800
+    if allowed == 0.01:  # the same move is a failure where less speed is allowed
+        assert info["failure"] == "end stop hit at speed"
+        return
+    assert (terminated, truncated, len(rows)) == (False, True, 800)
     assert info["position"] == pytest.approx(0.2, abs=2e-3)
     assert max(row[1]["position"] for row in rows) > 0.2  # it presses into the stop
-    # The same move is a failure where less speed is allowed.
-    strict = ServoHydraulicEnv(plant=FREE, randomisation={}, episode_duration=4.0, failure={"end_stop_speed": 0.01})
-    rows = rollout(strict, lambda _: 0.2, options={"initial_position": 0.17, "reference": "step"})
-    assert rows[-1][1]["failure"] == "end stop hit at speed"
 
 
 def test_pressure_above_the_rating_terminates():
@@ -145,11 +119,15 @@ def test_the_rated_pressure_is_watched_between_the_samples():
 
 
 @pytest.mark.parametrize(
-    ("duration", "period", "steps"), [(None, None, 400), (0.5, None, 100), (0.3, 2e-3, 150), (0.01, None, 2)]
+    ("config", "steps"),
+    [
+        ({}, 400),
+        ({"episode_duration": 0.5}, 100),
+        ({"episode_duration": 0.3, "control_period": 2e-3}, 150),
+        ({"episode_duration": 0.01}, 2),
+    ],
 )
-def test_truncation_by_the_clock(duration, period, steps):
-    config = {} if duration is None else {"episode_duration": duration}
-    config |= {} if period is None else {"control_period": period}
+def test_truncation_by_the_clock(config, steps):
     env = ServoHydraulicEnv(**config)
     rows = rollout(env, lambda _: 0.0, options={"reference": "sine"})
     assert len(rows) == steps == env.config.steps

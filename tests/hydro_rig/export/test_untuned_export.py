@@ -9,10 +9,10 @@ from exported_code import InC, library, sources_in
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.opponents import shipped
-from hydro_agents.rigs.new_rig import answers_from, new_rig
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
+from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_rig.export.controller import controller_graph
 
 NAMEPLATES = {

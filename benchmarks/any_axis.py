@@ -1,0 +1,148 @@
+"""How hard are drawn rigs: a policy for any axis, and its opponents, on test rigs that nobody used.
+
+    python benchmarks/any_axis.py [--weights WEIGHTS] [--rigs 100] [--tuned FOLDER] [--split test] [--output FILE]
+    python benchmarks/any_axis.py --rig kovari_2015 --rig my.yaml
+
+Errors are those in the sensor's frame, every family of references weighing the same; a failed axis is wrong by its
+stroke for the rest of the episode. ``--tuned`` adds gains tuned for each rig, as ``benchmarks/no_tuning.py`` does. The
+file of rows is the checkpoint: a later call continues it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed
+
+from benchmarks.no_tuning import tuned_for
+from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.controllers.pid import PID
+from hydro_agents.evaluation.limit_cycles import counted_at_rest
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.rigs.stable_gain import pid_from_figures
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.folders import pretrained_folder
+from hydro_agents.running.seeds import ANY_AXIS
+from hydro_agents.running.text import markdown
+from hydro_env import TaskConfig
+from hydro_env.files import write_text
+from hydro_env.task.configuration import task_config
+from hydro_env.task.drawn_rigs import rig_tasks
+from hydro_env.task.paces import pace
+from hydro_env.task.reference_signals import MOVING_FAMILIES
+
+UNTUNED, POLICY, TUNED = "flow linearisation, untuned", "policy for any axis", "flow linearisation, tuned for the rig"
+FIGURES, PROPORTIONAL, ZERO = "PID from the rig's figures", "P from the rig's figures", "no command"
+LEAKS = (0.05, 2.0)  # l/min at 100 bar
+PLANTS = 8  # of each family and leak
+STANDSTILLS = 16
+RESAMPLES = 2000
+
+
+class Shut:
+    """Commands zero."""
+
+    def __init__(self, config: TaskConfig) -> None:
+        self.layout = ObservationLayout.of(config)
+
+    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> Any:
+        """Zero for every axis."""
+        return np.zeros((len(observation), 1), np.float32), state
+
+
+def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, Any]:
+    """Errors of each family in µm, their geometric mean, failures, valve travel, limit cycles of one rig."""
+    pairs = [(family, leak) for family in MOVING_FAMILIES for leak in LEAKS for _ in range(PLANTS)]
+    families = np.array([family for family, _ in pairs])
+    seeds = np.array(ANY_AXIS.take(len(pairs), skip))
+    run = run_cases(task, controller, Cases(seeds, np.array([leak for _, leak in pairs]), families))
+    error = np.abs(run.position + run.position_bias[:, None] - run.reference)
+    for axis in np.flatnonzero(run.failed_at >= 0):
+        error[axis, run.failed_at[axis] :] = task.plant.cylinder.stroke
+    errors = {family: 1e6 * float(error[families == family].mean()) for family in MOVING_FAMILIES}
+    rest = counted_at_rest(controller, task, ANY_AXIS, STANDSTILLS)
+    return {
+        "error_um": float(np.exp(np.mean(np.log(list(errors.values()))))),
+        "failures": int((run.failed_at >= 0).sum()) + int(rest["failures"]),
+        "travel": float(np.abs(np.diff(run.command, axis=1)).mean() / task.control_period),
+        "limit_cycles": int(rest["limit_cycles"]),
+        **{f"{family}_um": value for family, value in errors.items()},
+    }
+
+
+def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) -> list[dict[str, Any]]:
+    """A row of results for each controller on one rig."""
+    figures = pid_from_figures(task)
+    controllers: dict[str, Controller] = {
+        UNTUNED: FlowLinearising(FlowLinearisingGains(), task),
+        POLICY: PolicyController.load(weights).moved_to(task),
+        ZERO: Shut(task),
+    }
+    if figures is not None:
+        controllers[FIGURES] = PID(figures, task)
+        more = ("integral", "feedforward_extending", "feedforward_retracting", "overlap_compensation")
+        controllers[PROPORTIONAL] = PID(figures.model_copy(update=dict.fromkeys(more, 0.0)), task)
+    if tuned is not None:
+        controllers[TUNED] = FlowLinearising(tuned_for(task, tuned / f"rig_{number:03}", 420), task)
+    facts = {"rig": number, "period_ms": 1e3 * task.control_period, "pace_ms": 1e3 * pace(task)}
+    skip = 1000 + (400 * number) % 40_000
+    return [{**facts, "controller": name, **measured(each, task, skip)} for name, each in controllers.items()]
+
+
+def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
+    """One row per controller: its errors relative to those of untuned flow linearisation, rig by rig."""
+    errors = rows.pivot(index="rig", columns="controller", values="error_um")
+    travel = rows.pivot(index="rig", columns="controller", values="travel")
+    for name in rows["controller"].unique():
+        ratio = (errors[name] / errors[UNTUNED]).dropna()
+        own = rows[rows["controller"] == name]
+        chosen = np.random.default_rng(0).integers(0, len(ratio), (RESAMPLES, len(ratio)))
+        low, high = np.quantile(np.median(ratio.to_numpy()[chosen], axis=1), [0.025, 0.975])
+        yield [
+            name,
+            str(len(ratio)),
+            f"{ratio.median():.3f} ({low:.3f}–{high:.3f})",
+            f"{np.exp(np.log(ratio).mean()):.3f}",
+            f"{int((ratio < 1.0).sum())}",
+            f"{ratio.min():.3f}–{ratio.max():.3f}",
+            f"{(travel[name] / travel[UNTUNED]).median():.2f}",
+            f"{int(own['failures'].sum())}",
+            f"{int(own['limit_cycles'].sum())}",
+        ]
+
+
+def main() -> None:
+    """Judge the policy on the rigs, and print the summary."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--weights", default=str(pretrained_folder() / "policy_any_axis"))
+    parser.add_argument("--rigs", type=int, default=100)
+    parser.add_argument("--split", default="test", choices=("training", "validation", "test"))
+    parser.add_argument("--rig", action="append", help="instead of drawn ones; repeat for several")
+    parser.add_argument("--first", type=int, default=0, help="number of the first rig")
+    parser.add_argument("--tuned", type=Path, help="folder for gains of each rig: minutes per rig")
+    parser.add_argument("--output", type=Path, default=Path("results/any_axis.csv"))
+    parser.add_argument("--jobs", type=int, default=2)
+    given = parser.parse_args()
+    law = {"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": []}
+    tasks = [task_config(rig=rig) for rig in given.rig] if given.rig else rig_tasks(task_config(law=law))
+    rows = pd.read_csv(given.output) if given.output.exists() else pd.DataFrame({"rig": []})
+    began = time.perf_counter()
+    missing = [number for number in range(len(tasks)) if number not in set(rows["rig"])]
+    jobs = [delayed(rig_rows)(number, tasks[number], given.weights, given.tuned) for number in missing]
+    for done, found in enumerate(Parallel(given.jobs, return_as="generator_unordered")(jobs), 1):
+        rows = pd.concat([rows, pd.DataFrame(found)], ignore_index=True) if len(rows) else pd.DataFrame(found)
+        write_text(given.output, rows.to_csv(index=False, float_format="%.5g"))
+        print(f"{done} of {len(jobs)} rigs, {time.perf_counter() - began:.0f} s", flush=True)
+    header = ("controller", "rigs", "error ÷ untuned, median (95 %)", "geometric mean", "better on", "range")
+    print(markdown((*header, "valve travel, median", "failures", "limit cycles"), list(summary(rows))))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""Rigs that nobody has, drawn from a law: what is built and sold. Each episode of such a task has another rig.
+
+The law draws answers to the questions of ``hydro new-rig``. The mass follows from a drawn natural frequency, the size
+of the valve from a drawn full speed; what the questions leave open gets that command's assumptions and ranges.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hydro_env.errors import ConfigurationError
+from hydro_env.task.configuration import TaskConfig
+from hydro_env.task.law import FIRST_SEEDS, RigLaw
+from hydro_env.task.nameplates import answers_from, new_rig
+from hydro_env.task.paces import pace
+from hydro_env.task.rig import Rig, merged, moved
+
+BULK_MODULUS, DEAD = 1.2e9, 0.1  # Pa, and of the swept volume, as nameplates assumes
+HASTE = 2.0
+"""Radians of its oscillation in which the supply's force brings the largest mass to full speed."""
+
+TRIES = 100
+
+
+def drawn_answers(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, str], dict[str, float]]:
+    """The texts of the answers by key, and the timing of the task in s, of one rig."""
+    draw = np.random.default_rng([seed, attempt])
+
+    def between(low: float, high: float) -> float:
+        return float(math.exp(draw.uniform(math.log(low), math.log(high))))
+
+    def often(share: float) -> bool:
+        return bool(draw.random() < share)
+
+    bore = int(draw.choice(list(law.cylinders)))
+    rod = int(draw.choice(law.cylinders[bore]))
+    stroke = round(min(between(*law.stroke_per_bore) * bore, 1e3 * law.longest_stroke), -1)
+    supply = float(draw.choice(law.supplies))
+    both_sides = often(law.double_rod_share)
+    area_b = 0.25e-6 * math.pi * (bore**2 - rod**2)
+    area_a = area_b if both_sides else 0.25e-6 * math.pi * bore**2
+
+    # No-load speed without tank pressure; the rated flow is that of both edges at 70 bar.
+    forces = 1e5 * supply * (area_a + area_b) / 2.0
+    wanted = between(*law.full_speed) * math.sqrt((area_a**3 + area_b**3) / (1e5 * supply * area_a))
+    sizes = np.array(law.rated_flows) / 6e4 * math.sqrt(2.0 / 70e5)
+    size = int(np.argmin(np.abs(np.log(sizes / (wanted * math.sqrt(2.0))))))
+    speed = sizes[size] * math.sqrt(1e5 * supply * area_a / (area_a**3 + area_b**3))
+
+    columns = sum(area / (stroke * 1e-3 * (0.5 * area + DEAD * area_a)) * area for area in (area_a, area_b))
+    stiffness = BULK_MODULUS * columns
+    frequency = 2.0 * math.pi * between(*law.natural_frequency)
+    mass = min(stiffness / frequency**2, (HASTE * forces / speed) ** 2 / stiffness)
+
+    texts = {
+        "bore": f"{bore} mm",
+        "rod": f"{rod} mm",
+        "stroke": f"{stroke:g} mm",
+        "supply_pressure": f"{supply:g} bar",
+        "rated_flow": f"{law.rated_flows[size]:g} l/min",
+        "mass": f"{mass:.3g} kg",
+        "bandwidth": f"{between(*law.bandwidth):.3g} Hz",
+        "position_noise": f"{between(*law.position_noise) * stroke:.2g} mm",
+        "position_resolution": f"{between(*law.position_resolution) * stroke:.2g} mm",
+        "position_accuracy": f"{100 * between(*law.position_accuracy):.2g} %",
+    }
+    top = next((high for high in law.pressure_ranges if high > 1.2 * supply), law.pressure_ranges[-1])
+    texts |= {"pressure_range": f"{top:g} bar", "pressure_noise": f"{between(*law.pressure_noise) * top:.2g} bar"}
+    texts["pressure_accuracy"] = f"{100 * between(*law.pressure_accuracy):.2g} %"
+    if both_sides:
+        texts["rod_a"] = texts["rod"]
+    if often(law.overlap_share):
+        texts["overlap"] = f"{100 * between(*law.overlap):.2g} %"
+    elif often(law.null_flow_share):
+        null_flow = between(*law.null_flow) * law.rated_flows[size] * math.sqrt(supply / 70.0)
+        texts["null_flow"] = f"{null_flow:.2g} l/min"
+    if often(law.ratio_share) and not both_sides and 0.4 < area_b / area_a < 0.6:
+        texts["spool_ratio"] = "0.5"
+    if often(law.weight_share):
+        texts["external_force"] = f"{min(9.81 * mass, 0.3 * 1e5 * supply * area_b):.3g} N"
+    if often(law.line_share):
+        texts |= {"line_length": f"{between(*law.line_length):.2g} m", "line_diameter": f"{8 + bore // 10} mm"}
+        texts["line_kind"] = "hose" if often(0.5) else "pipe"
+    if often(law.no_spool_sensor_share):
+        texts["absent"] = "spool_position"
+
+    shares = np.array(list(law.periods.values()))
+    period = float(draw.choice(list(law.periods), p=shares / shares.sum()))
+    low, high = law.latency
+    latency = between(low, min(high, period))
+    return texts, {"control_period": 1e-3 * period, "command_latency": 1e-3 * round(latency, 2)}
+
+
+def drawn_rig(law: RigLaw, seed: int) -> tuple[str, Rig, dict[str, float]]:
+    """The text of a rig's file, the rig, and the timing of its task; a rig that cannot work is drawn again.
+
+    Raises:
+        ConfigurationError: none of :data:`TRIES` rigs can work.
+    """
+    fault = ConfigurationError("law: no rig was drawn")
+    for attempt in range(TRIES):
+        texts, timing = drawn_answers(law, seed, attempt)
+        try:
+            return *new_rig(answers_from(texts), texts, f"rig {seed} of the law"), timing
+        except ConfigurationError as error:
+            fault = error
+    raise ConfigurationError(f"law: none of {TRIES} drawn rigs can work; the last one: {fault}")
+
+
+def drawn_task(config: TaskConfig, law: RigLaw, seed: int) -> TaskConfig:
+    """A task on a drawn rig, with its timing.
+
+    Raises:
+        ConfigurationError: none of the drawn rigs can work.
+    """
+    _, rig, timing = drawn_rig(law, seed)
+    defaults = TaskConfig().model_dump()
+    values = moved(config.model_dump(), defaults, rig) | timing | {"law": None, "command_latency_range": None}
+    task = TaskConfig.model_validate(values)
+    if not law.preview_paces:
+        return task
+    counts: list[int] = []
+    for paces in law.preview_paces:  # each is at least one period beyond the one before
+        counts.append(max(round(paces * pace(task) / task.control_period), [0, *counts][-1] + 1))
+    times = [count * task.control_period for count in counts]
+    return TaskConfig.model_validate(merged(values, {"references": {"preview_times": times}}))
+
+
+def rig_tasks(config: TaskConfig) -> tuple[TaskConfig, ...]:
+    """The task on each rig of its law; a task without a law is returned alone.
+
+    Raises:
+        ConfigurationError: the law can draw no working rig.
+    """
+    law = config.law
+    if law is None:
+        return (config,)
+    key = repr(config)
+    if key not in _DRAWN:
+        first = FIRST_SEEDS[law.split] + law.first
+        _DRAWN[key] = tuple(drawn_task(config, law, seed) for seed in range(first, first + law.count))
+        while len(_DRAWN) > KEPT:
+            del _DRAWN[next(iter(_DRAWN))]
+    return _DRAWN[key]
+
+
+KEPT = 8
+_DRAWN: dict[str, tuple[TaskConfig, ...]] = {}  # the newest tasks: drawing takes some milliseconds per rig

@@ -1,0 +1,89 @@
+"""The law from which rigs are drawn; its defaults are what is built and sold."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from hydro_env.task.groups import Range, TaskGroup, interval
+from hydro_env.units import Number, quantity
+
+FIRST_SEEDS = {"training": 1_000_000_000, "validation": 2_000_000_000, "test": 3_000_000_000}
+"""Seed of the first rig of each split."""
+
+MOST_RIGS = 10_000
+
+# ISO 6020 and 3320
+_CYLINDERS: dict[int, tuple[int, ...]] = {
+    25: (12, 14, 18),
+    32: (14, 18, 22),
+    40: (18, 22, 28),
+    50: (22, 28, 36),
+    63: (28, 36, 45),
+    80: (36, 45, 56),
+    100: (45, 56, 70),
+    125: (56, 70, 90),
+}
+
+
+def _share(default: float, description: str) -> float:
+    share: float = quantity(default, "1", f"share of the rigs with {description}", 0.0, 1.0)
+    return share
+
+
+class RigLaw(TaskGroup):
+    """From which rigs each episode of a task takes its own; intervals are log-uniform."""
+
+    count: int = Field(64, ge=1, le=MOST_RIGS, description="rigs, drawn once; each episode takes one of them")
+    split: Literal["training", "validation", "test"] = Field("training", description="no two splits share a rig")
+    first: int = Field(0, ge=0, le=10**8, description="number of the first rig of the split")
+    sheet: bool = Field(True, description="the observation ends with the data sheet; false: the agent must find out")
+    preview_paces: tuple[Number, ...] = Field(
+        (0.5, 1.0, 2.0, 3.0, 4.0, 5.0),
+        description="the observation contains the reference so many paces ahead; none: at the task's preview_times",
+    )
+    cylinders: dict[int, tuple[int, ...]] = Field(_CYLINDERS, description="mm; bores, and the rods of each")
+    stroke_per_bore: Range = interval((3.0, 15.0), "1", "length over bore", 0.5, 100.0)
+    longest_stroke: Number = quantity(1.2, "m", "longer ones are cut", 0.05, 10.0)
+    supplies: tuple[Number, ...] = Field((70.0, 100.0, 120.0, 160.0, 210.0, 250.0), description="bar")
+    rated_flows: tuple[Number, ...] = Field(
+        (5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 250.0), description="l/min at 70 bar; of the valves on sale"
+    )
+    full_speed: Range = interval((0.1, 1.0), "m/s", "for which the valve is chosen", 0.005, 10.0)
+    natural_frequency: Range = interval((10.0, 80.0), "Hz", "of the load on the oil, unless too heavy", 0.5, 1e3)
+    bandwidth: Range = interval((30.0, 150.0), "Hz", "at which the spool lags by 90 degrees", 1.0, 1e3)
+    position_noise: Range = interval((1e-5, 1e-4), "1", "of the stroke", 1e-9, 0.1)
+    position_resolution: Range = interval((1e-6, 4e-5), "1", "of the stroke", 1e-9, 0.1)
+    position_accuracy: Range = interval((1e-4, 1e-3), "1", "of the stroke", 1e-9, 0.1)
+    pressure_ranges: tuple[Number, ...] = Field((100.0, 160.0, 250.0, 400.0), description="bar; of the sensors")
+    pressure_noise: Range = interval((2e-4, 2e-3), "1", "of the range", 1e-9, 0.1)
+    pressure_accuracy: Range = interval((2.5e-3, 1e-2), "1", "of the range", 1e-9, 0.1)
+    double_rod_share: Number = _share(0.15, "a rod on both sides")
+    overlap_share: Number = _share(0.3, "an overlapped spool")
+    overlap: Range = interval((0.01, 0.1), "1", "of full stroke", 1e-6, 0.5)
+    null_flow_share: Number = _share(0.5, "a measured null flow, among those without overlap")
+    null_flow: Range = interval((0.002, 0.03), "1", "of the rated flow", 1e-6, 0.5)
+    ratio_share: Number = _share(0.2, "a 2:1 spool, among cylinders that suit it")
+    weight_share: Number = _share(0.2, "a load that hangs on the rod")
+    line_share: Number = _share(0.3, "lines between valve and cylinder, half of them hoses")
+    line_length: Range = interval((0.5, 3.0), "m", "of each", 0.01, 100.0)
+    no_spool_sensor_share: Number = _share(0.3, "no spool sensor")
+    periods: dict[float, Number] = Field(
+        {1.0: 0.1, 2.0: 0.2, 4.0: 0.2, 5.0: 0.2, 8.0: 0.15, 10.0: 0.15},
+        description="ms; control periods, and how often each occurs",
+    )
+    latency: Range = interval((0.5, 5.0), "ms", "at most one period", 0.01, 20.0)
+
+    @model_validator(mode="after")
+    def _can_be_drawn(self) -> RigLaw:
+        for name in ("cylinders", "supplies", "rated_flows", "pressure_ranges", "periods"):
+            if not getattr(self, name):
+                raise ValueError(f"{name}: is empty; a law needs at least one to draw from")
+        if list(self.preview_paces) != sorted({paces for paces in self.preview_paces if 0.0 < paces <= 20.0}):
+            raise ValueError("preview_paces must rise, each within 0 (excluded) to 20")
+        if not all(0.5 <= period <= 20.0 and share > 0.0 for period, share in self.periods.items()):
+            raise ValueError("periods: each must be within 0.5 to 20 ms, with a positive share")
+        if min(self.periods) < self.latency[0]:
+            raise ValueError(f"latency: its low end of {self.latency[0]:g} ms exceeds a period")
+        return self

@@ -1,0 +1,169 @@
+"""A policy for any axis: inputs of one meaning on every rig, training on drawn rigs, and its way to another rig."""
+
+import numpy as np
+import pytest
+
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_PACES, PREVIEW_SCALE, USUAL_ERROR, AnyAxisFeatures
+from hydro_agents.learning.opponents import opponent
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.rigs_env import RigsVecEnv
+from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
+from hydro_agents.running.folders import pretrained_folder
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.files import validate
+from hydro_env.task.configuration import task_config
+from hydro_env.task.drawn_rigs import rig_tasks
+from hydro_env.task.paces import full_speed, pace
+
+TASK = TaskConfig(episode_duration=0.2)
+LAW = {"count": 3, "preview_paces": []}
+RIGS = rig_tasks(task_config(TASK, law=LAW | {"count": 6}))
+SETTINGS = validate(
+    PPOSettings,
+    {
+        "law": LAW,
+        "normalise": True,
+        "family_units": "sensor",
+        "axes": 12,
+        "steps_per_rollout": 16,
+        "total_steps": 384,
+        "minibatches": 2,
+        "hidden_sizes": [8],
+        "validation_every": 0,
+    },
+    "test",
+)
+
+
+def untuned(task):
+    return FlowLinearising(FlowLinearisingGains(), task)
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("any_axis")
+    trained = train_policy(TASK, SETTINGS, untuned(TASK), seed=1, folder=folder)
+    trained.save(folder / "policy")
+    return folder, trained
+
+
+def commands(controller, task, count=4, steps=30):
+    env = ServoHydraulicVectorEnv(count, task, info=False)
+    observation, _ = env.reset(seed=3)
+    memory, given = None, []
+    for step in range(steps):
+        action, memory = controller.predict(observation, memory, np.full(count, step == 0))
+        given.append(action)
+        observation, *_ = env.step(action)
+    return np.array(given)
+
+
+def test_inputs_have_the_same_number_on_every_rig():
+    without = [task for task in RIGS if not task.sensors.spool_position.fitted]
+    assert 0 < len(without) < len(RIGS)
+    assert len({AnyAxisFeatures(task, untuned(task)).size for task in (TASK, *RIGS)}) == 1
+
+
+@pytest.mark.parametrize("task", [TASK, *RIGS[:3]])
+def test_the_preview_is_that_of_the_reference_some_paces_ahead(task):
+    """A ramp is as far ahead as its speed takes it, up to the horizon; a change of the reference counts per pace."""
+    features = AnyAxisFeatures(task, untuned(task))
+    speed = 0.2 * full_speed(task.plant)
+    env = ServoHydraulicVectorEnv(1, task, info=False, sensors={"enabled": False})
+    ramp = speed * task.control_period * np.arange(task.steps + 400)
+    observation, _ = env.reset(seed=0, options={"reference": np.minimum(ramp, 0.02)})
+    inputs, state = features(observation, None, None)
+    observation, *_ = env.step([[0.0]])
+    inputs, _ = features(observation, state, None)
+    ahead = inputs[0, len(HISTORY_SIGNALS) :][: len(PREVIEW_PACES) + 1] * PREVIEW_SCALE
+    horizon = task.preview_samples[-1] * task.control_period
+    times = np.minimum(np.array(PREVIEW_PACES) * pace(task), horizon)
+    np.testing.assert_allclose(ahead, [*(speed * times), speed * pace(task)], rtol=1e-3, atol=2e-6)
+
+
+def test_a_spool_that_is_not_measured_is_replaced_by_the_last_command():
+    task = next(task for task in RIGS if not task.sensors.spool_position.fitted)
+    features = AnyAxisFeatures(task, untuned(task))
+    env = ServoHydraulicVectorEnv(2, task, info=False)
+    observation, _ = env.reset(seed=0)
+    for _ in range(2):
+        observation, *_ = env.step([[0.3], [-0.2]])
+    inputs, _ = features(observation, None, None)
+    np.testing.assert_allclose(inputs[:, HISTORY_SIGNALS.index("spool_position")], [0.3, -0.2], rtol=1e-6)
+
+
+def test_a_correction_is_in_proportion_to_the_error_that_the_rig_allows():
+    task = RIGS[0]
+    sizes = [
+        AnyAxisFeatures(task, untuned(task), 0.2, error=USUAL_ERROR * f).residual_scale for f in (1e-3, 0.5, 1, 99)
+    ]
+    assert sizes == pytest.approx([0.02, 0.1, 0.2, 0.6])
+
+
+def test_an_untrained_policy_is_the_corrected_controller_on_every_rig(policy):
+    zero = [(np.zeros_like(weight), np.zeros_like(bias)) for weight, bias in policy[1].layers]
+    for task in RIGS[:2]:
+        moved = PolicyController(policy[1].features, zero).moved_to(task)
+        np.testing.assert_array_equal(commands(moved, task), commands(untuned(task), task))
+
+
+def test_stored_weights_serve_another_rig(policy):
+    folder, trained = policy
+    task = RIGS[4]
+    stored = PolicyController.load(folder / "policy")
+    np.testing.assert_array_equal(commands(stored, TASK), commands(trained, TASK))
+    moved = trained.moved_to(task)
+    assert not np.array_equal(commands(moved, task), commands(untuned(task), task))
+    np.testing.assert_array_equal(commands(opponent(folder / "policy", task, "mine"), task), commands(moved, task))
+    moved.save(folder / "own")
+    np.testing.assert_array_equal(commands(PolicyController.load(folder / "own"), task), commands(moved, task))
+
+
+def test_training_continues_bit_for_bit(policy, tmp_path):
+    options = {"base": untuned(TASK), "seed": 1, "folder": tmp_path}
+    train_policy(TASK, SETTINGS, **options, check=lambda _, steps, seconds: steps >= 192)
+    again = train_policy(TASK, SETTINGS, **options, resume=True)
+    for (weight, bias), (same, also) in zip(again.layers, policy[1].layers, strict=True):
+        np.testing.assert_array_equal(weight, same)
+        np.testing.assert_array_equal(bias, also)
+    with pytest.raises(ConfigurationError, match="was made with other settings"):
+        train_policy(TASK, SETTINGS.model_copy(update={"axes": 24}), **options, resume=True)
+
+
+def test_each_rig_has_its_axes_rewards_and_discount():
+    features = make_features(TASK, SETTINGS, untuned(TASK))
+    env = make_axes(TASK, SETTINGS, features, 0)
+    assert isinstance(env, RigsVecEnv)
+    periods = env.periods_per_step()
+    assert len(np.unique(periods)) == 3
+    np.testing.assert_allclose([part.reward_scale for part in env.envs], 0.2 / periods[::4])
+    model = make_model(env, SETTINGS, 0)
+    np.testing.assert_allclose(model.rollout_buffer.gamma**periods, SETTINGS.discount)
+    inputs = env.reset()
+    assert inputs.shape == (12, features.size)
+    env.step_async(np.zeros((12, 1)))
+    inputs, rewards, done, infos = env.step_wait()
+    assert (inputs.shape, rewards.shape, done.shape, len(infos)) == ((12, features.size), (12,), (12,), 12)
+    assert not np.array_equal(inputs[:4], inputs[4:8])
+    state = env.get_state()
+    after = [env.step_async(np.ones((12, 1))), env.step_wait()][1][0]
+    env.set_state(state)
+    env.step_async(np.ones((12, 1)))
+    np.testing.assert_array_equal(env.step_wait()[0], after)
+    env.close()
+
+
+def test_what_cannot_be_is_refused(policy):
+    for settings, message in (
+        ({"told_critic": True}, "law: needs residual: true, normalise: true and told_critic: false"),
+        ({"axes": 13, "minibatches": 1}, "axes = 13: must be a multiple of law.count = 3"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            validate(PPOSettings, SETTINGS.model_dump() | settings, "test")
+    with pytest.raises(ConfigurationError, match="moved_to: must be a policy for any axis"):
+        PolicyController.load(pretrained_folder() / "policy").moved_to(RIGS[0])
+    blind = task_config(TASK, sensors={"pressure_a": {"fitted": False}})
+    with pytest.raises(ConfigurationError, match="flow linearisation: reads pressure_a"):
+        policy[1].moved_to(blind)

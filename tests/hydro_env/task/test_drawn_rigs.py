@@ -1,0 +1,175 @@
+"""Tasks whose episodes draw their rig: plausible rigs, disjoint splits, observations in the rig's own units."""
+
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.running.seeds import RIGS, UNTUNED_RIGS
+from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.plant.analysis import closed_port_natural_frequency, full_pressure_forces, speed_limits
+from hydro_env.task.configuration import task_config
+from hydro_env.task.drawn_rigs import DEAD, drawn_answers, drawn_task, rig_tasks
+from hydro_env.task.law import RigLaw
+from hydro_env.task.nameplates import QUESTIONS
+from hydro_env.task.paces import full_speed, pace
+from hydro_env.task.signals import SHEET, data_sheet
+
+LAW = RigLaw(count=6)
+SMALL = {"rig": "drawn", "law": {"count": 6}, "episode_duration": 0.2}
+ROUNDED = 1.05  # masses and volumes have three digits
+LARGEST_GAP = np.sqrt(2.0) * ROUNDED  # neighbouring valve sizes are at most a factor of two apart
+
+
+def test_drawn_rigs_are_plausible_and_differ():
+    known = {question.key for question in QUESTIONS}
+    seen = []
+    for seed in [*RIGS.take(12), *UNTUNED_RIGS.take(12)]:
+        texts, timing = drawn_answers(LAW, seed)
+        assert texts.keys() <= known
+        assert (texts, timing) == drawn_answers(LAW, seed)
+        task = drawn_task(TaskConfig(), LAW, seed)
+        plant, period = task.plant, task.control_period
+        assert round(1e3 * plant.cylinder.bore_diameter) in LAW.cylinders
+        assert 70e5 <= plant.supply.pressure <= 250e5
+        assert 30.0 <= plant.valve.natural_frequency / (2.0 * np.pi) <= 150.0
+        assert period == timing["control_period"] >= task.command_latency >= 0.5e-3
+        assert 0.1 / LARGEST_GAP < np.mean(speed_limits(plant)) < 1.0 * LARGEST_GAP
+        assert min(full_pressure_forces(plant)) > 1.2 * plant.load.external_force
+        assert len(task.randomisation) > 10
+        seen.append((plant.cylinder.bore_diameter, plant.load.mass, plant.valve.natural_frequency))
+    assert len(set(seen)) == len(seen)
+
+
+def test_the_mass_gives_the_drawn_frequency_unless_the_supply_could_not_move_it():
+    limited = 0
+    for seed in UNTUNED_RIGS.take(24, 100):
+        plant = drawn_task(TaskConfig(), LAW, seed).plant
+        dead = 0.25 * np.pi * plant.cylinder.bore_diameter**2 * plant.cylinder.stroke * DEAD
+        assert plant.cylinder.dead_volume == pytest.approx(dead, rel=0.01)
+        frequency = closed_port_natural_frequency(plant) / (2.0 * np.pi)
+        assert frequency > 5.0  # hoses and piston lower it below the drawn one
+        limited += frequency > 80.0 * ROUNDED
+    assert limited < 8
+
+
+def test_splits_share_no_rig():
+    tasks = [rig_tasks(task_config(rig="drawn", law={"count": 12, "split": name})) for name in ("training", "test")]
+    plants = [repr(task.plant) for split in tasks for task in split]
+    assert len(set(plants)) == 24
+    later = rig_tasks(task_config(rig="drawn", law={"count": 3, "first": 9}))
+    assert [repr(task.plant) for task in later] == plants[9:12]
+
+
+def test_each_axis_of_a_batch_has_its_rig_bit_for_bit():
+    """A rig moves in a batch with others as alone, and as in its own task."""
+    batch = ServoHydraulicVectorEnv(12, **SMALL)
+    observation, info = batch.reset(seed=3)
+    assert len(set(info["rig"])) > 2
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-0.3, 0.3, (20, 12, 1)).astype(np.float32)
+    seen, positions = [observation], [info["position"]]
+    for action in actions:
+        observation, _, _, _, info = batch.step(action)
+        seen.append(observation)
+        positions.append(info["position"])
+    for axis in (0, 5, 11):
+        alone = ServoHydraulicEnv(**SMALL)
+        first, own = alone.reset(seed=3 + axis)
+        np.testing.assert_array_equal(first, seen[0][axis])
+        single = ServoHydraulicEnv(batch.rigs[own["rig"]])
+        single.reset(seed=3 + axis)
+        for step, action in enumerate(actions[:, axis], 1):
+            now, _, _, truncated, _ = alone.step(action)
+            np.testing.assert_array_equal(now, seen[step][axis])
+            assert single.step(action)[4]["position"] == positions[step][axis]
+            if truncated:
+                break
+        assert step == min(20, batch.rigs[own["rig"]].steps)
+
+
+def test_observations_are_in_the_units_of_the_rig():
+    env = ServoHydraulicEnv(**SMALL, sensors={"enabled": False})
+    for rig, task in enumerate(env.rigs):
+        options = {"rig": rig, "initial_position": 0.01, "reference": np.r_[0.01, np.full(3000, 0.012)]}
+        observation, info = env.reset(seed=1, options=options)
+        assert info["rig"] == rig
+        seen = dict(zip(env.observation_names, observation, strict=True))
+        plant, travel = task.plant, full_speed(task.plant) * pace(task)
+        assert seen["position"] == pytest.approx(0.02 / plant.cylinder.stroke, rel=1e-5)
+        assert seen["reference_preview_2_paces"] == pytest.approx(0.002 / travel, rel=1e-5)
+        state = env.axes.state[0]
+        assert seen["pressure_a"] == pytest.approx(state[2] / plant.supply.pressure, rel=1e-5)
+        for name, value in data_sheet(task).items():
+            assert seen[name] == pytest.approx(value, rel=1e-5, abs=1e-7)
+        if not task.sensors.spool_position.fitted:
+            assert seen["spool_position"] == seen["previous_command"]
+        counts = task.preview_samples
+        assert counts == tuple(sorted(set(counts)))
+        assert counts[-1] * task.control_period == pytest.approx(5.0 * pace(task), abs=task.control_period)
+
+
+def test_an_agent_may_have_to_find_out():
+    names = [
+        ServoHydraulicEnv(rig="drawn", law={"count": 1, "sheet": told}).observation_names for told in (True, False)
+    ]
+    assert names[0] == (*names[1], *SHEET)
+
+
+def test_gymnasium_accepts_it():
+    env = gym.make("ServoHydraulic-v0", **SMALL)
+    check_env(env.unwrapped, skip_render_check=True)
+    again = gym.make(env.spec)
+    np.testing.assert_array_equal(again.reset(seed=5)[0], env.reset(seed=5)[0])
+    state = pickle.loads(pickle.dumps(env.unwrapped.get_state()))
+    one = env.step([0.1])[0]
+    env.unwrapped.set_state(state)
+    np.testing.assert_array_equal(env.step([0.1])[0], one)
+
+
+def test_every_episode_may_have_another_rig_and_its_length():
+    env = ServoHydraulicEnv(**SMALL)
+    rigs, lengths = [], []
+    env.reset(seed=0)
+    for _ in range(8):
+        _, info = env.reset()
+        steps = 1
+        while not (env.step([0.0])[3]):
+            steps += 1
+        rigs.append(info["rig"])
+        lengths.append(steps)
+    assert len(set(rigs)) > 2
+    assert lengths == [env.rigs[rig].steps for rig in rigs]
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        ({"count": 0}, "law.count = 0"),
+        ({"split": "tests"}, "law.split = 'tests'"),
+        ({"supplies": []}, "supplies: is empty"),
+        ({"periods": {30.0: 1.0}}, "periods: each must be within 0.5 to 20 ms"),
+        ({"full_speed": [1.0, 0.1]}, "full_speed"),
+        ({"supplies": [1.5], "weight_share": 1.0, "count": 1}, "law: none of 100 drawn rigs can work; the last one: "),
+    ],
+)
+def test_impossible_laws_are_refused(law, message):
+    with pytest.raises(ConfigurationError, match=message.replace("[", r"\[")) as error:
+        ServoHydraulicEnv(rig="drawn", law=law)
+    assert "\n" not in str(error.value)
+
+
+def test_what_needs_one_rig_says_so(tmp_path):
+    task = task_config(rig="drawn", law={"count": 2})
+    with pytest.raises(ConfigurationError, match="law: a controller is made for one rig"):
+        FlowLinearising(FlowLinearisingGains(), task)
+    with pytest.raises(ConfigurationError, match="rig = 2: must be the number of a rig, 0 to 1"):
+        ServoHydraulicEnv(task).reset(options={"rig": 2})
+    with pytest.raises(ConfigurationError, match="max_episode_steps"):
+        ServoHydraulicVectorEnv(2, task, max_episode_steps=10)
+    (tmp_path / "law.yaml").write_text("law: {count: 1}\nload: {mass: 3}\n")
+    with pytest.raises(ConfigurationError, match="a law is a mapping, and stands alone"):
+        task_config(rig=tmp_path / "law.yaml")

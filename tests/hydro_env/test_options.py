@@ -1,0 +1,348 @@
+"""Options of reset, for one axis and for many: each fixes its part of the episode; wrong ones do no harm."""
+
+import re
+
+import numpy as np
+import pytest
+from refusal import refused
+
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv
+
+SHORT = {"episode_duration": 0.05}
+NAN, HUGE = float("nan"), 10**400
+STIFF = {"load": {"spring_stiffness": 89e3}, "supply": {"pressure": 70e5}}
+
+
+def three(**settings):
+    return ServoHydraulicVectorEnv(3, **settings)
+
+
+BOTH = pytest.mark.parametrize("make", [ServoHydraulicEnv, three])
+
+
+def stepped(env, value):
+    """The observation after a step with the same command on every axis."""
+    return env.step(np.full(env.action_space.shape, value))[0]
+
+
+def test_the_family_of_the_reference():
+    families = list(REFERENCE_FAMILIES[:-1])
+    envs = ServoHydraulicVectorEnv(len(families))
+    assert envs.reset(seed=0, options={"reference": families})[1]["reference_family"].tolist() == families
+    assert set(envs.reset(options={"reference": "multi_sine"})[1]["reference_family"]) == {"multi_sine"}
+    assert set(envs.reset(options={"reference": 0.01 * np.ones(7)})[1]["reference"]) == {0.01}
+    env = ServoHydraulicEnv()
+    assert [env.reset(options={"reference": name})[1]["reference_family"] for name in families] == families
+
+
+def test_parameters_of_the_plant():
+    env = ServoHydraulicEnv()
+    wanted = {"load": {"mass": 123.0, "spring_stiffness": 0}, "supply": {"model": "constant", "pressure": 90e5}}
+    env.reset(seed=1, options={"parameters": wanted})
+    plant = env.parameters
+    assert (plant.load.mass, plant.load.spring_stiffness) == (123.0, 0.0)
+    assert (plant.supply.model, plant.supply.pressure) == ("constant", 90e5)
+    _, info = env.reset(seed=2, options={"parameters": plant, "leakage_flow_lpm": 1.5})
+    leak = {"internal_resistance": info["leakage_resistance"]}
+    assert env.parameters.replace(leakage=leak) == plant.replace(leakage=leak)  # the whole plant, given again
+    env.reset(seed=1)
+    assert env.parameters.load.mass != 123.0
+    assert env.parameters.load.viscous_damping == plant.load.viscous_damping  # the rest was drawn as ever
+
+
+def test_all_options_together():
+    env = ServoHydraulicEnv(sensors={"enabled": False})
+    reference = 0.01 + 0.005 * np.sin(0.1 * np.arange(400))
+    options = {
+        "leakage_flow_lpm": 0.6,
+        "reference": reference,
+        "initial_position": 0.02,
+        "parameters": {"load": {"mass": 55.0}, "supply": {"pressure": 80e5}},
+        "persist": False,
+    }
+    given = {key: value.copy() if isinstance(value, np.ndarray) else value for key, value in options.items()}
+    observation, info = env.reset(seed=1, options=options)
+    assert info["leakage_flow_lpm"] == pytest.approx(0.6)
+    assert (info["leakage_class"], info["reference_family"], info["position"]) == (2, "user", 0.02)
+    assert info["reference"] == reference[0]
+    assert info["tracking_error"] == pytest.approx(-0.01)
+    assert env.parameters.load.mass == 55.0
+    assert observation[0] == pytest.approx(0.1)
+    for key, value in given.items():  # the caller's dictionary is left alone
+        np.testing.assert_array_equal(options[key], value)
+    reference[:] = 0.0  # and the caller's array may change afterwards
+    env.step(np.zeros(1))
+    assert env.step(np.zeros(1))[-1]["reference"] == given["reference"][2]
+
+
+def test_one_value_for_all_axes_or_one_for_each():
+    envs, resistance = three(), [1e12, 2e12, 3e13]
+    for flow, classes in ((0.5, [2, 2, 2]), ([0.01, 0.2, 3.0], [0, 1, 3])):
+        _, info = envs.reset(seed=0, options={"leakage_flow_lpm": np.array(flow)})
+        np.testing.assert_array_equal(info["leakage_flow_lpm"], flow)
+        assert info["leakage_class"].tolist() == classes
+    _, info = envs.reset(seed=0, options={"leakage_resistance": resistance})
+    np.testing.assert_allclose(info["leakage_resistance"], resistance, rtol=1e-12)
+
+
+def test_options_per_axis_are_those_of_the_single_environments():
+    references = np.linspace(-0.02, 0.02, 3)[:, None] + 0.001 * np.arange(30)
+    flows, positions, masses = [0.01, 0.1, 3.0], [-0.01, 0.0, 0.02], [50.0, 60.0, 70.0]
+
+    def options(flow, position, reference, mass):
+        plant = {"load": {"mass": mass}, "friction": {"model": "none"}}
+        return {"leakage_flow_lpm": flow, "initial_position": position, "reference": reference, "parameters": plant}
+
+    envs = three(start="actual")
+    rows, info = envs.reset(seed=30, options=options(flows, positions, references, masses))
+    after = stepped(envs, 0.3)
+    for axis, own in enumerate(zip(flows, positions, references, masses, strict=True)):
+        single = ServoHydraulicEnv(start="actual")
+        observation, single_info = single.reset(seed=30 + axis, options=options(*own))
+        np.testing.assert_array_equal(rows[axis], observation)
+        assert info["position"][axis] == single_info["position"] == positions[axis]
+        assert single_info["velocity"] == 0.0
+        assert envs.axes.parameters(axis) == single.parameters
+        np.testing.assert_array_equal(after[axis], stepped(single, 0.3))
+
+
+def test_a_mask_begins_only_some_axes():
+    envs, untouched = (ServoHydraulicVectorEnv(5, start="actual") for _ in range(2))
+    for each in (envs, untouched):
+        each.reset(seed=0)
+        stepped(each, 1.0)
+    mask = np.array([False, True, False, False, True])
+    before = stepped(untouched, 1.0)
+    stepped(envs, 1.0)
+    rows, info = envs.reset(options={"reset_mask": mask, "initial_position": 0.004})
+    np.testing.assert_array_equal(rows[~mask], before[~mask])  # the others' last observation
+    np.testing.assert_array_equal(info["position"], np.where(mask, 0.004, 0.0))  # others: not reported
+    np.testing.assert_array_equal(info["_position"], mask)
+    assert info["failure"].tolist() == [None, "none", None, None, "none"]
+    np.testing.assert_array_equal(stepped(envs, 1.0)[~mask], stepped(untouched, 1.0)[~mask])
+
+
+@pytest.mark.parametrize("values", [[1.0, 2.0, 3.0, 4.0], [2.0, 4.0]])
+def test_values_per_axis_with_a_mask_may_count_all_or_only_the_chosen_axes(values):
+    mask = np.array([False, True, False, True])
+    envs = ServoHydraulicVectorEnv(4)
+    envs.reset(seed=0)
+    references = 0.01 * np.array(values)[:, None]
+    _, info = envs.reset(options={"reset_mask": mask, "leakage_flow_lpm": values, "reference": references})
+    assert info["leakage_flow_lpm"].tolist() == [0.0, 2.0, 0.0, 4.0]
+    assert info["reference"].tolist() == [0.0, 0.02, 0.0, 0.04]
+
+
+@pytest.mark.parametrize("persist", [True, False])
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_options_hold_for_automatic_resets_only_if_they_persist(mode, persist):
+    flows = np.array([0.4, 1.4])
+    options = {"leakage_flow_lpm": flows, "reference": 0.01 * np.ones(4), "parameters": {"load": {"mass": 66.0}}}
+    envs = ServoHydraulicVectorEnv(2, autoreset_mode=mode, **SHORT)
+    envs.reset(seed=0, options={**options, "persist": persist})
+    began = 0
+    for _ in range(35):
+        _, _, _, truncated, info = envs.step(np.zeros((2, 1)))
+        if truncated.any() if mode == "SameStep" else (envs.axes.column("step") == 0).any():
+            began += 1
+            assert (info["leakage_flow_lpm"] == flows).all() == persist
+            assert (info["reference_family"] == "user").all() == persist
+            assert (envs.axes.parameters(1).load.mass == 66.0) == persist
+    assert began >= 3
+    # A reset without options is a new beginning in any case.
+    infos = [envs.reset(seed=0)[1], *(envs.step(np.zeros((2, 1)))[-1] for _ in range(12))]
+    assert all((info["leakage_flow_lpm"] != flows).all() for info in infos)
+
+
+def test_persistence_of_some_axes():
+    envs = three(**SHORT)
+    envs.reset(seed=0)
+    mask = np.array([True, False, False])
+    envs.reset(options={"leakage_flow_lpm": 2.5, "persist": True, "reset_mask": mask})
+    for _ in range(40):
+        _, _, _, _, info = envs.step(np.zeros((3, 1)))
+        np.testing.assert_array_equal(info["leakage_flow_lpm"] == 2.5, mask)
+    # An option that does not persist, on one axis, lets go of that axis alone.
+    envs.reset(options={"leakage_flow_lpm": 1.5, "persist": True})
+    envs.reset(options={"leakage_flow_lpm": 3.5, "reset_mask": mask})
+    for _ in range(35):
+        _, _, _, _, info = envs.step(np.zeros((3, 1)))
+    assert info["leakage_flow_lpm"][0] not in (1.5, 3.5)
+    assert info["leakage_flow_lpm"][1:].tolist() == [1.5, 1.5]
+
+
+@BOTH
+def test_a_reference_given_for_one_episode_leaves_the_reference_of_the_task(make):
+    env = make(references={"weights": {"user": 1.0}, "user": [0.0, 0.01]})
+    env.reset(seed=0, options={"reference": [0.02, 0.02]})
+    assert (env.axes.reference == 0.02).all()
+    env.reset()
+    assert (env.axes.reference[:, 1:] == 0.01).all()
+
+
+class Odd:
+    """An object that NumPy cannot make numbers of."""
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("no array")
+
+
+def of_load(**values):
+    return {"parameters": {"load": values}}
+
+
+WRONG = [
+    ({"leakage": 0.1}, r"unknown option 'leakage'; did you mean leakage_flow_lpm\? known: leakage_resistance, "),
+    ({"leakage_resistance": 1e12, "leakage_flow_lpm": 0.6}, "exclude each other"),
+    ({"leakage_flow_lpm": -0.1}, "leakage of -0.1 l/min at 100 bar: must be within 0 to 20"),
+    ({"leakage_flow_lpm": 25.0}, "leakage of 25 l/min at 100 bar: must be within 0 to 20"),
+    ({"leakage_flow_lpm": NAN}, "leakage of nan l/min at 100 bar: must be within 0 to 20"),
+    ({"leakage_flow_lpm": "much"}, "leakage_flow_lpm = 'much': must be a number"),
+    ({"leakage_flow_lpm": [0.1, 0.2]}, r"leakage_flow_lpm has shape \(2,\): must be one number"),
+    ({"leakage_flow_lpm": None}, "leakage_flow_lpm"),
+    ({"leakage_flow_lpm": [[1.0]]}, "leakage_flow_lpm"),
+    ({"leakage_flow_lpm": HUGE}, "leakage_flow_lpm"),
+    ({"leakage_resistance": 0.0}, "leakage_resistance = 0 Pa s/m³: must be positive"),
+    ({"leakage_resistance": NAN}, "leakage_resistance = nan Pa s/m³: must be positive"),
+    ({"leakage_resistance": 1e9}, "leakage of 600 l/min at 100 bar: must be within"),
+    ({"reference": [0.0, NAN]}, r"reference\[1\] = nan m: must be a position within the stroke"),
+    ({"reference": [0.0, 10.0]}, r"reference\[1\] = 10 m: .*±0.2 m"),
+    ({"reference": [-0.2]}, r"reference\[0\] = -0.2 m: must be a position within"),
+    ({"reference": []}, "reference: must be a row of positions"),
+    ({"reference": np.zeros((2, 3, 4))}, r"reference has shape \(2, 3, 4\)"),
+    ({"reference": ["up", "down"]}, "reference has 2 names for [13] axes"),
+    ({"reference": "zigzag"}, "reference = 'zigzag': must be an array in m, or of step"),
+    ({"reference": "user"}, "reference = 'user': must be an array in m"),
+    ({"reference": {"a": 1}}, "reference must be numbers in m"),
+    ({"reference": ["0.1", 0.2]}, "reference"),
+    ({"reference": [[0.1], [0.2, 0.3]]}, "reference"),
+    ({"reference": Odd()}, "reference"),
+    ({"reference": [0.0, 0.15], "parameters": STIFF}, "reference of 150 mm cannot be .* only -48.99 to 98.12 mm can"),
+    ({"reference": [0.0, -0.15, 0.0], "parameters": STIFF}, "reference of -150 mm cannot be reached, only -48.99 to"),
+    ({"initial_position": 0.3}, "initial_position = 0.3 m: must be within the stroke, ±0.2 m"),
+    ({"initial_position": NAN}, "initial_position = nan m: must be within the stroke"),
+    ({"initial_position": "left"}, "initial_position = 'left': must be a number"),
+    ({"initial_position": object()}, "initial_position"),
+    ({"initial_position": 1j}, "initial_position"),
+    ({"initial_position": -0.1, "parameters": STIFF}, "initial position -100 mm cannot be held by its plant"),
+    (of_load(weight=1.0), "parameters.load.weight is not a parameter of the"),
+    ({"parameters": {"loads": {"mass": 1.0}}}, "parameters.loads.mass is not a parameter of the plant"),
+    ({"parameters": 3}, "parameters must be groups of fields"),
+    ({"parameters": [1]}, "parameters"),
+    ({"parameters": {"load": 3}}, "parameters.load must be a mapping of fields"),
+    ({"parameters": {3: {"mass": 60.0}}}, "parameters"),
+    ({"parameters": {"load": {None: 60.0}}}, "parameters"),
+    (of_load(mass=-5.0), r"load\.mass = -5\.0: .*unit: kg"),
+    (of_load(mass=NAN), "parameters.load.mass = nan: must be a number"),
+    (of_load(mass="60"), "parameters.load.mass = '60': must be a number"),
+    (of_load(mass=np.inf), r"load\.mass = inf: .*unit: kg"),
+    ({"parameters": {"cylinder": {"rod_diameter": 0.045}}}, "rod_diameter = 45 mm does not fit"),
+    ({"parameters": {"supply": {"model": "hand pump"}}}, "supply.model = 'hand pump': must be one of constant"),
+    ({"parameters": {"supply": {"model": 7}}}, "supply.model = 7: must be one of constant"),
+    ({"parameters": {"supply": {"model": None}}}, "supply.model"),
+    # Beyond what may be drawn for the other parameter.
+    ({"parameters": {"supply": {"precharge_pressure": 65e5}}}, "precharge_pressure = 65 bar .* pressure = 60 bar"),
+    ({"parameters": {"friction": {"breakaway_force": 200.0}}}, "breakaway_force = 200 N .* coulomb_force = 300 N"),
+    (5, "reset options: 5: must be a mapping, of leakage_resistance"),
+    (["persist"], r"reset options: \['persist'\]: must be a mapping"),
+    ({3: 4}, "3"),
+    ({"persist": "yes"}, "persist = 'yes': must be true or false"),
+    ({"persist": 1}, "persist = 1"),
+]
+OF_THREE = [
+    ({"leakage_flow_lpm": [0.1, 0.2]}, r"has shape \(2,\): must be one number, or one per axis"),
+    ({"leakage_flow_lpm": [0.1, -0.2, 0.3]}, "leakage of -0.2 l/min at 100 bar"),
+    ({"leakage_flow_lpm": [0.1, NAN, 0.3]}, "leakage of nan l/min at 100 bar"),
+    ({"initial_position": [0.0, 0.0, 0.25]}, "initial_position = 0.25 m"),
+    (of_load(mass=[50.0, -1.0, 60.0]), r"load\.mass = -1\.0"),
+    (of_load(mass=[50.0, NAN, 60.0]), "load.mass = nan"),
+    ({"reference": np.zeros((2, 9))}, r"reference has shape \(2, 9\): must be \(samples,\) or \(3, sam"),
+    ({"reference": [[0.0], [NAN], [0.0]]}, r"reference\[0\] = nan m"),
+    *(
+        ({"reset_mask": mask}, r"reset_mask must be a boolean array of shape \(3,\) with at least one True")
+        for mask in (np.array([0, 1, 1]), np.array([True]), np.zeros(3, dtype=bool), "TTT", [[True], [True, False]])
+    ),
+    ({"initial_position": [0.0, 0.0, -0.12], "parameters": STIFF}, "^axis 2: initial position -120 mm cannot be held"),
+]
+CASES = [(make, *case) for make in (ServoHydraulicEnv, three) for case in WRONG]
+CASES += [(three, *case) for case in OF_THREE]
+
+
+def words(value):
+    """The same in every worker of pytest."""
+    return re.sub(" at 0x[0-9a-f]+", "", str(value))[:60] if isinstance(value, dict | list | int) else None
+
+
+@pytest.mark.parametrize(("make", "options", "message"), CASES, ids=words)
+def test_a_wrong_option_is_refused_and_does_no_harm(make, options, message):
+    env, untouched = make(), make()
+    for each in (env, untouched):
+        each.reset(seed=1)
+    with refused(message):
+        env.reset(options=options)
+    # The next episode is as if nothing had been asked, save that an attempt to begin one may have been counted.
+    np.testing.assert_array_equal(env.reset(seed=2)[0], untouched.reset(seed=2)[0])
+    np.testing.assert_array_equal(stepped(env, 0.3), stepped(untouched, 0.3))
+
+
+@BOTH
+def test_a_wrong_option_leaves_the_running_episode_alone_and_right_ones_hold_for_one(make):
+    env, untouched = make(), make()
+    for each in (env, untouched):
+        each.reset(seed=1, options={"leakage_flow_lpm": 2.0})
+    for options in ({"leakage_flow_lpm": -1.0}, {"initial_position": 0.01, "persist": 3}, {"reference": [NAN]}):
+        with pytest.raises(ConfigurationError):
+            env.reset(options=options)
+        np.testing.assert_array_equal(stepped(env, 1.0), stepped(untouched, 1.0))
+    env.reset(seed=3, options={"leakage_flow_lpm": 3.9, "initial_position": 0.0, "reference": np.zeros(3)})
+    untouched.reset(seed=3)
+    np.testing.assert_array_equal(env.reset()[0], untouched.reset()[0])
+
+
+@BOTH
+def test_after_an_episode_that_could_not_begin_a_reset_is_needed(make):
+    env = make()
+    with refused("step: call reset first"):
+        stepped(env, 0.0)
+    with refused("cannot be held"):
+        env.reset(seed=0, options={"initial_position": -0.15, **of_load(spring_stiffness=1e5)})
+    with refused("step: call reset first"):
+        stepped(env, 0.0)
+    env.reset()
+    assert np.isfinite(stepped(env, 0.0)).all()
+
+
+def test_the_first_reset_must_begin_every_axis():
+    envs = three()
+    with refused("the first reset must begin every axis"):
+        envs.reset(options={"reset_mask": np.array([True, False, False])})
+    with refused("seed: 2 seeds for 3 axes"):
+        envs.reset(seed=[1, 2])
+    envs.reset(options={"reset_mask": np.ones(3, dtype=bool)})
+    assert np.isfinite(stepped(envs, 0.0)).all()
+
+
+BAD_ACTIONS = [np.array([NAN]), np.array([-np.inf], np.float32), [1j], [HUGE], np.zeros(2), np.float32(0.1), 0.1]
+BAD_ACTIONS += [np.zeros((2, 2)), [[0.1], [0.2, 0.3]], np.zeros(0), ["full"], ["0.5"], "full", b"1", [True], None]
+BAD_ACTIONS += [[None], {"a": 1}, Odd(), object()]
+OF_ONE = r"action = .*: must be finite, of shape \(1,\)"
+ACTIONS = [(ServoHydraulicEnv, action, OF_ONE) for action in BAD_ACTIONS]
+ACTIONS += [(three, action, "^action") for action in BAD_ACTIONS]
+ACTIONS += [
+    (three, np.array([[0.0], [NAN], [0.0]]), r"actions\[1\] = nan: must be a finite number"),
+    (three, np.array([[0.0], [0.0], [np.inf]]), r"actions\[2\] = inf: must be a finite number"),
+    (three, np.zeros(3), r"actions: shape \(3,\): must be \(3, 1\)"),
+    (three, np.zeros((4, 1)), r"actions: shape \(4, 1\): must be \(3, 1\)"),
+    (three, [["a"], ["b"], ["c"]], "actions: must be numbers"),
+    (three, [[0.0], [0.0, 1.0], [0.0]], "actions: must be numbers"),
+]
+
+
+@pytest.mark.parametrize(("make", "action", "message"), ACTIONS, ids=words)
+def test_a_wrong_action_is_refused_and_does_no_harm(make, action, message):
+    env, untouched = make(), make()
+    for each in (env, untouched):
+        each.reset(seed=1)
+    with refused(message):
+        env.step(action)
+    np.testing.assert_array_equal(stepped(env, 0.5), stepped(untouched, 0.5))
