@@ -43,7 +43,7 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
         ('PID', 'PolicyController')
     """
     if kind in SHIPPED_WEIGHTS:
-        return on_rig(TRAINERS[kind].load(shipped_weights(kind, config)), config)
+        return on_rig(TRAINERS[kind].load(shipped_weights(SHIPPED_WEIGHTS[kind], config)), config)
     if takes_gains_for_any_rig(kind, config):
         return make_controller(kind, config)
     settings = gains_file(kind, config) or usual_gains(kind)
@@ -52,9 +52,9 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
     return make_controller(kind, config, read_yaml(settings))
 
 
-def shipped_weights(kind: str, config: TaskConfig) -> Path:
-    """The shipped weights of a kind: those for the task's rig if they exist, else those for any axis."""
-    usual = pretrained_folder() / SHIPPED_WEIGHTS[kind]
+def shipped_weights(name: str, config: TaskConfig) -> Path:
+    """The shipped weights of a name: those for the task's rig if they exist, else those for any axis."""
+    usual = pretrained_folder() / name
     if config.plant == PlantParameters() and config.control_period == TaskConfig().control_period:
         return usual
     own = usual.with_name(f"{usual.name}_{shipped_rig(config)}")

@@ -109,8 +109,8 @@ class Says:
 
 
 def two_stages(head, estimator):
-    detector = TwoStageDetector(untrained_head(CONFIG), estimator)
-    head.head = detector.head.head
+    detector = TwoStageDetector(HeadDetector(untrained_head(CONFIG)), estimator)
+    head.on = detector.head.on
     detector.head = head
     return detector
 
