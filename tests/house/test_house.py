@@ -38,7 +38,7 @@ ROOMS = (
 
 BUDGET = {
     "hydro_env": 65_100,
-    "hydro_agents": 170_300,
+    "hydro_agents": 170_400,
     "hydro_rig": 148_500,
     "tests": 266_500,
 }

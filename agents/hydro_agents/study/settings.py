@@ -18,7 +18,7 @@ from hydro_agents.controllers.registry import CONTROLLERS, imported, make_contro
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name
-from hydro_agents.learning.opponents import ANY_RIG, SHIPPED_WEIGHTS, gains_file, opponent, shipped, usual_gains
+from hydro_agents.learning.opponents import ANY_RIG, SHIPPED_WEIGHTS, gains_file, opponent, usual_gains
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import read_settings, read_task
 from hydro_agents.running.text import NAME_RULE, correction_name
@@ -225,7 +225,7 @@ class StudySettings(Group):
             elif entry.trainer is None:
                 controllers[name] = opponent(self.make(name), self.task, name)
             elif entry.kind in SHIPPED_WEIGHTS:
-                controllers[name] = opponent(shipped(entry.kind, self.task), self.task, name)
+                controllers[name] = opponent(entry.kind, self.task, name)
             else:
                 raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
         for name, what in agents.items():
@@ -249,7 +249,7 @@ class StudySettings(Group):
         for name, entry in self.controllers.items():
             if entry.trainer is not None and name not in given:
                 try:
-                    opponent(shipped(entry.kind, self.task), self.task, name)
+                    opponent(entry.kind, self.task, name)
                 except ConfigurationError as error:
                     reasons.append(str(error))
                     others = {key: value for key, value in study.controllers.items() if key != name}

@@ -104,10 +104,10 @@ def test_a_step_finds_the_optimum_within_the_limits():
     np.testing.assert_allclose(found, known, atol=1e-4)
 
 
-def test_told_the_truth_it_is_never_worse_than_the_pid_and_than_without_it(truth, nominal, pid):
+def test_told_the_truth_it_is_never_worse_than_the_pid_and_than_without_it(truth, measured, pid):
     assert np.all(truth.failed_at < 0)
     assert np.all(errors(truth) <= errors(pid))
-    assert np.all(errors(truth) <= errors(nominal) + 1e-6)
+    assert np.all(errors(truth) <= errors(measured) + 1e-6)
     smooth = np.isin(CASES.families, ("point_to_point", "sine", "multi_sine"))
     assert errors(truth)[smooth].max() < 2e-6
 
