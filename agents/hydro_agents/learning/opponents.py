@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, imported, make_controller
@@ -14,6 +15,8 @@ from hydro_agents.running.weights import weight_files, weights_in
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.mistakes import unknown
+from hydro_env.task.law import RigLaw
+from hydro_env.task.paces import outside_law
 from hydro_env.task.rig import read_rig
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
@@ -72,6 +75,13 @@ def on_rig(controller: Controller, config: TaskConfig) -> Controller:
         return controller
     moved: Controller = controller.moved_to(config)  # type: ignore[attr-defined]
     return moved
+
+
+def outside_training(trained: Any, config: TaskConfig) -> str:
+    """Where a rig lies outside the drawn rigs of a training of policy or head, and how far; empty: nowhere."""
+    training = getattr(getattr(trained, "settings", trained), "training", None) or {}
+    law = training.get("settings", {}).get("law")
+    return outside_law(RigLaw.model_validate(law), config) if law else ""
 
 
 def shipped_rig(config: TaskConfig) -> str:

@@ -155,9 +155,17 @@ def _head(what: str, request: _Request) -> Job:
     head = LeakageHead.load(shipped_weights(what, config) if what == "leakage_head" else what)
     if head.for_any_axis:
         head = head.moved_to(config)
+        _tell_distance(what, head, config)
     elif any(request) and head.settings.task.plant != config.plant:
         raise ConfigurationError(f"export {what}: was trained for another rig; the shipped leakage_head serves any")
     return FILES, partial(exported_head, head, command_line())
+
+
+def _tell_distance(what: str, trained: object, config: TaskConfig) -> None:
+    from hydro_agents.learning.opponents import outside_training
+
+    if far := outside_training(trained, config):
+        print(f"hydro: {what}: outside the rigs of the training: {far}", file=sys.stderr)
 
 
 def _alarm(what: str) -> Job:
@@ -191,6 +199,7 @@ def _controller(what: str, request: _Request, language: str) -> Job:
     made_for = trained_for(controller)
     if made_for is not None and made_for != config.plant:
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
+    _tell_distance(what, controller, config)
     if takes_gains_for_any_rig(what, config):
         say(f"{what}: gains for any rig, which nobody tuned for this one: {page('no_tuning.md')} says what they cost")
     elif what in CONTROLLERS and config.plant != PlantParameters() and gains_file(what, config) is None:
