@@ -17,7 +17,7 @@ from hydro_agents.detection.disturbances import KINDS as DISTURBANCES
 from hydro_agents.detection.disturbances import Disturbed, drawn
 from hydro_agents.detection.features import FEATURES, LABELS, features_of
 from hydro_agents.detection.operations import OPERATIONS, Operation
-from hydro_agents.detection.sheet import leak_scale, sheet_of
+from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
@@ -60,7 +60,7 @@ LATEST = 0.9  # latest onset of a leak, as a fraction of the window
 class Windows(NamedTuple):
     """N labelled windows."""
 
-    features: NDArray[np.float32]  # (N, F)
+    features: NDArray[np.float32]  # (N, F); with a law those of the rig at the end
     labels: NDArray[np.float32]  # (N, labels), 0 or 1
     size: NDArray[np.float64]  # (N,), internal leak, in the rig's unit of leaks
     operation: NDArray[np.int64]  # (N,), index into OPERATIONS
@@ -205,6 +205,9 @@ class Plan:
                 begins[:] = steps - size
             cut = [signals[axis, :, b : b + size] for axis, b in zip(kept, begins, strict=True)]
             values = features_of(np.stack(cut), sheet) if cut else np.empty((0, len(FEATURES)), dtype=np.float32)
+            if settings.law is not None:
+                own = np.tile(rig_features(config), (len(values), 1))
+                values = np.concatenate([values, own], axis=1)
             told = np.full(len(kept), chunk.row), fault[kept], np.full(len(kept), LEAKS.index(chunk.leak))
             felt = moves.part(kept).felt(begins, size) if moves is not None else np.zeros(len(kept))
             parts.append(Windows(values, labels[kept], leaks[kept], *told, np.full(len(kept), noise), felt))

@@ -21,7 +21,7 @@ from hydro_agents.detection.damaged_signals import stuck_sensors
 from hydro_agents.detection.detector import MeasuredColumns
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SIGNALS, SPREAD, STILL, features_of
 from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals, quantiles
-from hydro_agents.detection.sheet import leak_scale, sheet_of
+from hydro_agents.detection.sheet import RIG_FEATURES, leak_scale, rig_features, sheet_of
 from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -135,13 +135,13 @@ class _StoredHead(Group):
     training: dict[str, Any]
 
 
-def tensors_like(width: int) -> dict[str, NDArray[np.float32]]:
+def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, NDArray[np.float32]]:
     """Zeros of the names, shapes and types of a head's tensors."""
-    sizes = (len(FEATURES), width, width // 2, OUTPUTS)
+    sizes = (inputs, width, width // 2, OUTPUTS)
     shapes: dict[str, tuple[int, ...]] = {
-        "mean": (len(FEATURES),),
-        "scale": (len(FEATURES),),
-        "whitener": (len(FEATURES), len(FEATURES)),
+        "mean": (inputs,),
+        "scale": (inputs,),
+        "whitener": (inputs, inputs),
         "limit": (2,),  # of the distance from the training, and of the logit of a disturbance
         "widths": (WIDTHS - 1,),
         "changing": (1,),
@@ -200,6 +200,7 @@ class LeakageHead:
         self.scale[self.rows] = scale
         self.sheet = sheet_of(settings.task)
         self.leak_scale = leak_scale(settings.task)
+        self.rig = rig_features(settings.task) if self.for_any_axis else np.empty(0, np.float32)
         self.interval = max(settings.window // UPDATES_PER_WINDOW, 1)
 
     @property
@@ -331,7 +332,11 @@ class LeakageHead:
     def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
         t = self.tensors
-        inputs = standardised(features, t["mean"], t["scale"])
+        if self.for_any_axis:
+            own = np.tile(self.rig, (len(features), 1))
+            inputs = standardised(np.concatenate([features, own], axis=1), t["mean"], t["scale"])
+        else:
+            inputs = standardised(features, t["mean"], t["scale"])
         output, strangeness = self.outputs(inputs), np.sqrt(np.sum((inputs @ t["whitener"]) ** 2, axis=1))
         probability = probabilities(output, features, float(t["still_shift"][0]))
         found = quantiles(output)
@@ -359,7 +364,7 @@ class LeakageHead:
         settings = {
             "task": self.settings.task.model_dump(mode="json"),
             "signals": list(SIGNALS),
-            "features": list(FEATURES),
+            "features": [*FEATURES, *(RIG_FEATURES if self.for_any_axis else ())],
             "window": self.settings.window,
             "longest": self.settings.longest,
             "threshold": self.settings.threshold,
@@ -379,16 +384,17 @@ class LeakageHead:
         if "features" not in settings:
             raise ConfigurationError(f"{path}: was made by an earlier version; train it again: hydro train head")
         stored = validate(_StoredHead, settings, str(path))
-        if stored.signals != SIGNALS or stored.features != FEATURES:
+        described = HeadSettings(stored.task, stored.window, stored.longest, stored.threshold, stored.training)
+        known = FEATURES if described.law is None else FEATURES + RIG_FEATURES
+        if stored.signals != SIGNALS or stored.features != known:
             raise ConfigurationError(f"{path}: was trained on other signals or features than this version reads")
         if stored.longest < stored.window:
             raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")
         bias = tensors.get("bias_0")
         if bias is None or bias.shape != (stored.width,):  # checked before arrays of that width take memory
             raise ConfigurationError(f"{path}: width = {stored.width}: its tensors belong to another network")
-        like = tensors_like(stored.width)
+        like = tensors_like(stored.width, len(known))
         require(tensors, like, path)
-        described = HeadSettings(stored.task, stored.window, stored.longest, stored.threshold, stored.training)
         try:
             return cls({name: tensors[name] for name in like}, described)
         except ConfigurationError as error:

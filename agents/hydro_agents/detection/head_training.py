@@ -29,6 +29,7 @@ from hydro_agents.detection.head import (
     tensors_like,
 )
 from hydro_agents.detection.intervals import COVERAGE, FEWEST, GROUPS, WIDTHS, distances, groups, quantiles
+from hydro_agents.detection.sheet import RIG_FEATURES
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, require, restore_optimiser, save_checkpoint
@@ -50,13 +51,14 @@ SPLITS = {"data": "training", "validation": "validation"}  # of a law's rigs, fo
 Progress = Callable[[str, int, int, float], None]
 
 
-def make_network(width: int) -> nn.Sequential:
+def make_network(width: int, inputs: int = len(FEATURES), dropout: float = 0.0) -> nn.Sequential:
     """The network: from features to the outputs of a head."""
-    sizes = (len(FEATURES), width, width // 2, OUTPUTS)
+    sizes = (inputs, width, width // 2, OUTPUTS)
     layers: list[nn.Module] = []
-    for layer in range(LAYERS):
+    for layer in range(LAYERS - 1):
         layers += [nn.Linear(sizes[layer], sizes[layer + 1]), nn.ReLU()]
-    return nn.Sequential(*layers[:-1])
+        layers += [nn.Dropout(dropout)] if dropout else []
+    return nn.Sequential(*layers, nn.Linear(sizes[-2], sizes[-1]))
 
 
 def network_tensors(network: nn.Sequential) -> dict[str, NDArray[Any]]:
@@ -151,7 +153,8 @@ class _Job:
     ) -> None:
         self.settings, self.seed, self.checkpoint, self.progress = settings, seed, checkpoint, progress
         self.plans = {phase: Plan(config, controllers, settings, split) for phase, split in SPLITS.items()}
-        self.network = make_network(settings.width)
+        inputs = len(FEATURES) + (len(RIG_FEATURES) if settings.law is not None else 0)
+        self.network = make_network(settings.width, inputs, settings.dropout)
         rate, decay = settings.learning_rate, settings.weight_decay
         self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)
         self.epoch = 0
@@ -219,11 +222,11 @@ class _Job:
     def tensors(self) -> dict[str, NDArray[Any]]:
         """The tensors of the head, with the statistics of the features of the training windows."""
         features = Windows.joined(self.parts["data"]).features
-        tensors = tensors_like(self.settings.width) | network_tensors(self.network)
+        tensors = tensors_like(self.settings.width, features.shape[1]) | network_tensors(self.network)
         tensors["mean"] = features.mean(axis=0)
         tensors["scale"] = (1.0 / (features.std(axis=0) + 1e-3)).astype(np.float32)
         inputs = standardised(features, tensors["mean"], tensors["scale"])
-        covariance = np.cov(inputs.T) + RIDGE * np.eye(len(FEATURES))
+        covariance = np.cov(inputs.T) + RIDGE * np.eye(features.shape[1])
         tensors["whitener"] = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
         tensors["widening"][:] = 1.0
         return tensors

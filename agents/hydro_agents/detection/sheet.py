@@ -18,6 +18,7 @@ from hydro_env.task.paces import full_speed
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
+from hydro_env.task.signals import SHEET, data_sheet
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
 POINTS = 2  # points between two samples at which the flows are evaluated
@@ -78,6 +79,28 @@ def leak_scale(config: TaskConfig) -> float:
 
 def _full_flow(plant: PlantParameters) -> float:
     return float(plant_coefficients(plant).area_a * full_speed(plant))
+
+
+RIG_FEATURES = (
+    *(f"rig: {name.replace('_', ' ')}" for name in SHEET),
+    "rig: noise of pressure",
+    "rig: leak scale",
+    "rig: error of flow",
+    "rig: spread of supply",
+)
+"""Names of the features of a rig, which a head for any axis reads beside those of the window."""
+
+
+def rig_features(config: TaskConfig) -> NDArray[np.float32]:
+    """:data:`RIG_FEATURES`, each of order 1."""
+    sheet, unknown = sheet_of(config), Unknowns._fields.index("supply_pressure")
+    sizes = (
+        1e3 * sheet.pressure_noise_a / config.plant.supply.pressure,
+        leak_scale(config),
+        1e3 * sheet.flow_noise / sheet.position_noise + 1e-6,
+        10.0 * sheet.spread[unknown] / sheet.mean[unknown],
+    )
+    return np.array([*data_sheet(config).values(), *np.log10(sizes)], dtype=np.float32)
 
 
 def sheet_of(config: TaskConfig) -> Sheet:

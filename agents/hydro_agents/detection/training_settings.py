@@ -43,6 +43,7 @@ class HeadTrainingSettings(Group):
     learning_rate: float = Field(3e-3, gt=0.0, le=1.0)
     weight_decay: float = Field(1e-3, ge=0.0, le=1.0)
     size_weight: float = Field(4.0, ge=0.0, le=1e3, description="weight of the size's error relative to the classes")
+    dropout: float = Field(0.0, ge=0.0, lt=1.0, description="share of hidden units that are left out in training")
     width: int = Field(128, ge=2, le=LARGEST_WIDTH)
     torch_threads: int = Field(2, ge=1, le=256)
 
