@@ -100,7 +100,10 @@ def rig_rows(number: int, task: TaskConfig, weights: str, own: bool, plants: See
 
 
 def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
-    """One row per detector and motion: means over the rigs, in %."""
+    """One row per detector and motion: means over the rigs, in %; then over those that have a head of their own."""
+    has_own = rows["rig"].isin(rows.loc[rows["detector"] == OWN, "rig"])
+    beside = rows[has_own & (rows["detector"] == ANY)].assign(detector=f"{ANY}, the same rigs")
+    rows = pd.concat([rows, beside], ignore_index=True)
     for (motion, name), own in rows.groupby(["motion", "detector"], sort=False):
         found = [f"{100.0 * own[f'found_{share:g}'].mean():.1f}" for share in SHARES[1:]]
         low = f"{100.0 * own['found_1'].quantile(0.1):.0f}"

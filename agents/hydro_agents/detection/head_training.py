@@ -38,6 +38,7 @@ from hydro_env.files import Group
 
 CHECKPOINT_FILE = "head_checkpoint.safetensors"
 KIND = "leakage head checkpoint"
+NEVER_VARIED, INVALID = 1e-5, FEATURES.index("invalid features")
 RIDGE = 0.05  # added to the covariance of the standardised features before inversion
 
 FALSE_ALARM_RATE = 0.01
@@ -111,11 +112,12 @@ def train_head(
     except (KeyboardInterrupt, HydroError):
         job.save()
         raise
-    record = {"seed": seed, "settings": settings.model_dump(mode="json"), "seconds": 0.0}
+    record = {"seed": seed, "settings": settings.model_dump(mode="json")}
     head = calibrated(
         job.tensors(), config, settings.longest_window(config), Windows.joined(job.parts["validation"]), record
     )
-    record["seconds"] = round(time.monotonic() - began, 1)
+    if not resume:  # the time of the runs before is unknown
+        record["seconds"] = round(time.monotonic() - began, 1)
     return head
 
 
@@ -224,7 +226,10 @@ class _Job:
         features = Windows.joined(self.parts["data"]).features
         tensors = tensors_like(self.settings.width, features.shape[1]) | network_tensors(self.network)
         tensors["mean"] = features.mean(axis=0)
-        tensors["scale"] = (1.0 / (features.std(axis=0) + 1e-3)).astype(np.float32)
+        deviation = features.std(axis=0)
+        # What never varied cannot be judged: a rig's file may know a range where the law draws none.
+        judged = (deviation > NEVER_VARIED) | (np.arange(len(deviation)) == INVALID)
+        tensors["scale"] = np.where(judged, 1.0 / (deviation + 1e-3), 0.0).astype(np.float32)
         inputs = standardised(features, tensors["mean"], tensors["scale"])
         covariance = np.cov(inputs.T) + RIDGE * np.eye(features.shape[1])
         tensors["whitener"] = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)

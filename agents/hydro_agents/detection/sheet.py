@@ -86,19 +86,17 @@ RIG_FEATURES = (
     "rig: noise of pressure",
     "rig: leak scale",
     "rig: error of flow",
-    "rig: spread of supply",
 )
 """Names of the features of a rig, which a head for any axis reads beside those of the window."""
 
 
 def rig_features(config: TaskConfig) -> NDArray[np.float32]:
     """:data:`RIG_FEATURES`, each of order 1."""
-    sheet, unknown = sheet_of(config), Unknowns._fields.index("supply_pressure")
+    sheet = sheet_of(config)
     sizes = (
         1e3 * sheet.pressure_noise_a / config.plant.supply.pressure,
         leak_scale(config),
         1e3 * sheet.flow_noise / sheet.position_noise + 1e-6,
-        10.0 * sheet.spread[unknown] / sheet.mean[unknown],
     )
     return np.array([*data_sheet(config).values(), *np.log10(sizes)], dtype=np.float32)
 

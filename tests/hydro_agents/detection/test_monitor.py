@@ -32,6 +32,16 @@ def test_the_head_for_any_axis_finds_leaks_on_rigs_that_it_never_saw(task):
     assert 0.6 < np.median(found.flow_lpm[sizes == 1.0]) / leak_scale(task) < 1.6
 
 
+def test_a_parameter_that_no_drawn_rig_varies_does_not_put_a_rig_outside():
+    task = TaskConfig()  # its file gives the supply a range
+    sizes = np.repeat([0.001, 3.0], 40)
+    cases = Cases(VALIDATION_SEEDS.start + 996_000 + np.arange(80), sizes)
+    signals, _ = measured_run(task, FlowLinearising(FlowLinearisingGains(), task), cases)
+    found = ANY.moved_to(task).estimate_windows(signals)
+    assert found.outside.mean() < 0.2
+    assert area_under_roc(found.probability, sizes == 3.0) > 0.95
+
+
 def test_windows_keep_their_duration():
     for task in RIGS:
         moved = ANY.moved_to(task).settings
