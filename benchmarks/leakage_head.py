@@ -150,7 +150,7 @@ def baseline_row(name: str, scores: tuple[Scores, Scores | None], validation: Wi
     cells = [name, share(clean(test) & ~leaking), share(plain & (test.fault >= 0) & ~leaking)]
     for here in (~still, still):
         for low, high in pairwise(SIZES):
-            cells.append(share(plain & here & leaking & (test.flow_lpm > low) & (test.flow_lpm <= high)))
+            cells.append(share(plain & here & leaking & (test.size > low) & (test.size <= high)))
     cells.append(f"{roc_auc_score(leaking[plain], score[plain]):.4f}")
     if scores[1] is None:
         return [*cells, "–"]

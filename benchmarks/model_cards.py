@@ -3,7 +3,7 @@
 Run: python benchmarks/model_cards.py [policy policy_2ms policy_10ms policy_symmetric_eha policy_aalborg_svsdp_2017]
 
 Each policy meets the PID and the flow linearisation of its own control period or rig, on the plants of `make study`.
-`policy` brings the card of the leakage head as well. All five take some minutes on two cores.
+`policy` and `policy_any_axis` bring the cards of the leakage heads as well. All take some minutes on two cores.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from hydro_agents.detection.monitor import HEAD_FILE, load_head
 from hydro_agents.evaluation.evaluate import evaluate
+from hydro_agents.learning.opponents import ANY_AXIS
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import config_folder, pretrained_folder
 from hydro_agents.study.model_cards import controller_card, head_card
@@ -21,6 +22,7 @@ from hydro_agents.study.settings import ControllerEntry, StudySettings, default_
 from hydro_env.files import read_yaml, write_text
 
 POLICY, CORRECTED = "PPO on flow linearisation", "Flow linearisation"
+HEADS = {"policy": HEAD_FILE, "policy_any_axis": f"{HEAD_FILE}_{ANY_AXIS}"}
 
 
 class Case(NamedTuple):
@@ -55,15 +57,18 @@ def study_of(case: Case) -> StudySettings:
 
 
 def write_cards(name: str, display: ProgressDisplay) -> list[Path]:
-    """Measure one policy and write its card; for ``policy`` that of the leakage head too."""
+    """Measure one policy and write its card; for those of :data:`HEADS` that of a leakage head too."""
     case = CASES[name]
     study, command = study_of(case), f"python benchmarks/model_cards.py {name}"
     controllers = study.with_weights({POLICY: str(pretrained_folder() / name)})
-    head = load_head(None, study.task) if name == "policy" else None
+    file_of_head = HEADS.get(name)
+    head = load_head(pretrained_folder() / file_of_head, study.task) if file_of_head is not None else None
     found = evaluate(study.task, controllers, head, study.evaluation, display.update)
     card = controller_card(POLICY, controllers[POLICY], found, command, CORRECTED, shipped=name)
     assert card is not None
-    cards = {name: card} | ({HEAD_FILE: head_card(head, found, command)} if head is not None else {})
+    cards = {name: card}
+    if head is not None and file_of_head is not None:
+        cards[file_of_head] = head_card(head, found, command, shipped=file_of_head)
     for file, text in cards.items():
         write_text(pretrained_folder() / f"{file}.md", text)
     return [pretrained_folder() / f"{file}.md" for file in cards]

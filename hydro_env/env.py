@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,7 @@ _FAMILY, _FAILURE, _REWARD, _STEP, _FAULTY, _RIG = (
 )
 _TERMS = tuple(enumerate(REWARD_TERMS, COLUMN["costs"]))
 _FIRST = np.zeros(1, dtype=np.int64)
+RENDER_MODES = ("human", "rgb_array")  # with pygame
 
 
 class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
@@ -159,7 +161,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
       sensor would hold the axis (``start="actual"`` restores the old start); the changelog lists all changes.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES) if find_spec("pygame") else [], "render_fps": 50}
 
     def __init__(
         self,
@@ -168,7 +170,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         info: bool | str = True,
         **overrides: Any,
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
+        if render_mode not in (None, *RENDER_MODES):
             raise ConfigurationError(f"render_mode = {shown(render_mode)}: must be 'human', 'rgb_array' or None")
         self._info_kind = info_kind(info)
         self.config = task_config(config, **overrides)

@@ -8,6 +8,10 @@ import numpy as np
 
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import TaskConfig
+from hydro_env.task.law import RigLaw
+
+SLACK = 2.0
+"""Factor by which drawn speeds leave their interval, because valves have steps; frequencies too."""
 
 
 def delay(config: TaskConfig) -> float:
@@ -30,3 +34,34 @@ def full_speed(plant: PlantParameters) -> float:
     from hydro_env.plant.analysis import speed_limits  # compiled code
 
     return float(np.mean(speed_limits(plant)))
+
+
+def outside_law(law: RigLaw, config: TaskConfig) -> str:
+    """Where a rig lies outside a law, and how far: empty, or nameplates with the law's range."""
+    from hydro_env.plant.analysis import closed_port_natural_frequency  # compiled code
+
+    plant = config.plant
+    ranges = {
+        "bore {} mm": (1e3 * plant.cylinder.bore_diameter, min(law.cylinders), max(law.cylinders)),
+        "stroke {} m": (
+            plant.cylinder.stroke,
+            1e-3 * law.stroke_per_bore[0] * min(law.cylinders),
+            law.longest_stroke,
+        ),
+        "supply {} bar": (1e-5 * plant.supply.pressure, min(law.supplies), max(law.supplies)),
+        "full speed {} m/s": (full_speed(plant), law.full_speed[0] / SLACK, law.full_speed[1] * SLACK),
+        "natural frequency {} Hz": (
+            closed_port_natural_frequency(plant) / (2.0 * math.pi),
+            law.natural_frequency[0] / SLACK,
+            math.inf,  # the law makes a heavy load lighter
+        ),
+        "valve {} Hz": (plant.valve.natural_frequency / (2.0 * math.pi), *law.bandwidth),
+        "period {} ms": (1e3 * config.control_period, min(law.periods), max(law.periods)),
+        "latency {} ms": (1e3 * config.command_latency, *law.latency),
+    }
+    parts = [
+        f"{name.format(f'{value:.3g}')} ({least:.3g} to {most:.3g})"
+        for name, (value, least, most) in ranges.items()
+        if not 0.99 * least <= value <= 1.01 * most
+    ]
+    return ", ".join(parts)

@@ -37,10 +37,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 65_100,
-    "hydro_agents": 170_400,
-    "hydro_rig": 148_500,
-    "tests": 266_500,
+    "hydro_env": 65_300,
+    "hydro_agents": 171_700,
+    "hydro_rig": 148_600,
+    "tests": 267_300,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

@@ -183,6 +183,19 @@ def test_array_mode_opens_no_display(monkeypatch):
     assert not pygame.display.get_init()
 
 
+def test_without_pygame_the_environment_has_no_mode_and_passes_the_checker_of_gymnasium():
+    program = (
+        "import sys; sys.modules['pygame'] = None\n"
+        "import gymnasium as gym, hydro_env\n"
+        "from gymnasium.utils.env_checker import check_env\n"
+        "env = gym.make('ServoHydraulic-v0', episode_duration=0.05)\n"
+        "assert env.metadata['render_modes'] == []\n"
+        "check_env(env.unwrapped)\n"
+    )
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
 def test_array_mode_needs_no_video_driver_and_no_system_fonts():
     program = (
         "import sys, hydro_env.rendering\n"

@@ -225,7 +225,7 @@ def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
 
 def tell_rigs(study: StudySettings, controllers: Mapping[str, Controller]) -> None:
     """Name on standard error, in one line, the controllers that were made for another rig than the study's."""
-    from hydro_agents.learning.opponents import trained_for
+    from hydro_agents.learning.opponents import outside_training, trained_for
 
     untuned = [name for name in study.tuned if name in controllers]
     foreign = [
@@ -235,3 +235,6 @@ def tell_rigs(study: StudySettings, controllers: Mapping[str, Controller]) -> No
     parts += [f"{', '.join(foreign)}: trained for another rig"] if foreign else []
     if parts:
         print(f"hydro: {'; '.join(parts)}; hydro study --rig tunes and trains them", file=sys.stderr)
+    for name, controller in controllers.items():
+        if far := outside_training(controller, study.task):
+            print(f"hydro: {name}: outside the rigs of the training: {far}", file=sys.stderr)

@@ -193,12 +193,12 @@ def evaluate_leak_protocol(file: Path, head: Path | None, options: Options) -> N
             results of the others are written first).
     """
     from hydro_agents.detection.detectors import make_detector
-    from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.detection.monitor import HeadDetector
     from hydro_agents.evaluation.leak_protocol import DRAWN, Detectors, LeakProtocol
     from hydro_agents.report.leakage import LEAKAGE, PAGE_FILE, level_text
 
     protocol = options.moved(LeakProtocol.from_yaml(file))
-    own = LeakageHead.load(head) if head is not None else None
+    own = HeadDetector.load(head) if head is not None else None
     detectors = {name: make_detector(choice, own) for name, choice in protocol.detectors.items()}
 
     def content(results: Results) -> Content:

@@ -242,8 +242,9 @@ def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite
     from hydro_agents.detection.training_settings import HeadTrainingSettings
     from hydro_agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
 
-    (study.leakage_head or HeadTrainingSettings()).check(study.task)
-    named = study.with_weights(agents)
+    settings = study.leakage_head or HeadTrainingSettings()
+    settings.check(study.task)
+    named = study.with_weights(agents) if settings.law is None else {}
     tell_rigs(study, named)
     what = "checkpoint of the head"
     with _training(folder, "head", HEAD_FILES, [HEAD_CHECKPOINTS], what, resume, overwrite) as display:

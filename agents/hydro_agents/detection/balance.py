@@ -41,11 +41,9 @@ from hydro_agents.detection.sheet import POINTS, Sheet, Unknowns
 from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_replacer
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parts.chambers import chamber_volumes
-from hydro_env.plant.parts.leakage import LEAK_LAWS
 from hydro_env.plant.parts.supply import supply_rates
 from hydro_env.plant.parts.valve import smooth_root
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
-from hydro_env.units import LITRE_PER_MINUTE
 
 ITERATIONS = 12  # largest number of evaluations of the balance
 FIRST_DAMPING = 1e-3  # fraction of the normal matrix's diagonal that is added to it (Levenberg–Marquardt)
@@ -61,8 +59,6 @@ supply pressure, and the biases of the pressure transducers."""
 
 COUNT = len(Unknowns._fields)
 GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
-
-LEAK_UNIT = LITRE_PER_MINUTE / LEAK_LAWS["laminar"].at_test
 
 _read_unknowns = tuple_reader(Unknowns)
 _read_coefficients = tuple_reader(Coefficients)
@@ -100,14 +96,14 @@ def _without_lag(sensed, sheet, pressure):
 
 
 @inline
-def _add_flows(travel, slope, a, b, spool, supply, excess_share, duration, u, c):
+def _add_flows(travel, slope, a, b, spool, supply, excess_share, duration, leak_unit, u, c):
     """Add the effect of the flows during a short time to both travels and their derivatives (2, COUNT).
 
     Returns:
         The flow in m³/s that the valve draws from the supply.
     """
     gain = c.edge_gain * u.flow_gain
-    internal, external = LEAK_UNIT * u.internal_leak, LEAK_UNIT * u.external_leak
+    internal, external = leak_unit * u.internal_leak, leak_unit * u.external_leak
     opening = spool - u.null
     width = math.sqrt(opening * opening + u.underlap * u.underlap)
     forward, backward = 0.5 * (width + opening), 0.5 * (width - opening)
@@ -134,9 +130,9 @@ def _add_flows(travel, slope, a, b, spool, supply, excess_share, duration, u, c)
     slope[1, UNDERLAP] += share_b * lap * (out_b - in_b)
     slope[0, NULL] += share_a * (shift_forward * in_a - shift_backward * out_a)
     slope[1, NULL] += share_b * (shift_forward * out_b - shift_backward * in_b)
-    slope[0, INTERNAL] -= share_a * LEAK_UNIT * (a - b)
-    slope[1, INTERNAL] -= share_b * LEAK_UNIT * (a - b)
-    slope[1, EXTERNAL] += share_b * LEAK_UNIT * b
+    slope[0, INTERNAL] -= share_a * leak_unit * (a - b)
+    slope[1, INTERNAL] -= share_b * leak_unit * (a - b)
+    slope[1, EXTERNAL] += share_b * leak_unit * b
     slope[0, BIAS_A] += share_a * (supply_a + tank_a + internal)  # the pressure is the reading less the bias
     slope[1, BIAS_A] += share_b * internal
     slope[0, BIAS_B] -= share_a * internal
@@ -205,7 +201,10 @@ def _build(sources: int) -> Any:
                         b = p_b[k] + share * (p_b[k + 1] - p_b[k]) - u.bias_b
                         step = sheet.period / POINTS
                         drawn += (
-                            _add_flows(travel, slope, a, b, spool[k, point], supply, excess_share, step, u, c) / POINTS
+                            _add_flows(
+                                travel, slope, a, b, spool[k, point], supply, excess_share, step, sheet.leak_unit, u, c
+                            )
+                            / POINTS
                         )
                     volume_a, volume_b = chamber_volumes(0.5 * (x[k] + x[k + 1]), c)
                     length_a, length_b = (volume_a + u.dead_volume) / c.area_a, (volume_b + u.dead_volume) / c.area_b

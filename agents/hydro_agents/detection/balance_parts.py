@@ -24,6 +24,16 @@ def _advance(valve, row, old, new):
 
 
 @inline
+def follow_commands(command, row, valve, spool):
+    """Write the response of a valve, ideal at the start, to the commands (T,)."""
+    valve[0], valve[1], valve[2] = command[0], 0.0, command[0]
+    spool[0] = valve[0]
+    for k in range(1, command.shape[0]):
+        _advance(valve, row, command[k - 1], command[k])
+        spool[k] = valve[0]
+
+
+@inline
 def best_valve(reading, command, candidates, noise, valve):
     """Index of the valve whose response to the commands is closest to the readings, apart from a constant."""
     best, least = 0, 1e300

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.sheet import Sheet
+from hydro_agents.detection.balance_parts import follow_commands
+from hydro_agents.detection.sheet import POINTS, Sheet
 from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled, inline
 from hydro_env.task.sensors import COMMAND, SENSORS, SPOOL
@@ -68,7 +69,7 @@ def fill_gaps(values, lost, filled):
 def _build_repair(sources: int) -> Any:
     def repair(signals, sheet, filled, lost):
         assert sources >= 0  # keys numba's cache
-        flags = np.empty(signals.shape[2])
+        flags, valve = np.empty(signals.shape[2]), np.empty(3)
         for window in range(signals.shape[0]):
             for sensor in range(lost.shape[1]):
                 far = FAR_FROM_END_SPOOL if sensor == SPOOL else FAR_FROM_END
@@ -79,6 +80,9 @@ def _build_repair(sources: int) -> Any:
             for k in range(values.shape[0]):
                 flags[k] = 0.0 if values[k] == values[k] else 1.0
             fill_gaps(values, flags, filled[window, COMMAND])
+            if lost[window, SPOOL] == 1.0:  # no such sensor
+                usual = sheet.transition[sheet.transition.shape[0] // 2]
+                follow_commands(filled[window, COMMAND], usual[POINTS], valve, filled[window, SPOOL])
 
     return compiled(repair)
 
@@ -111,7 +115,10 @@ class Repaired(NamedTuple):
 
 
 def repaired(signals: NDArray[Any], sheet: Sheet) -> Repaired:
-    """Fill lost samples: NaN, and short falls to the lower end of a sensor's range."""
+    """Fill lost samples: NaN, and short falls to the lower end of a sensor's range.
+
+    Without any reading of the spool, the usual valve's response to the commands takes its place.
+    """
     values = np.ascontiguousarray(signals, dtype=np.float64)
     result = Repaired(np.empty_like(values), np.empty((len(values), len(SENSORS))))
     repair(values, sheet, *result)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import repeat
 from typing import Any, NamedTuple
 
@@ -16,14 +17,17 @@ from hydro_agents.detection.disturbances import KINDS as DISTURBANCES
 from hydro_agents.detection.disturbances import Disturbed, drawn
 from hydro_agents.detection.features import FEATURES, LABELS, features_of
 from hydro_agents.detection.operations import OPERATIONS, Operation
-from hydro_agents.detection.sheet import Sheet, sheet_of
+from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
 from hydro_agents.detection.training_settings import HeadTrainingSettings
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
-from hydro_env.task.configuration import task_config
-from hydro_env.task.faults import FAULT_KINDS, FAULTS, SIGNED_KINDS, faults_of
+from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
+from hydro_env.task.drawn_rigs import rig_tasks
+from hydro_env.task.faults import FAULT_KINDS, FAULTS, SIGNED_KINDS, fault_limits, faults_of
 from hydro_env.task.sensors import SENSORS
 
+EXTERNAL = "external_leak"
 UNSEEN = ("position_offset",)  # faults that are invisible in the measured signals; they get no label
 
 LABEL_OF_FAULT = {
@@ -39,7 +43,9 @@ LEAKS = ("constant", "onset", "growth", "orifice")
 
 CHANGING = ("onset", "growth")
 
-CHUNK = 256  # largest number of axes that are simulated together
+CHUNK, CHUNK_OF_RIG = 256, 24  # largest number of axes that are simulated together; the same for each drawn rig
+
+ANY_AXIS = ("flow_linearising", "ppo")  # kinds of controllers that serve drawn rigs
 
 SECOND_FAULT, AT_START, SMALL = 0.1, 0.2, 0.35
 """Shares: of faulty axes with a second fault, of windows at the start of a run, of leaks that are drawn from the
@@ -54,9 +60,9 @@ LATEST = 0.9  # latest onset of a leak, as a fraction of the window
 class Windows(NamedTuple):
     """N labelled windows."""
 
-    features: NDArray[np.float32]  # (N, F)
+    features: NDArray[np.float32]  # (N, F); with a law those of the rig at the end
     labels: NDArray[np.float32]  # (N, labels), 0 or 1
-    flow_lpm: NDArray[np.float64]  # (N,), internal leak, l/min at 100 bar
+    size: NDArray[np.float64]  # (N,), internal leak, in the rig's unit of leaks
     operation: NDArray[np.int64]  # (N,), index into OPERATIONS
     fault: NDArray[np.int64]  # (N,), index into FAULTS of the first fault, −1 for none
     leak: NDArray[np.int64]  # (N,), index into LEAKS
@@ -85,11 +91,28 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """Sources of the windows."""
+    """Sources of the windows.
+
+    With a law, each chunk has the next of its rigs, and controllers for any axis instead of those given. The leaks are
+    in the rig's unit (:func:`~hydro_agents.detection.sheet.leak_scale`).
+    """
 
     config: TaskConfig
     controllers: Sequence[Controller]
     settings: HeadTrainingSettings
+    split: str = "training"  # of the law's rigs
+
+    @cached_property
+    def rigs(self) -> tuple[TaskConfig, ...]:
+        """The task on each rig."""
+        law = self.settings.law
+        if law is None:
+            return (self.config,)
+        return rig_tasks(task_config(self.config, law=law.model_dump() | {"split": self.split, "preview_paces": ()}))
+
+    def _acting(self, number: int, config: TaskConfig) -> Controller:
+        """One of the controllers."""
+        return self.controllers[number] if self.settings.law is None else shipped(ANY_AXIS[number], config)
 
     def chunks(self, episodes: int) -> list[Chunk]:
         """Groups of runs that are simulated together."""
@@ -100,11 +123,14 @@ class Plan:
         constant = 1.0 - 2.0 * changing - orifice - disturbed
         shares = [*zip(LEAKS, (constant, changing, changing, orifice), repeat(False)), ("constant", disturbed, True)]
         for number, row in enumerate(OPERATIONS):
-            acting = range(len(self.controllers)) if row.manner is None else [-1]
+            controllers = self.controllers if settings.law is None else ANY_AXIS
+            acting = range(len(controllers)) if row.manner is None else [-1]
             for controller in acting:
                 for leak, share, moves in shares:
                     count = round(episodes * share * row.share / total / len(acting))
-                    pieces = -(-count // (CHUNK // 4 if leak in CHANGING else CHUNK))  # more lengths of windows
+                    most = CHUNK if settings.law is None else CHUNK_OF_RIG
+                    most = min(most, CHUNK // 4) if leak in CHANGING else most  # more lengths of windows
+                    pieces = -(-count // most)
                     sizes = [count * (p + 1) // pieces - count * p // pieces for p in range(pieces)]
                     parts += [Chunk(number, controller, leak, size, moves) for size in sizes]
         return parts
@@ -117,16 +143,16 @@ class Plan:
             first_seed: of the first run.
             skip: number of chunks to leave out.
         """
-        sheet = sheet_of(self.config)
         seed = first_seed
         for number, chunk in enumerate(self.chunks(episodes)):
             if number >= skip:
-                yield self._chunk(chunk, np.arange(seed, seed + chunk.axes), sheet)
+                yield self._chunk(chunk, np.arange(seed, seed + chunk.axes), self.rigs[number % len(self.rigs)])
             seed += chunk.axes
 
-    def _chunk(self, chunk: Chunk, seeds: NDArray[np.int64], sheet: Sheet) -> Windows:
+    def _chunk(self, chunk: Chunk, seeds: NDArray[np.int64], config: TaskConfig) -> Windows:
         generator = np.random.default_rng([int(seeds[0]), chunk.row])
-        row, count, config, settings = OPERATIONS[chunk.row], chunk.axes, self.config, self.settings
+        row, count, settings = OPERATIONS[chunk.row], chunk.axes, self.settings
+        sheet, scale = sheet_of(config), leak_scale(config)
         shortest, longest = config.steps, settings.longest_window(config)
         # Whole lengths in a few steps: the windows of one length are read together.
         choices = np.unique(np.geomspace(shortest, longest, 5).round().astype(int))
@@ -147,23 +173,26 @@ class Plan:
         for name in SENSORS:
             sensors[name]["noise"] *= noise
         task = row.task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
-        flow = self._leaks(generator, count)
+        leaks = self._leaks(generator, count, LEAKAGE_LIMIT / scale)
         faults, fault, labels = draw_faults(config, generator, count, 0.0 if chunk.disturbed else settings.fault_share)
-        labels[:, 0] = flow > config.leakage.class_bounds[0]
+        faults[EXTERNAL] = np.minimum(scale * faults[EXTERNAL], fault_limits(EXTERNAL)[1])
+        labels[:, 0] = leaks > config.leakage.class_bounds[0]
         measured = MeasuredColumns.of(task)
         acting: Any = (
             Operation(row.manner, task, count, int(seeds[0]))
             if row.manner is not None
-            else self.controllers[chunk.controller]
+            else self._acting(chunk.controller, task)
         )
         moves = None
         if chunk.disturbed:
             kinds = generator.choice(list(DISTURBANCES), count)
             moves = drawn(generator, kinds, steps, config.control_period)
             acting = Disturbed(acting, moves)
-        run = run_cases(task, acting, Cases(seeds, flow, faults=faults), measured.columns, states=False, chunk=count)
+        run = run_cases(
+            task, acting, Cases(seeds, scale * leaks, faults=faults), measured.columns, states=False, chunk=count
+        )
         assert run.signals is not None
-        signals = run.signals * measured.scale.astype(np.float32)[:, None]
+        signals = measured.si(run.signals).astype(np.float32)
         if moves is not None:
             moves.read(signals)
         lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
@@ -176,21 +205,24 @@ class Plan:
                 begins[:] = steps - size
             cut = [signals[axis, :, b : b + size] for axis, b in zip(kept, begins, strict=True)]
             values = features_of(np.stack(cut), sheet) if cut else np.empty((0, len(FEATURES)), dtype=np.float32)
+            if settings.law is not None:
+                own = np.tile(rig_features(config), (len(values), 1))
+                values = np.concatenate([values, own], axis=1)
             told = np.full(len(kept), chunk.row), fault[kept], np.full(len(kept), LEAKS.index(chunk.leak))
             felt = moves.part(kept).felt(begins, size) if moves is not None else np.zeros(len(kept))
-            parts.append(Windows(values, labels[kept], flow[kept], *told, np.full(len(kept), noise), felt))
+            parts.append(Windows(values, labels[kept], leaks[kept], *told, np.full(len(kept), noise), felt))
         return Windows.joined(parts)
 
-    def _leaks(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
-        """Leaks in l/min: healthy, or above the healthy bound; log-uniform."""
+    def _leaks(self, generator: np.random.Generator, count: int, largest: float) -> NDArray[np.float64]:
+        """Leaks in the rig's unit: healthy, or above the healthy bound; log-uniform."""
         bound, settings = self.config.leakage.class_bounds[0], self.settings
         healthy = generator.random(count) < settings.healthy_share
         low = np.where(
             healthy, settings.lowest_healthy_flow, np.where(generator.random(count) < SMALL, bound, 3.0 * bound)
         )
-        high = np.where(healthy, bound, settings.highest_flow)
-        flow: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
-        return flow
+        high = np.where(healthy, bound, min(settings.highest_flow, largest))
+        size: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
+        return size
 
 
 def draw_faults(
@@ -198,13 +230,16 @@ def draw_faults(
 ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64], NDArray[np.float32]]:
     """Faults of axes by name, the index of the first one of each axis (−1: none), and the labels of all."""
     sizes = {name: np.zeros(count) for name in FAULTS}
-    first = np.full(count, -1)
+    # Beside a leak from chamber b, a valve without underlap holds no weight: it lets chamber a run empty.
+    hangs = config.plant.load.external_force != 0.0
+    kinds = [kind for kind in KINDS if not (hangs and kind == EXTERNAL)]
+    first, fitted = np.full(count, -1), [name for name in SENSORS if getattr(config.sensors, name).fitted]
     labels = np.zeros((count, len(LABELS)), dtype=np.float32)
     for axis in np.flatnonzero(generator.random(count) < share):
-        for kind in generator.choice(KINDS, 1 + (generator.random() < SECOND_FAULT), replace=False):
+        for kind in generator.choice(kinds, 1 + (generator.random() < SECOND_FAULT), replace=False):
             low, high = getattr(config.faults, kind).range
             size = generator.uniform(low, high) * (generator.choice((-1.0, 1.0)) if kind in SIGNED_KINDS else 1.0)
-            name = generator.choice(faults_of(kind, SENSORS))
+            name = generator.choice(faults_of(kind, fitted))
             sizes[name][axis] = size
             first[axis] = FAULTS.index(name) if first[axis] < 0 else first[axis]
             if name in LABEL_OF_FAULT:

@@ -8,9 +8,7 @@ from pydantic import Field, field_validator
 
 from hydro_agents.controllers.registry import imported
 from hydro_agents.detection.detector import Detector
-from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
-from hydro_agents.running.folders import pretrained_folder
+from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import ConfigurationError
 from hydro_env.files import Group
 
@@ -48,7 +46,7 @@ class DetectorChoice(Group):
         return kind
 
 
-def make_detector(choice: DetectorChoice, head: LeakageHead | None = None) -> Detector:
+def make_detector(choice: DetectorChoice, head: HeadDetector | None = None) -> Detector:
     """The detector of a choice.
 
     Args:
@@ -68,8 +66,8 @@ def make_detector(choice: DetectorChoice, head: LeakageHead | None = None) -> De
     if choice.kind == "estimator":
         detector: Detector = imported(ESTIMATOR)(choice.task, choice.unknowns)
         return detector
-    head = head or LeakageHead.load(choice.weights or pretrained_folder() / HEAD_FILE)
+    head = head or HeadDetector.load(choice.weights)
     if choice.kind == "two_stage":
         both: Detector = imported(TWO_STAGE)(head, imported(ESTIMATOR)(choice.task, choice.unknowns, restarts=0))
         return both
-    return HeadDetector(head)
+    return head

@@ -7,8 +7,8 @@ window (:mod:`hydro_agents.detection.balance`) and statistics of its motion (:mo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,12 +18,14 @@ from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch
 from hydro_agents.detection.damaged_signals import stuck_sensors
+from hydro_agents.detection.detector import MeasuredColumns
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SIGNALS, SPREAD, STILL, features_of
 from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals, quantiles
-from hydro_agents.detection.sheet import sheet_of
+from hydro_agents.detection.sheet import RIG_FEATURES, leak_scale, rig_features, sheet_of
 from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
+from hydro_env.task.sensors import SENSORS, SPOOL
 
 KIND = "leakage head"
 
@@ -39,7 +41,8 @@ UPDATES_PER_WINDOW = 16
 """Number of new estimates of ``predict`` per window; between two estimates it repeats the last one."""
 
 SMALLEST_FLOW, LARGEST_FLOW = 0.01, 100.0
-"""l/min at 100 bar; smaller leaks count as none: an interval that begins there begins at 0. No answer is larger."""
+"""In the rig's unit of leaks (:func:`~hydro_agents.detection.sheet.leak_scale`); smaller leaks count as none: an
+interval that begins there begins at 0. No answer is larger."""
 
 BATCH = 512  # windows that are read together
 FARTHEST = 8.0  # limit of a feature, in standard deviations from its mean in training
@@ -90,9 +93,23 @@ class HeadSettings:
     training: dict[str, Any]
 
     @property
+    def law(self) -> dict[str, Any] | None:
+        """The law of the rigs of the training; ``None``: it has served one rig."""
+        law: dict[str, Any] | None = self.training.get("settings", {}).get("law")
+        return law
+
+    @property
     def layout(self) -> ObservationLayout:
         """The observations that the head reads."""
         return ObservationLayout.of(self.task)
+
+
+def lacks_sensors(absent: Sequence[str]) -> str:
+    """The refusal of a rig without some sensors."""
+    return (
+        f"leakage head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the leak "
+        "without it"
+    )
 
 
 class HeadState(NamedTuple):
@@ -118,13 +135,13 @@ class _StoredHead(Group):
     training: dict[str, Any]
 
 
-def tensors_like(width: int) -> dict[str, NDArray[np.float32]]:
+def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, NDArray[np.float32]]:
     """Zeros of the names, shapes and types of a head's tensors."""
-    sizes = (len(FEATURES), width, width // 2, OUTPUTS)
+    sizes = (inputs, width, width // 2, OUTPUTS)
     shapes: dict[str, tuple[int, ...]] = {
-        "mean": (len(FEATURES),),
-        "scale": (len(FEATURES),),
-        "whitener": (len(FEATURES), len(FEATURES)),
+        "mean": (inputs,),
+        "scale": (inputs,),
+        "whitener": (inputs, inputs),
         "limit": (2,),  # of the distance from the training, and of the logit of a disturbance
         "widths": (WIDTHS - 1,),
         "changing": (1,),
@@ -177,12 +194,36 @@ class LeakageHead:
     def __init__(self, tensors: Mapping[str, NDArray[Any]], settings: HeadSettings) -> None:
         self.tensors = {name: np.asarray(values, dtype=np.float32) for name, values in tensors.items()}
         self.settings = settings
-        layout = settings.layout
-        self.names = layout.names
-        self.columns = np.array([layout.index(name) for name in SIGNALS])
-        self.scale = np.array([layout.scale[column] for column in self.columns])
+        self.names = settings.layout.names
+        self.rows, self.columns, scale = MeasuredColumns.of(settings.task)  # a rig may lack the spool sensor
+        self.scale = np.ones(len(SIGNALS))
+        self.scale[self.rows] = scale
         self.sheet = sheet_of(settings.task)
+        self.leak_scale = leak_scale(settings.task)
+        self.rig = rig_features(settings.task) if self.for_any_axis else np.empty(0, np.float32)
         self.interval = max(settings.window // UPDATES_PER_WINDOW, 1)
+
+    @property
+    def for_any_axis(self) -> bool:
+        """Whether it was trained on drawn rigs."""
+        return self.settings.law is not None
+
+    def moved_to(self, config: TaskConfig) -> LeakageHead:
+        """A head for any axis on the rig of another task, with windows of the same durations.
+
+        It reads a rig without a spool sensor as well.
+
+        Raises:
+            ConfigurationError: the head serves the rig of its training alone, or the rig lacks a sensor.
+        """
+        if not self.for_any_axis:
+            raise ConfigurationError("moved_to: must be a leakage head for any axis")
+        if absent := [name for name in SENSORS if name != SENSORS[SPOOL] and not getattr(config.sensors, name).fitted]:
+            raise ConfigurationError(lacks_sensors(absent))
+        times = self.settings.task.control_period / config.control_period
+        sizes = self.settings.window, self.settings.longest
+        window, longest = (max(round(size * times), SHORTEST_WINDOW) for size in sizes)
+        return LeakageHead(self.tensors, replace(self.settings, task=config, window=window, longest=longest))
 
     def predict(
         self,
@@ -218,8 +259,7 @@ class LeakageHead:
         if episode_start is not None and np.any(episode_start):
             seen = np.where(episode_start, 0, seen)
             answer = np.where(np.asarray(episode_start)[:, None], np.nan, answer)
-        signals = np.asarray(observation[:, self.columns], dtype=np.float32)
-        return HeadState((*history, signals)[-self.settings.window :], seen + 1, answer)
+        return HeadState((*history, self._signals(observation))[-self.settings.window :], seen + 1, answer)
 
     def estimate_remembered(self, state: HeadState) -> LeakageEstimate:
         """Estimate from the stored windows (N,); NaN for an incomplete window."""
@@ -249,7 +289,13 @@ class LeakageHead:
             raise ConfigurationError(
                 f"leakage head: history has shape {np.shape(history)}: must be (N, T, {len(self.names)})"
             )
-        return self.estimate_signals(array[:, :, self.columns].transpose(0, 2, 1))
+        return self.estimate_signals(self._signals(array).transpose(0, 2, 1))
+
+    def _signals(self, observed: NDArray[Any]) -> NDArray[np.float32]:
+        """SIGNALS (…, 5) in the scales of the observation (…, n); NaN: no such sensor."""
+        signals = np.full((*observed.shape[:-1], len(SIGNALS)), np.nan, dtype=np.float32)
+        signals[..., self.rows] = observed[..., self.columns]
+        return signals
 
     def estimate_signals(self, signals: NDArray[Any]) -> LeakageEstimate:
         """Estimate from SIGNALS, (N, 5, T), in the scales of the observation."""
@@ -286,7 +332,11 @@ class LeakageHead:
     def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
         t = self.tensors
-        inputs = standardised(features, t["mean"], t["scale"])
+        if self.for_any_axis:
+            own = np.tile(self.rig, (len(features), 1))
+            inputs = standardised(np.concatenate([features, own], axis=1), t["mean"], t["scale"])
+        else:
+            inputs = standardised(features, t["mean"], t["scale"])
         output, strangeness = self.outputs(inputs), np.sqrt(np.sum((inputs @ t["whitener"]) ** 2, axis=1))
         probability = probabilities(output, features, float(t["still_shift"][0]))
         found = quantiles(output)
@@ -295,6 +345,8 @@ class LeakageHead:
         distance = (group[:, None] == np.arange(GROUPS)).astype(np.float32) @ t["widening"].reshape(GROUPS, -1)
         sizes = 10.0 ** np.clip(intervals(found, distance.reshape(-1, len(SIZES), 2)), *ends)
         sizes[:, 1] = np.where(sizes[:, 1] <= 1.05 * SMALLEST_FLOW, 0.0, sizes[:, 1])
+        if self.leak_scale != 1.0:
+            sizes = sizes * self.leak_scale
         outside = np.maximum(strangeness - t["limit"][0], output[:, OUTSIDE] - t["limit"][1]) > 0.0
         return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)
 
@@ -312,7 +364,7 @@ class LeakageHead:
         settings = {
             "task": self.settings.task.model_dump(mode="json"),
             "signals": list(SIGNALS),
-            "features": list(FEATURES),
+            "features": [*FEATURES, *(RIG_FEATURES if self.for_any_axis else ())],
             "window": self.settings.window,
             "longest": self.settings.longest,
             "threshold": self.settings.threshold,
@@ -332,16 +384,17 @@ class LeakageHead:
         if "features" not in settings:
             raise ConfigurationError(f"{path}: was made by an earlier version; train it again: hydro train head")
         stored = validate(_StoredHead, settings, str(path))
-        if stored.signals != SIGNALS or stored.features != FEATURES:
+        described = HeadSettings(stored.task, stored.window, stored.longest, stored.threshold, stored.training)
+        known = FEATURES if described.law is None else FEATURES + RIG_FEATURES
+        if stored.signals != SIGNALS or stored.features != known:
             raise ConfigurationError(f"{path}: was trained on other signals or features than this version reads")
         if stored.longest < stored.window:
             raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")
         bias = tensors.get("bias_0")
         if bias is None or bias.shape != (stored.width,):  # checked before arrays of that width take memory
             raise ConfigurationError(f"{path}: width = {stored.width}: its tensors belong to another network")
-        like = tensors_like(stored.width)
+        like = tensors_like(stored.width, len(known))
         require(tensors, like, path)
-        described = HeadSettings(stored.task, stored.window, stored.longest, stored.threshold, stored.training)
         try:
             return cls({name: tensors[name] for name in like}, described)
         except ConfigurationError as error:

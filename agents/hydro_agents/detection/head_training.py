@@ -29,14 +29,16 @@ from hydro_agents.detection.head import (
     tensors_like,
 )
 from hydro_agents.detection.intervals import COVERAGE, FEWEST, GROUPS, WIDTHS, distances, groups, quantiles
+from hydro_agents.detection.sheet import RIG_FEATURES
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, require, restore_optimiser, save_checkpoint
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, HydroError, TaskConfig
 from hydro_env.files import Group
 
 CHECKPOINT_FILE = "head_checkpoint.safetensors"
 KIND = "leakage head checkpoint"
+NEVER_VARIED, INVALID = 1e-5, FEATURES.index("invalid features")
 RIDGE = 0.05  # added to the covariance of the standardised features before inversion
 
 FALSE_ALARM_RATE = 0.01
@@ -45,16 +47,19 @@ CHANGING_SHARE = 0.15  # share of the windows that are treated as windows with a
 LARGEST_SHIFT = 2.0  # largest size of the shift of a leak's logit at standstill
 OUTSIDE_RATE = 0.01  # share of undisturbed validation windows that each of the two limits of "outside" marks
 
+SPLITS = {"data": "training", "validation": "validation"}  # of a law's rigs, for each phase of simulation
+
 Progress = Callable[[str, int, int, float], None]
 
 
-def make_network(width: int) -> nn.Sequential:
+def make_network(width: int, inputs: int = len(FEATURES), dropout: float = 0.0) -> nn.Sequential:
     """The network: from features to the outputs of a head."""
-    sizes = (len(FEATURES), width, width // 2, OUTPUTS)
+    sizes = (inputs, width, width // 2, OUTPUTS)
     layers: list[nn.Module] = []
-    for layer in range(LAYERS):
+    for layer in range(LAYERS - 1):
         layers += [nn.Linear(sizes[layer], sizes[layer + 1]), nn.ReLU()]
-    return nn.Sequential(*layers[:-1])
+        layers += [nn.Dropout(dropout)] if dropout else []
+    return nn.Sequential(*layers, nn.Linear(sizes[-2], sizes[-1]))
 
 
 def network_tensors(network: nn.Sequential) -> dict[str, NDArray[Any]]:
@@ -77,7 +82,8 @@ def train_head(
 
     Args:
         config: the task; the head's shortest window is one episode.
-        controllers: controllers of the axes in a part of the runs; the other runs have other kinds of operation.
+        controllers: controllers of the axes in a part of the runs; the other runs have other kinds of operation. Drawn
+            rigs have controllers for any axis instead.
         settings: settings of the training.
         seed: seed of data and network.
         progress: called with the phase, the amount done, the total amount, and the loss (NaN during simulation).
@@ -103,14 +109,15 @@ def train_head(
         job.simulate("validation", settings.validation_episodes, THRESHOLDS.first)
         job.save()
         job.fit()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, HydroError):
         job.save()
         raise
-    record = {"seed": seed, "settings": settings.model_dump(mode="json"), "seconds": 0.0}
+    record = {"seed": seed, "settings": settings.model_dump(mode="json")}
     head = calibrated(
         job.tensors(), config, settings.longest_window(config), Windows.joined(job.parts["validation"]), record
     )
-    record["seconds"] = round(time.monotonic() - began, 1)
+    if not resume:  # the time of the runs before is unknown
+        record["seconds"] = round(time.monotonic() - began, 1)
     return head
 
 
@@ -147,12 +154,13 @@ class _Job:
         progress: Progress | None,
     ) -> None:
         self.settings, self.seed, self.checkpoint, self.progress = settings, seed, checkpoint, progress
-        self.plan = Plan(config, controllers, settings)
-        self.network = make_network(settings.width)
+        self.plans = {phase: Plan(config, controllers, settings, split) for phase, split in SPLITS.items()}
+        inputs = len(FEATURES) + (len(RIG_FEATURES) if settings.law is not None else 0)
+        self.network = make_network(settings.width, inputs, settings.dropout)
         rate, decay = settings.learning_rate, settings.weight_decay
         self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)
         self.epoch = 0
-        self.parts: dict[str, list[Windows]] = {"data": [], "validation": []}
+        self.parts: dict[str, list[Windows]] = {phase: [] for phase in SPLITS}
         self.description = {
             "seed": seed,
             "settings": settings.model_dump(mode="json"),
@@ -197,17 +205,18 @@ class _Job:
         for phase, parts in self.parts.items():
             if parts:
                 tensors |= {f"{phase}.{name}": v for name, v in Windows.joined(parts)._asdict().items()}
-        counts = {phase: [len(part.flow_lpm) for part in parts] for phase, parts in self.parts.items()}
+        counts = {phase: [len(part.size) for part in parts] for phase, parts in self.parts.items()}
         more = {"epoch": self.epoch, "windows": counts, "controllers": self.drivers}
         save_checkpoint(self.checkpoint, KIND, tensors, more | self.description)
 
     def simulate(self, phase: str, episodes: int, first_seed: int) -> None:
-        parts, sizes = self.parts[phase], [chunk.axes for chunk in self.plan.chunks(episodes)]
+        parts, plan = self.parts[phase], self.plans[phase]
+        sizes = [chunk.axes for chunk in plan.chunks(episodes)]
         if not parts:
             self.save()
         if self.progress is not None:
             self.progress(phase, sum(sizes[: len(parts)]), sum(sizes), math.nan)
-        for part in self.plan.windows(episodes, first_seed, skip=len(parts)):
+        for part in plan.windows(episodes, first_seed, skip=len(parts)):
             parts.append(part)
             if self.progress is not None:
                 self.progress(phase, sum(sizes[: len(parts)]), sum(sizes), math.nan)
@@ -215,11 +224,14 @@ class _Job:
     def tensors(self) -> dict[str, NDArray[Any]]:
         """The tensors of the head, with the statistics of the features of the training windows."""
         features = Windows.joined(self.parts["data"]).features
-        tensors = tensors_like(self.settings.width) | network_tensors(self.network)
+        tensors = tensors_like(self.settings.width, features.shape[1]) | network_tensors(self.network)
         tensors["mean"] = features.mean(axis=0)
-        tensors["scale"] = (1.0 / (features.std(axis=0) + 1e-3)).astype(np.float32)
+        deviation = features.std(axis=0)
+        # What never varied cannot be judged: a rig's file may know a range where the law draws none.
+        judged = (deviation > NEVER_VARIED) | (np.arange(len(deviation)) == INVALID)
+        tensors["scale"] = np.where(judged, 1.0 / (deviation + 1e-3), 0.0).astype(np.float32)
         inputs = standardised(features, tensors["mean"], tensors["scale"])
-        covariance = np.cov(inputs.T) + RIDGE * np.eye(len(FEATURES))
+        covariance = np.cov(inputs.T) + RIDGE * np.eye(features.shape[1])
         tensors["whitener"] = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
         tensors["widening"][:] = 1.0
         return tensors
@@ -229,7 +241,7 @@ class _Job:
         inputs = torch.from_numpy(standardised(data.features, start["mean"], start["scale"]))
         disturbed = (data.disturbance >= 1.0).astype(np.float32)
         labels = torch.from_numpy(np.column_stack([data.labels, disturbed]))
-        size = torch.from_numpy(size_target(data.flow_lpm))
+        size = torch.from_numpy(size_target(data.size))
         total = len(inputs)
         per_epoch = math.ceil(total / settings.batch)
         while self.epoch < settings.epochs:
@@ -250,9 +262,9 @@ class _Job:
                 self.progress("training", self.epoch, settings.epochs, float(np.mean(losses)))
 
 
-def size_target(flow_lpm: NDArray[np.float64]) -> NDArray[np.float32]:
-    """log10 of the flow, but of at least the smallest flow that counts."""
-    return np.log10(np.maximum(flow_lpm, SMALLEST_FLOW)).astype(np.float32)
+def size_target(size: NDArray[np.float64]) -> NDArray[np.float32]:
+    """log10 of the leak, but of at least the smallest one that counts."""
+    return np.log10(np.maximum(size, SMALLEST_FLOW)).astype(np.float32)
 
 
 def calibrated(
@@ -282,7 +294,7 @@ def calibrated(
         without = windows.labels[:, label] == 0.0 if label > 0 else clean
         tensors["thresholds"][label] = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
     threshold = min(float(tensors["thresholds"][0]), 1.0)
-    found, size = quantiles(output), size_target(windows.flow_lpm)
+    found, size = quantiles(output), size_target(windows.size)
     tensors["widths"] = np.quantile(found[:, 2] - found[:, 0], np.arange(1, WIDTHS) / WIDTHS).astype(np.float32)
     tensors["changing"][0] = np.quantile(windows.features[:, CHANGE], 1.0 - CHANGING_SHARE)
     group = groups(found, windows.features[:, CHANGE], tensors["widths"], float(tensors["changing"][0]))

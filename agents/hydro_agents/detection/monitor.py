@@ -13,6 +13,7 @@ from hydro_agents.controllers.base import Controller, Observation, as_batch, che
 from hydro_agents.detection.detector import Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, HeadState, LeakageEstimate, LeakageHead
+from hydro_agents.learning.opponents import ANY_AXIS, shipped_weights
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
 
@@ -23,33 +24,78 @@ OTHER_CAUSES = tuple(cause for cause in Cause if Cause.INTERNAL_LEAK < cause < C
 
 
 class HeadDetector:
-    """The leakage head: its score is the logit of the probability of a leak."""
+    """The leakage head: its score is the logit of the probability of a leak.
 
-    def __init__(self, head: LeakageHead) -> None:
-        self.head, self.window = head, head.settings.window
-        self.threshold: float | None = float(logit(np.array([head.settings.threshold]))[0])
+    A head for any axis moves to the rig of each task. A head for one rig leaves the others to one for any axis.
+
+    Args:
+        head: the head.
+        elsewhere: weights of a head for any axis, which reads other rigs than that of ``head``.
+    """
+
+    def __init__(self, head: LeakageHead, elsewhere: Path | None = None) -> None:
+        self.head, self._elsewhere = head, elsewhere
+        self._moved: tuple[TaskConfig, LeakageHead] | None = None
+        self.threshold: float | None = _logit(head.settings.threshold)
+
+    @classmethod
+    def load(cls, path: str | Path | None = None) -> HeadDetector:
+        """A head from its weights; default: the shipped one, and the shipped one for any axis on other rigs.
+
+        Raises:
+            ConfigurationError: as :meth:`LeakageHead.load`.
+        """
+        if path is not None:
+            return cls(LeakageHead.load(path))
+        usual = pretrained_folder() / HEAD_FILE
+        return cls(LeakageHead.load(usual), usual.with_name(f"{HEAD_FILE}_{ANY_AXIS}"))
+
+    @property
+    def window(self) -> int:
+        """Control periods of a window; 0: of the usual duration, on any rig."""
+        return 0 if self.head.for_any_axis or self._elsewhere is not None else self.head.settings.window
+
+    def on(self, task: TaskConfig) -> LeakageHead:
+        """The head on the rig of a task.
+
+        Raises:
+            ConfigurationError: rig or control period differ from those of its training, or the rig lacks a sensor.
+        """
+        own = self.head.settings.task
+        at_home = (own.plant, own.control_period) == (task.plant, task.control_period)
+        if at_home and not self.head.for_any_axis:
+            return self.head
+        if self._moved is None or self._moved[0] != task:
+            general = LeakageHead.load(self._elsewhere) if self._elsewhere is not None else self.head
+            if not general.for_any_axis and own.plant != task.plant:
+                raise ConfigurationError("the leakage head was trained for another rig")
+            if not general.for_any_axis:
+                period = f"{1e3 * own.control_period:g} ms"
+                raise ConfigurationError(f"the leakage head was trained for a control period of {period}")
+            self._moved = task, general.moved_to(task)
+        return self._moved[1]
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
-        """The reason if rig or control period differ from those of its training, or the windows are too short."""
-        settings = self.head.settings
-        if settings.task.plant != task.plant:
-            return "the leakage head was trained for another rig"
-        if settings.task.control_period != task.control_period:
-            return f"the leakage head was trained for a control period of {1e3 * settings.task.control_period:g} ms"
-        if samples < settings.window:
-            return f"the leakage head reads windows of at least {settings.window * task.control_period:g} s"
+        """The reason if no head serves the rig, or the windows are too short."""
+        try:
+            window = self.on(task).settings.window
+        except ConfigurationError as error:
+            return str(error)
+        if samples < window:
+            return f"the leakage head reads windows of at least {window * task.control_period:g} s"
         return ""
 
     def read(self, windows: Windows, task: TaskConfig) -> Reading:
         """Read windows; one unlike the training has the cause ``UNKNOWN``, one with a stuck sensor has no score."""
-        del task
-        found = self.head.estimate_windows(windows.signals)
+        head = self.on(task)
+        found = head.estimate_windows(windows.signals)
         outside = found.outside > 0.0
         stuck = outside & (found.sensor_fault == BESIDE_STUCK_SENSOR["sensor_fault"])
-        excess = self._excess(found)
+        excess = _excess(found, head)
         named = np.where(excess.max(axis=1) > 0.0, np.array(OTHER_CAUSES)[excess.argmax(axis=1)], Cause.NONE)
+        evidence = logit(found.probability) + _logit(self.head.settings.threshold) - _logit(head.settings.threshold)
         return Reading.of(
-            np.where(stuck, np.nan, logit(found.probability)),
+            np.where(stuck, np.nan, evidence),
             np.where(stuck, Cause.SENSOR, np.where(outside, Cause.UNKNOWN, named)),
             probability=found.probability,
             flow_lpm=found.flow_lpm,
@@ -62,11 +108,16 @@ class HeadDetector:
             why=np.where(outside, Why.OUTSIDE, Why.ANSWERED),
         )
 
-    def _excess(self, found: LeakageEstimate) -> Any:
-        """Logits of the other causes above their thresholds, (N, causes)."""
-        names = [cause.word.replace(" ", "_") for cause in OTHER_CAUSES]
-        thresholds = logit(self.head.tensors["thresholds"])[[LABELS.index(name) for name in names]]
-        return logit(np.column_stack([getattr(found, name) for name in names])) - thresholds
+
+def _logit(probability: float) -> float:
+    return float(logit(np.array([probability]))[0])
+
+
+def _excess(found: LeakageEstimate, head: LeakageHead) -> Any:
+    """Logits of the other causes above their thresholds, (N, causes)."""
+    names = [cause.word.replace(" ", "_") for cause in OTHER_CAUSES]
+    thresholds = logit(head.tensors["thresholds"])[[LABELS.index(name) for name in names]]
+    return logit(np.column_stack([getattr(found, name) for name in names])) - thresholds
 
 
 @dataclass
@@ -138,8 +189,9 @@ def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:
 
 
 def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
-    """Weights of a leakage head, the shipped ones by default, checked against the task."""
-    path = path or pretrained_folder() / HEAD_FILE
+    """Weights of a leakage head, the shipped ones for the rig by default, checked against the task."""
+    path = path or shipped_weights(HEAD_FILE, config)
     head = LeakageHead.load(path)
+    head = head.moved_to(config) if head.for_any_axis else head
     check_head(head, config, str(path))
     return head

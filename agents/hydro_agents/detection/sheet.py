@@ -11,18 +11,22 @@ from numpy.typing import NDArray
 from hydro_agents.controllers.sampled_loop import zero_order_hold
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.plant.parameters import Physical, to_vector
+from hydro_env.plant.parameters import Physical, PlantParameters, to_vector
+from hydro_env.plant.parts.leakage import LEAK_LAWS
 from hydro_env.plant.parts.supply import gas_volume_at
+from hydro_env.task.paces import full_speed
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
-from hydro_env.units import FULL_VOLTAGE
+from hydro_env.task.signals import SHEET, data_sheet
+from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
 POINTS = 2  # points between two samples at which the flows are evaluated
 FREQUENCIES, DAMPINGS = 9, 3  # numbers of natural frequencies and of damping ratios of the candidate valves
 AT_ONCE = 1e5  # 1/s; rate for the ideal parts of the valve model
 NOISE_WITHOUT_LAG = 1.17  # factor by which the removal of the transducers' lag raises their noise
 SPOOL_NOISE_LEFT = 0.4  # share of the spool sensor's noise that remains after smoothing
+LEAK_UNIT = LITRE_PER_MINUTE / LEAK_LAWS["laminar"].at_test  # m³/s per Pa, of 1 l/min at 100 bar
 FLOW_ERROR = 0.015  # error of the flow between two samples, as a fraction of the change due to the spool's motion
 
 
@@ -34,8 +38,8 @@ class Unknowns(NamedTuple):
     supply_excess: Any  # Pa, supply pressure above that setting when the window begins
     underlap: Any  # of full stroke
     null: Any  # of full stroke; null shift of the valve and bias of the spool sensor together
-    internal_leak: Any  # l/min at 100 bar
-    external_leak: Any  # l/min at 100 bar
+    internal_leak: Any  # in the rig's unit of leaks: l/min at 100 bar, times :func:`leak_scale`
+    external_leak: Any  # as well
     compressibility: Any  # of the oil without air, relative to the data sheet
     air_fraction: Any
     dead_volume: Any  # m³, above the data sheet's
@@ -50,6 +54,7 @@ class Sheet(NamedTuple):
     coefficients: NDArray[np.float64]  # of the nominal plant
     mean: NDArray[np.float64]  # (COUNT,), of the priors
     spread: NDArray[np.float64]  # (COUNT,), standard deviations of the priors
+    leak_unit: float  # m³/s per Pa, of a leak of 1 in the rig's unit
     transition: NDArray[np.float64]  # (valves, POINTS + 1, 3, 5), see _valve_steps
     spool_noise: float  # of full stroke
     sensor_low: NDArray[np.float64]  # (4,), lower ends of the ranges of position, pressures and spool position
@@ -65,6 +70,35 @@ class Sheet(NamedTuple):
     pressure_noise_b: float  # Pa
     flow_noise: float  # m per period, travel due to the noise of the spool sensor
     flow_error: float  # m per period, travel at full spool stroke, times FLOW_ERROR
+
+
+def leak_scale(config: TaskConfig) -> float:
+    """Flow into chamber a at full opening over that of the paper's rig: what counts as a small leak grows with it."""
+    return _full_flow(config.plant) / _full_flow(PlantParameters())
+
+
+def _full_flow(plant: PlantParameters) -> float:
+    return float(plant_coefficients(plant).area_a * full_speed(plant))
+
+
+RIG_FEATURES = (
+    *(f"rig: {name.replace('_', ' ')}" for name in SHEET),
+    "rig: noise of pressure",
+    "rig: leak scale",
+    "rig: error of flow",
+)
+"""Names of the features of a rig, which a head for any axis reads beside those of the window."""
+
+
+def rig_features(config: TaskConfig) -> NDArray[np.float32]:
+    """:data:`RIG_FEATURES`, each of order 1."""
+    sheet = sheet_of(config)
+    sizes = (
+        1e3 * sheet.pressure_noise_a / config.plant.supply.pressure,
+        leak_scale(config),
+        1e3 * sheet.flow_noise / sheet.position_noise + 1e-6,
+    )
+    return np.array([*data_sheet(config).values(), *np.log10(sizes)], dtype=np.float32)
 
 
 def sheet_of(config: TaskConfig) -> Sheet:
@@ -127,6 +161,7 @@ def sheet_of(config: TaskConfig) -> Sheet:
         coefficients=np.array(c),
         mean=np.array(mean),
         spread=np.array(spread),
+        leak_unit=LEAK_UNIT * leak_scale(config),
         transition=np.array(transition),
         sensor_low=np.array([getattr(sensors, name).low for name in SENSORS]),
         sensor_high=np.array([getattr(sensors, name).high for name in SENSORS]),

@@ -6,11 +6,12 @@ import math
 
 from pydantic import ConfigDict, Field
 
-from hydro_agents.detection.head import LARGEST_WIDTH, SHORTEST_WINDOW
+from hydro_agents.detection.head import LARGEST_WIDTH, SHORTEST_WINDOW, lacks_sensors
 from hydro_agents.running.seeds import THRESHOLDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT
+from hydro_env.task.law import RigLaw
 from hydro_env.task.sensors import SENSORS
 
 RISE = 0.05  # part of the training during which the learning rate rises
@@ -21,6 +22,9 @@ class HeadTrainingSettings(Group):
 
     model_config = ConfigDict(allow_inf_nan=False)
 
+    law: RigLaw | None = Field(
+        None, description="of the rigs of the training, each for a few runs; none: the task's rig"
+    )
     episodes: int = Field(6_000, ge=20, le=250_000, description="training runs, over all kinds of operation")
     validation_episodes: int = Field(2_000, ge=20, le=THRESHOLDS.count, description="for thresholds and intervals")
     windows: int = Field(3, ge=1, le=100, description="windows from each run")
@@ -30,13 +34,16 @@ class HeadTrainingSettings(Group):
     changing_share: float = Field(0.3, ge=0.0, le=1.0, description="runs whose leak begins or grows within the window")
     orifice_share: float = Field(0.06, ge=0.0, le=1.0, description="share of runs with a turbulent leak (orifice)")
     disturbed_share: float = Field(0.15, ge=0.0, le=1.0, description="share of runs with a disturbance")
-    lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
-    highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
+    lowest_healthy_flow: float = Field(
+        0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar on the paper's rig; grows with the valve's flow"
+    )
+    highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="as well")
     epochs: int = Field(20, ge=1, le=100_000)
     batch: int = Field(256, ge=1, le=1_000_000)
     learning_rate: float = Field(3e-3, gt=0.0, le=1.0)
     weight_decay: float = Field(1e-3, ge=0.0, le=1.0)
     size_weight: float = Field(4.0, ge=0.0, le=1e3, description="weight of the size's error relative to the classes")
+    dropout: float = Field(0.0, ge=0.0, lt=1.0, description="share of hidden units that are left out in training")
     width: int = Field(128, ge=2, le=LARGEST_WIDTH)
     torch_threads: int = Field(2, ge=1, le=256)
 
@@ -49,10 +56,7 @@ class HeadTrainingSettings(Group):
         """
         absent = [name for name in SENSORS if not getattr(config.sensors, name).fitted]
         if absent:
-            raise ConfigurationError(
-                f"leakage_head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the "
-                "leak without it"
-            )
+            raise ConfigurationError(lacks_sensors(absent))
         if config.steps < SHORTEST_WINDOW:
             raise ConfigurationError(
                 f"leakage_head: an episode of {config.steps} control periods is its shortest window: must have at "

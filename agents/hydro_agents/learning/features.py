@@ -239,6 +239,12 @@ class PolicyFeatures:
         inputs: NDArray[np.float32] = np.concatenate(parts, axis=1, dtype=np.float32)
         return inputs if self.normalisation is None else self.normalisation(inputs)
 
+    def applied(self, share: float) -> PolicyFeatures:
+        """The same features, with a smaller correction."""
+        less = copy(self)
+        less.residual_scale *= share
+        return less
+
     def normalised(self) -> PolicyFeatures:
         """The same features, normalised by their values on training plants under the corrected controller.
 
@@ -368,6 +374,13 @@ class AnyAxisFeatures(PolicyFeatures):
         error = math.exp(np.mean(np.log(list(errors.values())))) / (full_speed(self.config.plant) * pace(self.config))
         features = AnyAxisFeatures(self.config, base, self.correction, self.sheet, error)
         return PolicyFeatures.normalised(features)
+
+    def applied(self, share: float) -> PolicyFeatures:
+        """The same features, with a smaller correction."""
+        less = super().applied(share)
+        assert isinstance(less, AnyAxisFeatures)
+        less.correction *= share
+        return less
 
     def moved_to(self, config: TaskConfig) -> AnyAxisFeatures:
         """The same features on another rig, normalised there by simulation.

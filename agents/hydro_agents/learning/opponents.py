@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, imported, make_controller
@@ -14,6 +15,8 @@ from hydro_agents.running.weights import weight_files, weights_in
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.mistakes import unknown
+from hydro_env.task.law import RigLaw
+from hydro_env.task.paces import outside_law
 from hydro_env.task.rig import read_rig
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
@@ -43,7 +46,7 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
         ('PID', 'PolicyController')
     """
     if kind in SHIPPED_WEIGHTS:
-        return on_rig(TRAINERS[kind].load(shipped_weights(kind, config)), config)
+        return on_rig(TRAINERS[kind].load(shipped_weights(SHIPPED_WEIGHTS[kind], config)), config)
     if takes_gains_for_any_rig(kind, config):
         return make_controller(kind, config)
     settings = gains_file(kind, config) or usual_gains(kind)
@@ -52,9 +55,9 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
     return make_controller(kind, config, read_yaml(settings))
 
 
-def shipped_weights(kind: str, config: TaskConfig) -> Path:
-    """The shipped weights of a kind: those for the task's rig if they exist, else those for any axis."""
-    usual = pretrained_folder() / SHIPPED_WEIGHTS[kind]
+def shipped_weights(name: str, config: TaskConfig) -> Path:
+    """The shipped weights of a name: those for the task's rig if they exist, else those for any axis."""
+    usual = pretrained_folder() / name
     if config.plant == PlantParameters() and config.control_period == TaskConfig().control_period:
         return usual
     own = usual.with_name(f"{usual.name}_{shipped_rig(config)}")
@@ -72,6 +75,13 @@ def on_rig(controller: Controller, config: TaskConfig) -> Controller:
         return controller
     moved: Controller = controller.moved_to(config)  # type: ignore[attr-defined]
     return moved
+
+
+def outside_training(trained: Any, config: TaskConfig) -> str:
+    """Where a rig lies outside the drawn rigs of a training of policy or head, and how far; empty: nowhere."""
+    training = getattr(getattr(trained, "settings", trained), "training", None) or {}
+    law = training.get("settings", {}).get("law")
+    return outside_law(RigLaw.model_validate(law), config) if law else ""
 
 
 def shipped_rig(config: TaskConfig) -> str:

@@ -39,6 +39,9 @@ class TrainingSettings(Group):
 
     residual: bool = Field(True, description="true: the policy corrects another controller; false: it acts on its own")
     residual_scale: float = Field(0.2, gt=0.0, le=2.0, description="command per 1 of the policy's output")
+    applied_share: float = Field(
+        1.0, gt=0.0, le=1.0, description="share of the correction that acts after the training; less leaves more margin"
+    )
     see_correction: bool = Field(
         False, description="the policy sees its last correction and their slow average (residual form only)"
     )

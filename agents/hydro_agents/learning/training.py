@@ -259,7 +259,7 @@ def train_policy(
         "command_latency": config.command_latency_range or config.command_latency,
         "settings": settings.model_dump(mode="json"),
     }
-    return PolicyController.from_sb3(model, features, record)
+    return PolicyController.from_sb3(model, features.applied(settings.applied_share), record)
 
 
 def _checkpoint_file(

@@ -93,6 +93,17 @@ def output_folder(
                 path.rmdir()
 
 
+def refuse_taken(folder: Path, job: str, writes: Sequence[str], overwrite: bool) -> None:
+    """Refuse a folder before long work, as :func:`output_folder` does after it.
+
+    Raises:
+        ConfigurationError: as there.
+    """
+    if not overwrite:
+        with output_folder(folder, job, writes):
+            pass
+
+
 def _what_stays(folder: Path, resume: bool | None, files: Sequence[str]) -> str:
     if not files:
         return "nothing had been written"

@@ -72,7 +72,13 @@ def controller_card(
     )
 
 
-def head_card(head: LeakageHead, evaluation: Evaluation, command: str, weights: str | None = None) -> str:
+def head_card(
+    head: LeakageHead,
+    evaluation: Evaluation,
+    command: str,
+    weights: str | None = None,
+    shipped: str = "leakage_head",
+) -> str:
     """Card of a leakage head, see :func:`controller_card`."""
     metrics = []
     first = evaluation.detection_rates["controller"].iloc[0]
@@ -90,10 +96,10 @@ def head_card(head: LeakageHead, evaluation: Evaluation, command: str, weights: 
         training=head.settings.training,
         values={
             "head": head.settings,
-            "axis": _axis(head.settings.task),
+            "axis": _axis(head.settings.task, head.for_any_axis),
             "command": command,
             "weights": weights,
-            "shipped": "leakage_head",
+            "shipped": shipped,
         },
     )
 

@@ -67,7 +67,8 @@ def export(
     'hydro_env[export]'`. A rig that nobody tuned: `hydro export flow_linearising --rig my.yaml --period 2ms`.
 
     `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to the
-    probability and size of a leak, and its network as ONNX. `hydro export study/leakage_head` does so for your own.
+    probability and size of a leak, and its network as ONNX; with `--rig` and `--period` on your rig, without training.
+    `hydro export study/leakage_head` does so for your own.
     `hydro export alarm` writes the shipped alarm as C99: baseline, sum, latch, cause and reset, with test vectors.
     `hydro export results/alarms/alarm.yaml` does so for your own.
 
@@ -81,18 +82,17 @@ def export(
     part = _part(what)
     if part and language != "c":
         raise ConfigurationError(f"export {what}: has no --format {language}; a controller does")
-    if part and (period is not None or latency is not None):
+    if part not in ("", "leakage_head") and (period is not None or latency is not None):
         raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
     if all_systems and part != "plant":
         raise ConfigurationError(f"export {what}: takes no --all-systems; the plant does")
-    if part not in ("", "plant") and (task is not None or rig is not None):
-        owner = "the shipped head" if what == part else part.replace("_", " ")
-        raise ConfigurationError(f"export {what}: takes no --task and no --rig; {owner} has its own")
+    if part in ("alarm", "playground") and (task is not None or rig is not None):
+        raise ConfigurationError(f"export {what}: takes no --task and no --rig; {part} has its own")
     match part:
         case "plant":
             names, make = _plant(task, rig, all_systems)
         case "leakage_head":
-            names, make = _head(what)
+            names, make = _head(what, _Request(task, rig, period, latency))
         case "alarm":
             names, make = _alarm(what)
         case "playground":
@@ -143,15 +143,29 @@ def _plant(task: str | None, rig: Path | None, all_systems: bool) -> Job:
     return (FMU_FILE, "plant.h", "plant.c"), make
 
 
-def _head(what: str) -> Job:
+def _head(what: str, request: _Request) -> Job:
     from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.running.folders import pretrained_folder
+    from hydro_agents.learning.opponents import shipped_weights
+    from hydro_agents.running.tasks import timed_task
     from hydro_rig.export.leakage_head import FILES, exported_head
     from hydro_rig.export.onnx_writer import onnx_package
 
     onnx_package()  # report a missing package at the start
-    head = LeakageHead.load(pretrained_folder() / "leakage_head" if what == "leakage_head" else what)
+    config = timed_task(*request, f"export {what}")
+    head = LeakageHead.load(shipped_weights(what, config) if what == "leakage_head" else what)
+    if head.for_any_axis:
+        head = head.moved_to(config)
+        _tell_distance(what, head, config)
+    elif any(request) and head.settings.task.plant != config.plant:
+        raise ConfigurationError(f"export {what}: was trained for another rig; the shipped leakage_head serves any")
     return FILES, partial(exported_head, head, command_line())
+
+
+def _tell_distance(what: str, trained: object, config: TaskConfig) -> None:
+    from hydro_agents.learning.opponents import outside_training
+
+    if far := outside_training(trained, config):
+        print(f"hydro: {what}: outside the rigs of the training: {far}", file=sys.stderr)
 
 
 def _alarm(what: str) -> Job:
@@ -185,6 +199,7 @@ def _controller(what: str, request: _Request, language: str) -> Job:
     made_for = trained_for(controller)
     if made_for is not None and made_for != config.plant:
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
+    _tell_distance(what, controller, config)
     if takes_gains_for_any_rig(what, config):
         say(f"{what}: gains for any rig, which nobody tuned for this one: {page('no_tuning.md')} says what they cost")
     elif what in CONTROLLERS and config.plant != PlantParameters() and gains_file(what, config) is None:

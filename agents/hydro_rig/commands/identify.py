@@ -57,12 +57,14 @@ def identify(
     contradicts the rig, the command ends with one line. See `docs/identify.md`.
     """
     from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
     from hydro_env.task.rig import read_rig
-    from hydro_rig.identification.identification_page import identify_to_folder
+    from hydro_rig.identification.identification_page import FILES, JOB, identify_to_folder
     from hydro_rig.identification.identify import identify as identify_recordings
     from hydro_rig.recordings.columns import maps_of
 
+    refuse_taken(output, JOB, FILES, overwrite)
     known = read_rig(rig)
     config = task_config(task, rig=known.source)
     maps = maps_of(columns or [], recordings)

@@ -119,10 +119,12 @@ def _ends(between: str | None) -> tuple[float | None, float | None]:
 
 def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json: bool, overwrite: bool) -> None:
     from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import refuse_taken
     from hydro_env.files import validate
     from hydro_rig.diagnosis.leak_test_plan import LeakTestSettings, plan
-    from hydro_rig.diagnosis.leak_test_plan_page import plan_facts, plan_to_folder
+    from hydro_rig.diagnosis.leak_test_plan_page import JOB, PLAN_FILES, plan_facts, plan_to_folder
 
+    refuse_taken(output, JOB, PLAN_FILES, overwrite)
     settings = validate(LeakTestSettings, given, "leak-test")
     with nullcontext() if as_json else ProgressDisplay() as display:
         test = plan(config, settings, display.update if display is not None else None)
@@ -140,11 +142,13 @@ def _read(
     overwrite: bool,
 ) -> None:
     from hydro_agents.running.console import ProgressDisplay
-    from hydro_rig.diagnosis.leak_test_page import reading_facts, reading_to_folder
+    from hydro_agents.running.folders import refuse_taken
+    from hydro_rig.diagnosis.leak_test_page import JOB, READING_FILES, reading_facts, reading_to_folder
     from hydro_rig.diagnosis.leak_test_reading import read_leak_test
     from hydro_rig.diagnosis.verdict import EXIT_CODES
     from hydro_rig.recordings.columns import read_map
 
+    refuse_taken(output, JOB, READING_FILES, overwrite)
     mapped = read_map(columns) if columns is not None else None
     with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
         progress = display.update if display is not None else None

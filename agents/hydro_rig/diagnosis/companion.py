@@ -14,7 +14,6 @@ from hydro_agents.detection.detectors import KINDS, DetectorChoice, make_detecto
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import looks_at, window_of
 from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
-from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.recordings.quality import Checked
 from hydro_rig.recordings.sampling import Sampled
@@ -48,7 +47,7 @@ class Companion(NamedTuple):
         """
         if text is not None and ":" in text and not Path(f"{text}.json").exists():
             return cls.of(make_detector(DetectorChoice(kind=text)))
-        return cls.of(LeakageHead.load(text or pretrained_folder() / HEAD_FILE), text or HEAD_FILE)
+        return cls(HeadDetector.load(text), weights=text or HEAD_FILE)
 
     @property
     def own(self) -> bool:
@@ -105,7 +104,7 @@ def detector_of(settings: AlarmSettings, companion: Companion) -> Detector:
     if isinstance(detector, HeadDetector):
         name = f"head {weights.name}"
         if kind in ("", *KINDS) and Path(file or weights).stem == weights.stem:
-            return make_detector(DetectorChoice(kind=kind or "head"), detector.head)
+            return make_detector(DetectorChoice(kind=kind or "head"), detector)
     else:
         name = f"{type(detector).__module__}:{type(detector).__qualname__}"
         if not kind or (":" in kind and imported(kind) in (detector, type(detector))):

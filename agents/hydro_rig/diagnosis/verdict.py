@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why
+from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import LeakageDraw
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
-from hydro_rig.estimation.estimator import leak_scale
 from hydro_rig.recordings.driving import AXIS
 from hydro_rig.recordings.findings import Code, Finding, Weight
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
+from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.running.text import number
-from hydro_env import PlantParameters, TaskConfig
-from hydro_env.plant.analysis import speed_limits
-from hydro_env.plant.arrays import plant_coefficients
+from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
 from hydro_env.types import Floats
@@ -43,7 +42,7 @@ SURE = 3.0  # distance of an estimate from its healthy range that names a fault,
 WIDE_BIAS = 3.0  # standard deviation of a sensor's offset, relative to the largest offset of the data sheet
 DETERMINED = 0.05
 """Largest standard deviation of a valid reading, as a share of the leak, or in l/min at 100 bar on the default rig; on
-other rigs it grows with their flow (:func:`leak_scale`)."""
+other rigs it grows with their flow (:func:`~hydro_agents.detection.sheet.leak_scale`)."""
 
 LEAST_TRAVEL = 20.0  # smallest travel of an axis in motion, in standard deviations of the position's noise
 
@@ -248,16 +247,6 @@ class EstimatorDetector:
             fault=_in_words(worn, excess > 0.0),
             why=np.select([~fits, known, still], [Why.MISFIT, Why.ANSWERED, Why.AT_REST], Why.UNDETERMINED),
         )
-
-
-def leak_scale(task: TaskConfig) -> float:
-    """Flow into chamber a at full opening over that of the default rig: what counts as a small leak grows with it."""
-    return _full_flow(task.plant) / _full_flow(PlantParameters())
-
-
-def _full_flow(plant: PlantParameters) -> float:
-    """Piston area times the speed at full opening, the mean of both directions, m³/s."""
-    return float(plant_coefficients(plant).area_a * np.mean(speed_limits(plant)))
 
 
 def wear_priors(task: TaskConfig) -> dict[str, Prior]:

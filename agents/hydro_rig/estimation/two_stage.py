@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
-from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import Activity, activity_of
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import TaskConfig
@@ -35,8 +34,8 @@ class TwoStageDetector:
     threshold: float | None = None
     ration = RATION
 
-    def __init__(self, head: LeakageHead, estimator: EstimatorDetector | None = None) -> None:
-        self.head, self.estimator = HeadDetector(head), estimator or EstimatorDetector()
+    def __init__(self, head: HeadDetector, estimator: EstimatorDetector | None = None) -> None:
+        self.head, self.estimator = head, estimator or EstimatorDetector()
         self.window = self.head.window
         self._asked: Floats = np.empty(0)  # s, end of the last window of each axis that the estimator read
         self._named: NDArray[np.int8] = np.empty(0, dtype=np.int8)  # the cause that it then named
@@ -55,7 +54,7 @@ class TwoStageDetector:
         self._named[free] = Cause.NONE
         first = self.head.read(windows, task)
         moving = activity_of(windows.signals, task.control_period) == Activity.MOVING
-        seen = first.probability >= self.head.head.settings.threshold
+        seen = first.probability >= self.head.on(task).settings.threshold
         doubtful = ~(moving & first.answers) | (first.cause != Cause.NONE) | seen
         first = first._replace(score=np.where(first.answers, first.flow_lpm, np.nan))
         rows, still = np.flatnonzero(free & doubtful), np.flatnonzero(~moving)

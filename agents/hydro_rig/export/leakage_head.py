@@ -12,6 +12,7 @@ import numpy as np
 
 from hydro_agents.detection.balance import fit, fit_balance
 from hydro_agents.detection.damaged_signals import bounds_of, find_stuck, repair
+from hydro_agents.detection.detector import MeasuredColumns
 from hydro_agents.detection.features import FEATURES, SIGNALS, describe, features_of
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageEstimate, LeakageHead
 from hydro_agents.running.seeds import HEAD_VECTORS
@@ -96,8 +97,6 @@ def head_code(head: LeakageHead) -> CCode:
     network = writer.statements(graph.nodes())
     answer = writer.kept("answers", graph.outputs["answer"], network)
     network.append(f"    for (int i = 0; i < {len(FIELDS)}; ++i) answer[i] = {answer}[i];")
-    names, _, scales, limits = observation_layout(config)
-    columns = [names.index(name) for name in SIGNALS]
     values: dict[str, Any] = {
         **_texts(head),
         "interval": head.interval,
@@ -108,8 +107,8 @@ def head_code(head: LeakageHead) -> CCode:
         "structs": translator.structs,
         "functions": translator.functions,
         "sheet": {name: np.ravel(part).tolist() if np.ndim(part) else float(part) for name, part in sheet.items()},
-        "scale": scales[columns].tolist(),
-        "limit": limits[columns].tolist(),
+        "scale": head.scale.tolist(),
+        "limit": _limits(head).tolist(),
         "beside_stuck_sensor": BESIDE_STUCK_SENSOR,
         "bounds": bounds.ravel().tolist(),
         "fitted": [(name, np.size(part)) for name, part in fitted.items()],
@@ -185,10 +184,10 @@ def head_vectors(head: LeakageHead) -> tuple[Floats, Floats]:
     for k in range(length):
         observed = observation.copy()
         if k in (60, 61, 200):
-            observed[-1, head.columns[:4]] = np.nan
+            observed[-1, head.columns[:-1]] = np.nan
         if k >= length - head.interval:
             observed[-1, head.columns[1]] = samples[-1, k - 1, 1] / head.scale[1]
-        samples[:, k] = observed[:, head.columns].astype(np.float64) * head.scale
+        samples[:, k] = MeasuredColumns.of(config).si(observed[:, head.columns, None])[:, :, 0]
         answers[:, k], state = head.predict(observed, state)
         position = head.settings.layout.si(observation, "position")
         command = 0.97 * command + 0.03 * generator.uniform(-1.0, 1.0, count)
@@ -215,13 +214,18 @@ def check_network(head: LeakageHead, model: bytes, samples: Floats) -> dict[str,
     return {"windows": len(windows), "largest_difference": largest}
 
 
+def _limits(head: LeakageHead) -> Floats:
+    """Limits of the signals in the scales of the observation, (5,)."""
+    limits = np.ones(len(SIGNALS))
+    limits[head.rows] = observation_layout(head.settings.task)[3][head.columns]
+    return limits
+
+
 def _facts(head: LeakageHead) -> dict[str, Any]:
     """What the contract says of a head."""
     config = head.settings.task
-    names, _, scales, limits = observation_layout(config)
     signals = []
-    for name in SIGNALS:
-        limit = float(limits[names.index(name)] * scales[names.index(name)])
+    for name, limit in zip(SIGNALS, (_limits(head) * head.scale).tolist(), strict=True):
         sensor = getattr(config.sensors, name, None)
         low, high = (sensor.low, sensor.high) if sensor is not None else (-limit, limit)
         unit, meaning = MEANINGS[name]

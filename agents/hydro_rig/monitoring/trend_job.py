@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import Job, Report, answers_of
@@ -17,7 +18,6 @@ from hydro_agents.running.machine import Origin
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
-from hydro_rig.estimation.estimator import leak_scale
 from hydro_rig.monitoring.oil import Oil, temperature_range
 from hydro_rig.monitoring.trend import Settings, read_rows
 from hydro_rig.monitoring.trend_page import lines_of, render_trend

@@ -7,11 +7,13 @@ from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Plan, Windows, draw_faults
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
 from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation, slow
-from hydro_agents.detection.sheet import sheet_of
+from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS, SIGNED_KINDS
+from hydro_env.task.law import RigLaw
 from hydro_rig.estimation.known_windows import at_rest
 
 CONFIG = TaskConfig(episode_duration=0.4)
@@ -35,8 +37,8 @@ def test_chunks_do_not_depend_on_those_before(windows):
 def test_windows_are_labelled(windows):
     data = Windows.joined(windows)
     assert data.features.shape[1] == len(FEATURES)
-    np.testing.assert_array_equal(data.labels[:, 0] == 1.0, data.flow_lpm > 0.03)
-    assert 0.3 < np.mean(data.flow_lpm <= 0.03) < 0.7
+    np.testing.assert_array_equal(data.labels[:, 0] == 1.0, data.size > 0.03)
+    assert 0.3 < np.mean(data.size <= 0.03) < 0.7
     assert set(data.operation) == set(range(len(OPERATIONS)))
     seconds = 10.0 ** data.features[:, FEATURES.index("duration")]
     assert seconds.min() == pytest.approx(0.4)
@@ -71,16 +73,36 @@ def test_a_changing_leak_is_labelled_with_its_size_at_the_end_of_the_window(leak
     config = TaskConfig()
     plan = Plan(config, [CONTROLLER], HeadTrainingSettings(fault_share=0.0))
     seeds = TRAINING_SEEDS.start + 930_000 + np.arange(60)
-    data = plan._chunk(Chunk(4, -1, leak, 60), seeds, sheet_of(config))
-    assert len(data.flow_lpm) >= 55
+    data = plan._chunk(Chunk(4, -1, leak, 60), seeds, config)
+    assert len(data.size) >= 55
     early, late = (data.features[:, FEATURES.index(f"change of leak in part {part}")] for part in (1, 8))
-    large = data.flow_lpm > 1.0
+    large = data.size > 1.0
     assert large.sum() >= 5
     assert np.mean(late[large] > early[large] + 1.0) > 0.8
-    assert np.median(data.features[large, CHANGE]) > np.median(data.features[data.flow_lpm <= 0.03, CHANGE]) + 0.5
+    assert np.median(data.features[large, CHANGE]) > np.median(data.features[data.size <= 0.03, CHANGE]) + 0.5
     # The leak of the last part is no larger than that at the end; a growing one is smaller.
     last = 0.1 * np.sinh(data.features[large, FEATURES.index("leak in part 8")])
-    assert np.median(last / data.flow_lpm[large]) < (1.15 if leak == "onset" else 0.9)
+    assert np.median(last / data.size[large]) < (1.15 if leak == "onset" else 0.9)
+
+
+def test_with_a_law_the_chunks_take_its_rigs_in_turn_and_leaks_are_in_their_unit():
+    plan = Plan(TaskConfig(), (), HeadTrainingSettings(law=RigLaw(count=6), fault_share=0.0))
+    others = Plan(TaskConfig(), (), plan.settings, "validation")
+    bores = [[task.plant.load.mass for task in each.rigs] for each in (plan, others)]
+    assert len({*bores[0], *bores[1]}) == 12
+    large = max(plan.rigs, key=leak_scale)
+    data = plan._chunk(Chunk(4, -1, "constant", 24), TRAINING_SEEDS.start + 940_000 + np.arange(24), large)
+    np.testing.assert_array_equal(data.labels[:, 0] == 1.0, data.size > 0.03)
+    leaking = data.size > 0.3
+    found = 0.02 * np.sinh(data.features[leaking, FEATURES.index("small internal leak")])
+    assert leak_scale(large) > 3.0
+    assert 0.4 < np.median(found / data.size[leaking]) < 1.6
+
+
+def test_a_weight_meets_no_leak_past_the_rod_seal():
+    hanging = task_config(plant={"load": {"external_force": 2000.0}})
+    for config, some in ((hanging, False), (TaskConfig(), True)):
+        assert draw_faults(config, np.random.default_rng(0), 400, 0.6)[0]["external_leak"].any() == some
 
 
 @pytest.mark.parametrize("name", MANNERS)

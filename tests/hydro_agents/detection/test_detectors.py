@@ -15,6 +15,7 @@ from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.evaluation.leak_protocol import simulated_windows as simulated
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
+from hydro_env.task.configuration import task_config
 from hydro_rig.estimation.estimator import EstimatorDetector
 
 CONFIG = TaskConfig()
@@ -80,14 +81,18 @@ def test_changes_of_the_task_and_further_unknowns_reach_the_fit():
     np.testing.assert_allclose(reading.flow_lpm, 0.5, atol=0.05)
 
 
-def test_the_shipped_head_reads_the_windows_of_its_axis_and_no_others():
+def test_the_shipped_head_reads_the_windows_of_its_axis_and_leaves_others_to_that_for_any_axis():
     detector = make_detector(DetectorChoice(kind="head"))
     assert isinstance(detector, HeadDetector)
     assert detector.refuses(CONFIG, 400) == ""
     assert "windows of at least 2 s" in detector.refuses(CONFIG, 20)
-    assert "a control period of 5 ms" in detector.refuses(TaskConfig(control_period=0.01), 400)
+    alone, slow = HeadDetector(detector.head), TaskConfig(control_period=0.01)
+    assert "a control period of 5 ms" in alone.refuses(slow, 400)
     heavy = CONFIG.model_copy(update={"plant": CONFIG.plant.replace(load={"mass": 900.0})})
-    assert "another rig" in detector.refuses(heavy, 400)
+    assert "another rig" in alone.refuses(heavy, 400)
+    assert detector.refuses(heavy, 400) == detector.refuses(slow, 200) == ""
+    deaf = task_config(slow, sensors={"pressure_a": {"fitted": False}})
+    assert "reads pressure_a, but this rig has no such sensor" in detector.refuses(deaf, 200)
     assert np.isfinite(detector.threshold)
 
 

@@ -84,14 +84,14 @@ def test_learns_to_tell_leaks(head):
     windows = Windows.joined(list(plan.windows(150, TRAINING_SEEDS.start + 900_000)))
     estimate = LeakageEstimate(*head.judge(windows.features).T)
     kept = (windows.fault < 0) & (windows.leak == LEAKS.index("constant"))
-    kept &= (windows.flow_lpm <= 0.03) | (windows.flow_lpm >= 0.5)
-    leaking = windows.flow_lpm[kept] >= 0.5
+    kept &= (windows.size <= 0.03) | (windows.size >= 0.5)
+    leaking = windows.size[kept] >= 0.5
     assert area_under_roc(estimate.probability[kept], leaking) > 0.9
-    found, true = np.log(estimate.flow_lpm[kept][leaking]), np.log(windows.flow_lpm[kept][leaking])
+    found, true = np.log(estimate.flow_lpm[kept][leaking]), np.log(windows.size[kept][leaking])
     assert np.corrcoef(found, true)[0, 1] > 0.5
     assert (estimate.low_lpm <= estimate.flow_lpm).all()
     assert (estimate.flow_lpm <= estimate.high_lpm).all()
-    inside = (estimate.low_lpm <= windows.flow_lpm) & (windows.flow_lpm <= estimate.high_lpm)
+    inside = (estimate.low_lpm <= windows.size) & (windows.size <= estimate.high_lpm)
     assert 0.75 < inside.mean() <= 1.0
     assert estimate.outside.mean() < 0.1
 

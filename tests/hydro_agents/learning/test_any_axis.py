@@ -1,5 +1,7 @@
 """A policy for any axis: inputs of one meaning on every rig, training on drawn rigs, and its way to another rig."""
 
+from copy import copy
+
 import numpy as np
 import pytest
 
@@ -130,6 +132,17 @@ def test_training_continues_bit_for_bit(policy, tmp_path):
         np.testing.assert_array_equal(bias, also)
     with pytest.raises(ConfigurationError, match="was made with other settings"):
         train_policy(TASK, SETTINGS.model_copy(update={"axes": 24}), **options, resume=True)
+
+
+def test_a_share_of_the_correction_acts_after_the_training(policy, tmp_path):
+    weaker = copy(policy[1])
+    weaker.features = policy[1].features.applied(0.5)
+    weaker.save(tmp_path / "weaker")
+    stored = PolicyController.load(tmp_path / "weaker")
+    whole, half = (commands(each.moved_to(RIGS[0]), RIGS[0]) for each in (policy[1], stored))
+    own = commands(untuned(RIGS[0]), RIGS[0])
+    np.testing.assert_allclose(half[0] - own[0], 0.5 * (whole[0] - own[0]), atol=1e-6)
+    assert np.abs(whole[0] - own[0]).max() > 1e-6
 
 
 def test_each_rig_has_its_axes_rewards_and_discount():

@@ -15,7 +15,7 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import DEAD, drawn_answers, drawn_task, rig_tasks
 from hydro_env.task.law import RigLaw
 from hydro_env.task.nameplates import QUESTIONS
-from hydro_env.task.paces import full_speed, pace
+from hydro_env.task.paces import full_speed, outside_law, pace
 from hydro_env.task.signals import SHEET, data_sheet
 
 LAW = RigLaw(count=6)
@@ -173,3 +173,10 @@ def test_what_needs_one_rig_says_so(tmp_path):
     (tmp_path / "law.yaml").write_text("law: {count: 1}\nload: {mass: 3}\n")
     with pytest.raises(ConfigurationError, match="a law is a mapping, and stands alone"):
         task_config(rig=tmp_path / "law.yaml")
+
+
+def test_a_rig_outside_the_law_is_told_with_the_distance():
+    tasks = rig_tasks(task_config(law={"count": 40, "split": "test", "preview_paces": []}))
+    assert [outside_law(LAW, task) for task in tasks] == [""] * 40
+    strong = task_config(plant={"supply": {"pressure": 350e5}}, control_period=0.02)
+    assert outside_law(LAW, strong) == "supply 350 bar (70 to 250), period 20 ms (1 to 10)"

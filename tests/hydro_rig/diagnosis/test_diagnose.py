@@ -47,7 +47,7 @@ def test_record_and_diagnose_from_the_command_line(tmp_path, browser):
     assert_published_page("diagnosis", page)
     assert "src=" not in page
     assert "http" not in page.replace("http://www.w3.org", "")
-    assert_one_clear_line(hydro("diagnose", file, "--output", tmp_path / "out"), "holds results already")
+    assert_one_clear_line(hydro("diagnose", "absent.csv", "--output", tmp_path / "out"), "holds results already")
 
 
 @pytest.mark.parametrize(

@@ -109,8 +109,8 @@ class Says:
 
 
 def two_stages(head, estimator):
-    detector = TwoStageDetector(untrained_head(CONFIG), estimator)
-    head.head = detector.head.head
+    detector = TwoStageDetector(HeadDetector(untrained_head(CONFIG)), estimator)
+    head.on = detector.head.on
     detector.head = head
     return detector
 
@@ -168,7 +168,6 @@ def test_in_doubt_the_estimator_has_the_last_word_for_a_minute():
         (("--rate", "0"), ("rate = 0", "above 0")),
         (("--detector", "estimator", "--head", "nowhere"), ("--head nowhere", "only a head has weights")),
         (("--head", "nowhere"), ("nowhere.json", "cannot be read")),
-        (("--task", "period_10ms"), ("alarm: the leakage head was trained for a control period of 5 ms",)),
         (("--detector", "network"), ("kind = 'network'", "must be head, estimator, two_stage, or module:attribute")),
         (("--detector", "math:pi"), ("'math:pi': is no leak detector", "it has no threshold, refuses, read")),
     ],

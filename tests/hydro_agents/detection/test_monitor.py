@@ -1,0 +1,85 @@
+"""The leakage head on the rig of a task: the one for any axis moves there."""
+
+import numpy as np
+import pytest
+
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.detection.detector import Windows, measured_run
+from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.monitor import HeadDetector, MonitoredController, load_head
+from hydro_agents.detection.sheet import leak_scale
+from hydro_agents.evaluation.detection import area_under_roc
+from hydro_agents.running.cases import Cases
+from hydro_agents.running.folders import pretrained_folder
+from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.configuration import task_config
+from hydro_env.task.drawn_rigs import rig_tasks
+
+RIGS = rig_tasks(task_config(law={"split": "validation", "first": 7000, "count": 4, "preview_paces": []}))
+BLIND = next(task for task in RIGS if not task.sensors.spool_position.fitted)
+ANY = LeakageHead.load(pretrained_folder() / "leakage_head_any_axis")
+ONE = LeakageHead.load(pretrained_folder() / "leakage_head")
+
+
+@pytest.mark.parametrize("task", RIGS)
+def test_the_head_for_any_axis_finds_leaks_on_rigs_that_it_never_saw(task):
+    sizes = np.repeat([0.01, 1.0], 60)  # in the rig's unit
+    cases = Cases(VALIDATION_SEEDS.start + 990_000 + np.arange(120), leak_scale(task) * sizes)
+    signals, _ = measured_run(task, FlowLinearising(FlowLinearisingGains(), task), cases)
+    found = load_head(None, task).estimate_windows(signals)
+    assert area_under_roc(found.probability, sizes == 1.0) > 0.9
+    assert 0.6 < np.median(found.flow_lpm[sizes == 1.0]) / leak_scale(task) < 1.6
+
+
+def test_a_parameter_that_no_drawn_rig_varies_does_not_put_a_rig_outside():
+    task = TaskConfig()  # its file gives the supply a range
+    sizes = np.repeat([0.001, 3.0], 40)
+    cases = Cases(VALIDATION_SEEDS.start + 996_000 + np.arange(80), sizes)
+    signals, _ = measured_run(task, FlowLinearising(FlowLinearisingGains(), task), cases)
+    found = ANY.moved_to(task).estimate_windows(signals)
+    assert found.outside.mean() < 0.2
+    assert area_under_roc(found.probability, sizes == 3.0) > 0.95
+
+
+def test_windows_keep_their_duration():
+    for task in RIGS:
+        moved = ANY.moved_to(task).settings
+        assert moved.window * task.control_period == pytest.approx(2.0, rel=0.01)
+        assert moved.longest * task.control_period == pytest.approx(8.0, rel=0.01)
+
+
+def test_a_head_reads_what_a_rig_without_a_spool_sensor_has():
+    head = ANY.moved_to(BLIND)
+    env = ServoHydraulicVectorEnv(2, BLIND)
+    watched = MonitoredController(FlowLinearising(FlowLinearisingGains(), BLIND), head)
+    observation, state, seen = env.reset(seed=5)[0], None, []
+    for _ in range(head.settings.window):
+        seen.append(observation)
+        action, state = watched.predict(observation, state)
+        observation, *_ = env.step(action)
+    whole = head.estimate(np.stack(seen, axis=1))
+    np.testing.assert_array_equal(np.array(whole), np.array(watched.estimate(state)))
+    assert np.isfinite(whole.probability).all()
+
+
+def test_the_shipped_head_serves_its_rig_and_the_one_for_any_axis_the_others():
+    detector, other = HeadDetector.load(), RIGS[0]
+    assert detector.on(TaskConfig()).settings == ONE.settings
+    assert detector.on(other).settings == ANY.moved_to(other).settings
+    assert load_head(None, TaskConfig()).settings == ONE.settings
+    signals, _ = measured_run(
+        other, FlowLinearising(FlowLinearisingGains(), other), Cases(VALIDATION_SEEDS.start + 995_000 + np.arange(8))
+    )
+    reading, found = detector.read(Windows.of(signals), other), ANY.moved_to(other).estimate_windows(signals)
+    flagged = found.probability >= ANY.settings.threshold
+    np.testing.assert_array_equal((reading.score >= detector.threshold)[reading.answers], flagged[reading.answers])
+
+
+def test_what_no_head_serves_is_refused():
+    deaf = task_config(RIGS[0], sensors={"pressure_b": {"fitted": False}})
+    with pytest.raises(ConfigurationError, match="reads pressure_b, but this rig has no such sensor"):
+        ANY.moved_to(deaf)
+    with pytest.raises(ConfigurationError, match="must be a leakage head for any axis"):
+        ONE.moved_to(RIGS[0])
+    assert HeadDetector(ONE).refuses(RIGS[0], 10_000) == "the leakage head was trained for another rig"
