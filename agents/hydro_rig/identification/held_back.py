@@ -16,7 +16,7 @@ from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.model import Model, noise_of
-from hydro_rig.estimation.unknowns import Prior, priors_of, starts_of
+from hydro_rig.estimation.unknowns import NULL_DRIFT, Prior, priors_of, starts_of
 from hydro_rig.recordings.parts import Stretch
 
 HORIZONS = (0.5, 2.0, 10.0)
@@ -24,6 +24,7 @@ HORIZONS = (0.5, 2.0, 10.0)
 
 JUDGED_OVER = 2.0  # s; the forecast that decides where errors add up, because nothing holds the axis
 FORECAST_EVERY = 2.0  # s, from the beginning of a forecast to that of the next
+FORECAST_FROM = 2.0  # s before a forecast, which show its state and how far the null of the valve has wandered
 
 START_FROM = 0.2  # s; the initial state comes from this first part; afterwards the simulation uses only the commands
 LEAST_MOTION = 20.0
@@ -141,7 +142,7 @@ def simulate_held_back(
     motion = np.array([np.nanstd(row) if np.isfinite(row).any() else 0.0 for row in measured])
     share = np.array([_share([pair]) for pair in zip(measured, simulated, strict=True)])
     share[motion < LEAST_MOTION * noise_of(config)] = np.nan
-    forecasts = _forecasts(signals, edge, config, physical, bias, names, fixed, count)
+    forecasts = _forecasts(signals, edge, config, physical, bias, (*names, NULL_DRIFT), fixed)
     return HeldBack(part.recording, part.begin + first * period, time, measured, simulated, share, forecasts)
 
 
@@ -153,13 +154,13 @@ def _forecasts(
     bias: Floats,
     names: Sequence[str],
     fixed: Mapping[str, Prior],
-    count: int,
 ) -> Floats:
     """Measured and simulated readings of forecasts from states along a part, (2, N, channels, T).
 
-    Each forecast begins ``count`` samples after its start; what lies beyond the end of the part is NaN.
+    What lies beyond the end of the part is NaN.
     """
     period, total = config.control_period, signals.shape[1]
+    count = round(FORECAST_FROM / period)
     length = min(count + round(HORIZONS[-1] / period), total)
     known = np.isfinite(signals[POSITION])
     last = total - count - round(HORIZONS[0] / period)
