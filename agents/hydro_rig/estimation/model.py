@@ -50,7 +50,6 @@ LONGEST_INTERVAL = 10.0  # s; a longer gap between two samples must be a mistake
 
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
 _SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
-_BREAKAWAY, _COULOMB = (PARAMETER_PATHS.index(f"friction.{name}_force") for name in ("breakaway", "coulomb"))
 _NULL = PARAMETER_PATHS.index("valve.null_shift")
 _EXTERNAL = PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)
 
@@ -224,7 +223,6 @@ class Model:
             else:
                 physical[:, PARAMETER_PATHS.index(name)] = value
         physical[:, _NULL] += drift
-        physical[:, _BREAKAWAY] = np.maximum(physical[:, _BREAKAWAY], physical[:, _COULOMB])
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
         read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course)

@@ -61,7 +61,7 @@ def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
     values = {path: within_bounds(config.plant, path, value) for path, value in values.items()}
     breakaway, coulomb = "friction.breakaway_force", "friction.coulomb_force"
     least = values.get(coulomb, own_value(config.plant, coulomb))
-    if breakaway in values or least > own_value(config.plant, breakaway):  # as in the fit
+    if breakaway in values or least > own_value(config.plant, breakaway):
         values[breakaway] = max(values.get(breakaway, 0.0), least)
     return values
 

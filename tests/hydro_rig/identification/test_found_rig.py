@@ -117,7 +117,7 @@ def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
     assert errors == sorted(errors)
     assert drifted[math.inf].share[POSITION] < 0.9 < drifted[2.0].share[POSITION]
     assert right[2.0].share[POSITION] > 0.999
-    short = simulate_held_back(part._replace(signals=signals[0, :, :300]), config, config.plant, np.zeros(4))
+    short = simulate_held_back(part._replace(signals=signals[0, :, :600]), config, config.plant, np.zeros(4))
     assert forecast_over([short], 2.0) is None
     assert forecast_over([short], 0.5).error[POSITION] < 1e-3
 
