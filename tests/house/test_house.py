@@ -38,9 +38,9 @@ ROOMS = (
 
 BUDGET = {
     "hydro_env": 65_300,
-    "hydro_agents": 171_700,
-    "hydro_rig": 148_600,
-    "tests": 267_300,
+    "hydro_agents": 172_300,
+    "hydro_rig": 150_400,
+    "tests": 268_300,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

@@ -127,6 +127,8 @@ class _Request(NamedTuple):
     latency: str | None
 
 
+TRAINED_FOR = ("plant", "control_period", "command_latency")  # of the task, what a head for one rig cannot change
+
 Exported = tuple[Mapping[str, str | bytes], Sequence[str]]  # contents of files by name, and lines about them
 Job = tuple[Sequence[str], Callable[[], Exported]]  # names of the files, and what makes them
 
@@ -156,8 +158,10 @@ def _head(what: str, request: _Request) -> Job:
     if head.for_any_axis:
         head = head.moved_to(config)
         _tell_distance(what, head, config)
-    elif any(request) and head.settings.task.plant != config.plant:
-        raise ConfigurationError(f"export {what}: was trained for another rig; the shipped leakage_head serves any")
+    elif any(request) and any(getattr(head.settings.task, name) != getattr(config, name) for name in TRAINED_FOR):
+        raise ConfigurationError(
+            f"export {what}: was trained for another rig or period; the shipped leakage_head serves any"
+        )
     return FILES, partial(exported_head, head, command_line())
 
 

@@ -24,6 +24,7 @@ from hydro_rig.estimation.unknowns import (
     KNOTS,
     LATENCY,
     LEAKAGE,
+    NULL_DRIFT,
     RISE_TIME,
     STARTS,
     Prior,
@@ -49,6 +50,7 @@ LONGEST_INTERVAL = 10.0  # s; a longer gap between two samples must be a mistake
 
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
 _SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
+_NULL = PARAMETER_PATHS.index("valve.null_shift")
 _EXTERNAL = PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)
 
 
@@ -194,6 +196,7 @@ class Model:
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         commands = self.commands.beginning(samples or self.samples)
         course: Floats | None = None
+        drift: Floats | float = 0.0
         for name, value in zip(self.names, self.values(scaled).T, strict=True):
             if name.startswith(COURSE):
                 time = np.pad(np.cumsum(commands.durations[window], axis=1), ((0, 0), (1, 0)))
@@ -213,10 +216,13 @@ class Model:
                 bias[:, BIASES.index(name)] = value
             elif name in GAINS:
                 gain[:, GAINS.index(name)] = value
+            elif name == NULL_DRIFT:
+                drift = value
             elif name in STARTS:
                 start[:, STARTS.index(name)] = value
             else:
                 physical[:, PARAMETER_PATHS.index(name)] = value
+        physical[:, _NULL] += drift
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
         read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course)

@@ -37,13 +37,21 @@ steps of a random walk are unknowns of a window, numbered from 1."""
 
 COURSE_STEP = 0.02  # standard deviation of a step, as a share of the supply pressure
 
+NULL_DRIFT = "valve.null_drift"
+"""Null of the valve in one window minus that of the rig: it wanders with temperature and with the amplifier."""
+
+USUAL_DRIFT = 0.003  # standard deviation, parts of full command: real amplifiers and valves wander by 1 % and more
+
 STARTS = tuple(f"start.{name}" for name in STATE_NAMES)
 EXTERNAL_RESISTANCE = f"leakage.{ROD_SEAL.parameter}"
 
 PATHS = tuple(path for path in PARAMETER_PATHS if path not in (*MODEL_CODES, *LEAKAGE_OF_THE_TASK, EXTERNAL_RESISTANCE))
 """Parameters of the plant; the leaks have their own names."""
 
-NAMES = (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, RISE_TIME, *BIASES, *GAINS, *STARTS, *PATHS)
+OF_A_WINDOW = (*STARTS, NULL_DRIFT)
+"""Unknowns that windows of one axis do not share."""
+
+NAMES = (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, RISE_TIME, *BIASES, *GAINS, *OF_A_WINDOW, *PATHS)
 
 
 START = tuple(
@@ -170,6 +178,8 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
         return Prior(latency.mean, max(math.sqrt(latency.variance), 0.05e-3))
     if name == RISE_TIME:
         return Prior(config.sensors.pressure_rise_time, RISE_TIME_UNKNOWN)
+    if name == NULL_DRIFT:
+        return Prior(0.0, USUAL_DRIFT)
     if name.startswith(COURSE):
         return Prior(0.0, COURSE_STEP * config.plant.supply.pressure)
     if name in STARTS:

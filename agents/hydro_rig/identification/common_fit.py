@@ -30,7 +30,7 @@ from hydro_rig.estimation.solver import (
     prior_belief,
     without,
 )
-from hydro_rig.estimation.unknowns import LATENCY, STARTS, Prior
+from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, Prior, prior_of
 
 Indices = NDArray[np.int64]
 Report = Callable[[str, int, int], None]
@@ -60,6 +60,9 @@ and roughness looks like information: an unknown without influence would seem to
 MOST_DAMPING = 5e5
 """A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
 
+MUCH_BETTER = 0.7
+"""A null that wanders is taken where it brings the median misfit below this share; otherwise it only takes up noise."""
+
 STARTING_VALUES = 2  # common fits from different values; the best is taken
 AS_GOOD = 6.0  # rise of the cost up to which another minimum explains the readings as well (5 % of two dimensions)
 APART = 4.0  # standard deviations between two minima
@@ -76,7 +79,7 @@ class Joint(NamedTuple):
     information: Floats  # (B, p, p), of each window about the shared unknowns, with an unknown start
     score: Floats  # (B, p), derivative of each window's log-likelihood to the shared unknowns
     misfit: Floats  # (B,), as in hydro_rig.estimation.result.Estimate
-    own: Indices  # (P − p,), indices of the start states
+    own: Indices  # (P − p,), indices of the unknowns of each window
     response: Floats  # (B, P − p, p), change of the most probable start states per change of the shared unknowns
     cost: float  # weighted squares of the residuals, and of the scaled unknowns
 
@@ -141,8 +144,8 @@ def fit_together(
 
 
 def shared_and_own(model: Model) -> tuple[Indices, Indices]:
-    """Indices of the unknowns that all windows share, and of their start states."""
-    start = np.array([name in STARTS for name in model.names])
+    """Indices of the unknowns that all windows share, and of those that each has for itself."""
+    start = np.array([name in OF_A_WINDOW for name in model.names])
     return np.flatnonzero(~start), np.flatnonzero(start)
 
 
@@ -213,6 +216,10 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
         timed = _with_timing(windows, config, best, report)
         if timed.explained > best.explained:  # otherwise it would only take up another error of the model
             best = timed
+    if 2 * best.explained < len(windows):
+        drifting = _with_drift(windows, config, best, report)
+        if np.median(drifting.misfit) < MUCH_BETTER * np.median(best.misfit):
+            best = drifting
     report("common fit", 1, 1)
     return best
 
@@ -246,6 +253,23 @@ def _with_timing(windows: Windows, config: TaskConfig, found: Common, report: Re
     rough = [descend(model, readings, trial, shared_and_own(model)[0], progress, ROUGH_TOLERANCE, LONG_STEP)[0]
              for trial in trials]  # fmt: skip
     joint = fit_together(model, readings, rough[int(np.argmin(costs_of(model, readings, rough)))], progress)
+    misfit = np.full(len(windows), np.inf)
+    misfit[kept] = joint.misfit
+    return Common(model, readings, joint, misfit, None)
+
+
+def _with_drift(windows: Windows, config: TaskConfig, found: Common, report: Report) -> Common:
+    """The fit continued with a null of the valve that wanders from window to window."""
+    kept = np.flatnonzero(np.isfinite(found.misfit))
+    priors = {**found.model.priors, NULL_DRIFT: prior_of(config, NULL_DRIFT)}
+    model, readings = replayed(windows.part(kept), config, priors)
+    first = np.concatenate([found.joint.scaled, np.zeros((len(kept), 1))], axis=1)
+
+    def progress(done: int, total: int) -> None:
+        report("null", done, total)
+
+    rough = descend(model, readings, first, shared_and_own(model)[0], progress, ROUGH_TOLERANCE, LONG_STEP)[0]
+    joint = fit_together(model, readings, rough, progress)
     misfit = np.full(len(windows), np.inf)
     misfit[kept] = joint.misfit
     return Common(model, readings, joint, misfit, None)

@@ -60,8 +60,9 @@ def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
             values[name] = value
     values = {path: within_bounds(config.plant, path, value) for path, value in values.items()}
     breakaway, coulomb = "friction.breakaway_force", "friction.coulomb_force"
-    if breakaway in values:  # two separate estimates may contradict each other within their uncertainty
-        values[breakaway] = max(values[breakaway], values.get(coulomb, own_value(config.plant, coulomb)))
+    least = values.get(coulomb, own_value(config.plant, coulomb))
+    if breakaway in values or least > own_value(config.plant, breakaway):
+        values[breakaway] = max(values.get(breakaway, 0.0), least)
     return values
 
 

@@ -16,8 +16,15 @@ from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.model import Model, noise_of
-from hydro_rig.estimation.unknowns import Prior, priors_of, starts_of
+from hydro_rig.estimation.unknowns import NULL_DRIFT, Prior, priors_of, starts_of
 from hydro_rig.recordings.parts import Stretch
+
+HORIZONS = (0.5, 2.0, 10.0)
+"""Times in s over which forecasts from the measured state are judged, besides the whole held-back part."""
+
+JUDGED_OVER = 2.0  # s; the forecast that decides where errors add up, because nothing holds the axis
+FORECAST_EVERY = 2.0  # s, from the beginning of a forecast to that of the next
+FORECAST_FROM = 2.0  # s before a forecast, which show its state and how far the null of the valve has wandered
 
 START_FROM = 0.2  # s; the initial state comes from this first part; afterwards the simulation uses only the commands
 LEAST_MOTION = 20.0
@@ -29,6 +36,17 @@ MOVING = 0.3  # of the largest speed: above, the axis moves, and its simulated s
 PRESSURES = tuple(SENSORS.index(name) for name in ("pressure_a", "pressure_b"))
 
 
+NO_FORECASTS = np.empty((2, 0, len(SENSORS), 0))
+
+
+class Forecast(NamedTuple):
+    """How well the held-back parts are predicted over some time from the measured state, or as a whole."""
+
+    share: Floats  # (channels,), share of variance explained; NaN: absent, or without motion
+    error: Floats  # (channels,), root mean square, SI; NaN: absent
+    speed_error: float  # root mean square, m/s; NaN if the axis stood still or left the sensor's range
+
+
 class HeldBack(NamedTuple):
     """A held-back part, measured and simulated."""
 
@@ -38,6 +56,7 @@ class HeldBack(NamedTuple):
     measured: Floats  # (channels, T), SI
     simulated: Floats  # (channels, T), SI, biases included
     share: Floats  # (channels,), share of variance explained; NaN for an absent channel, or one without motion
+    forecasts: Floats = NO_FORECASTS  # (2, N, channels, T'), measured and simulated from N measured states, SI
 
     @property
     def error(self) -> Floats:
@@ -63,12 +82,20 @@ class HeldBack(NamedTuple):
 
     def _speeds(self) -> tuple[Floats, Floats]:
         """Measured and simulated speed, m/s, (T − k,)."""
-        step = max(round(SPEED_OVER / (self.time[1] - self.time[0])), 1)
-        away = self.time[step:] - self.time[:-step]
-        measured, simulated = (
-            (values[POSITION, step:] - values[POSITION, :-step]) / away for values in (self.measured, self.simulated)
-        )
+        measured, simulated = (_speed(values[POSITION], self.period) for values in (self.measured, self.simulated))
         return measured, simulated
+
+    @property
+    def period(self) -> float:
+        """Time from one sample to the next, s."""
+        return float(self.time[1] - self.time[0])
+
+
+def _speed(position: Floats, period: float) -> Floats:
+    """Speed in m/s, (…, T − k), from a position in m, (…, T), over SPEED_OVER."""
+    step = max(round(SPEED_OVER / period), 1)
+    speed: Floats = (position[..., step:] - position[..., :-step]) / (step * period)
+    return speed
 
 
 def _root_mean_square(errors: Floats) -> Floats:
@@ -115,7 +142,69 @@ def simulate_held_back(
     motion = np.array([np.nanstd(row) if np.isfinite(row).any() else 0.0 for row in measured])
     share = np.array([_share([pair]) for pair in zip(measured, simulated, strict=True)])
     share[motion < LEAST_MOTION * noise_of(config)] = np.nan
-    return HeldBack(part.recording, part.begin + first * period, time, measured, simulated, share)
+    forecasts = _forecasts(signals, edge, config, physical, bias, (*names, NULL_DRIFT), fixed)
+    return HeldBack(part.recording, part.begin + first * period, time, measured, simulated, share, forecasts)
+
+
+def _forecasts(
+    signals: Floats,
+    edge: Floats | None,
+    config: TaskConfig,
+    physical: Floats,
+    bias: Floats,
+    names: Sequence[str],
+    fixed: Mapping[str, Prior],
+) -> Floats:
+    """Measured and simulated readings of forecasts from states along a part, (2, N, channels, T).
+
+    What lies beyond the end of the part is NaN.
+    """
+    period, total = config.control_period, signals.shape[1]
+    count = round(FORECAST_FROM / period)
+    length = min(count + round(HORIZONS[-1] / period), total)
+    known = np.isfinite(signals[POSITION])
+    last = total - count - round(HORIZONS[0] / period)
+    starts = [k for k in range(0, last, round(FORECAST_EVERY / period)) if known[k : k + count].mean() > 0.5]
+    if not starts:
+        return NO_FORECASTS
+    places = np.array(starts)[:, None] + np.arange(length)
+    inside = np.minimum(places, total - 1)
+    windows = np.moveaxis(signals[:, inside], 0, 1)
+    measured = np.where((places < total)[:, None], windows[:, : len(SENSORS)], np.nan)
+    unbiased = np.concatenate([measured - bias, windows[:, COMMAND, None]], axis=1)
+    boundary = None if edge is None else np.moveaxis(edge[0][:, inside], 0, 1)
+    plants = np.repeat(physical, len(starts), axis=0)
+    early = None if boundary is None else boundary[:, :, : count + 1]
+    found = estimate(unbiased[:, :, : count + 1], config, names, priors=fixed, physical=plants, boundary=early)
+    model = Model(config, priors_of(config, names, fixed), windows[:, COMMAND], physical=plants, boundary=boundary)
+    read, _ = model.readings(found.scaled, np.arange(len(starts)))
+    simulated = np.where(np.isfinite(measured), read * model.noise[:, None] + bias, np.nan)
+    return np.stack([measured, simulated])[..., count:]
+
+
+def forecast_over(parts: Sequence[HeldBack], seconds: float) -> Forecast | None:
+    """All forecasts over ``seconds`` together; ``None``: no part is so long."""
+    pieces = [(part, part.forecasts[..., : round(seconds / part.period)]) for part in parts]
+    pieces = [(part, piece) for part, piece in pieces if piece.shape[3] >= round(seconds / part.period)]
+    if not pieces:
+        return None
+    shares, errors = np.full(len(SENSORS), np.nan), np.full(len(SENSORS), np.nan)
+    for row in range(len(SENSORS)):
+        pairs = [pair for part, piece in pieces if part.share[row] == part.share[row] for pair in _pairs(piece, row)]
+        shares[row] = _share(pairs) if pairs else math.nan
+        errors[row] = _size([both[1, :, row] - both[0, :, row] for _, both in pieces])
+    speed = _size([np.subtract(*_speed(both[:, :, POSITION], part.period)) for part, both in pieces])
+    return Forecast(shares, errors, speed)
+
+
+def _pairs(piece: Floats, row: int) -> list[tuple[Floats, Floats]]:
+    """Measured and simulated signal of each forecast."""
+    return list(zip(piece[0, :, row], piece[1, :, row], strict=True))
+
+
+def _size(errors: Sequence[Floats]) -> float:
+    """Root mean square of all numbers; NaN without any."""
+    return float(_root_mean_square(np.concatenate([each.ravel() for each in errors])[None])[0])
 
 
 def _first_known(position: Floats, count: int) -> int:
@@ -151,19 +240,25 @@ def _share(pairs: Sequence[tuple[Floats, Floats]]) -> float:
     return share if np.isfinite(share) or not known_any else float("-inf")
 
 
-def errors_in_words(parts: Sequence[HeldBack]) -> str:
-    """Errors of the held-back parts in mm, mm/s and bar, each the root mean square of all parts; empty without any."""
+def whole_parts(parts: Sequence[HeldBack]) -> Forecast:
+    """The parts as a whole, where errors add up."""
     weights = np.array([len(part.time) for part in parts], dtype=np.float64)
 
     def together(errors: Floats) -> float:
         known = np.isfinite(errors)
         return math.sqrt(np.average(errors[known] ** 2, weights=weights[known])) if known.any() else math.nan
 
-    found = np.array([part.error for part in parts])
-    position, speed = together(found[:, POSITION]), together(np.array([part.speed_error for part in parts]))
+    found = np.array([part.error for part in parts]).reshape(-1, len(SENSORS))
+    errors = np.array([together(column) for column in found.T])
+    return Forecast(share_of_all(parts), errors, together(np.array([part.speed_error for part in parts])))
+
+
+def errors_in_words(found: Forecast) -> str:
+    """Errors in mm, mm/s and bar; empty without any."""
+    position, speed = float(found.error[POSITION]), found.speed_error
     phrases = [] if math.isnan(position) else [f"{number(1e3 * position, digits=2)} mm"]
     phrases += [] if math.isnan(speed) else [f"{number(1e3 * speed, digits=2)} mm/s"]
-    pressures = [together(found[:, row]) for row in PRESSURES]
+    pressures = [float(found.error[row]) for row in PRESSURES]
     if not all(map(math.isnan, pressures)):
         words = [f"{number(1e-5 * p, digits=2)} bar ({n})" for n, p in zip("ab", pressures, strict=True) if p == p]
         phrases.append(" and ".join(words))

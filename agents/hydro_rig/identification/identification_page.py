@@ -30,10 +30,10 @@ from hydro_rig.identification.held_back import HeldBack
 from hydro_rig.identification.identification_tables import (
     combinations_table,
     errors_table,
+    forecasts_table,
     open_table,
     place_of_part,
     repeats_tables,
-    shares_table,
     unknowns_table,
 )
 from hydro_rig.identification.identify import Identification, as_json
@@ -149,9 +149,11 @@ def held_back(content: Content) -> list[Block]:
     which = "The part" if len(found.held_back) == 1 else "The part with the largest error"
     note = (
         f"The fit did not use these parts: {found.parts.reason}. The simulation gets the state at the start of a part "
-        f"and the recorded commands, and then runs freely: its errors add up. {which}: {place_of_part(found, worst)}."
+        f"and the recorded commands, and then runs freely: its errors add up. {which}: {place_of_part(found, worst)}. "
+        "The last table also begins every 2 s at the measured state: of an axis that a controller held in place, only "
+        "this says whether the model is right."
     )
-    return [Text(note), plot, errors_table(found), shares_table(found)]
+    return [Text(note), plot, errors_table(found), forecasts_table(found)]
 
 
 @section("Identified values", needs=("identification",))

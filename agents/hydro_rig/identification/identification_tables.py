@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from hydro_agents.running.text import Table, listed, number
-from hydro_env.task.sensors import POSITION, SENSORS
+from hydro_env.task.sensors import POSITION
 from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_rig.identification.found_rig import TIMING, hull, path_of, share_in_words, shown
-from hydro_rig.identification.held_back import PRESSURES, HeldBack, share_of_all
+from hydro_rig.identification.held_back import PRESSURES, HeldBack
 from hydro_rig.identification.identify import Identification
 
 MOST_COMBINATIONS = 6  # rows of the table of singular values, the least determined first
@@ -69,14 +69,22 @@ def combinations_table(found: Identification) -> Table:
     return Table("", ("Singular value", "Combination"), rows, style="words")
 
 
-def shares_table(found: Identification) -> Table:
-    """Share of the variance explained in all held-back parts, by signal."""
-    shares = zip(SENSORS, share_of_all(found.held_back).tolist(), strict=True)
-    rows = [
-        (name.replace("_", " "), "– (absent, or at rest)" if math.isnan(share) else share_in_words(share))
-        for name, share in shares
-    ]
-    return Table("", ("Signal", "Share of variance explained"), rows)
+def forecasts_table(found: Identification) -> Table:
+    """Errors and shares of variance over times from a measured state, and over the whole parts."""
+    rows = []
+    for over, forecast in found.tested.items():
+        sizes = (1e3 * forecast.error[POSITION], 1e3 * forecast.speed_error, *(1e-5 * forecast.error[list(PRESSURES)]))
+        shares = ["–" if math.isnan(share) else share_in_words(share) for share in forecast.share.tolist()]
+        name = f"{over:g} s" if math.isfinite(over) else "the whole part"
+        rows.append((name, *(number(float(size), digits=2) for size in sizes), *shares))
+    words = ("position", "pressure a", "pressure b", "spool")
+    errors = ("Position, mm", "Speed, mm/s", "Pressure a, bar", "Pressure b, bar")
+    return Table(
+        "How the error grows: root mean square error, and share of the variance explained",
+        ("Simulated for", *errors, *(f"Share: {word}" for word in words)),
+        rows,
+        style="words",
+    )
 
 
 def place_of_part(found: Identification, part: HeldBack) -> str:

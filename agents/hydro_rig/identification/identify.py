@@ -25,7 +25,16 @@ from hydro_rig.identification.found_rig import (
     share_in_words,
     shown,
 )
-from hydro_rig.identification.held_back import HeldBack, errors_in_words, share_of_all, simulate_held_back
+from hydro_rig.identification.held_back import (
+    HORIZONS,
+    JUDGED_OVER,
+    Forecast,
+    HeldBack,
+    errors_in_words,
+    forecast_over,
+    simulate_held_back,
+    whole_parts,
+)
 from hydro_rig.identification.repeatability import Repeat, repeats_of, share_inside
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.driving import AXIS
@@ -60,9 +69,27 @@ class Identification(NamedTuple):
     repeats: list[Repeat]
 
     @property
+    def tested(self) -> dict[float, Forecast]:
+        """The test on the held-back parts by time in s from a measured state; infinite: each part as a whole."""
+        ahead = {seconds: forecast_over(self.held_back, seconds) for seconds in HORIZONS}
+        found = {seconds: forecast for seconds, forecast in ahead.items() if forecast is not None}
+        return found | {math.inf: whole_parts(self.held_back)}
+
+    @property
+    def judged_over(self) -> float:
+        """Time in s that decides: infinite, each part as a whole, if the model explains that; otherwise 2 s.
+
+        Nothing holds an axis under control in place once it is simulated with the commands alone: the smallest error of
+        the null adds up.
+        """
+        shares = {over: float(forecast.share[POSITION]) for over, forecast in self.tested.items()}
+        better = shares[math.inf] < LEAST_SHARE <= shares.get(JUDGED_OVER, 0.0)
+        return JUDGED_OVER if better else math.inf
+
+    @property
     def share(self) -> float:
         """Share of the position's variance that is explained on the held-back part; NaN if the axis stood still."""
-        return float(share_of_all(self.held_back)[POSITION])
+        return float(self.tested[self.judged_over].share[POSITION])
 
     @property
     def source(self) -> str:
@@ -177,7 +204,9 @@ class Identification(NamedTuple):
         outcome = "the axis stood still on the held-back part"
         if not math.isnan(self.share):
             outcome = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
-        errors = errors_in_words(self.held_back)
+        if math.isfinite(self.judged_over):
+            outcome += f" over {self.judged_over:g} s from a measured state (over all of it the errors add up)"
+        errors = errors_in_words(self.tested[self.judged_over])
         errors = f"root mean square error there {errors}" if errors else ""
         doubt = UNEXPLAINED if self.unexplained else ""
         known_words = f"{known} of {count} unknowns determined"
@@ -305,7 +334,13 @@ def as_json(found: Identification, command: str) -> dict[str, Any]:
         "rig": found.rig.source,
         "describes": found.describes,
         "verdict": found.verdict(),
-        "share_of_variance": {n: plain(s) for n, s in zip(SENSORS, share_of_all(found.held_back), strict=True)},
+        "share_of_variance": {n: plain(s) for n, s in zip(SENSORS, found.tested[math.inf].share, strict=True)},
+        "forecasts": [
+            {"over_s": plain(over), "speed_rms": plain(forecast.speed_error)}
+            | {f"{n}_share_of_variance": plain(s) for n, s in zip(SENSORS, forecast.share, strict=True)}
+            | {f"{n}_rms": plain(e) for n, e in zip(SENSORS, forecast.error, strict=True)}
+            for over, forecast in found.tested.items()
+        ],
         "held_back": {"why": found.parts.reason, "parts": [_part_as_json(found, part) for part in found.held_back]},
         "repeatability": {
             one.name: [

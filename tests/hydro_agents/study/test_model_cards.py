@@ -122,7 +122,8 @@ def run(card):
         assert space["over"]
         return space["policy"]
     assert space["probability"] > 0.5
-    assert 0.4 < space["flow_lpm"] < 0.65  # 0.5 l/min
+    least = 0.4 if space["head"].rig.size == 0 else 0.2  # one for any axis reads small leaks too small
+    assert least < space["flow_lpm"] < 0.65  # 0.5 l/min
     return space["head"].settings
 
 

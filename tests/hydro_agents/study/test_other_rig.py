@@ -90,7 +90,7 @@ def test_a_policy_without_pressures_is_trained_saved_and_read_again(tmp_path):
 
 
 def test_the_head_names_the_sensors_that_it_misses():
-    with pytest.raises(ConfigurationError, match="leakage_head: reads spool_position, but this rig has no such sensor"):
+    with pytest.raises(ConfigurationError, match="leakage head: reads spool_position, but this rig has no such sensor"):
         HeadTrainingSettings().check(TaskConfig(sensors=SPOOL))
 
 
@@ -138,7 +138,7 @@ def test_commands_say_what_the_rig_cannot_give(files, tmp_path):
     rig, _ = files
     head = hydro("train", "head", "--rig", rig, "--output", tmp_path / "head")
     assert head.returncode == 2
-    assert "leakage_head: reads pressure_a, pressure_b, spool_position" in head.stderr.splitlines()[-1]
+    assert "leakage head: reads pressure_a, pressure_b, spool_position" in head.stderr.splitlines()[-1]
     answer = hydro("record", "--rig", rig, "--controller", "flow_linearising", "--output", tmp_path / "a.csv")
     assert_one_clear_line(answer, "--controller", "reads pressure_a, pressure_b")
     assert not (tmp_path / "a.csv").exists()

@@ -62,7 +62,7 @@ def test_own_alarm_and_own_head_are_exported(tmp_path):
     written = json.loads((tmp_path / "head" / "contract.json").read_text())
     assert written["window"] == head.settings.window
     refused = hydro("export", tmp_path / "study" / "leakage_head", "--period", "2ms", "--output", tmp_path / "x")
-    assert_one_clear_line(refused, "takes no --period and no --latency")
+    assert_one_clear_line(refused, "was trained for another rig or period")
 
 
 def test_a_broken_alarm_is_refused_with_one_line(tmp_path):

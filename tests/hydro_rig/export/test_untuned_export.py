@@ -121,7 +121,7 @@ def test_in_c_it_takes_over_an_axis_in_motion(task, in_c):
         (("flow_linearising", "--period", "2 bar"), "export flow_linearising: --period = '2 bar': unit 'bar'"),
         (("flow_linearising", "--period", "0.5ms"), "--latency = 0.001 s must not exceed --period = 0.0005 s"),
         (("plant", "--period", "2ms"), "export plant: takes no --period and no --latency"),
-        (("leakage_head", "--latency", "1ms"), "export leakage_head: takes no --period and no --latency"),
+        (("playground", "--latency", "1ms"), "export playground: takes no --period and no --latency"),
     ],
 )
 def test_bad_input_is_one_line(arguments, what, tmp_path):

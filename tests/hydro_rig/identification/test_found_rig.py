@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_agents.detection.detector import Windows
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.detection.detector import Windows, measured_run
+from hydro_agents.running.cases import Cases
+from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.rig import rig_from
 from hydro_env.task.sensors import POSITION
@@ -19,8 +23,18 @@ from hydro_rig.identification import common_fit
 from hydro_rig.identification.common_fit import Joint
 from hydro_rig.identification.fit import Fit, combinations, unknowns_of
 from hydro_rig.identification.found_rig import _line, _with_unit, found_values, narrowed
-from hydro_rig.identification.held_back import HeldBack, _first_known, _share, errors_in_words
+from hydro_rig.identification.held_back import (
+    HORIZONS,
+    HeldBack,
+    _first_known,
+    _share,
+    errors_in_words,
+    forecast_over,
+    simulate_held_back,
+    whole_parts,
+)
 from hydro_rig.identification.identify import Identification
+from hydro_rig.recordings.parts import Stretch
 
 
 def test_the_share_of_variance_is_that_of_a_regression():
@@ -42,9 +56,9 @@ def test_errors_are_told_in_mm_mm_per_s_and_bar():
     assert part.speed_ratios == pytest.approx((0.02, 0.02))
     assert part.error[1] == pytest.approx(0.5e5)
     assert part.speed_error == pytest.approx(2e-3, rel=0.05)
-    assert errors_in_words([part, part]) == "1.2 mm, 2.0 mm/s, 0.50 bar (a)"
+    assert errors_in_words(whole_parts([part, part])) == "1.2 mm, 2.0 mm/s, 0.50 bar (a)"
     nothing = np.full((4, 400), np.nan)
-    assert errors_in_words([part._replace(measured=nothing)]) == ""
+    assert errors_in_words(whole_parts([part._replace(measured=nothing)])) == ""
 
 
 CONFIG = TaskConfig()
@@ -84,6 +98,28 @@ def test_a_fit_that_explains_no_window_says_so_first(misfit):
     assert outside.describes == (misfit < 4.0)  # a value outside its range, and no window explained: refused
     assert any("rated pressure drop" in note for note in outside.noted)
     assert not any("rated pressure drop" in note for note in found.noted)
+
+
+def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
+    """A controller that nobody records held the axis in place; the simulation gets its commands alone."""
+    config = task_config(plant={"load": {"spring_stiffness": 0.0}}, randomisation={}, episode_duration=20.0)
+    cases = Cases(VALIDATION_SEEDS.start + 997_000 + np.arange(1), families=np.array(["multi_sine"]))
+    signals, _ = measured_run(config, FlowLinearising(FlowLinearisingGains(), config), cases)
+    part, valve = Stretch(0, 0.0, signals[0]), config.plant.valve
+    tested = {}
+    for shift in (0.0, 0.004):
+        moved = valve.model_copy(update={"null_shift": valve.null_shift + shift})
+        wrong = config.plant.model_copy(update={"valve": moved})
+        held = simulate_held_back(part, config, wrong, np.zeros(4))
+        tested[shift] = {over: forecast_over([held], over) for over in HORIZONS} | {math.inf: whole_parts([held])}
+    right, drifted = tested[0.0], tested[0.004]
+    errors = [found.error[POSITION] for found in drifted.values()]
+    assert errors == sorted(errors)
+    assert drifted[math.inf].share[POSITION] < 0.9 < drifted[2.0].share[POSITION]
+    assert right[2.0].share[POSITION] > 0.999
+    short = simulate_held_back(part._replace(signals=signals[0, :, :600]), config, config.plant, np.zeros(4))
+    assert forecast_over([short], 2.0) is None
+    assert forecast_over([short], 0.5).error[POSITION] < 1e-3
 
 
 def test_a_held_back_part_begins_where_the_position_is_known():
