@@ -40,7 +40,7 @@ Forecaster = Callable[[Floats, Floats, int], Floats]  # command, speed, first ro
 
 def speed_of(position: Floats, period: float) -> Floats:
     """Speed in m/s by central differences, (T,)."""
-    return np.gradient(position, period)
+    return np.asarray(np.gradient(position, period), dtype=np.float64)
 
 
 def regression(columns: list[Floats], target: Floats) -> Floats:
@@ -54,7 +54,8 @@ def static_gain(training: list[tuple[Floats, Floats]]) -> Forecaster:
     gain, offset = regression([command, np.ones_like(command)], np.concatenate([v[LAG:] for _, v in training]))
 
     def forecast(command: Floats, speed: Floats, first: int) -> Floats:
-        return gain * command[first - LAG : len(command) - LAG] + offset
+        ahead: Floats = gain * command[first - LAG : len(command) - LAG] + offset
+        return ahead
 
     return forecast
 
