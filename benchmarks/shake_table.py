@@ -40,12 +40,14 @@ Forecaster = Callable[[Floats, Floats, int], Floats]  # command, speed, first ro
 
 def speed_of(position: Floats, period: float) -> Floats:
     """Speed in m/s by central differences, (T,)."""
-    return np.asarray(np.gradient(position, period), dtype=np.float64)
+    speed: Floats = np.asarray(np.gradient(position, period), np.float64)
+    return speed
 
 
 def regression(columns: list[Floats], target: Floats) -> Floats:
     """Least squares."""
-    return np.linalg.lstsq(np.column_stack(columns), target, rcond=None)[0]
+    found: Floats = np.asarray(np.linalg.lstsq(np.column_stack(columns), target, rcond=None)[0])
+    return found
 
 
 def static_gain(training: list[tuple[Floats, Floats]]) -> Forecaster:
