@@ -44,16 +44,17 @@ def speed_of(position: Floats, period: float) -> Floats:
     return speed
 
 
-def regression(columns: list[Floats], target: Floats) -> Floats:
+def regression(matrix: Floats, target: Floats) -> Floats:
     """Least squares."""
-    found: Floats = np.asarray(np.linalg.lstsq(np.column_stack(columns), target, rcond=None)[0])
+    found: Floats = np.asarray(np.linalg.lstsq(matrix, target, rcond=None)[0])
     return found
 
 
 def static_gain(training: list[tuple[Floats, Floats]]) -> Forecaster:
     """Speed in proportion to the command some rows before."""
     command = np.concatenate([u[:-LAG] for u, _ in training])
-    gain, offset = regression([command, np.ones_like(command)], np.concatenate([v[LAG:] for _, v in training]))
+    matrix = np.column_stack([command, np.ones_like(command)])
+    gain, offset = regression(matrix, np.concatenate([v[LAG:] for _, v in training]))
 
     def forecast(command: Floats, speed: Floats, first: int) -> Floats:
         ahead: Floats = gain * command[first - LAG : len(command) - LAG] + offset
@@ -71,7 +72,7 @@ def autoregression(training: list[tuple[Floats, Floats]]) -> Forecaster:
         return np.column_stack([*past, *(u[most - k : len(u) - k] for k in range(COMMANDS)), np.ones(len(v) - most)])
 
     matrix = np.concatenate([columns(u, v) for u, v in training])
-    weights = np.linalg.lstsq(matrix, np.concatenate([v[most:] for _, v in training]), rcond=None)[0]
+    weights = regression(matrix, np.concatenate([v[most:] for _, v in training]))
 
     def forecast(command: Floats, speed: Floats, first: int) -> Floats:
         known = [*speed[first - PAST : first]]

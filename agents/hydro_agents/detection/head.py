@@ -332,11 +332,8 @@ class LeakageHead:
     def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
         t = self.tensors
-        if self.for_any_axis:
-            own = np.tile(self.rig, (len(features), 1))
-            inputs = standardised(np.concatenate([features, own], axis=1), t["mean"], t["scale"])
-        else:
-            inputs = standardised(features, t["mean"], t["scale"])
+        own = np.tile(self.rig, (len(features), 1))  # empty in a head for one rig
+        inputs = standardised(np.concatenate([features, own], axis=1), t["mean"], t["scale"])
         output, strangeness = self.outputs(inputs), np.sqrt(np.sum((inputs @ t["whitener"]) ** 2, axis=1))
         probability = probabilities(output, features, float(t["still_shift"][0]))
         found = quantiles(output)

@@ -30,7 +30,7 @@ from hydro_rig.estimation.solver import (
     prior_belief,
     without,
 )
-from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, Prior, prior_of
+from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, RISE_TIME, Prior, prior_of
 
 Indices = NDArray[np.int64]
 Report = Callable[[str, int, int], None]
@@ -229,16 +229,27 @@ def _quality(found: Common) -> tuple[int, float]:
 
 
 def _with_timing(windows: Windows, config: TaskConfig, found: Common, report: Report) -> Common:
-    """The fit continued with latency of the command and rise time of the transducers as further common unknowns.
+    """The fit continued with latency of the command and rise time of the transducers as further common unknowns."""
+    more = {name: prior for name, prior in timing_priors(config).items() if name not in found.model.names}
+    return _continued(windows, config, found, more, "timing", report) if more else found
 
-    The command may stand a row early or late: the row at which the readings differ least begins.
+
+def _with_drift(windows: Windows, config: TaskConfig, found: Common, report: Report) -> Common:
+    """The fit continued with a null of the valve that wanders from window to window."""
+    return _continued(windows, config, found, {NULL_DRIFT: prior_of(config, NULL_DRIFT)}, "null", report)
+
+
+def _continued(
+    windows: Windows, config: TaskConfig, found: Common, more: Mapping[str, Prior], phase: str, report: Report
+) -> Common:
+    """A fit continued with more unknowns.
+
+    With a latency the command may stand a row early or late: the row at which the readings differ least begins.
     """
     kept = np.flatnonzero(np.isfinite(found.misfit))
-    more = {name: prior for name, prior in timing_priors(config).items() if name not in found.model.names}
-    if not more:
-        return found
-    model, readings = replayed(windows.part(kept), config, found.model.priors | more)
-    readings[:, :, :UNKNOWN_COMMANDS] = readings[:, :, -UNKNOWN_COMMANDS:] = np.nan  # of commands beyond the windows
+    model, readings = replayed(windows.part(kept), config, {**found.model.priors, **more})
+    if {LATENCY, RISE_TIME} & set(model.names):  # those of commands beyond the windows
+        readings[:, :, :UNKNOWN_COMMANDS] = readings[:, :, -UNKNOWN_COMMANDS:] = np.nan
     first = np.concatenate([found.joint.scaled, np.zeros((len(kept), len(more)))], axis=1)
     trials = [first]
     if LATENCY in more:
@@ -248,28 +259,11 @@ def _with_timing(windows: Windows, config: TaskConfig, found: Common, report: Re
             trials.append(moved)
 
     def progress(done: int, total: int) -> None:
-        report("timing", done, total)
+        report(phase, done, total)
 
     rough = [descend(model, readings, trial, shared_and_own(model)[0], progress, ROUGH_TOLERANCE, LONG_STEP)[0]
              for trial in trials]  # fmt: skip
     joint = fit_together(model, readings, rough[int(np.argmin(costs_of(model, readings, rough)))], progress)
-    misfit = np.full(len(windows), np.inf)
-    misfit[kept] = joint.misfit
-    return Common(model, readings, joint, misfit, None)
-
-
-def _with_drift(windows: Windows, config: TaskConfig, found: Common, report: Report) -> Common:
-    """The fit continued with a null of the valve that wanders from window to window."""
-    kept = np.flatnonzero(np.isfinite(found.misfit))
-    priors = {**found.model.priors, NULL_DRIFT: prior_of(config, NULL_DRIFT)}
-    model, readings = replayed(windows.part(kept), config, priors)
-    first = np.concatenate([found.joint.scaled, np.zeros((len(kept), 1))], axis=1)
-
-    def progress(done: int, total: int) -> None:
-        report("null", done, total)
-
-    rough = descend(model, readings, first, shared_and_own(model)[0], progress, ROUGH_TOLERANCE, LONG_STEP)[0]
-    joint = fit_together(model, readings, rough, progress)
     misfit = np.full(len(windows), np.inf)
     misfit[kept] = joint.misfit
     return Common(model, readings, joint, misfit, None)

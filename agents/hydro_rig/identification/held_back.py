@@ -129,15 +129,10 @@ def simulate_held_back(
     signals = part.signals[:, first:]
     bias = np.asarray(biases)[:, None]
     measured = signals[: len(SENSORS)]
-    unbiased = np.concatenate([measured - bias, signals[None, COMMAND]])
-    physical = to_vector(plant)[None]
+    physical = to_vector(plant)
     names, fixed = (*starts_of(config), *timing), {name: Prior(value, CERTAIN) for name, value in timing.items()}
     edge = None if part.boundary is None else part.boundary[None, :, first:]
-    early = None if edge is None else edge[:, :, : count + 1]
-    found = estimate(unbiased[None, :, : count + 1], config, names, priors=fixed, physical=physical, boundary=early)
-    model = Model(config, priors_of(config, names, fixed), signals[None, COMMAND], physical=physical, boundary=edge)
-    read, _ = model.readings(found.scaled, np.zeros(1, np.int64))
-    simulated = read[0] * model.noise[:, None] + bias
+    (simulated,) = _simulated(signals[None], edge, count, config, physical, bias, names, fixed)
     time = period * np.arange(signals.shape[1], dtype=np.float64)
     motion = np.array([np.nanstd(row) if np.isfinite(row).any() else 0.0 for row in measured])
     share = np.array([_share([pair]) for pair in zip(measured, simulated, strict=True)])
@@ -171,15 +166,30 @@ def _forecasts(
     inside = np.minimum(places, total - 1)
     windows = np.moveaxis(signals[:, inside], 0, 1)
     measured = np.where((places < total)[:, None], windows[:, : len(SENSORS)], np.nan)
-    unbiased = np.concatenate([measured - bias, windows[:, COMMAND, None]], axis=1)
     boundary = None if edge is None else np.moveaxis(edge[0][:, inside], 0, 1)
-    plants = np.repeat(physical, len(starts), axis=0)
+    read = _simulated(windows, boundary, count, config, physical, bias, names, fixed)
+    return np.stack([measured, np.where(np.isfinite(measured), read, np.nan)])[..., count:]
+
+
+def _simulated(
+    windows: Floats,
+    boundary: Floats | None,
+    count: int,
+    config: TaskConfig,
+    physical: Floats,
+    bias: Floats,
+    names: Sequence[str],
+    fixed: Mapping[str, Prior],
+) -> Floats:
+    """Readings (N, channels, T) of windows (N, 5, T), simulated from what their first ``count`` periods say."""
+    unbiased = np.concatenate([windows[:, : len(SENSORS)] - bias, windows[:, COMMAND, None]], axis=1)
+    plants = np.tile(physical, (len(windows), 1))
     early = None if boundary is None else boundary[:, :, : count + 1]
     found = estimate(unbiased[:, :, : count + 1], config, names, priors=fixed, physical=plants, boundary=early)
     model = Model(config, priors_of(config, names, fixed), windows[:, COMMAND], physical=plants, boundary=boundary)
-    read, _ = model.readings(found.scaled, np.arange(len(starts)))
-    simulated = np.where(np.isfinite(measured), read * model.noise[:, None] + bias, np.nan)
-    return np.stack([measured, simulated])[..., count:]
+    read, _ = model.readings(found.scaled, np.arange(len(windows)))
+    readings: Floats = read * model.noise[:, None] + bias
+    return readings
 
 
 def forecast_over(parts: Sequence[HeldBack], seconds: float) -> Forecast | None:
