@@ -26,6 +26,7 @@ from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinea
 from hydro_agents.controllers.pid import PID
 from hydro_agents.evaluation.limit_cycles import counted_at_rest
 from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.tuning import chosen_gains
 from hydro_agents.rigs.stable_gain import pid_from_figures
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import pretrained_folder
@@ -39,6 +40,7 @@ from hydro_env.task.paces import pace
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 UNTUNED, POLICY, TUNED = "flow linearisation, untuned", "policy for any axis", "flow linearisation, tuned for the rig"
+CHOSEN = "flow linearisation, gains chosen by simulation"
 FIGURES, PROPORTIONAL, ZERO = "PID from the rig's figures", "P from the rig's figures", "no command"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
 PLANTS = 8  # of each family and leak
@@ -83,6 +85,7 @@ def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) ->
     controllers: dict[str, Controller] = {
         UNTUNED: FlowLinearising(FlowLinearisingGains(), task),
         POLICY: PolicyController.load(weights).moved_to(task),
+        CHOSEN: FlowLinearising(chosen_gains("flow_linearising", task), task),
         ZERO: Shut(task),
     }
     if figures is not None:

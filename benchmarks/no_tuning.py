@@ -1,12 +1,15 @@
 """Flow linearisation on rigs that nobody tuned: gains for any rig, and what they cost against gains of the rig's own.
 
 Run: python benchmarks/no_tuning.py tune [--evaluations 700] [--folder FOLDER]
+     python benchmarks/no_tuning.py sets [--rigs 24] [--evaluations 252] [--folder FOLDER]
      python benchmarks/no_tuning.py test [--rigs 30] [--evaluations 420] [--folder FOLDER]
 
-``tune`` searches one set of gains over rigs of :mod:`hydro_env.task.drawn_rigs`, the defaults of the class. ``test``
-judges these on other drawn rigs, beside gains tuned for each rig, and the PID that follows from the rig's figures:
-errors in the sensor's frame on drawn plants with all leaks and kinds of reference, failures, limit cycles. An
-interrupted run goes on where it was.
+``tune`` searches one set of gains over rigs of :mod:`hydro_env.task.drawn_rigs`, the defaults of the class. ``sets``
+tunes a set for each of some training rigs, and keeps the eight that serve twice as many other ones best together:
+``configs/agents/flow_linearising_sets.yaml``, of which a simulation chooses one for a rig. ``test`` judges the defaults
+on other drawn rigs, beside gains tuned for each rig, and the PID that follows from the rig's figures: errors in the
+sensor's frame on drawn plants with all leaks and kinds of reference, failures, limit cycles. An interrupted run goes on
+where it was.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from hydro_agents.controllers.pid import PID
 from hydro_agents.evaluation.limit_cycles import counted_at_rest
 from hydro_agents.learning.opponents import usual_gains
 from hydro_agents.learning.trials import JUDGED, LEAK_LEVELS, REST, REST_LEAKS, RESTING
-from hydro_agents.learning.tuning import Tuned, tune
+from hydro_agents.learning.tuning import Tuned, rig_scores, tune
 from hydro_agents.rigs.stable_gain import pid_from_figures
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import RIGS, UNTUNED_RIGS
@@ -35,13 +38,14 @@ from hydro_env import TaskConfig
 from hydro_env.files import read_yaml, write_text, write_yaml
 from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
 from hydro_env.task.configuration import task_config
-from hydro_env.task.drawn_rigs import drawn_task
+from hydro_env.task.drawn_rigs import drawn_task, rig_tasks
 from hydro_env.task.law import RigLaw
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 KIND = "flow_linearising"
 LAW = RigLaw(preview_paces=())  # previews as in the default task
 TRAINING_RIGS, CASES = 12, 14
+SETS, SET_RIGS, JUDGING_RIGS = 8, 1100, 1000  # sets beside the default; first training rigs to tune for, and to judge
 COUNTED = 16  # standstills per rig and controller in the test
 UNTUNED, TUNED, FIGURES = "untuned", "tuned", "PID from figures"
 
@@ -61,15 +65,38 @@ def tune_for_any_rig(folder: Path, evaluations: int) -> None:
     tune(KIND, tasks, evaluations=evaluations, cases=CASES, start=start, log=log, resume=resume, progress=progress)
 
 
+def sets_for_any_rig(folder: Path, rigs: int, evaluations: int) -> None:
+    """Tune a set of gains for each of some rigs, and write those that serve others best beside the default."""
+
+    def training(first: int, count: int) -> tuple[TaskConfig, ...]:
+        law = {"split": "training", "first": first, "count": count, "preview_paces": []}
+        return rig_tasks(task_config(law=law))
+
+    sets = [FlowLinearisingGains()]
+    for number, task in enumerate(training(SET_RIGS, rigs)):
+        sets.append(tuned_for(task, folder / f"set_{number:02}", evaluations, CASES))
+        print(f"set {number + 1} of {rigs}", flush=True)
+    scores = [rig_scores(KIND, sets, task) for task in training(JUDGING_RIGS, 2 * rigs)]
+    errors = np.log([[score.equal for score in of_rig] for of_rig in scores])
+    chosen = [0]
+    while len(chosen) <= min(SETS, rigs):
+        left = [number for number in range(len(sets)) if number not in chosen]
+        chosen.append(min(left, key=lambda number: errors[:, [*chosen, number]].min(axis=1).mean()))
+        ratio = np.exp(errors[:, chosen].min(axis=1) - errors[:, 0])
+        print(f"{len(chosen)} sets: {np.median(ratio):.3f} of the default's error, median")
+    rounded = [{name: float(f"{value:.3g}") for name, value in sets[number].model_dump().items()} for number in chosen]
+    write_yaml(folder / "flow_linearising_sets.yaml", {"sets": rounded[1:]})
+
+
 # Test ---------------------------------------------------------------------------------------------------------------
 
 
-def tuned_for(task: TaskConfig, folder: Path, evaluations: int) -> FlowLinearisingGains:
+def tuned_for(task: TaskConfig, folder: Path, evaluations: int, cases: int = 42) -> FlowLinearisingGains:
     """Gains tuned for one rig, from those for any rig; a file keeps them."""
     file = folder / "gains.yaml"
     if not file.exists():
         log = folder / "tuning.csv"
-        best = tune(KIND, task, evaluations=evaluations, log=log, resume=log.exists())
+        best = tune(KIND, task, evaluations=evaluations, cases=cases, log=log, resume=log.exists())
         write_yaml(file, best.gains.model_dump(mode="json"))
     return FlowLinearisingGains(**read_yaml(file))
 
@@ -180,15 +207,21 @@ def test_on_other_rigs(folder: Path, rigs: int, evaluations: int) -> None:
 def main() -> None:
     """Run one of the two commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("tune", "test"))
-    parser.add_argument("--evaluations", type=int, help="candidates: of all rigs (700), or per rig (420; 0: none)")
-    parser.add_argument("--rigs", type=int, default=30, help="number of drawn rigs of the test")
+    parser.add_argument("what", choices=("tune", "sets", "test"))
+    parser.add_argument(
+        "--evaluations", type=int, help="candidates: of all rigs (700), of a set (252), or per rig (420; 0: none)"
+    )
+    parser.add_argument("--rigs", type=int, help="number of drawn rigs of the test (30) or of the sets (24)")
     parser.add_argument("--folder", type=Path, default=Path("results/no_tuning"))
     given = parser.parse_args()
+    default = {"tune": 700, "sets": 252, "test": 420}[given.what]
+    evaluations = default if given.evaluations is None else given.evaluations
     if given.what == "tune":
-        tune_for_any_rig(given.folder, 700 if given.evaluations is None else given.evaluations)
+        tune_for_any_rig(given.folder, evaluations)
+    elif given.what == "sets":
+        sets_for_any_rig(given.folder, given.rigs or 24, evaluations)
     else:
-        test_on_other_rigs(given.folder, given.rigs, 420 if given.evaluations is None else given.evaluations)
+        test_on_other_rigs(given.folder, given.rigs or 30, evaluations)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from pydantic import Field
 from hydro_agents.controllers.base import ClassicalController, Observation, ObservationLayout, rows
 from hydro_agents.controllers.preview import Preview
 from hydro_agents.controllers.registry import CONTROLLERS, kind_of, make_controller
+from hydro_agents.learning.tuning import chosen_gains
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -383,13 +384,15 @@ class AnyAxisFeatures(PolicyFeatures):
         return less
 
     def moved_to(self, config: TaskConfig) -> AnyAxisFeatures:
-        """The same features on another rig, normalised there by simulation.
+        """The same features on another rig: there a simulation chooses the corrected controller's gains and the units.
 
         Raises:
             ConfigurationError: the rig lacks a sensor that the corrected controller reads.
         """
         base: Any = self.base
-        moved = AnyAxisFeatures(config, type(base)(base.gains, config), self.correction, self.sheet).normalised()
+        type(base)(base.gains, config)  # names a missing sensor
+        own = type(base)(chosen_gains(kind_of(base), config), config)
+        moved = AnyAxisFeatures(config, own, self.correction, self.sheet).normalised()
         assert isinstance(moved, AnyAxisFeatures)
         return moved
 

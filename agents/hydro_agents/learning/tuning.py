@@ -25,9 +25,10 @@ from joblib import effective_n_jobs
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
 from hydro_agents.learning.trials import JUDGED, REST, Score, Trial, TuningCases, over_tasks, scored
+from hydro_agents.running.folders import config_folder
 from hydro_agents.running.jobs import Columns, Job, run_jobs
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
-from hydro_env.files import Group, read_text, validate, write_text
+from hydro_env.files import Group, read_text, read_yaml, validate, write_text
 from hydro_env.mistakes import unknown
 from hydro_env.task.configuration import task_config
 from hydro_env.types import Floats
@@ -37,6 +38,7 @@ Objective = Literal["mean", "equal"]
 POPULATION = 14  # number of candidates per generation
 EVALUATIONS = 2800
 _SIGMA = 0.2
+CHOICE_CASES = 14  # of each set in :func:`chosen_gains`, beside the resting ones
 
 
 class Space:
@@ -151,6 +153,36 @@ def tune(
     if best is None:
         raise ConfigurationError(f"{kind}: none of {generations * population} candidates could control the axis")
     return Tuned(best.gains, best.score, generations * population)
+
+
+def gain_sets(kind: str) -> list[Group]:
+    """Sets of gains that serve different rigs; the first is the default of the class, and alone if no others ship."""
+    group = CONTROLLERS[kind][1]
+    file = config_folder() / "agents" / f"{kind}_sets.yaml"
+    others = read_yaml(file)["sets"] if file.is_file() else []
+    return [group(), *(validate(group, values, str(file)) for values in others)]
+
+
+def chosen_gains(kind: str, config: TaskConfig) -> Group:
+    """The set of :func:`gain_sets` that controls the simulated rig of the task best; it takes seconds.
+
+    The simulation knows the rig's file alone: its plants, leaks and references are those of a training.
+    """
+    key = kind, repr(config)
+    if key not in _CHOSEN:
+        sets = gain_sets(kind)
+        _CHOSEN[key] = sets[0]
+        if len(sets) > 1:
+            _CHOSEN[key] = sets[int(np.argmin([score.equal for score in rig_scores(kind, sets, config)]))]
+    return _CHOSEN[key]
+
+
+def rig_scores(kind: str, sets: Sequence[Group], config: TaskConfig) -> list[Score]:
+    """Scores of some sets of gains on the rig of a task."""
+    return _costed(kind, sets, [config], CHOICE_CASES, 0, False)
+
+
+_CHOSEN: dict[tuple[str, str], Group] = {}
 
 
 def _costed(
