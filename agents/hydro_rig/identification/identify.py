@@ -198,7 +198,9 @@ class Identification(NamedTuple):
             if math.isnan(self.share):
                 what = f"explains {int(self.fit.explained.sum())} of {len(self.fit.misfit)} windows"
             elif self.share >= LEAST_SHARE:
-                what = f"fits it only with values outside the rig file's ranges ({', '.join(self.beyond)})"
+                what = (
+                    f"fits it only with values outside the rig file's ranges ({', '.join(self.beyond)}); wrong ranges"
+                )
             return "; ".join(
                 [
                     f"the model does not describe this axis: it {what}",
