@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import tempfile
 import time
 from pathlib import Path
 
@@ -19,7 +18,6 @@ import numpy as np
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.running.console import ProgressDisplay
 from hydro_env import HydroError
-from hydro_env.files import read_yaml, write_yaml
 from hydro_env.folders import config_file
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
@@ -70,8 +68,8 @@ def festo_map(chamber: str) -> ColumnMap:
     )
 
 
-def festo(folder: Path, samples: list[int], fitted: list[int], source: Path) -> None:
-    """Identify the axis from steps of some voltages and predict the others; ``source`` is the rig file."""
+def festo(folder: Path, samples: list[int], fitted: list[int]) -> None:
+    """Identify the axis from steps of some voltages and predict the others."""
     names = {
         folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat": (volts, chamber)
         for sample in samples
@@ -82,7 +80,7 @@ def festo(folder: Path, samples: list[int], fitted: list[int], source: Path) -> 
     began, cost = time.monotonic(), time.process_time()
     others = [volts for volts in range(1, 6) if volts not in fitted]
     apart = [f"*_{volts}V_*" for volts in others]
-    task, rig = task_config(None, rig=source), read_rig(source)
+    task, rig = task_config(None, rig=RIG), read_rig(RIG)
     with ProgressDisplay() as display:
         found = identify(list(names), task, rig, maps, display.update, apart)
     recorded = sum(float(recording.time[-1]) for recording in found.recordings)
@@ -233,15 +231,7 @@ def main() -> None:
     if "friction" in arguments.only and (arguments.folder / FESTO).is_dir():
         friction(arguments.folder / FESTO, arguments.samples)
     if "festo" in arguments.only and (arguments.folder / FESTO).is_dir():
-        with tempfile.TemporaryDirectory() as folder:
-            source = RIG
-            if max(arguments.fit) > 2:  # only such steps show the shape of the flow curve
-                rig = read_yaml(RIG)
-                rig["valve"] |= {"knee_position": 0.25, "knee_opening": 0.25}
-                rig["randomisation"]["valve.knee_opening"] = {"uniform": [0.2, 0.35]}
-                source = Path(folder) / "rig.yaml"
-                write_yaml(source, rig)
-            festo(arguments.folder / FESTO, arguments.samples, arguments.fit, source)
+        festo(arguments.folder / FESTO, arguments.samples, arguments.fit)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
 from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.report.canvas import GREY, WIDE, WIDTH, bars, dodge, level_axis, render, row_axis, ticks
 from hydro_agents.report.content import intervals
 from hydro_agents.report.palette import looks_of
@@ -170,35 +171,37 @@ def save(chart: str, paint: Callable[[Figure], None], height: float) -> None:
     (FOLDER / chart).write_bytes(render(paint, (WIDTH, height), "svg")[0] + data_mark(chart).encode())
 
 
-LEAKS = {"healthy seal": 0.01, "worn seal": 4.0}  # l/min at 100 bar
+CONTROLLERS = {"left: PID, tuned": "pid", "right: flow linearisation": "flow_linearising"}
+LEAK = 2.0  # l/min at 100 bar, of the animation
 DRAWN = (24, 56, 460, 320)  # of a frame: cylinder and valve, pixels
 GAP = 18  # between the two axes, pixels
 EVERY = 8  # control periods of 5 ms per frame
 
 
 def animation() -> None:
-    """A healthy and a leaking axis under the same valve commands, in real time: frames above, positions below."""
-    commands = np.repeat([0.0, 0.4, 0.0, -0.4, 0.0], [20, 80, 100, 80, 120])
-    frames, positions = {}, {}
-    for name, leak in LEAKS.items():
-        env = gym.make("ServoHydraulic-v0", render_mode="rgb_array")
-        env.reset(seed=4, options={"leakage_flow_lpm": leak, "initial_position": 0.0})
-        frames[name], positions[name] = [], []
-        for step, command in enumerate(commands):
-            *_, info = env.step([command])
-            positions[name].append(1e3 * info["position"])
+    """An axis with a worn seal under two controllers, in real time: frames above, errors below."""
+    task = TaskConfig()
+    frames, errors = {}, {}
+    for name, kind in CONTROLLERS.items():
+        env, controller, memory = gym.make("ServoHydraulic-v0", render_mode="rgb_array"), shipped(kind, task), None
+        observation, _ = env.reset(seed=4, options={"leakage_flow_lpm": LEAK, "reference": "multi_sine"})
+        frames[name], errors[name] = [], []
+        for step in range(task.steps):
+            action, memory = controller.predict(observation, memory)
+            observation, *_, info = env.step(action)
+            errors[name].append(1e3 * (info["position"] - info["reference"]))
             if step % EVERY == 0:
                 frames[name].append(Image.fromarray(env.render()).crop(DRAWN))
         env.close()
-    looks, time = looks_of(LEAKS), 0.005 * np.arange(1, len(commands) + 1)
+    looks, time = looks_of(CONTROLLERS), task.control_period * np.arange(1, task.steps + 1)
     width, height = DRAWN[2] - DRAWN[0] + GAP, DRAWN[3] - DRAWN[1]
 
     def picture(steps: int) -> Image.Image:
         def paint(figure: Figure) -> None:
             axes = figure.subplots()
             for name, look in looks.items():
-                axes.plot(time[:steps], positions[name][:steps], color=look.colour, linestyle=look.line, label=name)
-            axes.set(xlim=(0, time[-1]), ylim=(-5, 45), xlabel="time, s", ylabel="position, mm")
+                axes.plot(time[:steps], errors[name][:steps], color=look.colour, linestyle=look.line, label=name)
+            axes.set(xlim=(0, time[-1]), ylim=(-0.6, 0.6), xlabel="time, s", ylabel="error, mm")
             axes.legend(loc="upper right")
 
         return Image.open(BytesIO(render(paint, (2 * width / 120, 1.7), "png")[0])).convert("RGB")
@@ -207,7 +210,7 @@ def animation() -> None:
     for index in range(len(next(iter(frames.values())))):
         below = picture(index * EVERY + 1)
         page = Image.new("RGB", (2 * width, height + below.height), PAPER)
-        for column, name in enumerate(LEAKS):
+        for column, name in enumerate(CONTROLLERS):
             page.paste(frames[name][index], (column * width, 0))
         page.paste(below, (0, height))
         pages.append(page)

@@ -86,6 +86,8 @@ class Axes:
     """
 
     def __init__(self, config: TaskConfig, count: int, threads: int | None = None) -> None:
+        if config.sensors.differential_pressure:
+            raise ConfigurationError("sensors.differential_pressure = true: for recordings; the environment has none")
         self.config = config
         self.count = count
         self.observation_names, self.observation_units, self.scale, self.limit = observation_layout(config)

@@ -70,12 +70,23 @@ class Sensors(Group):
     pressure_b: Sensor = Sensor(noise=0.2e5, bias=1.0e5, resolution=_current_loop(400e5), low=0.0, high=400e5)
     spool_position: Sensor = Sensor(noise=1e-3, bias=2e-3, resolution=2.0 / 65536, low=-1.0, high=1.0)
     pressure_rise_time: Number = quantity(1.5e-3, "s", "10–90 % rise of the transducers", 0.0, 0.1)
+    differential_pressure: bool = Field(
+        False,
+        description="true: the transducer of pressure a reads pressure a minus b, and there is none for b; for "
+        "recordings: no environment has it",
+    )
     velocity_filter_time: Number = quantity(0.010, "s", "first-order filter of the differenced position", 0.0, 1.0)
 
     @model_validator(mode="after")
     def _position_is_measured(self) -> Sensors:
         if not self.position.fitted:
             raise ValueError("position.fitted = false: an axis without position sensor cannot follow a reference")
+        return self
+
+    @model_validator(mode="after")
+    def _one_difference(self) -> Sensors:
+        if self.differential_pressure and (self.pressure_b.fitted or not self.pressure_a.fitted):
+            raise ValueError("differential_pressure: true needs pressure_a.fitted: true and pressure_b.fitted: false")
         return self
 
     @model_validator(mode="before")

@@ -8,7 +8,7 @@ import numpy as np
 
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.unknowns import STARTS, Prior
 
@@ -24,6 +24,8 @@ def first_values(signals: Floats, durations: Floats, config: TaskConfig, priors:
         config: the task.
         priors: the unknowns by name.
     """
+    if config.sensors.differential_pressure:
+        signals = _two_pressures(signals, config)
     first = np.tile([prior.mean for prior in priors.values()], (len(signals), 1))
     places = {name: place for place, name in enumerate(priors)}
     value, slope = _starts(signals[:, : len(SENSORS)], durations)
@@ -44,6 +46,13 @@ def first_values(signals: Floats, durations: Floats, config: TaskConfig, priors:
             column = first[:, places[name]]
             column[:] = np.where(np.isfinite(near), near, column)
     return first
+
+
+def _two_pressures(signals: Floats, config: TaskConfig) -> Floats:
+    """The signals with both pressures in place of their difference: with equal edges their sum is the supply's."""
+    total, difference = config.plant.supply.pressure + config.plant.supply.tank_pressure, signals[:, PRESSURE_A]
+    pair = np.stack([0.5 * (total + difference), 0.5 * (total - difference)], axis=1)
+    return np.concatenate([signals[:, :PRESSURE_A], pair, signals[:, PRESSURE_B + 1 :]], axis=1)
 
 
 def _near(values: Floats, prior: Prior) -> Floats:

@@ -12,7 +12,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import N_STATES, State
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.replay import RISE, Commands, replay, time_constant
 from hydro_rig.estimation.unknowns import (
@@ -226,6 +226,8 @@ class Model:
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
         read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course)
+        if self.config.sensors.differential_pressure:
+            read[:, PRESSURE_A] -= read[:, PRESSURE_B]
         read *= (gain / self.noise)[:, :, None]
         read += (bias / self.noise)[:, :, None]
         return read, last

@@ -189,7 +189,7 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
         bias = _with_fault(config, name, _range(-sensor.bias, sensor.bias), sensor.high - sensor.low)
         return Prior(bias.mean, max(math.sqrt(bias.variance), 1e-9 * (sensor.high - sensor.low)))
     if name in GAINS:
-        gain = _with_fault(config, name, _Moments(1.0, 0.01**2), 1.0)
+        gain = _with_fault(config, name, _Moments(1.0, _gain_unknown(config) ** 2), 1.0)
         return Prior(gain.mean, math.sqrt(gain.variance))
     if name == EXTERNAL_LEAKAGE or name in PATHS:
         moments = _of_plant(config, name)
@@ -201,6 +201,11 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
         f"unknowns: '{name}': unknown name; known: {LEAKAGE}, {EXTERNAL_LEAKAGE}, {LATENCY}, paths of the plant, "
         "start.<state>, <sensor>_bias and <sensor>_gain"
     )
+
+
+def _gain_unknown(config: TaskConfig) -> float:
+    """Standard deviation of a sensor's gain; the scale of a difference is often known from its amplifier alone."""
+    return 0.1 if config.sensors.differential_pressure else 0.01
 
 
 def _of_plant(config: TaskConfig, name: str) -> _Moments:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import PRESSURE_A, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.unknowns import (
     BIASES,
@@ -66,8 +66,11 @@ class Fit(NamedTuple):
 
     @property
     def determined(self) -> NDArray[np.bool_]:
-        """Whether the recording determines each unknown, (p,); an interval with one known end does not."""
-        return np.asarray((self.remaining <= DETERMINED) & (self.side == 0))
+        """Whether the recording determines each unknown, (p,); an interval with one known end does not.
+
+        A model that explains no window determines nothing: its intervals tell how the model is wrong.
+        """
+        return np.asarray((self.remaining <= DETERMINED) & (self.side == 0) & self.explained.any())
 
     @property
     def side(self) -> NDArray[np.int64]:
@@ -92,7 +95,8 @@ def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured
     """Names of the unknowns: parameters with a range, leak, biases of ``measured`` channels, (channels,), and start."""
     plant = [EXTERNAL_LEAKAGE if path == EXTERNAL_RESISTANCE else path for path in ranges]
     biases = [name for name, seen in zip(BIASES, measured, strict=True) if seen and config.sensors.enabled]
-    return [LEAKAGE, *plant, *biases, *starts_of(config)]
+    gain = ["pressure_a_gain"] if config.sensors.differential_pressure and measured[PRESSURE_A] else []
+    return [LEAKAGE, *plant, *biases, *gain, *starts_of(config)]
 
 
 def fit_windows(

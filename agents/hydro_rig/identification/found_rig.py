@@ -18,6 +18,7 @@ from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
     EXTERNAL_RESISTANCE,
+    GAINS,
     LATENCY,
     LEAKAGE,
     PATHS,
@@ -87,6 +88,12 @@ def found_timing(fit: Fit) -> dict[str, float]:
     return {name: own[name] for name in TIMING if name in own}
 
 
+def found_gains(fit: Fit) -> dict[str, float]:
+    """Gain of each sensor that has an unknown one, by name."""
+    own = fit.own()
+    return {name: own[name] for name in GAINS if name in own}
+
+
 def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
     """Lowest and highest value that a range allows, SI, including the value without the range.
 
@@ -139,10 +146,10 @@ def _overlap(interval: tuple[float, float], before: tuple[float, float]) -> tupl
 
 
 def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> list[str]:
-    """Names of the determined parameters whose whole interval lies outside the range of the rig file."""
+    """Names of the parameters whose whole interval lies outside the range of the rig file."""
     plant, names = found_plant(fit, config), []
-    for name, low, high, determined in zip(fit.names, fit.low, fit.high, fit.determined, strict=True):
-        if determined and name in ranges:
+    for name, low, high in zip(fit.names, fit.low, fit.high, strict=True):
+        if name in ranges:
             least, most = hull(config.plant, plant, name, ranges[name])
             if high < least or low > most:
                 names.append(name)
@@ -201,6 +208,8 @@ def rig_yaml(
     for path, value in found.items():
         group, field = path.split(".")
         values.setdefault(group, {})[field] = _with_unit(path, value, config.plant)
+    if "valve.knee_opening" in found:
+        values["valve"]["knee_position"] = config.plant.valve.knee_position
     # The parameters stay in their groups; the narrowed ranges replace the old ones.
     values["randomisation"] = {
         path: {
@@ -289,6 +298,8 @@ def shown(name: str, plant: PlantParameters) -> Shown:
         channel = name.removesuffix("_bias")
         factor, unit = _BIAS_UNITS.get(channel, (1e-5, "bar"))
         return Shown(f"offset of the sensor: {channel.replace('_', ' ')}", factor, unit)
+    if name in GAINS:
+        return Shown(f"gain of the sensor: {name.removesuffix('_gain').replace('_', ' ')}", 1.0, "1")
     group, field = name.split(".")
     size, unit = reading_unit(name, plant)
     return Shown(f"{group}: {field.replace('_', ' ')}", 1.0 / size, unit)

@@ -122,7 +122,7 @@ def simulate_held_back(
         config: the task.
         plant: the identified plant.
         biases: of each channel, SI.
-        timing: found latency and rise time by name, s, where those of the task do not hold.
+        timing: found latency, rise time (s) and gains of sensors by name, where those of the task do not hold.
     """
     period, count = config.control_period, max(round(START_FROM / config.control_period), 10)
     first = _first_known(part.signals[POSITION], count)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydro_agents.running.text import Table, listed, number
 from hydro_env.task.sensors import POSITION
-from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
+from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, GAINS, LEAKAGE
 from hydro_rig.identification.found_rig import TIMING, hull, path_of, share_in_words, shown
 from hydro_rig.identification.held_back import PRESSURES, HeldBack
 from hydro_rig.identification.identify import Identification
@@ -34,7 +34,7 @@ def unknowns_table(found: Identification) -> Table:
 
 def range_before(found: Identification, name: str) -> tuple[float, float] | None:
     """Range of an unknown before the recording, in its unit; ``None``: it has none of its own (leaks, timing)."""
-    if name in (LEAKAGE, EXTERNAL_LEAKAGE, *TIMING):
+    if name in (LEAKAGE, EXTERNAL_LEAKAGE, *TIMING, *GAINS):
         return None
     if name in BIASES:
         bias = getattr(found.config.sensors, name.removesuffix("_bias")).bias

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
+from hydro_env.task.randomisation import Distribution
 from hydro_env.task.rig import Rig
-from hydro_env.task.sensors import POSITION, SENSORS
+from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LATENCY, LEAKAGE, RISE_TIME
 from hydro_rig.identification.advice import Advice, advise
 from hydro_rig.identification.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
@@ -20,6 +21,7 @@ from hydro_rig.identification.fit import Combination, Fit, Progress, combination
 from hydro_rig.identification.found_rig import (
     beyond_range,
     found_biases,
+    found_gains,
     found_plant,
     found_timing,
     share_in_words,
@@ -35,7 +37,7 @@ from hydro_rig.identification.held_back import (
     simulate_held_back,
     whole_parts,
 )
-from hydro_rig.identification.repeatability import Repeat, repeats_of, share_inside
+from hydro_rig.identification.repeatability import Repeat, repeats_of, share_inside, widened
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.driving import AXIS
 from hydro_rig.recordings.findings import Finding
@@ -47,6 +49,9 @@ from hydro_rig.recordings.sampling import on_grid
 LEAST_SHARE = 0.9  # smallest share of the position's variance on the held-back part of a model that describes the axis
 
 RATED_FLOW = "valve.rated_flow"
+KNEE_OPENING = "valve.knee_opening"
+BENDS_FROM = 3  # amplitudes of the command
+BEND = (0.7, 1.4)  # range of the opening at the knee, relative to that of a straight valve
 UNEXPLAINED = (
     "no window is explained: a number of the rig file without a range is wrong, or the model lacks a property of the "
     "axis, and the intervals may not hold"
@@ -193,7 +198,9 @@ class Identification(NamedTuple):
             if math.isnan(self.share):
                 what = f"explains {int(self.fit.explained.sum())} of {len(self.fit.misfit)} windows"
             elif self.share >= LEAST_SHARE:
-                what = f"fits it only with values outside the rig file's ranges ({', '.join(self.beyond)})"
+                what = (
+                    f"fits it only with values outside the rig file's ranges ({', '.join(self.beyond)}); wrong ranges"
+                )
             return "; ".join(
                 [
                     f"the model does not describe this axis: it {what}",
@@ -259,18 +266,36 @@ def identify(
             raise ConfigurationError(f"{source}: {'; '.join([one.severe[0].line(), *driven(one)])}")
     config = on_grid(config, checked[0].samples.period)
     parts = parts_of([one.samples for one in checked], sources, whole)
-    fit = fit_windows(parts.fitted, config, rig.randomisation, progress)
+    config, rig = _with_bent_valve(config, rig, parts)
+    fit = widened(fit_windows(parts.fitted, config, rig.randomisation, progress), parts.recording)
     try:
         plant = found_plant(fit, config)
     except ConfigurationError as error:
         raise ConfigurationError(
             f"{sources[0]}: the model does not describe this axis: the fit ends at an impossible rig ({error})"
         ) from None
-    biases, timing = found_biases(fit), found_timing(fit)
+    biases, timing = found_biases(fit), found_timing(fit) | found_gains(fit)
     held_back = [simulate_held_back(part, config, plant, biases, timing) for part in parts.held_back]
     advice, repeats = advise(fit, config, plant), repeats_of(fit, parts.recording)
     found = combinations(fit)
     return Identification(recordings, checked, rig, config, parts, fit, plant, held_back, found, advice, repeats)
+
+
+def _with_bent_valve(config: TaskConfig, rig: Rig, parts: Parts) -> tuple[TaskConfig, Rig]:
+    """Task and rig whose valve's flow over its opening may bend at half the largest command.
+
+    Only several amplitudes show the bend; a bend that the rig file describes stays as it is.
+    """
+    valve = config.plant.valve
+    described = valve.knee_position != valve.knee_opening or KNEE_OPENING in rig.randomisation
+    if parts.amplitudes < BENDS_FROM or described:
+        return config, rig
+    largest = float(np.nanmax(np.abs(parts.fitted.signals[:, COMMAND])))
+    knee = round(0.5 * min(largest, 1.0), 3)
+    plant = config.plant.replace(valve={"knee_position": knee, "knee_opening": knee})
+    low, high = (knee * factor for factor in BEND)
+    ranges = rig.randomisation | {KNEE_OPENING: Distribution(uniform=(low, high))}
+    return config.model_copy(update={"plant": plant}), rig._replace(randomisation=ranges)
 
 
 def _matching(paths: Sequence[Path], patterns: Sequence[str]) -> set[int]:

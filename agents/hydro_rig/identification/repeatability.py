@@ -6,10 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from hydro_env.types import Floats
+from hydro_rig.identification.common_fit import Joint
 from hydro_rig.identification.fit import COVERAGE, DETERMINED, Fit
 
+BY_CHANCE = 0.05  # probability of a disagreement of sound recordings that counts
 FARTHEST = 3.0  # standard deviations of the range; a single step of a linear model reaches no further
 
 
@@ -31,36 +34,80 @@ class Repeat(NamedTuple):
         return float(known.std(ddof=1)) if len(known) > 1 else float("nan")
 
 
-def repeats_of(fit: Fit, recording: NDArray[np.int64]) -> list[Repeat]:
-    """The values of each recording alone: one Gauss–Newton step from the common values with its own windows.
+class _Alone(NamedTuple):
+    """What each of R groups of windows says alone about p unknowns, scaled."""
+
+    numbers: NDArray[np.int64]  # (R,), of the groups
+    middle: Floats  # (R, p)
+    deviation: Floats  # (R, p), without the disagreement of the groups
+    disagreement: Floats  # (p,), standard deviation between the groups that their own uncertainty does not explain
+
+
+def _alone(fit: Fit, joint: Joint, group: NDArray[np.int64]) -> _Alone:
+    """One Gauss–Newton step from the common values for each group; ``group``: its number of each used window."""
+    numbers, own = np.unique(group), np.eye(len(fit.names))
+    middle, deviation = np.empty((2, len(numbers), len(fit.names)))
+    for row, number in enumerate(numbers):
+        information = joint.information[group == number].sum(axis=0) + own
+        # The common values are the optimum of all windows and the prior; this group alone keeps the whole prior.
+        step = np.linalg.solve(information, joint.score[group == number].sum(axis=0) - joint.common)
+        middle[row] = joint.common + np.clip(step, -FARTHEST, FARTHEST)
+        deviation[row] = np.minimum(fit.widening * np.sqrt(np.diag(np.linalg.inv(information))), 1.0)
+    disagreement = np.zeros(len(fit.names))
+    for place in range(len(fit.names)):
+        known = deviation[:, place] <= DETERMINED
+        values, variances = middle[known, place], deviation[known, place] ** 2
+        if len(values) < 2:
+            continue
+        mean = np.average(values, weights=1.0 / variances)
+        if np.sum((values - mean) ** 2 / variances) > stats.chi2.isf(BY_CHANCE, len(values) - 1):
+            disagreement[place] = np.sqrt(max(values.var(ddof=1) - variances.mean(), 0.0))
+    return _Alone(numbers, middle, deviation, disagreement)
+
+
+def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
+    """The fit with intervals at least as wide as the recordings disagree; a single recording is cut in two halves.
+
+    Source: random effects, DerSimonian and Laird, *Controlled Clinical Trials* 7, 1986.
 
     Args:
         fit: the common fit of B windows.
         recording: number of the recording of each window, (B,).
+    """
+    group = recording[np.isfinite(fit.misfit)]
+    if fit.joint is None or len(group) < 2:
+        return fit
+    if len(np.unique(group)) < 2:
+        group = np.arange(len(group)) * 2 // len(group)
+    low, high, remaining = fit.low.copy(), fit.high.copy(), fit.remaining.copy()
+    between = _alone(fit, fit.joint, group).disagreement
+    for place in np.flatnonzero((between > 0.0) & (fit.side == 0)).tolist():
+        prior, middle = fit.priors[fit.names[place]], fit.joint.common[place]
+        reach = np.minimum(np.hypot(COVERAGE * fit.remaining[place], COVERAGE * between[place]), COVERAGE)
+        ends = prior.value(np.array([middle - reach, middle + reach]))
+        low[place], high[place] = min(low[place], ends[0]), max(high[place], ends[1])
+        remaining[place] = reach / COVERAGE
+    return fit._replace(low=low, high=high, remaining=remaining)
 
-    Returns:
-        One per unknown; empty with fewer than two recordings.
+
+def repeats_of(fit: Fit, recording: NDArray[np.int64]) -> list[Repeat]:
+    """The values of each recording alone; empty with fewer than two recordings.
+
+    Args:
+        fit: the common fit of B windows.
+        recording: number of the recording of each window, (B,).
     """
     used = recording[np.isfinite(fit.misfit)]
-    numbers = np.unique(used)
-    if len(numbers) < 2 or fit.joint is None:
+    if len(np.unique(used)) < 2 or fit.joint is None:
         return []
-    joint, own = fit.joint, np.eye(len(fit.names))
-    common = joint.scaled[0, joint.shared]
-    middle, deviation = np.empty((2, len(numbers), len(common)))
-    for row, number in enumerate(numbers):
-        information = joint.information[used == number].sum(axis=0) + own
-        # The common values are the optimum of all windows and the prior; this recording alone keeps the whole prior.
-        step = np.linalg.solve(information, joint.score[used == number].sum(axis=0) - common)
-        middle[row] = common + np.clip(step, -FARTHEST, FARTHEST)
-        deviation[row] = np.minimum(fit.widening * np.sqrt(np.diag(np.linalg.inv(information))), 1.0)
-    reach = COVERAGE * deviation
+    numbers, middle, deviation, between = _alone(fit, fit.joint, used)
+    reach = COVERAGE * np.minimum(np.hypot(deviation, between), 1.0)
     repeats = []
     for place, name in enumerate(fit.names):
         values, low, high = (
             fit.priors[name].value(part[:, place]) for part in (middle, middle - reach, middle + reach)
         )
-        inside = np.abs(middle[:, place] - common[place]) <= reach[:, place]
+        inside = np.abs(middle[:, place] - fit.joint.common[place]) <= reach[:, place]
         repeats.append(Repeat(name, numbers, values, low, high, deviation[:, place] <= DETERMINED, inside))
     return repeats
 

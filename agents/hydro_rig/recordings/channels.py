@@ -61,7 +61,7 @@ def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
         if signal != "command" and np.nanmin(values) == np.nanmax(values):
             findings.append(Finding(signal, f"is constant at {_shown(signal, values[known][0])}", Weight.SEVERE))
             continue
-        beyond = _out_of_range(values, samples, signal, _largest(signal, config))
+        beyond = _out_of_range(values, samples, signal, _largest(signal, config), config)
         found(row, *beyond)
         if signal != "command" and beyond[2] is not Weight.SEVERE:
             values = np.where(bad[row], np.nan, values)
@@ -81,9 +81,10 @@ def _largest(signal: str, config: TaskConfig) -> float:
     return max(config.failure.pressure_rating, 1.5 * config.plant.supply.pressure)
 
 
-def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float) -> Found:
+def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float, config: TaskConfig) -> Found:
     """Impossible values; if there are many, with a unit that would fit."""
-    lowest = -largest if "pressure" not in signal else LOWEST_PRESSURE
+    both_ways = "pressure" not in signal or config.sensors.differential_pressure
+    lowest = -largest if both_ways else LOWEST_PRESSURE
     beyond = np.isfinite(values) & ((values > OVERRANGE * largest) | (values < OVERRANGE * lowest))
     if beyond.mean() <= MOST_SPIKES and signal != "command":  # a command is no reading: no sensor has spikes there
         what = f"has single values from {_shown(signal, np.nanmin(values))} to {_shown(signal, np.nanmax(values))}, "
@@ -109,7 +110,7 @@ def _too_low_pressures(samples: Sampled, config: TaskConfig) -> list[Finding]:
     ]
     supply = config.plant.supply.pressure
     least = LEAST_PRESSURE * supply
-    if not highest or max(highest) > least:
+    if not highest or max(highest) > least or config.sensors.differential_pressure:
         return []
     what = f"read at most {_shown('pressure_a', max(highest))}, but the supply has {_shown('pressure_a', supply)}"
     what += _fitting_units("pressure_a", max(highest), least, _largest("pressure_a", config), samples)

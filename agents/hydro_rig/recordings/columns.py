@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
@@ -21,6 +21,8 @@ from hydro_env.units import UNITS as QUANTITIES
 MEASURED = (*SENSORS, "command")
 """Names of the signals in a file, in the order of a window's rows."""
 
+LOAD_PRESSURE = "load_pressure"
+
 ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_position"}
 """Other accepted headings; ``hydro simulate`` writes ``voltage``."""
 
@@ -33,6 +35,7 @@ UNITS: dict[str, dict[str, float]] = {
     "position": QUANTITIES["m"],
     "pressure_a": QUANTITIES["Pa"],
     "pressure_b": QUANTITIES["Pa"],
+    "load_pressure": QUANTITIES["Pa"],
     "spool_position": _PARTS,
     "command": _PARTS,
     "supply_pressure": QUANTITIES["Pa"],
@@ -95,16 +98,34 @@ class ColumnMap(Group):
     position: Column | None = None
     pressure_a: Column | None = None
     pressure_b: Column | None = None
+    load_pressure: Column | None = Field(None, description="pressure a minus b, in place of both")
     spool_position: Column | None = None
     supply_pressure: Column | None = Field(None, description="at the valve")
     tank_pressure: Column | None = Field(None, description="at the valve")
     flow: Column | None = Field(None, description="into chamber a; with a pump: displacement as gain of its speed")
     oil_temperature: Column | None = None
 
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        owners: dict[str | int, str] = {}
+        for name, column in self.columns().items():
+            if name in ("command", "flow"):  # a pump's speed may be both
+                continue
+            if column.column in owners:
+                raise ValueError(
+                    f"{name}: column {column.column!r} is already {owners[column.column]}; each signal needs its own"
+                )
+            owners[column.column] = name
+        if self.load_pressure is not None and (self.pressure_a or self.pressure_b):
+            raise ValueError("load_pressure: is pressure a minus b; give it or the two pressures")
+        return self
+
     def columns(self) -> dict[str, Column]:
         """The given columns by signal."""
         return {
-            name: getattr(self, name) for name in ("time", *MEASURED, *AUXILIARY) if getattr(self, name) is not None
+            name: getattr(self, name)
+            for name in ("time", *MEASURED, LOAD_PRESSURE, *AUXILIARY)
+            if getattr(self, name) is not None
         }
 
 
@@ -156,7 +177,7 @@ def own_map(headings: Sequence[str], source: str) -> ColumnMap:
         name = split_heading(heading)[0].lower()
         name = ALIASES.get(name, name)
         auxiliary = name in AUXILIARY and split_heading(heading)[1] is not None
-        if name not in ("time", *MEASURED) and not auxiliary:
+        if name not in ("time", *MEASURED, LOAD_PRESSURE) and not auxiliary:
             continue
         if name in found:
             raise ConfigurationError(f"{source}: two columns have the heading '{name}'; --map FILE selects one")

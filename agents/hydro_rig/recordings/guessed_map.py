@@ -16,9 +16,10 @@ from hydro_rig.recordings.columns import UNITS, split_heading
 WORDS = {
     "time": r"time|t|zeit|timestamp|zeitstempel|datum|clock|sekunden|seconds",
     "command": r"command|cmd|voltage|spannung|control|u|ao\w*|valve|ventil|servo|stell\w*|ansteuer\w*|output|dac|input",
-    "position": r"position|pos|x|weg|wegsensor|hub|stroke|displacement|lage|kolbenweg|kolbenposition|piston|extension",
+    "position": r"position|pos|x|dis\w*|weg|wegsensor|hub|stroke|lage|kolbenweg|kolbenposition|piston|extension",
     "pressure_a": r"(?:p|pressure|druck|press|pt)(?:a|1)|a|bore|cap|head|kolbenseit\w*|bodenseit\w*|1",
     "pressure_b": r"(?:p|pressure|druck|press|pt)(?:b|2)|b|rod|ringseit\w*|stangenseit\w*|ring|2",
+    "load_pressure": r"(?:delta|diff\w*|load|last)(?:p|pressure|druck)|delta|dp|diff\w*",
     "spool_position": r"spool|schieber\w*|ventilschieber|lvdt|xv|ventilhub|kolbenschieber|ventilposition",
     "supply_pressure": r"(?:p|pressure|druck)(?:s|0)|supply|versorgung\w*|system\w*|pumpe\w*|pump",
     "tank_pressure": r"(?:p|pressure|druck)t|tank|return|rücklauf\w*|ruecklauf\w*",
@@ -108,6 +109,8 @@ def _score(signal: str, heading: str, cells: pd.Series) -> float:
         unit is not None and signal.startswith("pressure")
     )
     if signal.startswith("pressure") and not pressure:
+        return -1.0
+    if signal == "load_pressure" and not pressure and "dp" not in words:
         return -1.0
     if not hits:
         return 0.9 if unit is not None and signal == "time" and _rises(cells) else 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +51,7 @@ class Parts(NamedTuple):
 
     fitted: Windows  # for the fit
     recording: NDArray[np.int64]  # (B,), the number of the recording of each of these windows
+    amplitudes: int  # number of different largest commands among the recordings of the fit
     held_back: list[Stretch]
     reason: str  # how the held-back parts were chosen
     findings: list[list[Finding]]  # changes to the samples, by recording
@@ -109,6 +110,7 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     return Parts(
         fitted=Windows.joined(list(fitted.values())),
         recording=np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),
+        amplitudes=len(_by_amplitude(used)),
         held_back=stretches,
         reason=reason,
         findings=[findings for _, findings in filled],
@@ -156,13 +158,7 @@ def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], s
     known = [number for number, windows in enumerate(cuts) if len(windows)]
     if len(known) < 2:
         return set(), ""
-    largest = {number: float(np.nanmax(np.abs(cuts[number].signals[:, COMMAND]))) for number in known}
-    ordered = sorted(known, key=lambda number: largest[number])
-    amplitudes = [[ordered[0]]]
-    for number in ordered[1:]:
-        if largest[number] > SAME_AMPLITUDE * largest[amplitudes[-1][0]]:
-            amplitudes.append([])
-        amplitudes[-1].append(number)
+    amplitudes = _by_amplitude({number: cuts[number] for number in known})
     if len(amplitudes) > 2:
         return set(amplitudes[len(amplitudes) // 2]), "another amplitude of the command than those of the fit"
     repeats: dict[bytes, list[int]] = {}
@@ -171,6 +167,18 @@ def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], s
         repeats.setdefault(sensors, []).append(number)
     apart = {numbers[-1] for numbers in repeats.values() if len(numbers) > 1}
     return apart, "other recordings than those of the fit"
+
+
+def _by_amplitude(cuts: Mapping[int, Windows]) -> list[list[int]]:
+    """Numbers of the recordings in groups of the same largest command, the smallest first."""
+    largest = {number: float(np.nanmax(np.abs(windows.signals[:, COMMAND]))) for number, windows in cuts.items()}
+    ordered = sorted(cuts, key=lambda number: largest[number])
+    amplitudes = [[ordered[0]]]
+    for number in ordered[1:]:
+        if largest[number] > SAME_AMPLITUDE * largest[amplitudes[-1][0]]:
+            amplitudes.append([])
+        amplitudes[-1].append(number)
+    return amplitudes
 
 
 def _ranges(signals: Floats) -> Floats:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from hydro_env import TaskConfig, simulate
+from hydro_env import ConfigurationError, TaskConfig, simulate
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parts.chambers import chamber_volumes
 from hydro_env.plant.parts.valve import edge_flows
@@ -83,6 +83,14 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool | N
     Each check relies on the previous ones, and is left out after a severe finding. ``own_grid`` is that of
     :func:`~hydro_rig.recordings.sampling.sampled`.
     """
+    differential = config.sensors.differential_pressure
+    pressures = np.isfinite(recording.signals[[PRESSURE_A, PRESSURE_B]]).any()
+    if pressures and recording.differential != differential:
+        has, map_as = ("two pressures", "load_pressure") if differential else ("a load pressure", "the two pressures")
+        rig = f"differential_pressure: {str(differential).lower()}"
+        raise ConfigurationError(
+            f"{recording.source}: has {has}, but the rig's sensors {rig}; change that, or map {map_as}"
+        )
     samples = sampled(recording, config, own_grid)
     return check_samples(samples, recording.findings, on_grid(config, samples.period))
 

@@ -12,7 +12,7 @@ import pandas as pd
 from hydro_agents.detection.detector import AUXILIARY
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
-from hydro_rig.recordings.columns import MEASURED, ColumnMap, own_map, place_of, unit_of
+from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, read_columns, together
 from hydro_rig.recordings.findings import Code, Finding, Weight, severe_if
 from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
@@ -31,6 +31,7 @@ class Recording(NamedTuple):
     findings: list[Finding]
     auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (n,), SI
     begin: float = 0.0  # s, stamp of the first row in the file; of dates and times since 1970
+    differential: bool = False  # pressure a is pressure a minus b
 
     def part(self, first: int, end: int) -> Recording:
         """A copy of the rows from ``first`` to before ``end``."""
@@ -97,6 +98,9 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
             values[signal] = size * (column.gain * numbers + column.offset)
         values[signal][~np.isfinite(values[signal])] = np.nan
     values["command"] = _shifted(values["command"], columns.command.rows_early)
+    differential = LOAD_PRESSURE in values
+    if differential:
+        values["pressure_a"], units["pressure_a"] = values.pop(LOAD_PRESSURE), units.pop(LOAD_PRESSURE)
     for signal in MEASURED:
         if signal not in values:
             findings.append(Finding(signal, "was not recorded", Weight.NOTE, code=Code.NOT_RECORDED))
@@ -116,7 +120,7 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
     absent = np.full(rows, np.nan)
     signals = np.array([values.get(signal, absent)[known] for signal in MEASURED])
     auxiliary = {name: values[name][known] for name in AUXILIARY if name in values}
-    return Recording(source, time - time[0], signals, units, findings, auxiliary, begin + float(time[0]))
+    return Recording(source, time - time[0], signals, units, findings, auxiliary, begin + float(time[0]), differential)
 
 
 def map_for(file: Columns, source: str) -> ColumnMap:

@@ -12,7 +12,7 @@ from hydro_env import PlantParameters
 from hydro_env.task.configuration import task_config
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification.common_fit import Joint
-from hydro_rig.identification.fit import fit_windows
+from hydro_rig.identification.fit import Fit, fit_windows
 from hydro_rig.identification.found_rig import found_timing, found_values, narrowed, shown
 from hydro_rig.identification.intervals import (
     _rises,
@@ -21,6 +21,7 @@ from hydro_rig.identification.intervals import (
     truncated_end,
     within_bounds,
 )
+from hydro_rig.identification.repeatability import widened
 from hydro_rig.recordings.recording import read_recording
 
 WINDOWS, UNKNOWNS, READINGS = 7, 6, 40
@@ -67,6 +68,33 @@ def test_intervals_hold_as_often_as_they_promise_where_noise_is_all(jacobian):
     assert (inside > 0.93).all(), inside  # a variance is never below the noise's: they hold rather more often
     assert inside.mean() < 0.985, inside
     assert (widening < 1.2).all()
+
+
+@pytest.mark.parametrize(("shift", "before", "after"), [(0.0, 0.9, 0.9), (2.0, 0.0, 0.85)])
+def test_intervals_are_as_wide_as_recordings_disagree(shift, before, after):
+    random, recording = np.random.default_rng(2), np.repeat(np.arange(6), 4)
+    names, prior = ("a", "b"), Prior(0.0, 1.0, False)
+    held, once, wider = 0, 0, []
+    for _ in range(200):
+        own = 0.1 * shift * random.standard_normal((6, 1))[recording] * np.eye(2)[0]
+        information = np.tile(400.0 * np.eye(2), (24, 1, 1))
+        towards = np.einsum("wij,wj->wi", information, own) + 20.0 * random.standard_normal((24, 2))
+        found = np.linalg.solve(information.sum(axis=0) + np.eye(2), towards.sum(axis=0))
+        score, none = towards - information @ found, np.empty(0, np.int64)
+        rows = np.tile(found, (24, 1))
+        joint = Joint(rows, np.arange(2), information, score, np.ones(24), none, np.zeros((24, 0, 0)), 0.0)
+        spread = spread_of(joint)
+        ends = found - spread.reach, found + spread.reach
+        fit = Fit(names, dict.fromkeys(names, prior), found, *ends, spread.reach / 1.96, spread.widening,
+                  information.sum(axis=0), np.ones(24), joint)  # fmt: skip
+        more = widened(fit, recording)
+        once += fit.low[0] <= 0.0 <= fit.high[0]
+        held += more.low[0] <= 0.0 <= more.high[0]
+        wider.append((more.high - more.low) / (fit.high - fit.low))
+    assert once / 200 >= before
+    assert held / 200 >= after
+    assert np.median(wider, axis=0)[1] == 1.0  # of the unknown on which they agree
+    assert (np.median(wider, axis=0)[0] > 1.5) == (shift > 0.0)
 
 
 def test_a_direction_that_windows_contradict_widens_its_own_unknown(jacobian):

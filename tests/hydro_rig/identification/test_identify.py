@@ -14,7 +14,7 @@ from published import assert_published_page
 from recorded import SEED, recorded_file
 
 from hydro_agents.detection.detector import Windows
-from hydro_env import PlantParameters, ServoHydraulicVectorEnv
+from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 from hydro_rig.identification.advice import advise
@@ -239,3 +239,37 @@ def test_without_pressures_the_motion_that_would_help_is_named(folder):
     assert advice["valve.rated_flow"] is not None
     assert advice["valve.rated_flow"].enough
     assert advice["valve.rated_flow"].motion != "standing still"
+
+
+def test_a_load_pressure_of_unknown_gain_stands_for_two_pressures(folder, tmp_path):
+    gain, offset = 1.08, 1.5  # bar
+    table = pd.read_csv(folder / "a.csv", comment="#")
+    difference = table["pressure_a [bar]"] - table["pressure_b [bar]"]
+    table["Delta P [bar]"] = (gain * difference + offset).round(4)
+    absent = ["pressure_a [bar]", "pressure_b [bar]", "spool_position [%]"]
+    table.drop(columns=absent).to_csv(tmp_path / "load.csv", index=False)
+    names = {"time": "time", "command": "command", "position": "position", "load_pressure": "Delta P"}
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(names))
+    sensors = {
+        "differential_pressure": True,
+        "pressure_a": {"low": "-100 bar", "high": "100 bar", "bias": "3 bar"},
+        "pressure_b": {"fitted": False},
+    }
+    rig = yaml.safe_load((folder / "rig.yaml").read_text()) | {"sensors": sensors}
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+    given = [tmp_path / "load.csv", "--map", tmp_path / "map.yaml", "--output"]
+    answer = hydro("identify", "--rig", tmp_path / "rig.yaml", *given, tmp_path / "out")
+    assert answer.returncode == 0, answer.stderr
+    result = json.loads((tmp_path / "out" / "identification.json").read_text(encoding="utf-8"))
+    assert result["describes"]
+    assert result["share_of_variance"]["pressure_a"] > 0.9
+    wanted = truth(folder) | {"pressure_a_gain": gain, "leakage_flow_lpm": LEAK}
+    for path, value in wanted.items():
+        one = result["unknowns"][path]
+        middle, half = 0.5 * (one["low"] + one["high"]), 0.5 * (one["high"] - one["low"])
+        assert abs(value - middle) < 2.0 * half, path
+    assert "differential_pressure: true" in (tmp_path / "out" / "rig.yaml").read_text(encoding="utf-8")
+    wrong = hydro("identify", "--rig", folder / "rig.yaml", *given, tmp_path / "wrong")
+    assert_one_clear_line(wrong, "load pressure", "differential_pressure: false")
+    with pytest.raises(ConfigurationError, match="for recordings"):
+        ServoHydraulicVectorEnv(2, task_config(None, rig=tmp_path / "rig.yaml"))

@@ -74,6 +74,7 @@ def test_whole_recordings_are_held_back_by_amplitude_and_sensors(amplitudes, sen
     names = [f"{k}.csv" for k in range(len(recordings))]
     parts = parts_of(recordings, names)
     assert reason in parts.reason
+    assert parts.amplitudes == len({amplitudes[number] for number in parts.recording})
     if apart:
         assert [part.recording for part in parts.held_back] == apart
         assert not set(apart) & set(parts.recording.tolist())

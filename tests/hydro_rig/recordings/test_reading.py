@@ -156,6 +156,8 @@ def test_what_is_no_recording_is_told_in_one_line(tmp_path, text, parts):
         ("time: t\ncommand: {column: absent, unit: V}", "no column has the heading 'absent'"),
         ("time: t\ncommand: {column: 9, unit: V}", "column 9"),
         ("time: t\ncommand: {column: u, units: V}", "unknown key; did you mean unit?"),
+        ("{time: t, command: u, pressure_a: p, pressure_b: p}", "pressure_b: column 'p' is already pressure_a"),
+        ("{time: t, command: u, pressure_a: p, load_pressure: q}", "load_pressure: is pressure a minus b"),
     ],
 )
 def test_a_wrong_map_is_told_in_one_line(tmp_path, text, part):
@@ -183,6 +185,9 @@ GUESSES = {
         "time": "Time_s", "command": "uValve", "position": "xPiston", "pressure_a": "pCap", "pressure_b": "pRod",
     },
     "Timestamp,AO_1,PT1,PT2": {"time": "Timestamp", "command": "AO_1", "pressure_a": "PT1", "pressure_b": "PT2"},
+    "time [s],Voltage command [V],dis [mm],Delta P [bar]": {
+        "time": "time [s]", "command": "Voltage command [V]", "position": "dis [mm]", "load_pressure": "Delta P [bar]",
+    },
     "Temperature [°C],Counter,Button": {},
 }  # fmt: skip
 """Columns that are guessed from headings."""
