@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_PACES, PREVIEW_SCALE, USUAL_ERROR, AnyAxisFeatures
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.rigs_env import RigsVecEnv
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
+from hydro_agents.learning.tuning import chosen_gains, gain_sets, rig_scores
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import validate
@@ -104,11 +106,27 @@ def test_a_correction_is_in_proportion_to_the_error_that_the_rig_allows():
     assert sizes == pytest.approx([0.02, 0.1, 0.2, 0.6])
 
 
+def test_a_simulation_chooses_the_gains_that_the_policy_corrects(policy):
+    sets = gain_sets("flow_linearising")
+    assert len(sets) == 9
+    assert sets[0] == FlowLinearisingGains()
+    chosen = [chosen_gains("flow_linearising", task) for task in RIGS[:3]]
+    assert all(gains in sets for gains in chosen)
+    assert len({repr(gains) for gains in chosen}) > 1
+    scores = [score.equal for score in rig_scores("flow_linearising", sets, RIGS[0])]
+    clearly = min(scores) < 0.9 * scores[0]
+    assert sets.index(chosen[0]) == (int(np.argmin(scores)) if clearly else 0)
+    assert policy[1].moved_to(RIGS[0]).features.base.gains == chosen[0]
+    assert gain_sets("pid") == [PIDGains()]
+    assert chosen_gains("pid", RIGS[0]) == PIDGains()
+
+
 def test_an_untrained_policy_is_the_corrected_controller_on_every_rig(policy):
     zero = [(np.zeros_like(weight), np.zeros_like(bias)) for weight, bias in policy[1].layers]
     for task in RIGS[:2]:
         moved = PolicyController(policy[1].features, zero).moved_to(task)
-        np.testing.assert_array_equal(commands(moved, task), commands(untuned(task), task))
+        corrected = FlowLinearising(chosen_gains("flow_linearising", task), task)
+        np.testing.assert_array_equal(commands(moved, task), commands(corrected, task))
 
 
 def test_stored_weights_serve_another_rig(policy):
@@ -140,7 +158,7 @@ def test_a_share_of_the_correction_acts_after_the_training(policy, tmp_path):
     weaker.save(tmp_path / "weaker")
     stored = PolicyController.load(tmp_path / "weaker")
     whole, half = (commands(each.moved_to(RIGS[0]), RIGS[0]) for each in (policy[1], stored))
-    own = commands(untuned(RIGS[0]), RIGS[0])
+    own = commands(policy[1].moved_to(RIGS[0]).features.base, RIGS[0])
     np.testing.assert_allclose(half[0] - own[0], 0.5 * (whole[0] - own[0]), atol=1e-6)
     assert np.abs(whole[0] - own[0]).max() > 1e-6
 
