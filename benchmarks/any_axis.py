@@ -24,6 +24,7 @@ from benchmarks.no_tuning import tuned_for
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID
+from hydro_agents.controllers.registry import make_controller
 from hydro_agents.evaluation.limit_cycles import counted_at_rest
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.tuning import chosen_gains
@@ -85,7 +86,7 @@ def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) ->
     controllers: dict[str, Controller] = {
         UNTUNED: FlowLinearising(FlowLinearisingGains(), task),
         POLICY: PolicyController.load(weights).moved_to(task),
-        CHOSEN: FlowLinearising(chosen_gains("flow_linearising", task), task),
+        CHOSEN: make_controller("flow_linearising", task, chosen_gains("flow_linearising", task).model_dump()),
         ZERO: Shut(task),
     }
     if figures is not None:

@@ -130,8 +130,8 @@ def judged(found: Identification) -> dict[str, Floats]:
     for name, make in (("gain, lag and null", static_gain), ("autoregression (ARX)", autoregression)):
         forecaster = make(training)
         rows[name] = [
-            (*shares(*forecasts(forecaster, *stretch.signals[[COMMAND, POSITION]], period), period), np.nan)
-            for stretch in found.parts.held_back
+            (*shares(*forecasts(forecaster, signals[COMMAND], signals[POSITION], period), period), np.nan)
+            for signals in (stretch.signals for stretch in found.parts.held_back)
         ]
     return {name: np.array(values) for name, values in rows.items()}
 
