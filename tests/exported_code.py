@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hydro_rig.export.c_files import WARNINGS, c_compiler, compiled
-from hydro_rig.export.exported import onnx_session
+from hydro_rig.export.onnx_writer import onnx_session
 
 
 def library(place, *sources):

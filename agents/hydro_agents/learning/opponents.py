@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
-from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, imported, make_controller
+from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, make_controller
 from hydro_agents.learning.trainers import TRAINERS, Trainer
 from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder, pretrained_folder
@@ -24,9 +24,6 @@ SHIPPED_WEIGHTS = {"ppo": "policy"}
 ANY_AXIS = "any_axis"
 ANY_RIG = ("flow_linearising",)
 """Kinds whose class has gains for any rig as its defaults; benchmarks/no_tuning.py tunes and judges them."""
-
-EXPORTED = "hydro_rig.export.exported:ExportedController"
-"""The class that runs a folder of ``hydro export``; by name, because that room imports this one."""
 
 
 def shipped(kind: str, config: TaskConfig) -> Controller:
@@ -148,8 +145,6 @@ def opponent(
             )
         elif what.endswith(".yaml"):
             controller = controller_from_gains(what, config)
-        elif Path(what).is_dir():
-            controller = imported(EXPORTED).load(what)
         elif _ATTRIBUTE.fullmatch(what):
             controller = make_controller(what, config)
         elif trainer is None and "/" not in what and not any(file.is_file() for file in weight_files(what)):
@@ -179,6 +174,6 @@ def found_in(what: str | Path) -> str:
 
 
 def trained_for(controller: Controller) -> PlantParameters | None:
-    """The nominal rig of the task of a policy's training or of an export; ``None`` for any other controller."""
-    task = getattr(getattr(controller, "features", None), "config", getattr(controller, "made_for", None))
+    """The nominal rig of the task of a policy's training; ``None`` for any other controller."""
+    task = getattr(getattr(controller, "features", None), "config", None)
     return task.plant if isinstance(task, TaskConfig) else None

@@ -63,8 +63,8 @@ def export(
     `hydro export CONTROLLER` writes a folder that needs nothing of this project to run: the controller from measured
     signals in SI units to the voltage of the valve as `controller.onnx` and as C99, a test program with test vectors,
     and `contract.json`, which describes its inputs and outputs. Before the folder is written, its controller is
-    compared with the one in Python. `hydro evaluate --agent exported=FOLDER` evaluates it. It needs `pip install
-    'hydro_env[export]'`. A rig that nobody tuned: `hydro export flow_linearising --rig my.yaml --period 2ms`.
+    compared with the one in Python. It needs `pip install 'hydro_env[export]'`. A rig that nobody tuned:
+    `hydro export flow_linearising --rig my.yaml --period 2ms`.
 
     `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to the
     probability and size of a leak, and its network as ONNX; with `--rig` and `--period` on your rig, without training.
@@ -193,13 +193,10 @@ def _controller(what: str, request: _Request, language: str) -> Job:
     from hydro_agents.learning.opponents import gains_file, takes_gains_for_any_rig, trained_for
     from hydro_env import PlantParameters
     from hydro_rig.export.controller_folder import FILES, ST_FILE, exported_files
-    from hydro_rig.export.exported import ExportedController
     from hydro_rig.export.onnx_writer import onnx_package
 
     onnx_package()  # report a missing package at the start
     controller, config = _controller_and_task(what, request)
-    if isinstance(controller, ExportedController):
-        raise ConfigurationError(f"{what}: is an exported controller already")
     made_for = trained_for(controller)
     if made_for is not None and made_for != config.plant:
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)

@@ -16,9 +16,8 @@ from hydro_agents.detection.detector import Cause
 from hydro_agents.detection.looks import MOVING_FROM, STANDING_BELOW, Activity
 from hydro_env import __version__
 from hydro_env.types import Floats
-from hydro_rig.export.c_files import CCode, c_code, compared, csv_text, render
+from hydro_rig.export.c_files import FILE, CCode, c_code, compared, csv_text, sealed, with_test
 from hydro_rig.export.c_writer import C_TYPES, CWriter
-from hydro_rig.export.exported import FILE, sealed
 from hydro_rig.export.tracing import trace
 
 NAME = "alarm"
@@ -98,13 +97,7 @@ def exported_alarm(settings: AlarmSettings, command: str) -> tuple[dict[str, byt
         TraceError: the alarm uses an operation without translation.
         HydroError: the C code gives other values.
     """
-    values = _texts(settings)
-    texts = {
-        **alarm_code(settings).files,
-        "test_alarm.c": render("test_alarm.c.j2", values),
-        "vectors.csv": vectors(settings),
-        "README.md": render("alarm_readme.md.j2", values),
-    }
+    texts = with_test(alarm_code(settings), vectors(settings), _texts(settings))
     in_c = compared(NAME, texts)
     facts = {
         "settings": settings.model_dump(mode="json"),

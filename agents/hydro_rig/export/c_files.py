@@ -1,8 +1,10 @@
-"""Files in C: written from templates, compiled, and compared with Python by their test program."""
+"""Exported files: C from templates, compiled and compared with Python by its test program, and its contract."""
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import json
 import shutil
 import subprocess
 import sys
@@ -15,9 +17,10 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
-from hydro_env import ConfigurationError, HydroError
+from hydro_env import ConfigurationError, HydroError, __version__
 
 TEMPLATES = Path(__file__).parent / "templates"
+FILE = "contract.json"
 WARNINGS = ("-Wall", "-Wextra", "-Werror")
 
 
@@ -128,3 +131,48 @@ def csv_text(columns: Sequence[str], starts: Iterable[Any], rows: Iterable[Itera
     for start, values in zip(starts, rows, strict=True):
         lines.append(",".join([str(int(start)), *(repr(float(value)) for value in values)]))
     return "\n".join(lines) + "\n"
+
+
+def with_test(code: CCode, vectors: str, values: Mapping[str, Any], **beside: str) -> dict[str, str]:
+    """The texts of a folder: code, its test program, vectors as CSV, and a page; ``beside``: other texts by name."""
+    return {
+        **code.files,
+        f"test_{code.name}.c": render(f"test_{code.name}.c.j2", values),
+        "vectors.csv": vectors,
+        **beside,
+        "README.md": render(f"{code.name}_readme.md.j2", values),
+    }
+
+
+def sealed(
+    what: str,
+    contents: Mapping[str, str | bytes],
+    facts: Mapping[str, Any],
+    command: str,
+    packages: Sequence[Any] = (np,),
+) -> dict[str, bytes]:
+    """The files of a folder with its ``contract.json``.
+
+    Args:
+        what: was exported.
+        contents: of all other files, by name.
+        facts: entries of the contract; versions, command and the SHA-256 of each file follow them, then its own.
+        command: that wrote the folder.
+        packages: whose versions matter.
+    """
+    files = {name: content.encode() if isinstance(content, str) else content for name, content in contents.items()}
+    values = {
+        "format": f"hydro_env exported {what}",
+        "format_version": 1,
+        **facts,
+        "versions": {"hydro_env": __version__} | {package.__name__: package.__version__ for package in packages},
+        "command": command,
+        "files": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+    }
+    values["digest"] = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    return {**files, FILE: (json.dumps(values, indent=2, ensure_ascii=False) + "\n").encode()}
+
+
+def signal_facts(name: str, unit: str, low: float, high: float, limit: float, meaning: str) -> dict[str, Any]:
+    """A signal in a contract: range of the sensor or of the stroke; values beyond ± the limit are clipped."""
+    return {"name": name, "unit": unit, "range": [low, high], "limit": limit, "meaning": meaning}

@@ -9,14 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_rig.export.graph import SCALED, Graph, Node, regular, runs_of_places, source_of
+from hydro_rig.export.graph import KINDS, SCALED, Graph, Node, regular, runs_of_places, source_of
 
-C_TYPES = {
-    np.dtype(np.float64): "double",
-    np.dtype(np.float32): "float",
-    np.dtype(np.bool_): "int",
-    np.dtype(np.int64): "long",
-}
+C_TYPES = dict(zip(KINDS, ("double", "float", "long", "int"), strict=True))
 _INFIX = {
     **{"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "and": "&&", "or": "||"},
     **{"equal": "==", "not_equal": "!=", "greater": ">", "greater_equal": ">=", "less": "<", "less_equal": "<="},
@@ -56,25 +51,10 @@ class CWriter:
     _inside: set[Node] = field(default_factory=set)
     types: ClassVar[Mapping[Any, str]] = C_TYPES
     repeats: ClassVar[frozenset[str]] = frozenset()  # operations whose text holds an operand more than once
-    reserved: ClassVar[frozenset[str]] = frozenset(
-        [
-            "short",
-            "long",
-            "signed",
-            "unsigned",
-            "register",
-            "auto",
-            "static",
-            "const",
-            "union",
-            "double",
-            "float",
-            "i",
-            "j",
-            "k",
-            "factor",
-        ]
-    )
+    reserved: ClassVar[frozenset[str]] = frozenset((
+        "short", "long", "signed", "unsigned", "register", "auto", "static", "const", "union", "double", "float",
+        "i", "j", "k", "factor",
+    ))  # fmt: skip
 
     def reserve(self, *names: str) -> None:
         """Reserve names that no variable may have."""
@@ -209,12 +189,13 @@ class CWriter:
         return f"/* {text.replace('*/', '* /').replace('/*', '/ *')} */"
 
     def number(self, value: Any) -> str:
-        """An exact number."""
-        return number(value)
-
-    def named_begins(self, text: str) -> str:
-        """The variable ``begins`` for a condition that has another name."""
-        return f"const int begins = {text};"
+        """An exact number: the shortest text that reads back as the same number."""
+        if isinstance(value, np.bool_ | bool | np.integer):
+            return str(int(value))
+        if np.isnan(value):
+            return "NAN"
+        text = "INFINITY" if np.isinf(value) else f"{abs(value)!s}{'f' if isinstance(value, np.float32) else ''}"
+        return f"(-{text})" if np.signbit(value) else text
 
     def assign(self, target: str, text: str) -> str:
         """A statement that gives a variable a value."""
@@ -240,9 +221,8 @@ class CWriter:
 
     def table(self, name: str, values: NDArray[Any]) -> str:
         """A constant table."""
-        return (
-            f"static const {self.types[values.dtype]} {name}[{values.size}] = {{\n    {in_rows(number, values, 4)}\n}};"
-        )
+        rows = in_rows(self.number, values, 4)
+        return f"static const {self.types[values.dtype]} {name}[{values.size}] = {{\n    {rows}\n}};"
 
     def _is_closed(self, node: Node) -> bool:
         """Whether the text of an operation needs no brackets inside another one."""
@@ -312,16 +292,6 @@ def bare(text: str) -> str:
         if depth == 0:
             return text[1:-1] if text[0] == "(" and place == len(text) - 1 else text
     return text
-
-
-def number(value: Any) -> str:
-    """An exact number in C: the shortest text that reads back as the same number."""
-    if isinstance(value, np.bool_ | bool | np.integer):
-        return str(int(value))
-    if np.isnan(value):
-        return "NAN"
-    text = "INFINITY" if np.isinf(value) else f"{abs(value)!s}{'f' if isinstance(value, np.float32) else ''}"
-    return f"(-{text})" if np.signbit(value) else text
 
 
 def in_rows(written: Callable[[Any], str], values: NDArray[Any], indent: int) -> str:

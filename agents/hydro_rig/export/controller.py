@@ -31,15 +31,6 @@ _C_NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 @dataclass(frozen=True)
-class Part:
-    """A part of the memory: a named array."""
-
-    name: str
-    size: int
-    kind: np.dtype[Any]
-
-
-@dataclass(frozen=True)
 class ControllerGraph:
     """A controller as a graph.
 
@@ -49,7 +40,7 @@ class ControllerGraph:
     """
 
     graph: Graph
-    memory: tuple[Part, ...]
+    memory: tuple[Node, ...]  # the inputs of the graph that hold its parts
     measured: MeasuredController
     gains: tuple[GainRow, ...] = ()  # inputs ``gains.NAME``: numbers that may change while the controller runs
 
@@ -127,8 +118,7 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
             node = graph.outputs.get(case)
             if node is None or (node.size, node.kind) != (before.size, before.kind):
                 raise TraceError(f"{who}: its memory '{name}' changes its shape or type: cannot be exported")
-    parts = tuple(Part(name, node.size, node.kind) for name, node in graph.inputs.items() if name in arrays)
-    return ControllerGraph(graph, parts, measured, tuple(gains))
+    return ControllerGraph(graph, tuple(graph.inputs[name] for name in arrays), measured, tuple(gains))
 
 
 def _with_gains(controller: Any, gains: Mapping[str, Any]) -> Controller:
@@ -302,39 +292,35 @@ def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[s
         writer: of the language.
         fields: variable of each part of the memory, by the name of the part.
     """
-    shared, cases = controller.common, {prefix: controller.case(prefix) for prefix in (STARTED, CONTINUED)}
-    started, continued = (in_order([*case.values()]) for case in cases.values())
-    both = set(started) & set(continued)
-    before = in_order([*shared.values(), *(node for node in started if node in both)])
-    done = set(before)
+    shared = controller.common
+    started, continued = (controller.case(prefix) for prefix in (STARTED, CONTINUED))
+    later = set(in_order([*continued.values()]))
+    both = [node for node in in_order([*started.values()]) if node in later]
+    before = in_order([*shared.values(), *both])
+
+    def stores(outputs: dict[str, Node], lines: list[str], indent: str = "    ") -> list[str]:
+        """Statements that keep what changes in the memory; ``lines``: those before, to which others may be added."""
+        changed = [(part.name, outputs.get(part.name, part)) for part in controller.memory]
+        return [
+            writer.stored(fields[name], f"new_{_field(name)}", node, lines, indent)
+            for name, node in changed
+            if node is not controller.graph.inputs[name]
+        ]
+
+    def case(outputs: dict[str, Node]) -> str:
+        """The statements of a case; all values are read before the memory changes."""
+        indent = " " * 8
+        lines = writer.statements([node for node in in_order([*outputs.values()]) if node not in before], indent)
+        lines.append(indent + writer.assign("voltage", writer.element(outputs["voltage"], 0)))
+        stored = stores(outputs, lines, indent)
+        return "\n".join([*lines, *stored])
 
     common = writer.statements(before)
+    writer.kept("begins", shared["begins"], common)
     kept: list[str] = []
-    begins = writer.kept("begins", shared["begins"], common)
-    if begins != "begins":
-        common.append(f"    {writer.named_begins(begins)}")
-    for part in controller.memory:
-        if part.name in shared:
-            kept.append(writer.stored(fields[part.name], f"new_{_field(part.name)}", shared[part.name], kept))
-
-    def lines_of(case: dict[str, Node], nodes: list[Node]) -> list[str]:
-        """The statements of a case; all values are read before the memory changes."""
-        indent, stores = " " * 8, []
-        lines = writer.statements([node for node in nodes if node not in done], indent)
-        lines.append(indent + writer.assign("voltage", writer.element(case["voltage"], 0)))
-        for part in controller.memory:
-            node = case.get(part.name)
-            if node is not None and node is not controller.graph.inputs[part.name]:
-                stores.append(writer.stored(fields[part.name], f"new_{_field(part.name)}", node, lines, indent))
-        return [*lines, *stores]
-
-    texts = {
-        "common": common,
-        "started": lines_of(cases[STARTED], started),
-        "continued": lines_of(cases[CONTINUED], continued),
-        "kept": kept,
-    }
-    return {key: "\n".join(lines) for key, lines in texts.items()}
+    kept += stores(shared, kept)
+    texts = {"common": "\n".join(common), "started": case(started), "continued": case(continued)}
+    return {**texts, "kept": "\n".join(kept)}
 
 
 def memory_type(name: str) -> str:

@@ -18,7 +18,7 @@ from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version
 from hydro_env.files import Group
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.export.c_files import compared, csv_text, render
+from hydro_rig.export.c_files import FILE, compared, csv_text, sealed, signal_facts, with_test
 from hydro_rig.export.c_writer import C_TYPES
 from hydro_rig.export.controller import (
     ControllerGraph,
@@ -27,14 +27,15 @@ from hydro_rig.export.controller import (
     controller_model,
     variable_gains,
 )
-from hydro_rig.export.exported import FILE, MODEL_FILE, TASK_FILE, onnx_session, sealed, signal_facts
 from hydro_rig.export.measured import MeasuredController
+from hydro_rig.export.onnx_writer import onnx_session
 from hydro_rig.export.structured_text import structured_text
 
 LARGEST_DIFFERENCE = 1e-5
 """Largest difference of the command between the exported controller and the one in Python; more is an error."""
 
 CODE = "controller"
+MODEL_FILE, TASK_FILE = "controller.onnx", "task.yaml"
 ST_FILE = "controller.st"
 FILES = (MODEL_FILE, f"{CODE}.c", f"{CODE}.h", f"test_{CODE}.c", "vectors.csv", TASK_FILE, "README.md", FILE)
 FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them
@@ -161,13 +162,8 @@ def exported_files(
         "gains": gain_rows(gains) if isinstance(gains, Group) else [],
     }
     in_onnx = check_onnx(model, vectors, type(controller).__name__)
-    texts = {
-        **controller_code(varied, CODE).files,
-        f"test_{CODE}.c": render("test_controller.c.j2", values),
-        "vectors.csv": vectors.text(),
-        TASK_FILE: yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True),
-        "README.md": render("controller_readme.md.j2", values),
-    }
+    task = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+    texts = with_test(controller_code(varied, CODE), vectors.text(), values, **{TASK_FILE: task})
     in_c = compared(CODE, texts)
     if language == "st":
         texts[ST_FILE] = structured_text(varied)

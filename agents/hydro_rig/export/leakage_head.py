@@ -20,13 +20,12 @@ from hydro_env import HydroError, ServoHydraulicVectorEnv, __version__
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
-from hydro_rig.export.c_files import CCode, c_code, compared, csv_text, render
+from hydro_rig.export.c_files import FILE, CCode, c_code, compared, csv_text, sealed, signal_facts, with_test
 from hydro_rig.export.c_writer import CWriter
-from hydro_rig.export.exported import FILE, onnx_session, sealed, signal_facts
 from hydro_rig.export.expressions import DOUBLE, array
 from hydro_rig.export.graph import Graph
 from hydro_rig.export.measured import SENSOR_MEANINGS
-from hydro_rig.export.onnx_writer import OnnxWriter
+from hydro_rig.export.onnx_writer import OnnxWriter, onnx_session
 from hydro_rig.export.tracing import trace
 from hydro_rig.export.translator import Translator
 
@@ -145,12 +144,7 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
     values = _texts(head) | {"samples": episodes * length, "allowed": LARGEST_DIFFERENCE}
     starts = np.tile(np.arange(length) == 0, episodes)
     rows = np.concatenate([samples, answers], axis=2).reshape(episodes * length, -1)
-    texts = {
-        **code.files,
-        "test_leakage_head.c": render("test_leakage_head.c.j2", values),
-        "vectors.csv": csv_text([*SIGNALS, *FIELDS], starts, rows),
-        "README.md": render("leakage_head_readme.md.j2", values),
-    }
+    texts = with_test(code, csv_text([*SIGNALS, *FIELDS], starts, rows), values)
     in_onnx, in_c = check_network(head, model, samples), compared(NAME, texts)
     facts = {**_facts(head), "checked": {NETWORK_FILE: in_onnx, "leakage_head.c": in_c}}
     largest = f"largest difference {in_onnx['largest_difference']:.2g}"

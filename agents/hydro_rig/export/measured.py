@@ -63,7 +63,9 @@ class MeasuredSignals:
         self.limits = observation_layout(config)[3]
         self.scale = np.array(self.layout.scale)
         self.used = [name for name in self.layout.names if used is None or name in used]
-        self.previews = [name for name in self.used if name.startswith(_PREVIEW)]
+        shown = [name for name in self.layout.names if name.startswith(_PREVIEW)]
+        self.ahead = dict(zip(shown, config.preview_samples, strict=True))  # control periods, by name of the preview
+        self.previews = [name for name in shown if name in self.used]
         needed = {*self.used, "previous_command"}
         if needed & set(COMPUTED):
             needed |= {"position"}
@@ -77,8 +79,7 @@ class MeasuredSignals:
         limit = float(self.limits[place] * self.scale[place])
         reach = self.config.plant.cylinder.stroke / 2.0
         if name.startswith(_PREVIEW):
-            shown = [one for one in self.layout.names if one.startswith(_PREVIEW)]
-            ahead = dict(zip(shown, self.config.preview_samples, strict=True))[name]
+            ahead = self.ahead[name]
             return Signal(ahead_name(name), "m", -reach, reach, limit, f"reference {ahead} control periods ahead")
         if name == "reference":
             return Signal(name, "m", -reach, reach, limit, "desired position now, from the middle of the stroke")
@@ -90,38 +91,14 @@ class MeasuredSignals:
         sensor = getattr(self.config.sensors, name)
         return Signal(name, CHANNEL_UNITS[name], sensor.low, sensor.high, limit, SENSOR_MEANINGS.get(name, "measured"))
 
-    def of_observation(self, observation: NDArray[Any]) -> Floats:
-        """Signals (N, signals) for observations (N, n), with the readings as rounded by the environment.
-
-        Readings of the position are whole steps of the sensor. The tracking error gives the reference with a finer
-        resolution than the observed reference.
-        """
-        si = {name: self.layout.si(observation, name) for name in self.layout.names}
-        sensor = self.config.sensors.position
-        if self.config.sensors.enabled and sensor.resolution > 0.0:
-            steps = np.round((si["position"] - sensor.low) / sensor.resolution)
-            si["position"] = np.clip(sensor.low + steps * sensor.resolution, sensor.low, sensor.high)
-        observed = observation[:, self.layout.index("reference")].astype(np.float32)
-        exact = observed.astype(np.float64)
-        low, high = (exact + 0.499 * (np.nextafter(observed, np.float32(end)) - exact) for end in (-np.inf, np.inf))
-        scale = self.scale[self.layout.index("reference")]
-        si["reference"] = np.clip(si["position"] + si["tracking_error"], low * scale, high * scale)
-        return self._stacked(si, {name: si["reference"] + si[name] for name in self.previews})
-
     def of_axes(self, axes: Axes) -> Floats:
         """Signals (N, signals) of simulated axes, exactly as their sensors read."""
         now = np.asarray(axes.column("step"), dtype=np.int64)
         row = np.arange(axes.count)
         si = {name: axes.column("measured")[:, place] for place, name in enumerate(CHANNELS)}
-        si |= {"reference": axes.reference[row, now], "previous_command": axes.column("command")}
-        shown = [name for name in self.layout.names if name.startswith(_PREVIEW)]
-        counts = dict(zip(shown, self.config.preview_samples, strict=True))
-        return self._stacked(si, {name: axes.reference[row, now + counts[name]] for name in self.previews})
-
-    def _stacked(self, si: dict[str, Floats], ahead: dict[str, Floats]) -> Floats:
-        values = si | {ahead_name(name): reference for name, reference in ahead.items()}
-        values["previous_voltage"] = FULL_VOLTAGE * si["previous_command"]
-        return np.stack([values[signal.name] for signal in self.signals], axis=1)
+        si |= {"reference": axes.reference[row, now], "previous_voltage": FULL_VOLTAGE * axes.column("command")}
+        si |= {ahead_name(name): axes.reference[row, now + count] for name, count in self.ahead.items()}
+        return np.stack([si[signal.name] for signal in self.signals], axis=1)
 
 
 def ahead_name(name: str) -> str:

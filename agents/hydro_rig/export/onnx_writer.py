@@ -15,32 +15,11 @@ from hydro_rig.export.graph import Node, in_order
 
 OPSET = 17
 _OPERATORS = {
-    "add": "Add",
-    "subtract": "Sub",
-    "multiply": "Mul",
-    "divide": "Div",
-    "negative": "Neg",
-    "absolute": "Abs",
-    "sqrt": "Sqrt",
-    "exp": "Exp",
-    "log": "Log",
-    "power": "Pow",
-    "tanh": "Tanh",
-    "arcsinh": "Asinh",
-    "sign": "Sign",
-    "maximum": "Max",
-    "minimum": "Min",
-    "equal": "Equal",
-    "greater": "Greater",
-    "greater_equal": "GreaterOrEqual",
-    "less": "Less",
-    "less_equal": "LessOrEqual",
-    "and": "And",
-    "or": "Or",
-    "not": "Not",
-    "where": "Where",
-    "matmul": "MatMul",
-}
+    "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negative": "Neg", "absolute": "Abs",
+    "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "power": "Pow", "tanh": "Tanh", "arcsinh": "Asinh", "sign": "Sign",
+    "maximum": "Max", "minimum": "Min", "equal": "Equal", "greater": "Greater", "greater_equal": "GreaterOrEqual",
+    "less": "Less", "less_equal": "LessOrEqual", "and": "And", "or": "Or", "not": "Not", "where": "Where",
+}  # fmt: skip
 
 
 def onnx_package() -> Any:
@@ -54,6 +33,23 @@ def onnx_package() -> Any:
     except ImportError:
         raise ConfigurationError("ONNX needs the package onnx: pip install 'hydro_env[export]'") from None
     return onnx
+
+
+def onnx_session(model: bytes) -> Any:
+    """A session of onnxruntime on one thread.
+
+    Raises:
+        ConfigurationError: onnxruntime is not installed.
+    """
+    try:
+        import onnxruntime
+    except ImportError:
+        text = "the check of an ONNX model needs the package onnxruntime: pip install 'hydro_env[export]'"
+        raise ConfigurationError(text) from None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
 
 
 class OnnxWriter:

@@ -14,10 +14,9 @@ from hydro_env import __version__
 from hydro_rig.export.c_files import render
 from hydro_rig.export.c_writer import CWriter, in_rows
 from hydro_rig.export.controller import GAINS, ControllerGraph, element_names, field_names, written_step
-from hydro_rig.export.graph import Node
+from hydro_rig.export.graph import KINDS, Node
 
-TYPES = {np.dtype(np.float64): "LREAL", np.dtype(np.float32): "REAL", np.dtype(np.bool_): "BOOL"}
-TYPES[np.dtype(np.int64)] = "LINT"
+TYPES = dict(zip(KINDS, ("LREAL", "REAL", "LINT", "BOOL"), strict=True))
 
 _OPERATORS = {
     **{"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "and": "AND", "or": "OR"},
@@ -34,123 +33,17 @@ _FUNCTIONS |= {
     "negative": "-{0}",
     "not": "NOT {0}",
 }
-_RESERVED = frozenset(
-    [
-        "abs",
-        "acos",
-        "action",
-        "add",
-        "and",
-        "any",
-        "array",
-        "asin",
-        "at",
-        "atan",
-        "bool",
-        "by",
-        "byte",
-        "case",
-        "configuration",
-        "constant",
-        "cos",
-        "d",
-        "dint",
-        "div",
-        "do",
-        "dword",
-        "else",
-        "elsif",
-        "exit",
-        "exp",
-        "expt",
-        "false",
-        "for",
-        "function",
-        "i",
-        "if",
-        "in",
-        "int",
-        "j",
-        "jmp",
-        "k",
-        "le",
-        "limit",
-        "lint",
-        "ln",
-        "log",
-        "lreal",
-        "lword",
-        "max",
-        "min",
-        "mod",
-        "mul",
-        "mux",
-        "n",
-        "ne",
-        "not",
-        "of",
-        "on",
-        "or",
-        "program",
-        "r",
-        "read",
-        "real",
-        "repeat",
-        "resource",
-        "retain",
-        "return",
-        "rol",
-        "ror",
-        "s",
-        "sel",
-        "shl",
-        "shr",
-        "sin",
-        "sint",
-        "sqrt",
-        "step",
-        "string",
-        "sub",
-        "t",
-        "tan",
-        "task",
-        "then",
-        "time",
-        "to",
-        "transition",
-        "true",
-        "type",
-        "udint",
-        "uint",
-        "until",
-        "usint",
-        "value",
-        "var",
-        "while",
-        "with",
-        "word",
-        "write",
-        "xor",
-        "abstract",
-        "extends",
-        "final",
-        "implements",
-        "interface",
-        "internal",
-        "method",
-        "persistent",
-        "pointer",
-        "private",
-        "property",
-        "protected",
-        "public",
-        "reference",
-        "super",
-        "this",
-        "union",
-    ]
-)
-"""Words of the language, and the indices of loops."""
+_RESERVED = frozenset((
+    "abs", "acos", "action", "add", "any", "array", "asin", "at", "atan", "bool", "by", "byte", "case",
+    "configuration", "constant", "cos", "d", "dint", "div", "do", "dword", "elsif", "exit", "exp", "expt", "false",
+    "function", "i", "int", "j", "jmp", "k", "le", "limit", "lint", "ln", "log", "lreal", "lword", "max", "min",
+    "mod", "mul", "mux", "n", "ne", "of", "on", "program", "r", "read", "real", "repeat", "resource", "retain", "rol",
+    "ror", "s", "sel", "shl", "shr", "sin", "sint", "sqrt", "step", "string", "sub", "t", "tan", "task", "then",
+    "time", "to", "transition", "true", "type", "udint", "uint", "until", "usint", "value", "var", "word", "write",
+    "xor", "abstract", "extends", "final", "implements", "interface", "internal", "method", "persistent", "pointer",
+    "private", "property", "protected", "public", "reference", "super", "this", "union",
+))  # fmt: skip
+"""Words of the language that a variable of Python may have as its name, and the indices of loops."""
 
 
 @dataclass
@@ -177,11 +70,6 @@ class StructuredTextWriter(CWriter):
         if isinstance(value, np.bool_ | bool):
             return "TRUE" if value else "FALSE"
         return f"REAL#{literal(value)}" if isinstance(value, np.float32) and value >= 0 else literal(value)
-
-    def named_begins(self, text: str) -> str:
-        """The variable ``begins`` for a condition that has another name."""
-        self.declared.append("begins : BOOL;")
-        return self.assign("begins", text)
 
     def assign(self, target: str, text: str) -> str:
         """A statement that gives a variable a value."""

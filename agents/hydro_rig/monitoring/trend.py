@@ -91,7 +91,7 @@ def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None
     """Read a file; one row per axis and hour, or per axis.
 
     Args:
-        path: CSV, Parquet or MDF4 of any length; TDMS or MAT.
+        path: CSV or Parquet of any length; MDF4, TDMS or MAT.
         axis: its name; with ``axis_column`` the column holds it.
         config: the task whose rig was recorded.
         columns: the signal of each column; default: the names that ``hydro record`` writes.

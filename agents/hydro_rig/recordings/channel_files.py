@@ -14,8 +14,6 @@ import numpy as np
 
 from hydro_env.types import Floats
 
-PIECE = 8_000_000  # bytes of a group of an MDF4 file that are in memory at once
-
 TIMES = ("time", "t", "zeit", "timestamps")
 CONTENTS = ("values", "value", "data", "signals", "signal")
 """Names of the fields of a MAT struct that hold its time, and its numbers, in lower case."""
@@ -30,21 +28,6 @@ class Channel(NamedTuple):
     values: Any
     stamps: Floats | None
 
-    @property
-    def times(self) -> Floats:
-        """The stamps of a channel that has its own."""
-        assert self.stamps is not None
-        return self.stamps
-
-    def part(self, first: int, end: int) -> Channel:
-        """Some samples of a channel with its own stamps."""
-        return self._replace(values=self.values[first:end], stamps=self.times[first:end])
-
-    def followed_by(self, other: Channel) -> Channel:
-        """This channel and what comes after it."""
-        values, stamps = ([self.values, other.values], [self.times, other.times])
-        return self._replace(values=np.concatenate(values), stamps=np.concatenate(stamps))
-
 
 # MDF4 ---------------------------------------------------------------------------------------------------------------
 
@@ -58,57 +41,13 @@ def read_mdf(path: Path, asammdf: Any) -> list[Channel]:
     return channels
 
 
-def mdf_pieces(file: Any) -> Iterator[list[Channel]]:
-    """Pieces of the group with most records, and of the others what lies between their stamps."""
-    file.configure(read_fragment_size=PIECE)
-    counts = [int(group.channel_group.cycles_nr) for group in file.groups]
-    order = sorted((number for number, count in enumerate(counts) if count), key=lambda number: -counts[number])
-    if not order:
-        return
-    fragments = {number: _fragments(file, number) for number in order}
-    held: dict[int, list[Channel]] = {number: [] for number in order[1:]}
-    for lead in fragments[order[0]]:
-        if not lead or lead[0].stamps is None:
-            continue
-        begin, end = lead[0].stamps[0], lead[0].stamps[-1]
-        piece = list(lead)
-        for number in held:
-            channels = _up_to(end, held[number], fragments[number])
-            if channels:
-                # Beyond both ends another sample, between which values are interpolated.
-                stamps = channels[0].times
-                first = max(int(np.searchsorted(stamps, begin)) - 1, 0)
-                last = int(np.searchsorted(stamps, end, side="right"))
-                piece += [channel.part(first, last + 1) for channel in channels]
-                channels = [channel.part(max(last - 1, 0), len(stamps)) for channel in channels]
-            held[number] = channels
-        yield piece
-
-
-def _up_to(end: float, channels: list[Channel], fragments: Iterator[list[Channel]]) -> list[Channel]:
-    """The channels of a group with as many further fragments as reach beyond a time."""
-    while not channels or channels[0].times[-1] <= end:
-        more = next(fragments, None)
-        if more is None:
-            break
-        channels = [one.followed_by(two) for one, two in zip(channels, more, strict=True)] if channels else more
-    return channels
-
-
-def _fragments(file: Any, number: int) -> Iterator[list[Channel]]:
-    """The channels of a group, some records at a time; ``MDF.get`` with a range of records would read all of them."""
-    inner = getattr(file, "_mdf", file)
-    for fragment in inner._load_data(inner.groups[number]):
-        yield _group(file, number, data=fragment)
-
-
-def _group(file: Any, number: int, **records: Any) -> list[Channel]:
-    """The numeric channels of a group; ``records``: a part of them, as in ``MDF.get``."""
+def _group(file: Any, number: int) -> list[Channel]:
+    """The numeric channels of a group."""
     channels = []
     for place in range(len(file.groups[number].channels)):
         if place == file.masters_db.get(number):
             continue
-        signal = file.get(group=number, index=place, **records)
+        signal = file.get(group=number, index=place)
         if np.ndim(signal.samples) == 1 and np.issubdtype(signal.samples.dtype, np.number):
             # Copies: what the library gives are views of the records of all channels.
             stamps = np.array(signal.timestamps, dtype=np.float64)

@@ -19,12 +19,12 @@ import pandas as pd
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 from hydro_env.types import Floats
-from hydro_rig.recordings.channel_files import Channel, mdf_pieces, read_mat, read_mdf, read_tdms
+from hydro_rig.recordings.channel_files import Channel, read_mat, read_mdf, read_tdms
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.text_tables import text_pieces
 
 LARGEST_RECORDING = 200_000_000  # largest size in bytes; about three hours at 200 rows per second as CSV
-ANY_LENGTH = "hydro trend reads CSV, Parquet and MDF4 files of any length"
+ANY_LENGTH = "hydro trend reads CSV and Parquet files of any length"
 
 LONGEST_STEP = 2.0
 """Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
@@ -87,20 +87,16 @@ def _text_columns(path: Path) -> Columns:
 
 
 def pieces(path: Path, rows: int = PIECE) -> Iterator[Columns]:
-    """The rows of a file of any length, ``rows`` at a time; TDMS and MAT files are read as a whole.
+    """The rows of a file of any length, ``rows`` at a time; MDF4, TDMS and MAT files are read as a whole.
 
     Raises:
-        ConfigurationError: as :func:`read_columns`, but not for the size of CSV, Parquet and MDF4 files.
+        ConfigurationError: as :func:`read_columns`, but not for the size of CSV and Parquet files.
     """
     kind = path.suffix.lower()
     if kind == ".parquet":
         with library_errors(path, "pyarrow.parquet") as parquet, parquet.ParquetFile(path) as file:
             for batch in file.iter_batches(batch_size=rows):
                 yield of_table(batch.to_pandas())
-    elif kind in (".mf4", ".mdf"):
-        with library_errors(path, "asammdf") as asammdf, asammdf.MDF(path) as file:
-            for channels in mdf_pieces(file):
-                yield of_channels(channels)
     elif kind in READERS:
         yield read_columns(path)
     else:

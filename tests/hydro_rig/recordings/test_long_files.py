@@ -69,22 +69,6 @@ def test_pieces_are_the_rows_of_the_whole_file(tmp_path):
         np.testing.assert_allclose(stamps, whole.time, atol=1e-6)
 
 
-def test_groups_of_an_mdf_file_with_their_own_stamps_come_together(tmp_path, monkeypatch):
-    asammdf = library("asammdf")
-    monkeypatch.setattr("hydro_rig.recordings.channel_files.PIECE", 8000)
-    time = np.arange(0.0, 60.0, 0.005)
-    own = np.arange(0.0025, 60.0, 0.01)
-    with asammdf.MDF(version="4.10") as file:
-        file.append([asammdf.Signal(np.cos(time), time, name="command", unit="V")])
-        file.append([asammdf.Signal(100.0 * own, own, name="position", unit="mm")])  # a line
-        file.save(tmp_path / "a.mf4")
-    whole = read_recording(tmp_path / "a.mf4")
-    parts = [recording_of(piece, "a.mf4") for piece in pieces(tmp_path / "a.mf4")]
-    assert len(parts) > 5
-    joined = np.concatenate([part.signals for part in parts], axis=1)
-    np.testing.assert_allclose(joined, whole.signals, rtol=1e-9, equal_nan=True)
-
-
 def test_windows_with_lost_commands_come_last(tmp_path):
     rows = table(seconds=290.0)
     best = (rows["time [s]"] > 1.79e9 + 120.0) & (rows["time [s]"] < 1.79e9 + 140.0)
