@@ -90,7 +90,7 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
     measured = MeasuredController(controller, MeasuredSignals(config, entries_read(controller, config)))
     empty = measured.empty()
     everything = leaves_of(empty)
-    arrays = {name: leaf for name, leaf in everything.items() if hasattr(leaf, "dtype")}
+    arrays = arrays_of(everything)
 
     def step(signals: Any, start: Any, **values: Any) -> dict[str, Any]:
         variable = {gain.name: values.pop(GAINS + gain.name) for gain in gains}
@@ -98,13 +98,11 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
         now = varied.step(signals, start, with_leaves(empty, values))
         outputs: dict[str, Any] = {"begins": now.begins, "lost": now.lost, **leaves_of(now.common)}
         for prefix, case in ((STARTED, now.started), (CONTINUED, now.continued)):
-            for name, leaf in leaves_of(case).items():
-                if hasattr(leaf, "dtype"):
-                    outputs[prefix + name] = leaf
-                elif name in arrays or leaf != everything.get(name):
-                    raise TraceError(
-                        f"{who}: its memory '{name}' is a number that changes, no array: cannot be exported"
-                    )
+            leaves = leaves_of(case)
+            outputs |= {prefix + name: leaf for name, leaf in arrays_of(leaves).items()}
+            for name in leaves.keys() - arrays_of(leaves):
+                if name in arrays or leaves[name] != everything.get(name):
+                    raise TraceError(f"{who}: its memory '{name}' is a number that changes: cannot be exported")
         return outputs
 
     starts = {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
@@ -175,7 +173,7 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
     """
     signals = MeasuredSignals(config)
     empty = MeasuredController(controller, signals).empty().controller
-    arrays = {name: leaf for name, leaf in leaves_of(empty, "memory").items() if hasattr(leaf, "dtype")}
+    arrays = arrays_of(leaves_of(empty, "memory"))
 
     def predict(observation: Any, **values: Any) -> dict[str, Any]:
         outputs: dict[str, Any] = {}
@@ -209,6 +207,11 @@ def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
     for place, value in _entries(memory, name).items():
         leaves |= leaves_of(value, place)
     return leaves
+
+
+def arrays_of(leaves: Mapping[str, Any]) -> dict[str, Any]:
+    """The arrays among the leaves of a memory."""
+    return {name: leaf for name, leaf in leaves.items() if hasattr(leaf, "dtype")}
 
 
 def with_leaves(memory: Any, leaves: dict[str, Any], name: str = "") -> Any:
@@ -245,30 +248,27 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
     if not _C_NAME.fullmatch(name):
         raise ConfigurationError(f"name '{name}': must be a valid name in C, such as controller_1")
     fields = field_names(controller)
+    names = inputs_of(controller, "signals", "start", f"{name}_gains.")
     variables = {part: f"memory->{field}" for part, field in fields.items()}
-    inputs = {"signals": "signals", "start": "start"} | variables
-    inputs |= {GAINS + gain.name: f"{name}_gains.{gain.name}" for gain in controller.gains}
-    writer = CWriter(inputs, places=element_names(controller, f"{name.upper()}_"))
-    writer.plan(controller.graph)
+    writer = CWriter(names | variables, places=element_names(controller, f"{name.upper()}_"))
     writer.reserve("voltage", "memory", "signals", "start", f"{name}_step", f"{name}_gains")
-    step = written_step(controller, writer, variables)
-    step["kept"] += f"\n    memory->lost_signals = (int){writer.element(controller.graph.outputs['lost'], 0)};"
+    values = written_step(controller, writer, variables)
+    values["kept"] += f"\n    memory->lost_signals = (int){values['lost']};"
     parts = [{"type": C_TYPES[part.kind], "field": fields[part.name], "size": part.size} for part in controller.memory]
-    values = {
+    values |= {
         "name": name,
         "type": memory_type(name),
         "gains_type": memory_type(name).removesuffix("Memory") + "Gains",
         "gains": controller.gains,
-        "title": controller.title,
-        "version": __version__,
-        "sample_time": controller.signals.config.control_period,
-        "signals": controller.signals.signals,
         "parts": parts,
-        **step,
         "helpers": writer.helpers,
-        "tables": writer.tables,
     }
     return c_code(name, values, "controller")
+
+
+def inputs_of(controller: ControllerGraph, signals: str, start: str, gains: str) -> dict[str, str]:
+    """Text of each input of the graph but the memory, by name; ``gains`` stands before the name of each gain."""
+    return {"signals": signals, "start": start} | {GAINS + gain.name: gains + gain.name for gain in controller.gains}
 
 
 def element_names(controller: ControllerGraph, prefix: str) -> dict[str, list[str]]:
@@ -284,8 +284,10 @@ def field_names(controller: ControllerGraph) -> dict[str, str]:
     return {name: _field(name) if times[_field(name)] == 1 else text for name, text in whole.items()}
 
 
-def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[str, str]) -> dict[str, str]:
-    """The statements of a step: ``common``, then those of a start or of a continuation, then ``kept``.
+def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[str, str]) -> dict[str, Any]:
+    """What the templates of C and Structured Text write: contract, tables, and the statements of a step.
+
+    These are ``common``, then those of a start or of a continuation, then ``kept``; ``lost`` counts the lost signals.
 
     Args:
         controller: the controller.
@@ -293,6 +295,7 @@ def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[s
         fields: variable of each part of the memory, by the name of the part.
     """
     shared = controller.common
+    writer.plan(controller.graph)
     started, continued = (controller.case(prefix) for prefix in (STARTED, CONTINUED))
     later = set(in_order([*continued.values()]))
     both = [node for node in in_order([*started.values()]) if node in later]
@@ -319,8 +322,18 @@ def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[s
     writer.kept("begins", shared["begins"], common)
     kept: list[str] = []
     kept += stores(shared, kept)
-    texts = {"common": "\n".join(common), "started": case(started), "continued": case(continued)}
-    return {**texts, "kept": "\n".join(kept)}
+    return {
+        "title": controller.title,
+        "version": __version__,
+        "sample_time": controller.signals.config.control_period,
+        "signals": controller.signals.signals,
+        "common": "\n".join(common),
+        "started": case(started),
+        "continued": case(continued),
+        "kept": "\n".join(kept),
+        "lost": writer.element(shared["lost"], 0),
+        "tables": writer.tables,
+    }
 
 
 def memory_type(name: str) -> str:

@@ -108,8 +108,9 @@ class Expressions:
                 return f"({' && '.join(pairs)})" if len(pairs) > 1 else pairs[0], BOOL
             case ast.IfExp():
                 (test, _), (yes, kind), (no, other) = map(self.value, (node.test, node.body, node.orelse))
-                both = kind if kind == other else _widest(kind, other)
-                return (f"({test} ? {yes} : {no})", both) if both is not None else None
+                if kind != other and not {kind, other} <= set(_NUMBERS):
+                    return None
+                return f"({test} ? {yes} : {no})", kind if kind == other else max(kind, other, key=_NUMBERS.index)
             case ast.Tuple():
                 parts = [self.value(part) for part in node.elts]
                 kinds = [kind for _, kind in parts]
@@ -180,8 +181,6 @@ class Expressions:
                 return f"({left} / {right})", INT  # the same for non-negative numbers
             case ast.Mod() if both == {INT}:
                 return f"({left} % {right})", INT
-            case ast.Mod() if both <= {INT, DOUBLE}:
-                return f"fmod({left}, {right})", DOUBLE
             case ast.Div() if both == {INT}:
                 return f"((double){left} / {right})", DOUBLE
         if both == {UINT64} and operation in _INTEGER_OPERATORS:
@@ -237,10 +236,6 @@ def _extreme(name: str, texts: list[str], integers: bool) -> Typed:
 
 def _compound(struct: Type, values: list[str]) -> Typed:
     return f"({struct.element}){{{', '.join(values)}}}", struct
-
-
-def _widest(kind: Type, other: Type) -> Type | None:
-    return max(kind, other, key=_NUMBERS.index) if {kind, other} <= set(_NUMBERS) else None
 
 
 def _literal(value: float | np.uint64) -> Typed:

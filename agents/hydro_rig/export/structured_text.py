@@ -10,10 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env import __version__
 from hydro_rig.export.c_files import render
 from hydro_rig.export.c_writer import CWriter, in_rows
-from hydro_rig.export.controller import GAINS, ControllerGraph, element_names, field_names, written_step
+from hydro_rig.export.controller import ControllerGraph, element_names, field_names, inputs_of, written_step
 from hydro_rig.export.graph import KINDS, Node
 
 TYPES = dict(zip(KINDS, ("LREAL", "REAL", "LINT", "BOOL"), strict=True))
@@ -169,24 +168,14 @@ def structured_text(controller: ControllerGraph, name: str = "Controller") -> st
         name: of the function block; ``NAMEGains`` is the structure of its gains.
     """
     fields = {part: f"{text}_before" for part, text in field_names(controller).items()}
-    inputs = {"signals": "Signals", "start": "Start"} | fields
-    inputs |= {GAINS + gain.name: f"Gains.{gain.name}" for gain in controller.gains}
-    writer = StructuredTextWriter(inputs, places=element_names(controller, "AT_"))
-    writer.plan(controller.graph)
+    names = inputs_of(controller, "Signals", "Start", "Gains.")
+    writer = StructuredTextWriter(names | fields, places=element_names(controller, "AT_"))
     writer.reserve("voltage", "signals", "start", "gains", "lost_signals", *fields.values())
-    step = written_step(controller, writer, fields)
-    values = {
+    values = written_step(controller, writer, fields) | {
         "name": name,
-        "title": controller.title,
-        "version": __version__,
-        "sample_time": controller.signals.config.control_period,
-        "signals": controller.signals.signals,
         "gains": [gain._replace(value=literal(float(gain.value))) for gain in controller.gains],
         "parts": [(fields[part.name], declared_type(part.size, part.kind)) for part in controller.memory],
         "declared": writer.declared,
-        "tables": writer.tables,
-        "lost": writer.element(controller.graph.outputs["lost"], 0),
-        **step,
     }
     text = render("controller.st.j2", values)
     return re.sub(r"[ \t]+\n", "\n", text)

@@ -63,19 +63,18 @@ class Translator:
         return self._fields.get(kind.element, ())
 
 
-class _Body:
+class _Body(Expressions):
     """One function: its statements."""
 
     def __init__(self, translator: Translator, function: Any, types: Sequence[Type], name: str) -> None:
-        self._all, self._name = translator, name
         module = {**function.py_func.__globals__, **inspect.getclosurevars(function.py_func).nonlocals}
         source = getattr(function.py_func, "source", None) or textwrap.dedent(inspect.getsource(function.py_func))
         node = ast.parse(source).body[0]
         if not isinstance(node, ast.FunctionDef):
             raise TranslationError(f"{name}: is no function")
         arguments = [argument.arg for argument in node.args.args]
-        self._of = Expressions(translator, name, module)
-        self._of.names = dict(zip(arguments, types, strict=True))
+        super().__init__(translator, name, module)
+        self.names = dict(zip(arguments, types, strict=True))
         self._locals: list[str] = []
         self._lines: list[str] = []
         self._temporaries = 0
@@ -102,11 +101,11 @@ class _Body:
             case ast.Assert() | ast.Expr(value=ast.Constant()):
                 pass  # an assertion of the compiler's cache, a docstring
             case ast.Expr():
-                self._line(indent, f"{self._of.value(statement.value)[0]};")
+                self._line(indent, f"{self.value(statement.value)[0]};")
             case ast.Return(value=ast.expr() as returned):
-                value, kind = self._of.value(returned)
+                value, kind = self.value(returned)
                 if self.result not in (Type("void"), kind):
-                    raise self._of.failure(statement)
+                    raise self.failure(statement)
                 self.result = kind
                 self._line(indent, f"return {value};")
             case ast.Assign(targets=[target]):
@@ -114,7 +113,7 @@ class _Body:
             case ast.AugAssign():
                 self._assign(statement.target, ast.BinOp(statement.target, statement.op, statement.value), indent)
             case ast.If():
-                self._line(indent, f"if ({bare(self._of.value(statement.test)[0])}) {{")
+                self._line(indent, f"if ({bare(self.value(statement.test)[0])}) {{")
                 self._block(statement.body, indent + "    ")
                 if statement.orelse:
                     self._line(indent, "} else {")
@@ -125,12 +124,12 @@ class _Body:
             case ast.Break():
                 self._line(indent, "break;")
             case _:
-                raise self._of.failure(statement)
+                raise self.failure(statement)
 
     def _loop(self, node: ast.For, ends: Sequence[ast.expr], indent: str) -> None:
-        typed = [self._of.value(end) for end in ends]
+        typed = [self.value(end) for end in ends]
         if any(kind != INT for _, kind in typed):
-            raise self._of.failure(node.iter)
+            raise self.failure(node.iter)
         first, last = typed[0][0] if len(typed) == 2 else "0", typed[-1][0]
         name = self._local("turn" if ast.unparse(node.target) == "_" else ast.unparse(node.target), INT)
         self._line(indent, f"for ({name} = {first}; {name} < {last}; ++{name}) {{")
@@ -141,15 +140,15 @@ class _Body:
         if not isinstance(target, ast.Tuple):
             if isinstance(target, ast.Name) and (self._new_array(target.id, value) or self._length(target.id, value)):
                 return
-            self._store(target, self._of.value(value), indent)
+            self._store(target, self.value(value), indent)
             return
         if isinstance(value, ast.Tuple):
             pairs = list(zip(target.elts, value.elts, strict=True))
             if all(isinstance(name, ast.Name) and self._new_array(name.id, made) for name, made in pairs):
                 return
-            parts = [self._kept(*self._of.value(part), indent) for part in value.elts]  # they may be swapped
+            parts = [self._kept(*self.value(part), indent) for part in value.elts]  # they may be swapped
         else:
-            parts = self._unpacked(*self._of.value(value), indent)
+            parts = self._unpacked(*self.value(value), indent)
         for element, part in zip(target.elts, parts, strict=True):
             if ast.unparse(element) != "_":
                 self._store(element, part, indent)
@@ -159,7 +158,7 @@ class _Body:
         if kind.shape:
             return [(f"({text} + {kind.row().size * i})", kind.row()) for i in range(kind.shape[0])]
         struct, _ = self._kept(text, kind, indent)
-        return [(f"{struct}.{name}", inner) for inner, name in self._all.fields(kind)]
+        return [(f"{struct}.{name}", inner) for inner, name in self.translator.fields(kind)]
 
     def _store(self, target: ast.expr, part: Typed, indent: str) -> None:
         """Assign a value to a variable, to an element of an array, or to all elements of an array or row."""
@@ -167,9 +166,9 @@ class _Body:
         if isinstance(target, ast.Name):
             self._line(indent, f"{self._local(target.id, kind)} = {text};")
             return
-        place = self._of.subscript(target) if isinstance(target, ast.Subscript) else None
+        place = self.subscript(target) if isinstance(target, ast.Subscript) else None
         if place is None:
-            raise self._of.failure(target)
+            raise self.failure(target)
         where, wanted = place
         if not wanted.shape and not kind.shape:
             self._line(indent, f"{where} = {text};")
@@ -178,14 +177,14 @@ class _Body:
         elif kind in (DOUBLE, INT):
             self._line(indent, f"fill({where}, {wanted.size}, {text});")
         else:
-            raise self._of.failure(target)
+            raise self.failure(target)
 
     def _new_array(self, name: str, value: ast.expr) -> bool:
         """Declare the array of an ``np.empty``; returns false for another value."""
-        if not isinstance(value, ast.Call) or ast.unparse(value.func) != "np.empty" or self._of.module.get("np") != np:
+        if not isinstance(value, ast.Call) or ast.unparse(value.func) != "np.empty" or self.module.get("np") != np:
             return False
         shape = value.args[0].elts if isinstance(value.args[0], ast.Tuple) else [value.args[0]]
-        kind = self._of.names[name] = array(*(self._of.integer(length) for length in shape))
+        kind = self.names[name] = array(*(self.integer(length) for length in shape))
         self._locals.append(f"    static {kind.element} {name}[{kind.size}];\n")
         return True
 
@@ -193,16 +192,16 @@ class _Body:
         """Remember the length of an array, which is known at translation; returns false for another value."""
         if not isinstance(value, ast.Subscript) or not ast.unparse(value.value).endswith(".shape"):
             return False
-        self._of.constants[name] = int(self._of.value(value)[0])
+        self.constants[name] = int(self.value(value)[0])
         return True
 
     def _local(self, name: str, kind: Type) -> str:
-        before = self._of.names.get(name)
+        before = self.names.get(name)
         if before is None:
-            self._of.names[name] = kind
+            self.names[name] = kind
             self._locals.append(f"    {kind.declared(name)};\n")
         elif before != kind and not (before == DOUBLE and kind in (INT, BOOL)):
-            raise TranslationError(f"{self._name}: {name} changes its type")
+            raise TranslationError(f"{self.name}: {name} changes its type")
         return name
 
     def _kept(self, text: str, kind: Type, indent: str) -> Typed:

@@ -1,7 +1,8 @@
 """Files of measuring programs as columns: CSV, Parquet, MDF4, TDMS and MAT.
 
-Channels of MDF4 and TDMS have their own time stamps, which are kept. If the stamps of the chosen channels differ,
-:func:`together` interpolates them at the stamps of the command and reports it as a finding.
+Channels of MDF4 and TDMS, and a struct of a MAT file that holds a time, have their own time stamps, which are kept. If
+the stamps of the chosen channels differ, :func:`together` interpolates them at the stamps of the command and reports it
+as a finding.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ import pandas as pd
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 from hydro_env.types import Floats
-from hydro_rig.recordings.channel_files import Channel, read_mat, read_mdf, read_tdms
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.text_tables import text_pieces
 
@@ -33,14 +33,19 @@ PIECE = 200_000  # rows that are in memory at once
 
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
 
+TIMES = ("time", "t", "zeit", "timestamps")
+CONTENTS = ("values", "value", "data", "signals", "signal")
+"""Names of the fields of a MAT struct that hold its time, and its numbers, in lower case."""
 
-READERS: dict[str, tuple[str, Callable[[Path, Any], list[Channel]]]] = {
-    ".mf4": ("asammdf", read_mdf),
-    ".mdf": ("asammdf", read_mdf),
-    ".tdms": ("nptdms", read_tdms),
-    ".mat": ("scipy.io", read_mat),
-}
-"""Library and reader of files of channels, by the end of their names."""
+
+class Channel(NamedTuple):
+    """A channel with or without (None) its own time stamps."""
+
+    group: str
+    name: str
+    unit: str
+    values: Any
+    stamps: Floats | None
 
 
 class Columns(NamedTuple):
@@ -58,32 +63,16 @@ def read_columns(path: Path) -> Columns:
     Raises:
         ConfigurationError: the file is unreadable, too large or not a table, or its library is not installed.
     """
-    kind = path.suffix.lower()
     try:
         size = path.stat().st_size
     except (OSError, ValueError):  # the reader says why
         size = 0
     if size > LARGEST_RECORDING:
         raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; {ANY_LENGTH}")
-    if kind == ".parquet":
-        with library_errors(path, "pyarrow"):
-            columns = of_table(pd.read_parquet(path, engine="pyarrow"))
-    elif kind in READERS:
-        library, read = READERS[kind]
-        with library_errors(path, library) as module:
-            columns = of_channels(read(path, module))
-    else:
-        return _text_columns(path)
+    (columns,) = _pieces(path, None)
     if not columns.cells or not max(map(len, columns.cells)):
-        raise ConfigurationError(f"{path}: holds no numbers")
+        raise ConfigurationError(f"{path}: holds {'headings but no rows' if columns.first_line else 'no numbers'}")
     return columns
-
-
-def _text_columns(path: Path) -> Columns:
-    ((table, first_line),) = text_pieces(path, None)
-    if not len(table):
-        raise ConfigurationError(f"{path}: holds headings but no rows")
-    return of_table(table, first_line)
 
 
 def pieces(path: Path, rows: int = PIECE) -> Iterator[Columns]:
@@ -92,13 +81,20 @@ def pieces(path: Path, rows: int = PIECE) -> Iterator[Columns]:
     Raises:
         ConfigurationError: as :func:`read_columns`, but not for the size of CSV and Parquet files.
     """
+    yield from [read_columns(path)] if path.suffix.lower() in READERS else _pieces(path, rows)
+
+
+def _pieces(path: Path, rows: int | None) -> Iterator[Columns]:
+    """The rows of a file, ``rows`` of a table at a time (``None``: all at once)."""
     kind = path.suffix.lower()
     if kind == ".parquet":
         with library_errors(path, "pyarrow.parquet") as parquet, parquet.ParquetFile(path) as file:
-            for batch in file.iter_batches(batch_size=rows):
+            for batch in [file.read()] if rows is None else file.iter_batches(batch_size=rows):
                 yield of_table(batch.to_pandas())
     elif kind in READERS:
-        yield read_columns(path)
+        library, read = READERS[kind]
+        with library_errors(path, library) as module:
+            yield of_channels(read(path, module))
     else:
         for table, first_line in text_pieces(path, rows):
             yield of_table(table, first_line)
@@ -157,12 +153,17 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
         own = columns.stamps[place]
         if own is None or (len(own) == len(base) and np.allclose(own, base, rtol=0.0, atol=1e-9)):
             continue
-        values = pd.to_numeric(columns.cells[place], errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
-        cells[signal] = pd.Series(_interpolated(base, own, values))
+        cells[signal] = pd.Series(_interpolated(base, own, numbers_of(columns.cells[place])))
         usual = 1e3 * float(np.median(np.diff(own))) if len(own) > 1 else np.nan
         what = f"has its own time stamps, one every {usual:.4g} ms; it is interpolated at those of the command"
         findings.append(Finding(signal, what, Weight.NOTE))
     return cells, findings
+
+
+def numbers_of(cells: pd.Series) -> Floats:
+    """The values of cells; what is no number is NaN."""
+    values: Floats = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan).copy()
+    return values
 
 
 def _interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
@@ -201,3 +202,107 @@ def of_channels(channels: Sequence[Channel]) -> Columns:
         longest = max(own, key=len)
         headings, cells, stamps = [TIME_HEADING, *headings], [pd.Series(longest), *cells], [None, *stamps]
     return Columns(headings, cells, stamps, 0)
+
+
+# MDF4 ---------------------------------------------------------------------------------------------------------------
+
+
+def read_mdf(path: Path, asammdf: Any) -> list[Channel]:
+    """All numeric channels."""
+    channels: list[Channel] = []
+    with asammdf.MDF(path) as file:
+        for number in range(len(file.groups)):
+            channels += _group(file, number)
+    return channels
+
+
+def _group(file: Any, number: int) -> list[Channel]:
+    """The numeric channels of a group."""
+    channels = []
+    for place in range(len(file.groups[number].channels)):
+        if place == file.masters_db.get(number):
+            continue
+        signal = file.get(group=number, index=place)
+        if np.ndim(signal.samples) == 1 and np.issubdtype(signal.samples.dtype, np.number):
+            # Copies: what the library gives are views of the records of all channels.
+            stamps = np.array(signal.timestamps, dtype=np.float64)
+            channels.append(Channel(f"group {number}", signal.name, signal.unit or "", signal.samples.copy(), stamps))
+    return channels
+
+
+# TDMS ---------------------------------------------------------------------------------------------------------------
+
+
+def read_tdms(path: Path, nptdms: Any) -> list[Channel]:
+    """All channels with values; only a waveform has stamps, otherwise a column of the file is the time."""
+    channels = []
+    for group in nptdms.TdmsFile.read(path).groups():
+        for channel in group.channels():
+            values, properties = channel[:], channel.properties
+            if len(values):
+                stamps = channel.time_track() if "wf_increment" in properties else None
+                unit = str(properties.get("unit_string", ""))
+                channels.append(Channel(group.name, channel.name, unit, values, stamps))
+    return channels
+
+
+# MAT ----------------------------------------------------------------------------------------------------------------
+
+
+def read_mat(path: Path, scipy_io: Any) -> list[Channel]:
+    """Vectors and structs of a MAT file."""
+    try:
+        content = scipy_io.loadmat(path, simplify_cells=True)
+    except NotImplementedError:  # version 7.3 is HDF5
+        with importlib.import_module("h5py").File(path) as file:
+            content = {name: _of_hdf5(item) for name, item in file.items() if not name.startswith("#")}
+    channels: list[Channel] = []
+    for name, value in content.items():
+        if not name.startswith("__"):
+            channels += _channels_of(name, value)
+    return channels
+
+
+def _of_hdf5(item: Any) -> Any:
+    """A group as dict, a text as str, numbers as array."""
+    if hasattr(item, "items"):
+        return {name: _of_hdf5(part) for name, part in item.items()}
+    values = item[()]
+    if item.attrs.get("MATLAB_class") == b"char":
+        return "".join(map(chr, np.ravel(values)))
+    return np.squeeze(values)
+
+
+def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str = "") -> Iterator[Channel]:
+    """The channels in a variable of a MAT file: a vector, or a struct of vectors, of structs, or of a list of them."""
+    if isinstance(value, dict):
+        fields = {key.lower(): part for key, part in value.items()}
+        time = next((_vector(fields[key]) for key in TIMES if key in fields), None)
+        stamps = time if time is not None else stamps
+        unit = next((str(fields[key]) for key in ("unit", "units") if key in fields), unit)
+        for key, part in value.items():
+            if key.lower() not in TIMES or time is None:
+                yield from _channels_of(name if key.lower() in CONTENTS else f"{name}.{key}", part, stamps, unit)
+    elif isinstance(value, list):
+        for number, part in enumerate(value, 1):
+            label = part.get("label") if isinstance(part, dict) else None
+            yield from _channels_of(str(label) if label else f"{name}.{number}", part, stamps, unit)
+    else:
+        values = _vector(value)
+        if values is not None and (stamps is None or len(values) == len(stamps)):
+            yield Channel("", name, unit, values, stamps)
+
+
+def _vector(value: Any) -> Floats | None:
+    """Numbers (n,), n at least 2; ``None``: something else."""
+    whole = isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.number) and not np.iscomplexobj(value)
+    return np.ravel(value).astype(np.float64) if whole and value.size == max(value.shape, default=0) > 1 else None
+
+
+READERS: dict[str, tuple[str, Callable[[Path, Any], list[Channel]]]] = {
+    ".mf4": ("asammdf", read_mdf),
+    ".mdf": ("asammdf", read_mdf),
+    ".tdms": ("nptdms", read_tdms),
+    ".mat": ("scipy.io", read_mat),
+}
+"""Library and reader of files of channels, by the end of their names."""

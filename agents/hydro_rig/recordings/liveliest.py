@@ -21,8 +21,7 @@ from hydro_rig.recordings.findings import Code, Finding, Weight
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import LONGEST_FILL, Sampled, sampled
 
-SECTION = 300.0  # s; one window of each is kept
-MOST_SECTIONS = 400  # in memory; beyond, two neighbours become one
+SECTION = 300.0  # s; one window of each is kept, about 25 kB
 MARGIN = 5  # rows before and after a window, from which lost rows at its ends are completed
 SATURATED, MOST_SATURATED = 0.99, 0.5  # of full command; largest share of such rows in a useful window
 LEAST_ROWS = 0.8  # of a whole window
@@ -57,7 +56,7 @@ class Liveliest:
     """
 
     def __init__(self, window: float, config: TaskConfig) -> None:
-        self.window, self.config, self.section = window, config, SECTION
+        self.window, self.config = window, config
         plant = config.plant
         self.size = np.array([plant.cylinder.stroke, plant.supply.pressure, plant.supply.pressure, 1.0, 1.0])
         self.first = self.last = self.origin = np.nan  # s; origin: where window 0 begins since the clock ran back
@@ -123,15 +122,10 @@ class Liveliest:
         self.rest = None if ended else run.part(keep, len(index))
 
     def _keep(self, score: float, begin: float, run: Recording, rows: tuple[int, int]) -> None:
-        """Keep a window if it is the best of its section; too many sections become half as many."""
-        section = int((begin - self.first) // self.section)
+        """Keep a window if it is the best of its section."""
+        section = int((begin - self.first) // SECTION)
         if section not in self.best or score > self.best[section].score:
             self.best[section] = Candidate(score, begin, run.part(*rows))
-        if len(self.best) > MOST_SECTIONS:
-            kept, self.best = list(self.best.values()), {}
-            self.section *= 2.0
-            for candidate in sorted(kept, key=lambda one: (-one.score, one.begin)):
-                self.best.setdefault(int((candidate.begin - self.first) // self.section), candidate)
 
     def _scores(self, run: Recording, starts: Places, ends: Places) -> tuple[Floats, Floats]:
         """Liveliness of windows of rows, and travel in m (NaN without a position)."""

@@ -13,7 +13,7 @@ from hydro_agents.detection.detector import AUXILIARY
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
-from hydro_rig.recordings.files import Columns, read_columns, together
+from hydro_rig.recordings.files import Columns, numbers_of, read_columns, together
 from hydro_rig.recordings.findings import Code, Finding, Weight, severe_if
 from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
 
@@ -132,14 +132,14 @@ def map_for(file: Columns, source: str) -> ColumnMap:
     try:
         return own_map(file.headings, source)
     except ConfigurationError as error:
-        guess = guessed_map(file.headings, file.cells, source)
+        guess = guessed_map(file.headings, source)
         what = f"{error}; a map guessed from the headings stands above: save it as FILE, check it, add --map FILE"
         raise UnknownHeadingsError(what, guess) from None
 
 
 def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:
     """Values of a column; text becomes NaN and a finding."""
-    values: Floats = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan).copy()
+    values = numbers_of(cells)
     values[np.abs(values) > LARGEST_NUMBER] = np.nan
     text = np.flatnonzero(np.isnan(values) & cells.notna().to_numpy())
     if len(text):

@@ -7,8 +7,8 @@ from optional_libraries import library
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.recordings.files import pieces
-from hydro_rig.recordings.liveliest import MOST_SECTIONS, Liveliest, sampled_windows
-from hydro_rig.recordings.recording import Recording, read_recording, recording_of
+from hydro_rig.recordings.liveliest import Liveliest, sampled_windows
+from hydro_rig.recordings.recording import read_recording, recording_of
 
 TASK = TaskConfig()
 SECONDS = 620.0
@@ -90,19 +90,6 @@ def test_a_clock_that_runs_back_is_told_and_no_window_crosses_it(tmp_path):
     assert lines == [finding.line() for finding in same.findings if finding.signal == "clock"]
     assert lines[0].startswith("clock runs back by 30.0 s, 50.0 s after the first row")
     assert all((np.diff(one.rows.time) > 0.0).all() for one in whole)
-
-
-def test_long_recordings_keep_few_windows_in_memory():
-    live, random = Liveliest(2.0, TASK), np.random.default_rng(2)
-    time = np.arange(0.0, 3600.0, 0.5)
-    for hour in range(60):
-        signals = random.normal(0.0, 0.1, (5, len(time)))
-        signals[4] *= 0.1
-        live.add(Recording("a", time, signals, {}, [], {}, 3600.0 * hour))
-        assert len(live.best) <= MOST_SECTIONS
-    windows, about = live.finish(12)
-    assert len(windows) == 12
-    assert about.windows == 60 * 1800
 
 
 def test_samples_of_chosen_windows_lie_in_their_places(tmp_path):

@@ -1,14 +1,13 @@
 """Reading a recording: columns, units, time stamps, and what is no recording."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from command_line import assert_one_clear_line, hydro
 from recorded import recorded_file
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.recordings.columns import read_map
-from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
+from hydro_rig.recordings.guessed_map import UnknownHeadingsError
 from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.sampling import cut, sampled
 from hydro_rig.recordings.simulated import recording_csv
@@ -214,23 +213,6 @@ def test_a_map_is_guessed_from_unknown_headings_and_can_be_saved(tmp_path, headi
     assert {signal: column.column for signal, column in found.columns().items()} == wanted
     again = read_recording(path, found)
     assert np.isfinite(again.signals[4]).all()
-
-
-@pytest.mark.parametrize(
-    ("signal", "values", "unit"),
-    [
-        ("time", [0.0, 5.0], "ms"), ("time", [0.0, 0.005], "s"), ("command", [-0.5, 0.9], "'-'"),
-        ("command", [0.0, 9.0], "V"), ("command", [0.0, 99.0], "'%'"),
-        ("position", [0.0, 0.4], "m"), ("pressure", [0.0, 4e6], "Pa"),
-        ("pressure", [1.0, 4.3], "MPa"), ("pressure", [1.0, 200.0], "bar"),
-    ],
-)  # fmt: skip
-def test_a_unit_that_no_heading_gives_is_assumed_from_the_values(signal, values, unit):
-    columns = {"t": [0.0, 0.1], "u": [1.0, 2.0], "x": [1.0, 2.0], "p1": [1.0, 2.0]}
-    columns[{"time": "t", "command": "u", "position": "x", "pressure": "p1"}[signal]] = values
-    guess = guessed_map(list(columns), [pd.Series(column) for column in columns.values()], "a.csv")
-    line = next(line for line in guess.splitlines() if line.startswith(signal))
-    assert f"unit: {unit}}}" in line, line
 
 
 def test_the_guess_goes_to_standard_output_and_the_error_to_the_other(tmp_path):
