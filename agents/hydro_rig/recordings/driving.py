@@ -30,7 +30,7 @@ def check_driving(samples: Sampled, config: TaskConfig) -> list[Finding]:
     if (np.abs(command) > OVERRANGE).any():  # the unit is wrong
         return []
     least = LEAST_FREQUENCY * closed_port_natural_frequency(config.plant) / (2.0 * np.pi)
-    windows = cut(samples, round(STRETCH / samples.period))
+    windows = cut(samples, max(round(STRETCH / samples.period), LEAST_CYCLES))
     swings = [_swing(window[[COMMAND, POSITION]], samples.period, least, config) for window in windows.signals]
     found = [swing for swing in swings if swing is not None]
     if len(found) > MANY_STRETCHES * len(swings):

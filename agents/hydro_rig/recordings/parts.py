@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
@@ -77,10 +78,8 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     together = sources[0] if len(sources) == 1 else f"{len(sources)} recordings"
     length = _window_length(recordings, sources)
     filled = [bridged(samples) for samples in recordings]
-    commanded = []
-    for samples, _ in filled:
-        windows = cut(samples, length)
-        commanded.append(windows.part(windows.commanded))
+    cut_up = [cut(samples, length) for samples, _ in filled]
+    commanded = [windows.part(windows.commanded) for windows in cut_up]
     cuts = [_with_position(windows) for windows in commanded]
     count = sum(map(len, cuts))
     if count < FEWEST_WINDOWS - 1:
@@ -161,11 +160,9 @@ def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], s
     amplitudes = _by_amplitude({number: cuts[number] for number in known})
     if len(amplitudes) > 2:
         return set(amplitudes[len(amplitudes) // 2]), "another amplitude of the command than those of the fit"
-    repeats: dict[bytes, list[int]] = {}
-    for number in known:
-        sensors = np.isfinite(cuts[number].signals).any(axis=(0, 2)).tobytes()
-        repeats.setdefault(sensors, []).append(number)
-    apart = {numbers[-1] for numbers in repeats.values() if len(numbers) > 1}
+    sensors = {number: np.isfinite(cuts[number].signals).any(axis=(0, 2)).tobytes() for number in known}
+    times, last = Counter(sensors.values()), {kind: number for number, kind in sensors.items()}
+    apart = {number for kind, number in last.items() if times[kind] > 1}
     return apart, "other recordings than those of the fit"
 
 
@@ -173,9 +170,9 @@ def _by_amplitude(cuts: Mapping[int, Windows]) -> list[list[int]]:
     """Numbers of the recordings in groups of the same largest command, the smallest first."""
     largest = {number: float(np.nanmax(np.abs(windows.signals[:, COMMAND]))) for number, windows in cuts.items()}
     ordered = sorted(cuts, key=lambda number: largest[number])
-    amplitudes = [[ordered[0]]]
-    for number in ordered[1:]:
-        if largest[number] > SAME_AMPLITUDE * largest[amplitudes[-1][0]]:
+    amplitudes: list[list[int]] = []
+    for number in ordered:
+        if not amplitudes or largest[number] > SAME_AMPLITUDE * largest[amplitudes[-1][0]]:
             amplitudes.append([])
         amplitudes[-1].append(number)
     return amplitudes
@@ -189,17 +186,11 @@ def _ranges(signals: Floats) -> Floats:
     return ranges
 
 
-def _travel(windows: Windows) -> Floats:
-    """Range of the position in each window, m."""
-    travel: Floats = _ranges(windows.signals)[:, POSITION]
-    return travel
-
-
 def _liveliest(windows: Windows, most: int) -> Windows:
     """At most ``most`` windows: from each section of a recording, the one with the longest travel."""
     if len(windows) <= most:
         return windows
-    sections, travel = np.array_split(np.arange(len(windows)), most), _travel(windows)
+    sections, travel = np.array_split(np.arange(len(windows)), most), _ranges(windows.signals)[:, POSITION]
     return windows.part(np.array([section[travel[section].argmax()] for section in sections]))
 
 
@@ -227,7 +218,7 @@ def _with_motion(windows: Windows) -> NDArray[np.bool_]:
         return chosen
     span = float(windows.end[0] - windows.begin[0])
     size = min(max(count - round((1.0 - HELD_BACK_SHARE) * count), 1), max(round(LONGEST_HELD_BACK / span), 1))
-    travel = _travel(windows)
+    travel = _ranges(windows.signals)[:, POSITION]
     for begin in range(count - size, -1, -1):
         stretch = slice(begin, begin + size)
         if windows.end[begin + size - 1] - windows.begin[begin] > (size + 0.1) * span:

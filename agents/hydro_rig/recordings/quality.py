@@ -15,7 +15,6 @@ from itertools import compress, product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from hydro_env import ConfigurationError, TaskConfig, simulate
@@ -125,13 +124,11 @@ def _within_full_scale(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     if not beyond.any() or (size > OVERRANGE).any():  # the unit is wrong: check_channels says so
         return samples, []
     signals = samples.signals.copy()
-    signals[COMMAND, beyond] = np.sign(signals[COMMAND, beyond])
+    signals[COMMAND] = np.clip(signals[COMMAND], -1.0, 1.0)
     most = float(size[beyond].max())
-    if most < 1.0 + ROUNDING:
-        return samples._replace(signals=signals), []
     what = f"is up to {100.0 * most:.4g} % of full scale ({FULL_VOLTAGE * most:.4g} V): taken as full scale"
     finding = finding_of(beyond, samples.time, "command", what, Weight.NOTE)
-    return samples._replace(signals=signals), [finding]
+    return samples._replace(signals=signals), [finding] if most >= 1.0 + ROUNDING else []
 
 
 def row_of_command(samples: Sampled, config: TaskConfig) -> int:
@@ -140,11 +137,10 @@ def row_of_command(samples: Sampled, config: TaskConfig) -> int:
     expected = _response_at_next_sample(config)
     if signals is None or expected <= LEAST_RESPONSE or not _commanded(signals, config):
         return 0
-    weights, rest = _spool_after_commands(signals)
-    slope = float(weights[:4].sum())
+    weights, slope, rest = _spool_after_commands(signals)
     if rest > 0.5 or not _plausible(slope):
         return 0
-    later, now = weights[0] / slope, weights[1] / slope
+    later, now = weights[:2] / slope
     return -1 if later > 0.5 * expected else 1 if now < 0.25 * expected else 0
 
 
@@ -174,11 +170,15 @@ class Balance(NamedTuple):
 
 def _stretch_with_motion(samples: Sampled) -> Floats | None:
     """The signals (5, T) of a stretch without gaps in which the axis moves most; ``None`` if all are too short."""
-    whole = np.all(np.isfinite(samples.signals), axis=0)
-    if whole.sum() < FEWEST_SAMPLES:
+    whole = np.flatnonzero(np.isfinite(samples.signals).all(axis=0))
+    stretches = np.split(whole, np.flatnonzero(np.diff(samples.place[whole]) != 1) + 1)
+    longest = max(stretches, key=len)
+    if len(longest) < FEWEST_SAMPLES:
         return None
-    signals = _liveliest(samples.signals[:, _longest_stretch(samples.place, whole)])
-    return signals if signals.shape[1] >= FEWEST_SAMPLES else None
+    signals = samples.signals[:, longest[0] : longest[-1] + 1]
+    starts = range(0, max(signals.shape[1] - MOST_SAMPLES, 0) + 1, MOST_SAMPLES)
+    best = max(starts, key=lambda start: float(signals[POSITION, start : start + MOST_SAMPLES].std()))
+    return signals[:, best : best + MOST_SAMPLES]
 
 
 def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
@@ -187,7 +187,7 @@ def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
     if signals is None:
         return []
     findings = _spool_and_command(signals, config)
-    if any(finding.weight is Weight.SEVERE for finding in findings):
+    if findings and findings[0].weight is Weight.SEVERE:
         return findings
     fit = balance(signals, config)
     if max(fit.travel, fit.expected_travel) < LEAST_TRAVEL * config.sensors.position.noise:
@@ -275,8 +275,7 @@ def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
     """Check sign and scale of the command against the spool."""
     if not _commanded(signals, config):
         return []
-    weights, rest = _spool_after_commands(signals)
-    slope = float(weights[:4].sum())
+    _, slope, rest = _spool_after_commands(signals)
     if rest > 0.5:
         return [Finding("spool_position", "does not follow the command", Weight.NOTE)]
     if slope < 0.0:
@@ -293,16 +292,17 @@ def _commanded(signals: Floats, config: TaskConfig) -> bool:
     return bool(np.ptp(command) >= 0.02 and command.std() >= 2.0 * config.sensors.spool_position.noise)
 
 
-def _spool_after_commands(signals: Floats) -> tuple[Floats, float]:
+def _spool_after_commands(signals: Floats) -> tuple[Floats, float, float]:
     """Weights of the command one row later, in this row, one and two rows before and of 1 in the spool's readings.
 
-    Returns also the unexplained share of the standard deviation.
+    Returns also the slope of spool against command, and the unexplained share of the standard deviation.
     """
     spool, command = signals[SPOOL], signals[COMMAND]
     rows = np.column_stack([command[3:], command[2:-1], command[1:-2], command[:-3], np.ones(len(command) - 3)])
     wanted = spool[2:-1]
     weights, *_ = np.linalg.lstsq(rows, wanted, rcond=None)
-    return weights, float((wanted - rows @ weights).std() / max(wanted.std(), 1e-300))
+    rest = (wanted - rows @ weights).std() / max(wanted.std(), 1e-300)
+    return weights, float(weights[:4].sum()), float(rest)
 
 
 def _response_at_next_sample(config: TaskConfig) -> float:
@@ -322,19 +322,3 @@ def _means(values: Floats, step: int) -> Floats:
     count = len(values) // step
     means: Floats = values[: count * step].reshape(count, step).mean(axis=1)
     return means
-
-
-def _longest_stretch(index: NDArray[np.int64], whole: NDArray[np.bool_]) -> slice:
-    """The longest stretch of consecutive samples without a missing reading."""
-    rows = np.flatnonzero(whole)
-    breaks = np.flatnonzero(np.diff(index[rows]) != 1) + 1
-    parts = np.split(rows, breaks)
-    longest = max(parts, key=len)
-    return slice(int(longest[0]), int(longest[-1]) + 1)
-
-
-def _liveliest(signals: Floats) -> Floats:
-    """The part of MOST_SAMPLES samples with the largest spread of the position."""
-    starts = range(0, max(signals.shape[1] - MOST_SAMPLES, 0) + 1, MOST_SAMPLES)
-    best = max(starts, key=lambda start: float(signals[POSITION, start : start + MOST_SAMPLES].std()))
-    return signals[:, best : best + MOST_SAMPLES]

@@ -78,44 +78,38 @@ def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = Fa
             faster than the control period and its commands keep no fixed place in it.
     """
     findings: list[Finding] = []
-    rows = np.vstack([recording.signals, *recording.auxiliary.values()])
-    unit = recording.units.get("time", "s")
-    grid = _grid_of(recording.time, rows, unit, config, own_grid, findings)
-    if grid is None:
-        grid = _Grid(np.zeros(0, np.int64), np.zeros(0), np.zeros((len(rows), 0)), config.control_period)
+    grid = _grid_of(recording, config, own_grid, findings)
     signals, others = np.split(grid.values, [len(recording.signals)])
     auxiliary = dict(zip(recording.auxiliary, others, strict=True))
     return Sampled(grid.place, grid.time, signals, grid.period, recording.units, findings, auxiliary)
 
 
-def _grid_of(
-    time: Floats, rows: Floats, unit: str, config: TaskConfig, own_grid: bool | None, findings: list[Finding]
-) -> _Grid | None:
-    """The samples of rows (channels, n); ``None`` after a severe finding."""
+def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool | None, findings: list[Finding]) -> _Grid:
+    """The samples of the rows; none after a severe finding."""
+    time, rows = recording.time, np.vstack([recording.signals, *recording.auxiliary.values()])
     period = config.control_period
-    steps = np.diff(time)
-    if np.any(steps < 0.0):
-        back = np.append(False, steps < 0.0)
+    nothing = _Grid(np.zeros(0, np.int64), time[:0], rows[:, :0], period)
+    steps = np.diff(time, prepend=-np.inf)
+    if (back := steps < 0.0).any():
         worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s"
         findings.append(finding_of(back, time, "time", worst, Weight.SEVERE))
-        return None
-    twice = np.append(False, steps == 0.0)
-    if twice.any():
-        many = bool(twice.mean() > MOST_MISSING)
-        findings.append(finding_of(twice, time, "time", "has duplicate stamps; the first row counts", severe_if(many)))
-        if many:
-            return None
+        return nothing
+    if (twice := steps == 0.0).any():
+        many = severe_if(twice.mean() > MOST_MISSING)
+        findings.append(finding_of(twice, time, "time", "has duplicate stamps; the first row counts", many))
+        if many is Weight.SEVERE:
+            return nothing
         time, rows = time[~twice], rows[:, ~twice]
 
     distance = _row_distance(time, period)
     per_period = _whole_fraction(distance, period)
     own = own_grid or (own_grid is None and not per_period and distance < period)
     if distance < SHORTEST_DISTANCE or not (own or per_period):
-        findings.append(_other_sampling(distance, period, unit))
-        return None
+        findings.append(_other_sampling(distance, period, recording.units.get("time", "s")))
+        return nothing
     place = _places(time, distance, findings)
     if any(finding.weight is Weight.SEVERE for finding in findings):
-        return None
+        return nothing
     if own:
         return _own_grid(time, rows, place, distance, findings)
     phase = _phase(place, time, rows[COMMAND], per_period, distance, config)
@@ -123,7 +117,7 @@ def _grid_of(
         if own_grid is None:
             return _own_grid(time, rows, place, distance, findings)
         findings.append(phase)
-        return None
+        return nothing
     chosen = place % per_period == phase
     index = (place[chosen] - place[chosen][:1]) // per_period
     return _Grid(index, time[chosen], rows[:, chosen], period)
@@ -189,12 +183,7 @@ def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     place = np.sort(np.concatenate([samples.place, *lost])).astype(np.int64)
     at = np.searchsorted(place, samples.place)
 
-    def spread(values: Floats) -> Floats:
-        whole = np.full((*values.shape[:-1], len(place)), np.nan)
-        whole[..., at] = values
-        return whole
-
-    signals = spread(samples.signals)
+    signals = _spread(samples.signals, at, len(place))
     filled = np.zeros(len(place), dtype=np.bool_)
     for begin, end in zip(*runs_of(np.isnan(signals[COMMAND])), strict=True):
         inside = begin > 0 and end < len(place) and end - begin <= LONGEST_FILL
@@ -204,9 +193,16 @@ def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     signals[COMMAND, filled] = _likely(signals, filled)
     time = np.interp(place, samples.place, samples.time)
     what = f"lacks samples; up to {LONGEST_FILL} in a row are filled in from those around them"
-    auxiliary = {name: spread(values) for name, values in samples.auxiliary.items()}
+    auxiliary = {name: _spread(values, at, len(place)) for name, values in samples.auxiliary.items()}
     samples = samples._replace(place=place, time=time, signals=signals, auxiliary=auxiliary)
     return samples, [finding_of(filled, time, "command", what, Weight.NOTE)]
+
+
+def _spread(values: Floats, at: NDArray[np.int64], count: int) -> Floats:
+    """The values (…, n) at their places (n,) among ``count``; NaN elsewhere."""
+    whole = np.full((*values.shape[:-1], count), np.nan)
+    whole[..., at] = values
+    return whole
 
 
 def _likely(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
@@ -230,13 +226,11 @@ def cut(samples: Sampled, length: int) -> Windows:
     chosen = np.unique(window)
     if len(samples.place):
         chosen = chosen[(chosen + 1) * length <= samples.place[-1] + 1]
-    number = np.searchsorted(chosen, window)
     inside = np.isin(window, chosen)
+    at = length * np.searchsorted(chosen, window[inside]) + place[inside]
 
     def cut_out(values: Floats) -> Floats:
-        parts = np.full((len(chosen), length), np.nan)
-        parts[number[inside], place[inside]] = values[inside]
-        return parts
+        return _spread(values[inside], at, length * len(chosen)).reshape(len(chosen), length)
 
     signals = np.stack([cut_out(values) for values in samples.signals], axis=1)
     auxiliary = {name: cut_out(values) for name, values in samples.auxiliary.items()}
