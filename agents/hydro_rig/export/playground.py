@@ -59,15 +59,13 @@ SEED = 20151
 PAGE_FILE = "playground.html"
 
 
-def _rig_slider(name: str, unit: str, low: float, high: float, scale: float, parameter: str) -> dict[str, Any]:
-    limits = {"low": low, "high": high, "scale": scale, "digits": 0}
-    return {"name": name, "unit": unit, **limits, "parameter": parameter}
-
-
-RIG_SLIDERS = (
-    _rig_slider("Supply pressure", "bar", 60, 100, 1e5, "supply.pressure"),
-    _rig_slider("Moved mass", "kg", 20, 120, 1, "load.mass"),
-    _rig_slider("Force on the load, against extension", "N", -2000, 2000, 1, "load.external_force"),
+RIG_SLIDERS: tuple[dict[str, Any], ...] = tuple(
+    {"name": name, "unit": unit, "low": low, "high": high, "scale": scale, "digits": 0, "parameter": parameter}
+    for name, unit, low, high, scale, parameter in (
+        ("Supply pressure", "bar", 60, 100, 1e5, "supply.pressure"),
+        ("Moved mass", "kg", 20, 120, 1, "load.mass"),
+        ("Force on the load, against extension", "N", -2000, 2000, 1, "load.external_force"),
+    )
 )
 CHOICES = {"pid": "PID", "flow_linearising": "Flow linearisation", "ppo": "PPO on flow linearisation"}
 """Names of the controllers by kind, as ``hydro evaluate --agent`` names it."""
@@ -91,7 +89,7 @@ class Written:
 
     kind: str
     code: CCode
-    signals: tuple[str, ...]  # that it reads, in order
+    signals: list[str]  # that it reads, in order
     gains: dict[str, float]  # those that a slider changes: tuned values
     sliders: list[dict[str, Any]]
 
@@ -106,16 +104,16 @@ def written(kind: str, config: TaskConfig) -> Written:
     rows = {row.name: row for row in variable_gains(controller, config) if row.name in GAINS}
     space = search_space(type(controller.gains), config.plant) if rows else {}
     sliders: list[dict[str, Any]] = []
-    for name in [name for name in GAINS if name in rows]:
-        (label, unit), value = GAINS[name], float(rows[name].value)
-        low, high, logarithmic = space[name]
+    for name, (label, unit) in GAINS.items():
+        if name not in rows:
+            continue
+        value, (low, high, logarithmic) = float(rows[name].value), space[name]
         limits = {"low": value / 10.0, "high": value * 10.0} if logarithmic else {"low": low, "high": high}
         slider = {"name": label, "unit": unit, **limits, "value": value, "gain": f"{kind}.{name}"}
         sliders.append({**slider, "controller": kind, "logarithmic": logarithmic})
     graph = controller_graph(controller, config, list(rows.values()))
-    signals = tuple(signal.name for signal in graph.signals.signals)
     gains = {name: float(row.value) for name, row in rows.items()}
-    return Written(kind, controller_code(graph, kind), signals, gains, sliders)
+    return Written(kind, controller_code(graph, kind), [*graph.signals.places], gains, sliders)
 
 
 def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: LeakageHead) -> dict[str, str]:
@@ -151,8 +149,8 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
         "controllers": [
             {
                 "kind": one.kind,
-                "memory": memory_type(one.code.name),
-                "signals": [_signal(name, config) for name in one.signals],
+                "memory": memory_type(one.kind),
+                "signals": [_signal(each, config) for each in one.signals],
             }
             for one in controllers
         ],
@@ -186,7 +184,7 @@ def playground_page() -> str:
     own = dict(zip(PARAMETER_PATHS, to_vector(config.plant).tolist(), strict=True))
     controllers = [written(kind, config) for kind in CHOICES]
     turned = ("leakage.internal_resistance", *(slider["parameter"] for slider in RIG_SLIDERS))
-    window = head.settings.window * config.control_period
+    window = head.settings.window * config.control_period  # s
     facts = {
         "parameters": PARAMETER_PATHS,
         "own": {name: own[name] for name in turned},
@@ -210,20 +208,15 @@ def playground_page() -> str:
         "window": window,
     }
     module = compiled(axis_sources(config, controllers, head), ["-s", *WARNINGS], web_compiler())
-    parts = {name: _text(f"{name}.js") for name in ("machine", "drawing", "plots", "page")}
     values: dict[str, Any] = {
-        **parts,
-        "style": f"{css_rules()}\n{_text('style.css')}",
+        **{file.stem: file.read_text(encoding="utf-8") for file in TEMPLATES.glob("*.js")},
+        "style": f"{css_rules()}\n{(TEMPLATES / 'style.css').read_text(encoding='utf-8')}",
         "facts": json.dumps(facts, ensure_ascii=False, separators=(",", ":"), default=float),
         "wasm": base64.b64encode(gzip.compress(module, 9, mtime=0)).decode(),
         "window": f"{window:g}",
         "version": __version__,
     }
     return render("playground.html.j2", values, TEMPLATES)
-
-
-def _text(name: str) -> str:
-    return (TEMPLATES / name).read_text(encoding="utf-8")
 
 
 def web_compiler() -> list[str]:

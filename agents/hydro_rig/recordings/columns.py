@@ -150,20 +150,18 @@ def maps_of(texts: Sequence[str], paths: Sequence[Path]) -> list[ColumnMap | Non
     Raises:
         ConfigurationError: a map is unreadable, a pattern matches no recording, or two maps are for all.
     """
-    maps: list[ColumnMap | None] = [None] * len(paths)
+    maps: dict[Path, ColumnMap] = {}
     for text in texts:
         pattern, _, file = text.rpartition("=")
         if not pattern and len(texts) > 1:
             raise ConfigurationError(f"--map {text}: several maps need patterns: --map '*_a.csv={file}'")
-        own = [k for k, path in enumerate(paths) if not pattern or fnmatch(path.name, pattern) or str(path) == pattern]
+        own = [path for path in paths if not pattern or fnmatch(path.name, pattern) or str(path) == pattern]
         if not own:
             raise ConfigurationError(
                 f"--map {text}: '{pattern}' matches none of the recordings, such as {paths[0].name}"
             )
-        read = read_map(Path(file))
-        for k in own:
-            maps[k] = read
-    return maps
+        maps |= dict.fromkeys(own, read_map(Path(file)))
+    return [maps.get(path) for path in paths]
 
 
 def own_map(headings: Sequence[str], source: str) -> ColumnMap:
@@ -174,9 +172,9 @@ def own_map(headings: Sequence[str], source: str) -> ColumnMap:
     """
     found: dict[str, Any] = {}
     for place, heading in enumerate(headings, 1):
-        name = split_heading(heading)[0].lower()
-        name = ALIASES.get(name, name)
-        auxiliary = name in AUXILIARY and split_heading(heading)[1] is not None
+        plain, unit = split_heading(heading)
+        name = ALIASES.get(plain.lower(), plain.lower())
+        auxiliary = name in AUXILIARY and unit is not None
         if name not in ("time", *MEASURED, LOAD_PRESSURE) and not auxiliary:
             continue
         if name in found:
@@ -184,10 +182,9 @@ def own_map(headings: Sequence[str], source: str) -> ColumnMap:
         found[name] = {"column": place}
     missing = [name for name in ("time", "command") if name not in found]
     if missing:
-        shown = ", ".join(heading[:30] for heading in headings[:12])
         raise ConfigurationError(
             f"{source}: no column has the heading '{missing[0]}'; --map FILE names the columns, as in "
-            f"{page('diagnose.md')}; headings: {shown}"
+            f"{page('diagnose.md')}; {_shown(headings)}"
         )
     return validate(ColumnMap, found, source)
 
@@ -208,10 +205,13 @@ def place_of(column: Column, signal: str, headings: Sequence[str], source: str) 
     places = [place for place, heading in enumerate(headings) if heading.strip() == wanted]
     places = places or [place for place, heading in enumerate(headings) if split_heading(heading)[0] == wanted]
     if len(places) != 1:
-        shown = ", ".join(heading[:30] for heading in headings[:12])
         count = "several columns have" if places else "no column has"
-        raise ConfigurationError(f"{source}: {signal}: {count} the heading '{wanted[:40]}'; headings: {shown}")
+        raise ConfigurationError(f"{source}: {signal}: {count} the heading '{wanted[:40]}'; {_shown(headings)}")
     return places[0]
+
+
+def _shown(headings: Sequence[str]) -> str:
+    return f"headings: {', '.join(heading[:30] for heading in headings[:12])}"
 
 
 def unit_of(column: Column, signal: str, heading: str, source: str) -> tuple[str, float]:

@@ -97,7 +97,7 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
             units[signal], size = unit_of(column, signal, file.headings[places[signal]], source)
             values[signal] = size * (column.gain * numbers + column.offset)
         values[signal][~np.isfinite(values[signal])] = np.nan
-    values["command"] = _shifted(values["command"], columns.command.rows_early)
+    values["command"] = pd.Series(values["command"]).shift(columns.command.rows_early).to_numpy()
     differential = LOAD_PRESSURE in values
     if differential:
         values["pressure_a"], units["pressure_a"] = values.pop(LOAD_PRESSURE), units.pop(LOAD_PRESSURE)
@@ -167,11 +167,3 @@ def _time_stamps(cells: pd.Series) -> tuple[Floats | None, float]:
     first = stamps.dropna().iloc[0]
     seconds: Floats = (stamps - first).dt.total_seconds().to_numpy(dtype=np.float64).copy()
     return seconds, float(first.timestamp())
-
-
-def _shifted(values: Floats, rows: int) -> Floats:
-    """Values moved down by a number of rows; the gap is NaN."""
-    if rows == 0:
-        return values
-    shifted: Floats = pd.Series(values).shift(rows).to_numpy()
-    return shifted

@@ -34,12 +34,6 @@ class Layout(NamedTuple):
     first_line: int  # line of the first row, from 1
 
 
-class _Line(NamedTuple):
-    number: int  # from 1
-    text: str
-    comment: str  # the last one above, without its mark
-
-
 def text_pieces(path: Path, rows: int | None) -> Iterator[tuple[pd.DataFrame, int]]:
     """The rows of a table with their headings, ``rows`` at a time (``None``: all at once), and the line of the first.
 
@@ -81,27 +75,30 @@ def layout_of(text: str) -> Layout | None:
     Raises:
         csv.Error: a line is too long for a table.
     """
-    lines = _lines(text)
-    if not lines:
+    whole = text.split("\n")
+    numbers = [k for k, line in enumerate(whole) if line.strip() and not _is_comment(line)][:MOST_LINES]
+    if not numbers:
         return None
-    separator = next((mark for mark in ";\t," if 2 * sum(mark in line.text for line in lines) > len(lines)), SPACES)
-    if separator == SPACES and not all(_NUMBER.fullmatch(cell) for cell in lines[-1].text.split()):
+    lines = [whole[k].strip("\r") for k in numbers]
+    separator = next((mark for mark in ";\t," if 2 * sum(mark in line for line in lines) > len(lines)), SPACES)
+    if separator == SPACES and not all(_NUMBER.fullmatch(cell) for cell in lines[-1].split()):
         separator = ","
-    rows = [_cells(line.text, separator) for line in lines]
+    rows = [_cells(line, separator) for line in lines]
     widths = [len(row) for row in rows]
     usual = max(set(widths), key=widths.count)
     place = next((k for k, row in enumerate(rows) if len(row) == usual and _are_headings(row)), None)
     if place is None:
-        comment = lines[0].comment
+        comments = [line.strip().lstrip("# ") for line in whole[: numbers[0]] if _is_comment(line)]
+        comment = comments[-1] if comments else ""
         above = _cells(comment, "," if separator == SPACES and "," in comment else separator)
         if len(above) == usual and _are_headings(above):
-            return _layout(above, separator, lines[0].number, text)
+            return _layout(above, separator, numbers[0] + 1, text)
         place = 0
     headings = rows[place]
     if place + 1 < len(rows) and len(rows[place + 1]) == len(headings) and _are_units(rows[place + 1]):
         place += 1
         headings = [_with_unit(name, unit) for name, unit in zip(headings, rows[place], strict=True)]
-    return _layout(headings, separator, lines[place].number + 1, text)
+    return _layout(headings, separator, numbers[place] + 2, text)
 
 
 def _layout(headings: list[str], separator: str, first_line: int, text: str) -> Layout:
@@ -126,16 +123,8 @@ def _beginning(path: Path) -> tuple[str, str]:
         return OTHER_ENCODING, content.decode(OTHER_ENCODING, "replace")
 
 
-def _lines(text: str) -> list[_Line]:
-    """The first lines that are neither empty nor comments."""
-    lines: list[_Line] = []
-    comment = ""
-    for number, line in enumerate(text.split("\n"), 1):
-        if line.lstrip().startswith("#"):
-            comment = line.strip().lstrip("# ")
-        elif line.strip():
-            lines.append(_Line(number, line.strip("\r"), comment))
-    return lines[:MOST_LINES]
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith("#")
 
 
 def _cells(line: str, separator: str) -> list[str]:
