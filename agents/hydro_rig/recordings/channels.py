@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
@@ -35,15 +33,11 @@ LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the
 OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
 
-class Channels(NamedTuple):
-    """Results of the checks of single channels."""
+def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding], Mask]:
+    """Check each channel separately, in the order of MEASURED.
 
-    findings: list[Finding]
-    bad: Mask  # (5, T), invalid readings: stuck, lost, saturated, impossible
-
-
-def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
-    """Check each channel separately, in the order of MEASURED."""
+    Returns the findings, and (5, T) which readings are invalid: stuck, lost, saturated, impossible.
+    """
     findings: list[Finding] = []
     bad = np.zeros(samples.signals.shape, dtype=np.bool_)
 
@@ -69,7 +63,7 @@ def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
             found(row, *lost)
             found(row, *_saturated(np.where(lost[0], np.nan, values), samples, signal, config))
             found(row, *_stuck(values, samples, signal, config))
-    return Channels([*findings, *_too_low_pressures(samples, config)], bad)
+    return [*findings, *_too_low_pressures(samples, config)], bad
 
 
 def _largest(signal: str, config: TaskConfig) -> float:
@@ -86,10 +80,10 @@ def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float,
     both_ways = "pressure" not in signal or config.sensors.differential_pressure
     lowest = -largest if both_ways else LOWEST_PRESSURE
     beyond = np.isfinite(values) & ((values > OVERRANGE * largest) | (values < OVERRANGE * lowest))
-    if beyond.mean() <= MOST_SPIKES and signal != "command":  # a command is no reading: no sensor has spikes there
+    few = beyond.mean() <= MOST_SPIKES
+    if few and signal != "command":  # a command is no reading: no sensor has spikes there
         what = f"has single values from {_shown(signal, np.nanmin(values))} to {_shown(signal, np.nanmax(values))}, "
         return beyond, what + "which are impossible on this rig", Weight.NOTE
-    few = beyond.mean() <= MOST_SPIKES
     low, high = np.nanquantile(values, [0.0, 1.0] if few else [0.005, 0.995])
     what = f"reads {_shown(signal, low)} to {_shown(signal, high)}, but the rig has "
     what += f"{_shown(signal, lowest)} to {_shown(signal, largest)}"
@@ -103,17 +97,14 @@ def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float,
 
 def _too_low_pressures(samples: Sampled, config: TaskConfig) -> list[Finding]:
     """Both pressures are far below the supply: the unit is wrong."""
-    highest = [
-        np.nanquantile(samples.signals[row], 0.995)
-        for row in (PRESSURE_A, PRESSURE_B)
-        if np.isfinite(samples.signals[row]).any()
-    ]
+    known = [values for values in samples.signals[[PRESSURE_A, PRESSURE_B]] if np.isfinite(values).any()]
+    highest = max((np.nanquantile(values, 0.995) for values in known), default=np.inf)
     supply = config.plant.supply.pressure
     least = LEAST_PRESSURE * supply
-    if not highest or max(highest) > least or config.sensors.differential_pressure:
+    if highest > least or config.sensors.differential_pressure:
         return []
-    what = f"read at most {_shown('pressure_a', max(highest))}, but the supply has {_shown('pressure_a', supply)}"
-    what += _fitting_units("pressure_a", max(highest), least, _largest("pressure_a", config), samples)
+    what = f"read at most {_shown('pressure_a', highest)}, but the supply has {_shown('pressure_a', supply)}"
+    what += _fitting_units("pressure_a", highest, least, _largest("pressure_a", config), samples)
     return [Finding("pressures", what, Weight.SEVERE)]
 
 
@@ -172,7 +163,7 @@ def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) ->
     sensor = getattr(config.sensors, signal)
     same = np.append(False, (np.diff(values) == 0.0) & (np.diff(samples.place) == 1)) & ~_at_end(values, sensor)
     shortest = max(FEWEST, round(SHORTEST / samples.period))
-    stuck, ended, runs = np.zeros(len(values), dtype=np.bool_), np.zeros(len(values), dtype=np.bool_), 0
+    stuck, ended, runs = np.zeros_like(same), np.zeros_like(same), 0
     extremes = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else ()
     for begin, end in zip(*runs_of(same), strict=True):
         if end - begin < shortest:

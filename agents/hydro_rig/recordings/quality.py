@@ -103,9 +103,9 @@ def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig
     samples, beyond = _within_full_scale(samples)
     findings += beyond
     findings += check_driving(samples, config)
-    channels = check_channels(samples, config)
-    findings += channels.findings
-    samples = samples._replace(signals=np.where(channels.bad, np.nan, samples.signals))
+    of_channels, bad = check_channels(samples, config)
+    findings += of_channels
+    samples = samples._replace(signals=np.where(bad, np.nan, samples.signals))
     if not checked.severe and not checked.faults:
         early = row_of_command(samples, config)
         if early:
@@ -255,12 +255,10 @@ def _change_that_helps(signals: Floats, config: TaskConfig) -> str:
         "the other sign of spool and command",
     )
     for chosen in sorted(product((False, True), repeat=3), key=sum)[1:]:
-        exchanged, position_turned, spool_turned = chosen
         changed = signals.copy()
-        if exchanged:
+        if chosen[0]:
             changed[[PRESSURE_A, PRESSURE_B]] = changed[[PRESSURE_B, PRESSURE_A]]
-        changed[POSITION] *= -1.0 if position_turned else 1.0
-        changed[SPOOL] *= -1.0 if spool_turned else 1.0
+        changed[[POSITION, SPOOL]] *= np.where(chosen[1:], -1.0, 1.0)[:, None]
         fit = balance(changed, config)
         if fit.force_rest < FITS and _plausible(fit.slope):
             return " and ".join(compress(names, chosen))

@@ -94,11 +94,6 @@ def test_a_logger_writes_a_head_a_line_of_units_dates_and_decimal_commas_in_its_
     assert found.findings == []
 
 
-def test_a_first_row_with_empty_cells_is_no_heading(tmp_path):
-    text = "time [s],position [mm],pressure_a [bar],command [V]\n0,,,0.5\n0.005,,,0.6\n0.01,1,50,0.7\n"
-    np.testing.assert_allclose(read_recording(written(tmp_path, text)).signals[4], [0.05, 0.06, 0.07])
-
-
 def test_a_map_gives_columns_units_signs_and_offsets(tmp_path):
     rows = [
         f"2026-11-21T10:00:00.{5 * k:03d},{200 + 1e3 * x:.4f},{-u:.3f}" for k, (x, u) in enumerate(SIGNALS[[0, 4]].T)
