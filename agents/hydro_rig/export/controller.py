@@ -19,7 +19,7 @@ from hydro_env.files import Group
 from hydro_rig.export.c_files import CCode, c_code
 from hydro_rig.export.c_writer import C_TYPES, CWriter
 from hydro_rig.export.graph import Builder, Graph, Node, in_order
-from hydro_rig.export.measured import MeasuredController, MeasuredSignals, aligned
+from hydro_rig.export.measured import MeasuredController, MeasuredSignals, aligned, arrays_of, leaves_of, with_leaves
 from hydro_rig.export.onnx_writer import OnnxWriter
 from hydro_rig.export.tracing import TraceError, trace
 
@@ -191,49 +191,6 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
         used = graph.used([graph.outputs[prefix + name] for prefix in (STARTED, CONTINUED) for name in needed])
         wanted = needed | {name for name in arrays if used[name].any()}
     return {name for name, read in zip(signals.layout.names, used["observation"], strict=True) if read}
-
-
-def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
-    """The arrays and whole numbers of a memory by name; it consists of named tuples, tuples, lists and dictionaries.
-
-    Raises:
-        TraceError: the memory contains other objects.
-    """
-    if memory is None:
-        return {}
-    if hasattr(memory, "dtype") or isinstance(memory, int):
-        return {name: memory}
-    leaves: dict[str, Any] = {}
-    for place, value in _entries(memory, name).items():
-        leaves |= leaves_of(value, place)
-    return leaves
-
-
-def arrays_of(leaves: Mapping[str, Any]) -> dict[str, Any]:
-    """The arrays among the leaves of a memory."""
-    return {name: leaf for name, leaf in leaves.items() if hasattr(leaf, "dtype")}
-
-
-def with_leaves(memory: Any, leaves: dict[str, Any], name: str = "") -> Any:
-    """The memory with other arrays; the inverse of :func:`leaves_of`."""
-    if memory is None or isinstance(memory, int):
-        return memory
-    if hasattr(memory, "dtype"):
-        return leaves[name].reshape(memory.shape)
-    values = [with_leaves(value, leaves, place) for place, value in _entries(memory, name).items()]
-    if isinstance(memory, dict):
-        return dict(zip(memory, values, strict=True))
-    return type(memory)(*values) if hasattr(memory, "_fields") else type(memory)(values)
-
-
-def _entries(memory: Any, name: str) -> dict[str, Any]:
-    """What a part of the memory holds, by the name of its place."""
-    entries = memory._asdict() if hasattr(memory, "_asdict") else memory
-    if isinstance(entries, tuple | list):
-        entries = dict(enumerate(entries))
-    if not isinstance(entries, dict):
-        raise TraceError(f"{name or 'memory'}: {type(memory).__name__} holds no arrays: cannot be exported")
-    return {f"{name}.{key}" if name else str(key): value for key, value in entries.items()}
 
 
 # In C -----------------------------------------------------------------------------------------------------------------

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -58,18 +57,12 @@ RULES = {
 """Rules of operation as text; the same for every controller."""
 
 
-@dataclass(frozen=True)
-class Vectors:
+class Vectors(NamedTuple):
     """Consecutive samples; a 1 in ``start`` begins an episode."""
 
-    names: tuple[str, ...]
     start: NDArray[np.bool_]  # (samples,)
     signals: Floats  # (samples, signals), SI
     voltage: Floats  # (samples,), V
-
-    def text(self) -> str:
-        """As CSV; every number reads back exactly."""
-        return csv_text([*self.names, "voltage"], self.start, np.column_stack([self.signals, self.voltage]))
 
 
 def make_vectors(measured: MeasuredController) -> Vectors:
@@ -80,8 +73,7 @@ def make_vectors(measured: MeasuredController) -> Vectors:
     """
     signals = measured.signals
     weights = signals.config.references.weights
-    families: list[str | None] = [name for name in FAMILIES if weights.get(name, 0.0) > 0.0]
-    families = families or [None]
+    families = [name for name in FAMILIES if weights.get(name, 0.0) > 0.0] or [None]
     seeds = CONTROLLER_VECTORS.take(len(families))
     episodes = [_closed_loop(measured, seed, family) for seed, family in zip(seeds, families, strict=True)]
     disturbed = _disturbed(np.resize(episodes[0][0], (120, len(signals.signals))))
@@ -95,7 +87,7 @@ def make_vectors(measured: MeasuredController) -> Vectors:
         raise HydroError(f"{type(measured.controller).__name__}: its voltage is not finite: cannot be exported")
     starts = np.concatenate([np.arange(len(voltages)) == 0 for _, voltages in episodes])
     rows = np.concatenate([samples for samples, _ in episodes])
-    return Vectors(tuple(signal.name for signal in signals.signals), starts, rows, voltage)
+    return Vectors(starts, rows, voltage)
 
 
 def _closed_loop(measured: MeasuredController, seed: int, family: str | None) -> tuple[Floats, Floats]:
@@ -163,7 +155,9 @@ def exported_files(
     }
     in_onnx = check_onnx(model, vectors, type(controller).__name__)
     task = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
-    texts = with_test(controller_code(varied, CODE), vectors.text(), values, **{TASK_FILE: task})
+    rows = np.column_stack([vectors.signals, vectors.voltage])
+    csv = csv_text([*graph.signals.places, "voltage"], vectors.start, rows)
+    texts = with_test(controller_code(varied, CODE), csv, values, **{TASK_FILE: task})
     in_c = compared(CODE, texts)
     if language == "st":
         texts[ST_FILE] = structured_text(varied)
@@ -189,7 +183,7 @@ def check_onnx(model: bytes, vectors: Vectors, who: str) -> dict[str, Any]:
     session = onnx_session(model)
     state = np.zeros(session.get_inputs()[1].shape)
     voltages = np.empty(len(vectors.voltage))
-    for sample, (start, signals) in enumerate(zip(vectors.start, vectors.signals, strict=True)):
+    for sample, (start, signals) in enumerate(zip(*vectors[:2], strict=True)):
         voltage, state, _ = session.run(None, {"signals": signals, "state": state, "start": np.array([start])})
         voltages[sample] = voltage[0]
     difference = np.abs(voltages - vectors.voltage) / FULL_VOLTAGE

@@ -140,11 +140,11 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
     """
     samples, answers = head_vectors(head)
     episodes, length, _ = samples.shape
-    code, model = head_code(head), network_model(head_graph(head)).SerializeToString()
+    model = network_model(head_graph(head)).SerializeToString()
     values = _texts(head) | {"samples": episodes * length, "allowed": LARGEST_DIFFERENCE}
     starts = np.tile(np.arange(length) == 0, episodes)
     rows = np.concatenate([samples, answers], axis=2).reshape(episodes * length, -1)
-    texts = with_test(code, csv_text([*SIGNALS, *FIELDS], starts, rows), values)
+    texts = with_test(head_code(head), csv_text([*SIGNALS, *FIELDS], starts, rows), values)
     in_onnx, in_c = check_network(head, model, samples), compared(NAME, texts)
     facts = {**_facts(head), "checked": {NETWORK_FILE: in_onnx, "leakage_head.c": in_c}}
     largest = f"largest difference {in_onnx['largest_difference']:.2g}"

@@ -6,7 +6,7 @@ scaling, limits) and the treatment of lost samples, which only a machine needs.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.graph import SCALED
-from hydro_rig.export.tracing import named
+from hydro_rig.export.tracing import TraceError, named
 
 COMPUTED = ("velocity_estimate", "tracking_error", "error_integral")
 """Entries of the observation that follow from measured signals."""
@@ -232,3 +232,46 @@ def aligned(way: tuple[Any, Any]) -> tuple[Any, Any]:
     """Command and memory; the memory in a form that a trace can record."""
     command, memory = way
     return command, memory.aligned() if hasattr(memory, "aligned") else memory
+
+
+def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
+    """The arrays and whole numbers of a memory by name; it consists of named tuples, tuples, lists and dictionaries.
+
+    Raises:
+        TraceError: the memory contains other objects.
+    """
+    if memory is None:
+        return {}
+    if hasattr(memory, "dtype") or isinstance(memory, int):
+        return {name: memory}
+    leaves: dict[str, Any] = {}
+    for place, value in _entries(memory, name).items():
+        leaves |= leaves_of(value, place)
+    return leaves
+
+
+def arrays_of(leaves: Mapping[str, Any]) -> dict[str, Any]:
+    """The arrays among the leaves of a memory."""
+    return {name: leaf for name, leaf in leaves.items() if hasattr(leaf, "dtype")}
+
+
+def with_leaves(memory: Any, leaves: dict[str, Any], name: str = "") -> Any:
+    """The memory with other arrays; the inverse of :func:`leaves_of`."""
+    if memory is None or isinstance(memory, int):
+        return memory
+    if hasattr(memory, "dtype"):
+        return leaves[name].reshape(memory.shape)
+    values = [with_leaves(value, leaves, place) for place, value in _entries(memory, name).items()]
+    if isinstance(memory, dict):
+        return dict(zip(memory, values, strict=True))
+    return type(memory)(*values) if hasattr(memory, "_fields") else type(memory)(values)
+
+
+def _entries(memory: Any, name: str) -> dict[str, Any]:
+    """What a part of the memory holds, by the name of its place."""
+    entries = memory._asdict() if hasattr(memory, "_asdict") else memory
+    if isinstance(entries, tuple | list):
+        entries = dict(enumerate(entries))
+    if not isinstance(entries, dict):
+        raise TraceError(f"{name or 'memory'}: {type(memory).__name__} holds no arrays: cannot be exported")
+    return {f"{name}.{key}" if name else str(key): value for key, value in entries.items()}

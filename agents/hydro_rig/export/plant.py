@@ -42,20 +42,12 @@ from hydro_rig.export.translator import Translator
 MODEL = "hydro_axis"
 
 
-class System(NamedTuple):
-    """Where a binary lies in the FMU, and the target of the compiler for other systems."""
-
-    folder: str
-    suffix: str
-    target: str
-
-
 SYSTEMS = {
-    "linux": System("linux64", ".so", "x86_64-linux-gnu.2.28"),
-    "win32": System("win64", ".dll", "x86_64-windows-gnu"),
-    "darwin": System("darwin64", ".dylib", "x86_64-macos"),
+    "linux": ("linux64", ".so", "x86_64-linux-gnu.2.28"),
+    "win32": ("win64", ".dll", "x86_64-windows-gnu"),
+    "darwin": ("darwin64", ".dylib", "x86_64-macos"),
 }
-"""The second version of FMI knows 64-bit x86 alone."""
+"""Folder and suffix of a binary in the FMU, and target of the compiler; FMI 2.0 knows 64-bit x86 alone."""
 
 ALL_SYSTEMS = "the binaries of all systems are"
 SHARED = ("-shared", "-fvisibility=hidden")
@@ -195,7 +187,7 @@ def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
         HydroError: this machine has no C compiler, or the compiler failed.
     """
     if all_systems:
-        cross_compiler(SYSTEMS["linux"].target, ALL_SYSTEMS)  # report a missing package at the start
+        cross_compiler("", ALL_SYSTEMS)  # report a missing package at the start
     variables = fmu_variables(config)
     code = plant_code(config.plant)
     values = {
@@ -217,7 +209,8 @@ def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
     files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
     for name in SYSTEMS if all_systems else (sys.platform,):
         binary = _binary(sources, name, all_systems)
-        files[f"binaries/{SYSTEMS[name].folder}/{MODEL}{SYSTEMS[name].suffix}"] = binary
+        folder, suffix, _ = SYSTEMS[name]
+        files[f"binaries/{folder}/{MODEL}{suffix}"] = binary
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
@@ -228,7 +221,7 @@ def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
 def _binary(sources: dict[str, str], system: str, cross: bool) -> bytes:
     if cross:
         options = [*SHARED, *([] if system == "win32" else ["-fPIC"]), "-s"]
-        return compiled(sources, options, cross_compiler(SYSTEMS[system].target, ALL_SYSTEMS))
+        return compiled(sources, options, cross_compiler(SYSTEMS[system][2], ALL_SYSTEMS))
     if system not in SYSTEMS or platform.machine().lower() not in ("x86_64", "amd64"):
         raise HydroError(f"FMI 2.0 has no binary for {system} on {platform.machine()}; it needs 64-bit x86")
     return compiled(sources, [*SHARED, "-fPIC"])

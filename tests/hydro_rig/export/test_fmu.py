@@ -141,7 +141,7 @@ def tool(folder, system):
     values |= {"START": f"{PLACE}", "PERIOD": f"{PERIOD}", "SAMPLES": f"{SAMPLES}"}
     definitions = "".join(f"#define {name} {value}\n" for name, value in values.items())
     file = folder / f"tool_{system}.exe"
-    compiler = cross_compiler(SYSTEMS[system].target, "the test is")
+    compiler = cross_compiler(SYSTEMS[system][2], "the test is")
     file.write_bytes(compiled({"tool.c": definitions + TOOL}, [], compiler))
     file.chmod(0o755)
     return file
