@@ -73,7 +73,7 @@ def make_vectors(measured: MeasuredController) -> Vectors:
     """
     signals = measured.signals
     weights = signals.config.references.weights
-    families = [name for name in FAMILIES if weights.get(name, 0.0) > 0.0] or [None]
+    families: list[str | None] = [name for name in FAMILIES if weights.get(name, 0.0) > 0.0] or [None]
     seeds = CONTROLLER_VECTORS.take(len(families))
     episodes = [_closed_loop(measured, seed, family) for seed, family in zip(seeds, families, strict=True)]
     disturbed = _disturbed(np.resize(episodes[0][0], (120, len(signals.signals))))

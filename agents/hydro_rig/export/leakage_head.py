@@ -46,7 +46,6 @@ FIELDS = {
     "outside": "1: the answer is not valid, because the window is unlike the training; else 0",
 }
 FORGET = 4  # multiples of window times interval after which the C code restarts its sample counter
-
 NETWORK_FILE = "leakage_head_network.onnx"
 FILES = ("leakage_head.c", "leakage_head.h", "test_leakage_head.c", "vectors.csv", NETWORK_FILE, "README.md", FILE)
 LARGEST_DIFFERENCE = 2e-5

@@ -40,7 +40,6 @@ from hydro_rig.export.plant import plant_code
 from hydro_rig.export.translator import Translator
 
 TEMPLATES = Path(__file__).parent / "playground"
-
 AXES = 3
 
 VIEW = (

@@ -24,7 +24,6 @@ from hydro_rig.export.graph import ELEMENTWISE, KINDS, Builder, Graph, Node
 
 _MOVES = (np.reshape, np.transpose, np.tile, np.repeat, np.roll, np.broadcast_to, np.expand_dims, np.squeeze, np.ravel)
 _JOINS = (np.concatenate, np.stack, np.column_stack, np.hstack, np.vstack)
-
 _ENTRY = re.compile(r"\s*\w+\[[\"'](\w+)[\"']\] = ")
 _ASSIGNED = re.compile(r"\s*(?:self\.)?([A-Za-z_]\w*)(?:\[[^\]=]*\])?(?:: [^=]+)? [-+*/@]?= ")
 _SEVERAL = re.compile(r"\s*(\w+(?:, \w+)+) = ")

@@ -17,19 +17,16 @@ Found = tuple[Mask, str, Weight]
 
 MOST_MISSING = 0.2  # share of a channel
 MOST_SATURATED = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
-
 ACTIVE_COMMAND = 0.01  # range of the command, as a fraction of full command, over which the spool must move
 FEWEST_STEPS = 20.0  # change of another channel that a sensor cannot miss, in steps of its acquisition
 LEAST_TRAVEL = 2e-3  # m; travel that the oil through the valve would cause
 LEAST_PRESSURE_CHANGE = 0.02  # of the other chamber, as a share of the supply pressure
-
 MOST_SPIKES = 0.05  # largest share of out-of-range values that count as single spikes, which are left out
 DROP = 0.1  # smallest fall of a reading, as a fraction of the sensor's range, when its current loop breaks
 FEWEST_DROPS = 3  # smallest number of falls of a broken loop; a chamber may cavitate once or twice
 LOWEST_PRESSURE = -1.2e5  # Pa; lowest gauge pressure: vacuum minus the error of a transducer
 LEAST_SHARE = 0.05  # smallest used fraction of a signal's range
 LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the two chambers reaches
-
 OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
 

@@ -27,7 +27,6 @@ ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_
 """Other accepted headings; ``hydro simulate`` writes ``voltage``."""
 
 _HEADING = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\[\]()]*)[\])])?\s*")
-
 _PARTS = {"V": 1.0 / FULL_VOLTAGE, "%": 1e-2, "1": 1.0, "-": 1.0, "mV": 1e-3 / FULL_VOLTAGE}
 
 UNITS: dict[str, dict[str, float]] = {

@@ -30,9 +30,7 @@ LONGEST_STEP = 2.0
 """Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
 
 PIECE = 200_000  # rows that are in memory at once
-
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
-
 TIMES = ("time", "t", "zeit", "timestamps")
 CONTENTS = ("values", "value", "data", "signals", "signal")
 """Names of the fields of a MAT struct that hold its time, and its numbers, in lower case."""

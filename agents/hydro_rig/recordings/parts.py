@@ -26,12 +26,9 @@ MOST_WINDOWS = 12
 """More windows would take longer and add little: of a longer recording, each twelfth gives the one with most motion."""
 
 FEWEST_OF_EACH = 3  # windows of each recording, if there are many: one out, one back, and one that ends at rest
-
 LONGEST_HELD_BACK = 10.0  # s, of one recording
 LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
-
 SAME_AMPLITUDE = 1.1  # largest ratio of the largest commands of recordings with the same amplitude
-
 FULL_COMMAND = 0.99  # of the largest command
 
 MOST_SATURATED = 0.9

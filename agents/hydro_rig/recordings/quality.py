@@ -40,7 +40,6 @@ MOST_SAMPLES = 4000
 used."""
 
 FEWEST_SAMPLES = 100
-
 LEAST_TRAVEL = 20.0  # smallest useful travel, in standard deviations of the position's noise
 STEADY = 0.05  # scatter of the flow over its mean, below which the axis moves at one speed
 LEAST_SHARE = 0.05  # smallest travel, as a share of the travel from the valve's flow
@@ -55,7 +54,6 @@ SLOPES = (0.15, 6.0)
 """Valid range of the slopes of the flow balance and of spool against command, including wear and noise."""
 
 ROUNDING = 1e-4  # of full scale, by which a command at its limit may exceed it without a word
-
 LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
 
 

@@ -29,18 +29,14 @@ JITTER = (0.05, 0.4)
 ambiguous."""
 
 ROWS_TOGETHER = 20
-
 SHORTEST_DISTANCE = 1e-7  # s between two rows; no rig logs faster, so the unit of the stamps is wrong
-
 MOST_MISSING = 0.2  # largest share of rows that may be missing or duplicate
 
 FOLLOWING = 0.1
 """Share of a stamp's deviation by which the clock is corrected: a slightly wrong clock then loses no row."""
 
 LONGEST_FILL = 3  # largest number of successive missing commands that are filled in
-
 HOLD_SHARE = 0.8  # smallest share of command changes at the same row within the control period
-
 OWN_PERIOD = 1e-3  # s, approximate distance of the samples on a log's own grid; from a faster log, medians of its rows
 
 

@@ -18,9 +18,7 @@ from hydro_rig.recordings.columns import UNITS, split_heading
 OTHER_ENCODING = "cp1252"  # of texts that are not UTF-8: that of Western Windows programs
 BEGINNING = 200_000  # bytes, in which the headings stand
 MOST_LINES = 200  # in which the headings must stand
-
 SPACES = r"\s+"  # any number of spaces between two columns
-
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 _UNITS = {unit for units in UNITS.values() for unit in units} - {"1", "-"}
 
