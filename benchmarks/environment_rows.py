@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
-from itertools import repeat
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from benchmarks.table import Case, Extent, UnavailableError, one_row, rate
+from benchmarks.table import Case, Extent, one_row, rate
 from hydro_env import ENVIRONMENT_ID
 
 MODES = ("NextStep", "SameStep", "Disabled")
@@ -35,23 +32,20 @@ def single_rate(env: gym.Env[Any, Any], seconds: float, steps: int = 500) -> flo
     return result
 
 
-def vector_rate(env: Any, seconds: float, commands: Iterator[Any] | None = None) -> float:
-    """Environment steps per second of a vector environment, restarts included.
-
-    Each step takes the next of the ``commands``; without ``commands``, all steps use the same small random actions.
-    """
+def vector_rate(env: Any, seconds: float) -> float:
+    """Environment steps per second of a vector environment under small random actions, restarts included."""
     count: int = env.num_envs
     env.reset(seed=0)
-    if commands is None:
-        env.action_space.seed(0)
-        actions = env.action_space.sample()
-        commands = repeat((0.1 * actions).astype(np.float32) if actions.dtype.kind == "f" else actions)
+    env.action_space.seed(0)
+    actions = env.action_space.sample()
+    if actions.dtype.kind == "f":
+        actions = (0.1 * actions).astype(np.float32)
     disabled = str(getattr(env.metadata.get("autoreset_mode"), "value", "")) == "Disabled"
     batch: int = max(1, 1024 // count)
 
     def work() -> int:
         for _ in range(batch):
-            _, _, terminated, truncated, _ = env.step(next(commands))
+            _, _, terminated, truncated, _ = env.step(actions)
             if disabled:
                 ended = terminated | truncated
                 if ended.any():
@@ -63,24 +57,8 @@ def vector_rate(env: Any, seconds: float, commands: Iterator[Any] | None = None)
     return result
 
 
-def motor_environment() -> gym.Env[Any, Any]:
-    """gym-electric-motor's current control of a permanent magnet synchronous motor.
-
-    Raises:
-        UnavailableError: the package is not installed, or does not work with the installed versions of others.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            env: gym.Env[Any, Any] = importlib.import_module("gym_electric_motor").make("Cont-CC-PMSM-v0")
-            return env
-    except Exception as error:  # an incompatible version may raise anything
-        reason = "not installed" if isinstance(error, ImportError) else f"does not run here: {type(error).__name__}"
-        raise UnavailableError(f"{reason}: {error}") from None
-
-
 def single_cases(extent: Extent) -> list[Case]:
-    """One axis beside Gymnasium's classic control and an electric drive."""
+    """One axis beside Gymnasium's classic control."""
 
     def case(name: str, make: Callable[[], gym.Env[Any, Any]], against: str = "", note: str = "") -> Case:
         return one_row(name, "steps/s", lambda: single_rate(make(), extent.seconds), extent.runs, against, note)
@@ -91,7 +69,6 @@ def single_cases(extent: Extent) -> list[Case]:
         case(own, single_axis, "Pendulum-v1", "ServoHydraulic-v0, 5 ms per step"),
         case("CartPole-v1", lambda: gym.make("CartPole-v1")),
         case("one axis, no wrappers", lambda: single_axis().unwrapped, "CartPole-v1"),
-        case("Cont-CC-PMSM-v0", motor_environment, own, "gym-electric-motor, 0.1 ms per step"),
     ]
 
 

@@ -59,9 +59,8 @@ def memory_cases(extent: Extent, count: int = MEMORY_AXES) -> list[Case]:
     def arrays() -> float:
         env = ServoHydraulicVectorEnv(count)
         env.reset(seed=0)
-        size = array_bytes(env) / count
         env.close()
-        return size
+        return array_bytes(env) / count
 
     def resident() -> float:
         if not Path("/proc/self/statm").exists():
@@ -69,10 +68,10 @@ def memory_cases(extent: Extent, count: int = MEMORY_AXES) -> list[Case]:
         return float(fresh_process(_RESIDENT_CODE.format(env_id=ENVIRONMENT_ID, count=count))[1])
 
     name, size = "arrays of one axis", f"N = {count:,}"
-    growth = "growth of resident memory per axis"
+    note = f"{size}, fresh process"
     return [
         one_row(name, "bytes", arrays, 1, note=size),
-        one_row(growth, "bytes", resident, extent.runs, name, f"{size}, fresh process"),
+        one_row("growth of resident memory per axis", "bytes", resident, extent.runs, name, note),
     ]
 
 
@@ -95,23 +94,14 @@ def start_cases(extent: Extent) -> list[Case]:
             first_step(folder.name)
         return first_step(folder.name)
 
-    own, note = "import hydro_env", "with its imports, without the start of the interpreter"
-    filled, anew = "first step, warm cache", "everything compiled again"
+    own, filled = "import hydro_env", "first step, warm cache"
     return [
         process("python, nothing imported", "pass"),
         process("import gymnasium", "import gymnasium", "python, nothing imported"),
         process(own, own, "import gymnasium"),
-        one_row(f"{own}, by -X importtime", "s", lambda: import_time("hydro_env"), extent.runs, note=note),
         one_row(filled, "s", warm, extent.runs, own, "import, gym.make, reset, step"),
-        one_row("first step, cold cache", "s", cold, min(3, extent.runs), filled, anew),
+        one_row("first step, cold cache", "s", cold, min(3, extent.runs), filled, "everything compiled again"),
     ]
-
-
-def import_time(module: str) -> float:
-    """Seconds of the import of a module, including its own imports, by ``python -X importtime``."""
-    text = fresh_process(f"import {module}", None, "-X", "importtime")[2]
-    line = next(line for line in text.splitlines() if line.rsplit("|", 1)[-1].strip() == module)
-    return 1e-6 * int(line.split("|")[1])
 
 
 def inference_cases(extent: Extent) -> list[Case]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import subprocess
 import sys
@@ -17,13 +15,12 @@ from statistics import median
 from typing import Any
 from unittest import mock
 
+import pandas as pd
+
 from hydro_agents.running.text import markdown, number
-from hydro_env.errors import ConfigurationError
 from hydro_env.files import write_whole
 
 HEADINGS = ("what", "unit", "median", "lowest–highest", "runs", "beside", "note")
-STATISTICS = ("median", "lowest", "highest", "ratio", "ratio_lowest", "ratio_highest")
-CSV_COLUMNS = ("group", "row", "unit", "against", "note", "runs", *STATISTICS, "values")
 
 
 class UnavailableError(Exception):
@@ -102,33 +99,17 @@ def write_markdown(path: Path, rows: Sequence[Row], titles: Mapping[str, str], h
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """Write every row with all its values, unrounded."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
+    table = []
     for row in rows:
-        statistics: list[object] = []
-        for values in (row.values, ratios(row, rows)):
-            statistics += [median(values), min(values), max(values)] if values else [""] * 3
-        own = [row.group, row.name, row.unit, row.against, row.note, len(row.values)]
-        writer.writerow([*own, *statistics, " ".join(map(repr, row.values))])
-    write_whole(path, text.getvalue().encode())
-
-
-def read_csv(path: Path) -> list[Row]:
-    """Read what :func:`write_csv` wrote.
-
-    Raises:
-        ConfigurationError: the file is damaged or of another kind.
-    """
-    try:
-        lines = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
-        texts = {name: name for name in ("unit", "against", "note", "group")} | {"name": "row"}
-        return [
-            Row(**{name: line[column] for name, column in texts.items()}, values=[*map(float, line["values"].split())])
-            for line in lines
-        ]
-    except (OSError, KeyError, ValueError, AttributeError, TypeError) as error:
-        raise ConfigurationError(f"{path}: is not a table of hydro benchmark ({type(error).__name__})") from None
+        line: dict[str, object] = {"group": row.group, "row": row.name, "unit": row.unit, "against": row.against}
+        line |= {"note": row.note, "runs": len(row.values)}
+        for name, values in (("", row.values), ("ratio_", ratios(row, rows))):
+            figures = [median(values), min(values), max(values)] if values else [None] * 3
+            line |= {
+                f"{name}{what}": value for what, value in zip(("median", "lowest", "highest"), figures, strict=True)
+            }
+        table.append(line | {"values": " ".join(map(repr, row.values))})
+    write_whole(path, pd.DataFrame(table).to_csv(index=False).encode())
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -144,7 +125,6 @@ class Extent:
     kernel_sizes: Sequence[int]
     vector_sizes: Sequence[int]
     cost_sizes: Sequence[int]
-    solver_periods: int
     accuracy_rigs: int
     training_steps: int
     calls: int
@@ -156,12 +136,11 @@ FULL = Extent(
     kernel_sizes=(1, 8, 64, 512, 4096, 65_536),
     vector_sizes=(16, 64, 256, 1024, 4096, 16_384),
     cost_sizes=(256, 1024, 4096, 16_384, 65_536),
-    solver_periods=40,
     accuracy_rigs=240,
     training_steps=1_000_000,
     calls=20_000,
 )
-QUICK = Extent(3, 0.1, (1, 64, 4096), (16, 1024), (256, 4096), 8, 40, 131_072, 2000)
+QUICK = Extent(3, 0.1, (1, 64, 4096), (16, 1024), (256, 4096), 40, 131_072, 2000)
 
 
 def rate(work: Callable[[], int], seconds: float) -> float:
@@ -175,8 +154,8 @@ def rate(work: Callable[[], int], seconds: float) -> float:
             return done / passed
 
 
-def fresh_process(code: str, environment: Mapping[str, str] | None = None, *options: str) -> tuple[float, str, str]:
-    """Run Python code in a new process; returns wall time (s), standard output and standard error.
+def fresh_process(code: str, environment: Mapping[str, str] | None = None) -> tuple[float, str]:
+    """Run Python code in a new process; returns wall time (s) and standard output.
 
     Raises:
         RuntimeError: the code failed; the message is the last line of its output.
@@ -184,11 +163,11 @@ def fresh_process(code: str, environment: Mapping[str, str] | None = None, *opti
     path = os.pathsep.join([str(ROOT), str(ROOT / "agents"), *filter(None, [os.environ.get("PYTHONPATH")])])
     variables = {**os.environ, "PYTHONPATH": path, **(environment or {})}
     began = time.perf_counter()
-    done = subprocess.run([sys.executable, *options, "-c", code], capture_output=True, text=True, env=variables)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=variables)
     seconds = time.perf_counter() - began
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or ["the process failed"])[-1])
-    return seconds, done.stdout, done.stderr
+    return seconds, done.stdout
 
 
 @contextmanager

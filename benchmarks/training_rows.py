@@ -15,7 +15,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from benchmarks.environment_rows import single_axis
 from benchmarks.table import Case, Extent, Row, time_in
 from hydro_agents.controllers.base import ClassicalController
-from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_env, make_features, make_model
 from hydro_agents.learning.vec_env import AxisVecEnv
@@ -35,7 +34,6 @@ class DefaultStudy(NamedTuple):
     task: TaskConfig
     base: ClassicalController
     ppo: PPOSettings
-    evaluation: ProtocolSettings
 
 
 def default_study() -> DefaultStudy:
@@ -45,7 +43,7 @@ def default_study() -> DefaultStudy:
     base: Any = study.make(study.controllers[name].corrects or "")
     ppo = study.training_settings(name)
     assert isinstance(ppo, PPOSettings)
-    return DefaultStudy(study.task, base, ppo, study.evaluation)
+    return DefaultStudy(study.task, base, ppo)
 
 
 def native_model(settings: DefaultStudy, ppo: PPOSettings) -> tuple[OnPolicyAlgorithm, AxisVecEnv]:

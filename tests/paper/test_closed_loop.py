@@ -15,7 +15,7 @@ from hydro_agents.controllers.sampled_loop import (
 from hydro_env import PlantParameters, equilibrium, simulate
 from paper.loop import bandwidth, closed_bode_table, closed_loop_run, sensible_gain
 from paper.moves import closed_moves_summary, closed_moves_table
-from paper.rig import Rig, simplified, with_leak
+from paper.rig import simplified, with_leak
 
 SPEED, LATE = 0.2, 1e-3  # m/s per command, s
 
@@ -107,7 +107,7 @@ def test_speed_per_command_is_what_the_plant_shows():
 def test_the_gain_keeps_the_margin_at_every_place():
     axis = with_leak(PlantParameters(), 0.01, "laminar")
     limits = [sampled_loop(axis, place).largest_stable_gain() for place in places_in_reach(axis)]
-    assert sensible_gain(Rig()) == pytest.approx(min(limits) / 2.0)
+    assert sensible_gain() == pytest.approx(min(limits) / 2.0)
 
 
 def test_a_step_of_the_linear_loop_is_that_of_the_nonlinear_one():
@@ -120,7 +120,7 @@ def test_a_step_of_the_linear_loop_is_that_of_the_nonlinear_one():
 
 
 def test_closed_loop_table_holds_bandwidth_and_peak_of_its_own_curves():
-    table = closed_bode_table(Rig())
+    table = closed_bode_table()
     for _, part in table.groupby("leak_lpm"):
         assert part["peak"].iloc[0] == part["gain"].max()
         level = part["gain"] / part["at_rest"]
@@ -129,8 +129,8 @@ def test_closed_loop_table_holds_bandwidth_and_peak_of_its_own_curves():
 
 
 def test_feedback_hides_the_leak_in_the_moves():
-    table = closed_moves_table(Rig())
-    told = closed_moves_summary(table, Rig())
+    table = closed_moves_table()
+    told = closed_moves_summary(table)
     assert told["left_mm"].abs().iloc[-1] > 10.0 * told["left_mm"].abs().iloc[0]
     assert told["command"].abs().is_monotonic_increasing
     assert told["largest_mm"].max() < 2.0
