@@ -20,7 +20,7 @@ import pandas as pd
 
 from benchmarks.kept_rows import kept_rows
 from benchmarks.no_tuning import tuned_for
-from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import make_controller
@@ -40,22 +40,11 @@ from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 UNTUNED, POLICY, TUNED = "flow linearisation, untuned", "policy for any axis", "flow linearisation, tuned for the rig"
 CHOSEN = "flow linearisation, gains chosen by simulation"
-FIGURES, PROPORTIONAL, ZERO = "PID from the rig's figures", "P from the rig's figures", "no command"
+FIGURES, PROPORTIONAL = "PID from the rig's figures", "P from the rig's figures"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
 PLANTS = 8  # of each family and leak
 STANDSTILLS = 16
 RESAMPLES = 2000
-
-
-class Shut:
-    """Commands zero."""
-
-    def __init__(self, config: TaskConfig) -> None:
-        self.layout = ObservationLayout.of(config)
-
-    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> Any:
-        """Zero for every axis."""
-        return np.zeros((len(observation), 1), np.float32), state
 
 
 def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, Any]:
@@ -85,7 +74,6 @@ def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) ->
         UNTUNED: FlowLinearising(FlowLinearisingGains(), task),
         POLICY: PolicyController.load(weights).moved_to(task),
         CHOSEN: make_controller("flow_linearising", task, chosen_gains("flow_linearising", task).model_dump()),
-        ZERO: Shut(task),
     }
     if figures is not None:
         controllers[FIGURES] = PID(figures, task)

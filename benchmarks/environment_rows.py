@@ -1,18 +1,88 @@
-"""Rows of the environments through ``gym.make`` and ``gym.make_vec``, beside Gymnasium's own."""
+"""Rows of the integrator alone, and of the environments beside Gymnasium's own."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
 from benchmarks.table import Case, Extent, one_row, rate
-from hydro_env import ENVIRONMENT_ID
+from hydro_env import ENVIRONMENT_ID, ServoHydraulicVectorEnv
+from hydro_env.plant import kernel
 
 MODES = ("NextStep", "SameStep", "Disabled")
+
+
+VOLTAGE = 1.0  # V; the square wave that drives the plants
+HALF_WAVE = 20  # control periods
+
+
+class BareKernel:
+    """N plants drawn as in the environment, advanced by the integrator alone.
+
+    The plants follow a square wave of ±1 V with a period of 0.2 s.
+    """
+
+    def __init__(self, count: int, threads: int) -> None:
+        env = ServoHydraulicVectorEnv(count, info=False, threads=1)
+        env.reset(seed=0)
+        config = env.config
+        self.state = env.axes.state.copy()
+        self._coefficients = env.axes.coefficient.copy()
+        self._durations = np.tile([config.command_latency, config.control_period - config.command_latency], (count, 1))
+        self._accuracy = kernel.Accuracy(float(config.maximum_step), float(config.tolerance))
+        self._voltage = np.full((count, 2), VOLTAGE)
+        self._peaks = np.zeros((count, kernel.N_PEAKS))
+        self._bounds = [count * part // threads for part in range(threads + 1)]
+        self._pool = ThreadPoolExecutor(threads)
+        self._periods = 0
+
+    def advance(self) -> int:
+        """One control period of all plants; returns the number of plants."""
+        waiting = [self._pool.submit(self._integrate, first, last) for first, last in pairwise(self._bounds[1:])]
+        self._integrate(self._bounds[0], self._bounds[1])
+        for future in waiting:
+            future.result()
+        self._periods += 1
+        if self._periods % HALF_WAVE == 0:
+            self._voltage *= -1.0
+        return len(self.state)
+
+    def _integrate(self, first: int, last: int) -> None:
+        plants = kernel.Plants(self.state, self._coefficients, self._voltage, self._durations, self._peaks)
+        kernel.integrate(plants, self._accuracy, first, last)
+
+    def close(self) -> None:
+        """Stop the worker threads."""
+        self._pool.shutdown()
+
+
+def kernel_cases(extent: Extent) -> list[Case]:
+    """The integrator alone."""
+
+    def speed(count: int, threads: int) -> float:
+        bare = BareKernel(count, threads)
+        periods = rate(bare.advance, extent.seconds)
+        bare.close()
+        return periods
+
+    cases = []
+    for threads in [1, 2] if (os.cpu_count() or 1) > 1 else [1]:
+        for count in (count for count in extent.kernel_sizes if threads == 1 or count >= 16 * threads):
+            plants = _counted(count, "plant")
+            name, against = f"{plants}, {_counted(threads, 'thread')}", f"{plants}, 1 thread" if threads > 1 else ""
+            cases.append(one_row(name, "plant periods/s", partial(speed, count, threads), extent.runs, against))
+    return cases
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count:,} {noun}{'s' if count > 1 else ''}"
 
 
 def single_rate(env: gym.Env[Any, Any], seconds: float, steps: int = 500) -> float:
@@ -96,16 +166,3 @@ def vector_cases(extent: Extent) -> list[Case]:
 def single_axis() -> gym.Env[Any, Any]:
     """One axis through ``gym.make``, in a worker process too."""
     return gym.make(f"hydro_env:{ENVIRONMENT_ID}")
-
-
-def cost_cases(extent: Extent) -> list[Case]:
-    """Cost of a step of one axis against N."""
-
-    def cost(count: int) -> float:
-        return 1e9 / vector_rate(gym.make_vec(ENVIRONMENT_ID, num_envs=count), extent.seconds)
-
-    names = [f"N = {count:,}" for count in extent.cost_sizes]
-    return [
-        one_row(name, "ns per axis step", partial(cost, count), extent.runs, "" if name == names[0] else names[0])
-        for name, count in zip(names, extent.cost_sizes, strict=True)
-    ]

@@ -79,7 +79,7 @@ def main() -> None:
     config = task_config(None)
     test = plan(config, LeakTestSettings(duration=given.duration))
     print(f"{test.best.form.name}; bound {test.best.mean_bound():.2g}, worst {test.deviation:.2g} l/min at 100 bar")
-    leaks = {}  # by seed; every leak has axes of its own
+    leaks: dict[int, float] = {}  # by seed; every leak has axes of its own
     for place, leak in enumerate(given.leak):
         skip = 1000 * place
         own = (

@@ -29,14 +29,12 @@ def rates() -> dict[str, Callable[[float], float]]:
     """The measurements as functions of their duration (s), made of each checkout's own code."""
     import gymnasium as gym
 
-    from benchmarks.environment_rows import single_rate, vector_rate
-    from benchmarks.kernel_rows import BareKernel
+    from benchmarks.environment_rows import BareKernel, single_rate, vector_rate
     from benchmarks.table import rate
-    from benchmarks.training_rows import default_study, native_model
+    from benchmarks.training_rows import native_model
 
-    bare, settings = BareKernel(1024, 1), default_study()
-    model, _ = native_model(settings, settings.ppo)
-    steps = settings.ppo.axes * settings.ppo.steps_per_rollout
+    bare, (model, _, ppo) = BareKernel(1024, 1), native_model()
+    steps = ppo.axes * ppo.steps_per_rollout
     return {
         "single": lambda seconds: single_rate(gym.make(ENVIRONMENT_ID), seconds),
         "vector": lambda seconds: vector_rate(gym.make_vec(ENVIRONMENT_ID, num_envs=1024), seconds),

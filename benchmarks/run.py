@@ -10,11 +10,10 @@ import numba
 import torch
 
 from benchmarks.accuracy import accuracy_cases
-from benchmarks.environment_rows import cost_cases, single_cases, vector_cases
-from benchmarks.kernel_rows import kernel_cases
+from benchmarks.environment_rows import kernel_cases, single_cases, vector_cases
 from benchmarks.resource_rows import inference_cases, memory_cases, start_cases
 from benchmarks.table import FULL, QUICK, Case, Extent, Row, UnavailableError, markdown_table, write_csv, write_markdown
-from benchmarks.training_rows import default_study, training_cases
+from benchmarks.training_rows import training_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import machine_description, package_versions
@@ -27,7 +26,6 @@ GROUPS: dict[str, tuple[str, Callable[[Extent], list[Case]]]] = {
     "kernel": ("The bare integrator: plants × control periods of 5 ms per second.", kernel_cases),
     "single": ("One environment through `gym.make`.", single_cases),
     "vector": ("N axes through `gym.make_vec`, info and restarts included.", vector_cases),
-    "cost": ("Cost of one step of one axis through `gym.make_vec`, `NextStep`, info included.", cost_cases),
     "accuracy": ("Error and time of the integrator over drawn rigs, against Radau (one axis).", accuracy_cases),
     "training": ("PPO of stable-baselines3, end to end, and the shares of its time.", training_cases),
     "memory": ("Memory.", memory_cases),
@@ -89,7 +87,7 @@ def _heading(quick: bool, command: str) -> str:
     trial = " A quick trial: its figures are rough." if quick else ""
     return (
         f"`{command}`. {machine_description()}; {versions}. Threads of the vector environment: one per 256 axes, as "
-        f"many as cores at most; torch, in training: {default_study().ppo.torch_threads}; torch, elsewhere: "
+        f"many as cores at most; torch: "
         f"{torch.get_num_threads()}; numba: {numba.get_num_threads()}; OMP_NUM_THREADS: "
         f"{os.environ.get('OMP_NUM_THREADS', 'not set')}. Each figure is the median of its runs; the rows of a group "
         'were measured in turn, round by round, and "beside" is the median of the rounds\' ratios. Compare rows, not '

@@ -6,14 +6,10 @@ import os
 import subprocess
 import sys
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any
-from unittest import mock
 
 import pandas as pd
 
@@ -99,17 +95,11 @@ def write_markdown(path: Path, rows: Sequence[Row], titles: Mapping[str, str], h
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """Write every row with all its values, unrounded."""
-    table = []
-    for row in rows:
-        line: dict[str, object] = {"group": row.group, "row": row.name, "unit": row.unit, "against": row.against}
-        line |= {"note": row.note, "runs": len(row.values)}
-        for name, values in (("", row.values), ("ratio_", ratios(row, rows))):
-            figures = [median(values), min(values), max(values)] if values else [None] * 3
-            line |= {
-                f"{name}{what}": value for what, value in zip(("median", "lowest", "highest"), figures, strict=True)
-            }
-        table.append(line | {"values": " ".join(map(repr, row.values))})
-    write_whole(path, pd.DataFrame(table).to_csv(index=False).encode())
+    table = pd.DataFrame([vars(row) for row in rows]).rename(columns={"name": "row"})
+    table["median"] = [median(row.values) if row.values else None for row in rows]
+    table["ratio"] = [median(own) if (own := ratios(row, rows)) else None for row in rows]
+    table["values"] = [" ".join(map(repr, row.values)) for row in rows]
+    write_whole(path, table.to_csv(index=False).encode())
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -124,7 +114,6 @@ class Extent:
     seconds: float  # duration of one measurement of a rate
     kernel_sizes: Sequence[int]
     vector_sizes: Sequence[int]
-    cost_sizes: Sequence[int]
     accuracy_rigs: int
     training_steps: int
     calls: int
@@ -135,12 +124,11 @@ FULL = Extent(
     seconds=0.5,
     kernel_sizes=(1, 8, 64, 512, 4096, 65_536),
     vector_sizes=(16, 64, 256, 1024, 4096, 16_384),
-    cost_sizes=(256, 1024, 4096, 16_384, 65_536),
     accuracy_rigs=240,
     training_steps=1_000_000,
     calls=20_000,
 )
-QUICK = Extent(3, 0.1, (1, 64, 4096), (16, 1024), (256, 4096), 40, 131_072, 2000)
+QUICK = Extent(3, 0.1, (1, 64, 4096), (16, 1024), 40, 131_072, 2000)
 
 
 def rate(work: Callable[[], int], seconds: float) -> float:
@@ -168,24 +156,3 @@ def fresh_process(code: str, environment: Mapping[str, str] | None = None) -> tu
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or ["the process failed"])[-1])
     return seconds, done.stdout
-
-
-@contextmanager
-def time_in(*functions: tuple[Any, str, str]) -> Iterator[Mapping[str, float]]:
-    """Seconds spent in functions (owner, attribute, name), by name; a nested call counts in both functions."""
-    seconds: defaultdict[str, float] = defaultdict(float)
-
-    def timed(plain: Callable[..., Any], name: str) -> Callable[..., Any]:
-        def call(*args: Any, **kwargs: Any) -> Any:
-            began = time.perf_counter()
-            try:
-                return plain(*args, **kwargs)
-            finally:
-                seconds[name] += time.perf_counter() - began
-
-        return call
-
-    with ExitStack() as stack:
-        for owner, attribute, name in functions:
-            stack.enter_context(mock.patch.object(owner, attribute, timed(getattr(owner, attribute), name)))
-        yield seconds

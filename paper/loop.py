@@ -8,18 +8,14 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from hydro_agents.controllers.sampled_loop import (
-    COMMAND_LATENCY,
     CONTROL_PERIOD,
     SampledLoop,
     places_in_reach,
     sampled_loop,
 )
-from hydro_env import HydroError, PlantParameters, equilibrium, simulate
-from hydro_env.plant.states import STATE_NAMES
-from hydro_env.units import FULL_VOLTAGE
+from hydro_env import HydroError
 from paper.rig import LEAKS, PLACE, PLANT, TIGHT, with_leak
 
 GAIN_MARGIN = 2.0
@@ -53,51 +49,6 @@ def bandwidth(loop: SampledLoop, gain: float) -> float:
     last = below[0] - 1
     share = (size[last] - np.sqrt(0.5)) / (size[last] - size[last + 1])
     return float(frequencies[last] * (frequencies[last + 1] / frequencies[last]) ** share)
-
-
-def closed_loop_run(
-    parameters: PlantParameters,
-    reference: ArrayLike,
-    gain: float,
-    start: float,
-    offset: float = 0.0,
-    deviation: float = 0.0,
-) -> pd.DataFrame:
-    """Simulate the nonlinear plant under a sampled proportional controller; one row per sample, including the end.
-
-    Args:
-        parameters: the plant.
-        reference: m, one value per control period, shape (n,).
-        gain: command (1 = 10 V) per metre of reference − position.
-        start: m, initial position, at rest.
-        offset: added to the command, which stays within ±1.
-        deviation: m, added to the initial position.
-
-    Returns:
-        ``time_s``, ``reference_m``, ``position_m``, ``command`` (1 = 10 V).
-    """
-    targets = np.asarray(reference, dtype=np.float64)
-    state, holding = equilibrium(parameters, start)
-    state, before = state | {"position": start + deviation}, holding / FULL_VOLTAGE
-    per_period, late = round(CONTROL_PERIOD / INNER), round(COMMAND_LATENCY / INNER)
-    positions, commands = [np.array([state["position"]])], []
-    for target in targets:
-        command = float(np.clip(gain * (target - state["position"]) + offset, -1.0, 1.0))
-        acting = np.repeat([before, command], [late, per_period - late])
-        run = simulate(parameters, FULL_VOLTAGE * acting, INNER, state)
-        positions.append(run.position[1:])
-        commands.append(acting)
-        state = dict(zip(STATE_NAMES, run.states[-1].tolist(), strict=True))
-        before = command
-    held, acting = np.repeat(targets, per_period), np.concatenate(commands)
-    return pd.DataFrame(
-        {
-            "time_s": INNER * np.arange(len(held) + 1),
-            "reference_m": np.append(held, held[-1]),
-            "position_m": np.concatenate(positions),
-            "command": np.append(acting, acting[-1]),
-        }
-    )
 
 
 def closed_bode_table() -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""Fig. 12: start–stop moves at several leaks, open loop as recorded, and in a closed position loop."""
+"""Fig. 12: start–stop moves at several leaks, in open loop."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.sampled_loop import CONTROL_PERIOD
 from hydro_env import equilibrium, simulate
-from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.sensors import Sensors
-from paper.loop import INNER, closed_loop_run, sensible_gain
 from paper.rig import LEAKS, PLANT, SAMPLE_TIME, START, VOLTAGE, count, simplified, with_leak
 from paper.signals import recorded
 
@@ -22,15 +19,6 @@ HELD = 0.1
 
 FIRST_STOP = 0.35
 """s; the first command to stop."""
-
-SETTLE_FIRST = 1.0
-"""s; time for the closed loop to come to rest before the record begins."""
-
-JUDGED = 0.1
-"""s at the end of the first stop, for the mean of the remaining error."""
-
-RAMP_SPEED = VOLTAGE / 10.0 * min(speed_limits(PLANT))
-"""m/s; the lower no-load speed times the voltage of the moves over 10 V."""
 
 SEED = 12
 
@@ -84,50 +72,3 @@ def displacement_summary(table: pd.DataFrame) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
-
-
-def start_stop_reference() -> NDArray[np.float64]:
-    """Reference positions in m, one per control period: ramps at the speed of the open-loop command, and stops."""
-    positions, place = [np.full(_periods(SETTLE_FIRST + HELD), START)], START
-    for duration, share in MOVES:
-        steps = np.arange(1, _periods(duration) + 1)
-        positions.append(place + share * RAMP_SPEED * CONTROL_PERIOD * steps)
-        place = float(positions[-1][-1])
-    return np.concatenate(positions)
-
-
-def _periods(duration: float) -> int:
-    return round(duration / CONTROL_PERIOD)
-
-
-def closed_moves_table() -> pd.DataFrame:
-    """Reference, position and error in mm and command (1 = 10 V) by leak; throttle in parallel.
-
-    One row per control period.
-    """
-    reference, gain, parts = start_stop_reference(), sensible_gain(), []
-    skipped = _periods(SETTLE_FIRST) * CONTROL_PERIOD
-    for leak in LEAKS:
-        run = closed_loop_run(with_leak(PLANT, leak, "throttle"), reference, gain, START)
-        sampled = run[run["time_s"] >= skipped - 1e-9].iloc[:: round(CONTROL_PERIOD / INNER)]
-        parts.append(
-            pd.DataFrame(
-                {
-                    "leak_lpm": leak,
-                    "time_s": sampled["time_s"] - skipped,
-                    "reference_mm": 1e3 * sampled["reference_m"],
-                    "position_mm": 1e3 * sampled["position_m"],
-                    "error_mm": 1e3 * (sampled["reference_m"] - sampled["position_m"]),
-                    "command": sampled["command"],
-                }
-            )
-        )
-    return pd.concat(parts, ignore_index=True)
-
-
-def closed_moves_summary(table: pd.DataFrame) -> pd.DataFrame:
-    """Per leak: largest error (mm), and mean error (mm) and command (1 = 10 V) at the end of the first stop."""
-    end = HELD + MOVES[0][0] + MOVES[1][0]
-    late = table[(table["time_s"] > end - JUDGED) & (table["time_s"] < end)].groupby("leak_lpm")
-    largest = table["error_mm"].abs().groupby(table["leak_lpm"]).max()
-    return pd.DataFrame({"largest_mm": largest, "left_mm": late["error_mm"].mean(), "command": late["command"].mean()})

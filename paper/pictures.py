@@ -73,29 +73,6 @@ def paint_displacement(figure: Figure, table: pd.DataFrame) -> None:
     panels[0].set_ylabel("recorded position, mm\n(from where it stopped)")
 
 
-def paint_closed_moves(figure: Figure, table: pd.DataFrame) -> None:
-    """Position with the reference, the error, the command."""
-    whole, error, command = figure.subplots(3, 1, sharex=True, height_ratios=[1.3, 1.0, 1.0])
-    leak_lines(whole, table, "time_s", "position_mm", linewidth=1.2)
-    leak_lines(error, table, "time_s", "error_mm", linewidth=1.0)
-    leak_lines(command, table, "time_s", "command", unit=10.0, linewidth=1.0)
-    part = table[table["leak_lpm"] == TIGHT]
-    whole.plot(part["time_s"], part["reference_mm"], color=GREY, linewidth=0.8, label="reference")
-    whole.set_ylabel("position, mm")
-    error.set_ylabel("error, mm")
-    command.set(ylabel="command, V", xlabel="time, s", xlim=(0.0, float(part["time_s"].max())))
-    for axes in (error, command):
-        axes.axhline(0.0, color=GREY, linewidth=0.7)
-    for axes, title in zip(
-        (whole, error, command),
-        ("The same start–stop moves, loop closed", "Reference minus position", "Valve command"),
-        strict=True,
-    ):
-        axes.set_title(title)
-    legend_inside(whole, title="leak at 100 bar", loc="upper right", handlelength=3.0)
-    figure.align_ylabels()
-
-
 def paint_settling(figure: Figure, table: pd.DataFrame) -> None:
     """Two laws by friction models; zero-lapped valve and null leakage in colours; signal as points, theory dashed."""
     models, underlaps = list(table["friction"].unique()), list(table["valve_null_leakage"].unique())

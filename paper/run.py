@@ -24,7 +24,7 @@ from hydro_env.task.sensors import Sensors
 from paper import pictures, verdicts
 from paper.force_rate import force_rate_table, share_table
 from paper.loop import GAIN_MARGIN, closed_bode_table, sensible_gain
-from paper.moves import RAMP_SPEED, closed_moves_table, displacement_table
+from paper.moves import displacement_table
 from paper.rig import MODERATE, PLANT, SEVERE, TIGHT, flow
 from paper.settling import friction_scan_table, settling_table
 
@@ -47,16 +47,11 @@ class Entry(NamedTuple):
     equations: str = ""
 
 
-MOTION = "(1)–(3), (8)–(14), (17)"
-
 FIGURES = (
     Entry(
         "fig12_displacement", "Fig. 12: displacement in start–stop moves",
-        displacement_table, pictures.paint_displacement, verdicts.displacement, 6.4, MOTION,
-    ),
-    Entry(
-        "fig12_closed_loop", "Fig. 12 in a closed position loop",
-        closed_moves_table, pictures.paint_closed_moves, verdicts.closed_moves, 6.2, MOTION,
+        displacement_table, pictures.paint_displacement, verdicts.displacement, 6.4,
+        "(1)–(3), (8)–(14), (17)",
     ),
     Entry(
         "fig13_settling_time", "Fig. 13: settling time against leakage resistance",
@@ -131,7 +126,6 @@ def reproduce_to_folder(folder: Path, overwrite: bool, command: str = "hydro rep
             loop=f"Proportional controller with {sensible_gain():.4g} per metre (1 = 10 V): the largest gain that is "
             f"stable over the reach with a tight seal ({flow(TIGHT)}), divided by {GAIN_MARGIN:g}; position sampled "
             f"every {1e3 * CONTROL_PERIOD:g} ms, command {1e3 * COMMAND_LATENCY:g} ms late",
-            ramp=f"{1e3 * RAMP_SPEED:.0f} mm/s",
             force=PLANT.friction.coulomb_force,
         ).write(folder / PAGE_FILE)
     return folder / PAGE_FILE

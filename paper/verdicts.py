@@ -11,14 +11,14 @@ import pandas as pd
 from hydro_agents.running.text import Table, number, setting, span
 from paper.force_rate import shares
 from paper.loop import closed_bode_summary
-from paper.moves import closed_moves_summary, displacement_summary
+from paper.moves import displacement_summary
 from paper.rig import LAWS, MODERATE, PLANT, SEVERE, TIGHT, flow
 from paper.settling import friction_words, trends
 
 YES, PART, NO = "comes out", "in part", "not"
 
-LITTLE, LARGE = 0.05, 0.2
-"""Relative changes of a length or an error that count as small, and as clear."""
+LITTLE = 0.05
+"""Relative change of a length that counts as small."""
 
 NEGLIGIBLE = 0.03
 """Relative change of a bandwidth that counts as unchanged."""
@@ -99,21 +99,6 @@ def displacement(table: pd.DataFrame) -> Shown:
     }
     groups = (("first move, mm", 1), ("creep after it, mm", 2), ("oscillation, mm", 2))
     return Shown(by_leak(rows, columns, groups), verdicts)
-
-
-def closed_moves(table: pd.DataFrame) -> Shown:
-    """Fig. 12 in a closed loop: errors and commands."""
-    summary = closed_moves_summary(table)
-    first, last = summary["largest_mm"].iloc[0], summary["largest_mm"].iloc[-1]
-    verdict = Verdict(
-        "The slowing also shows in a closed position loop (the paper does not say whether it was closed)",
-        YES if last / first - 1.0 >= LARGE else PART if last / first - 1.0 > LITTLE else NO,
-        "largest error while the axis moves, mm",
-        _ends(first, last, 2),
-    )
-    columns = {"largest_mm": ("largest error, mm", 2), "left_mm": ("error at the end of the first stop, mm", 3)}
-    columns |= {"volts": ("command there, V", 2)}
-    return Shown(by_leak(summary.assign(volts=10.0 * summary["command"]), columns), (verdict,))
 
 
 def settling(table: pd.DataFrame) -> Shown:

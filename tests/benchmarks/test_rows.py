@@ -6,15 +6,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from benchmarks.environment_rows import single_rate, vector_rate
-from benchmarks.kernel_rows import BareKernel
+from benchmarks.environment_rows import BareKernel, single_rate, vector_rate
 from benchmarks.resource_rows import array_bytes, inference_cases, memory_cases
-from benchmarks.table import QUICK, fresh_process, rate, time_in
+from benchmarks.table import QUICK, fresh_process, rate
+from benchmarks.training_rows import time_in
 from hydro_env import ServoHydraulicVectorEnv
 
-TINY = dataclasses.replace(
-    QUICK, runs=1, seconds=0.005, kernel_sizes=(1, 16), vector_sizes=(2,), cost_sizes=(2,), calls=200
-)
+TINY = dataclasses.replace(QUICK, runs=1, seconds=0.005, kernel_sizes=(1, 16), vector_sizes=(2,), calls=200)
 
 
 def test_bare_kernel_advances():
@@ -47,7 +45,7 @@ def test_cheap_rows_are_positive():
 def test_memory_of_arrays():
     env = ServoHydraulicVectorEnv(64)
     assert array_bytes(env) > 64 * 400 * 8  # at least the reference
-    arrays, _ = memory_cases(TINY, 512)
+    (arrays,) = memory_cases(TINY, 512)
     assert 3000 < arrays.measure(0)[0] < 20_000
 
 

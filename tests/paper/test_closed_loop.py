@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers.sampled_loop import (
+    COMMAND_LATENCY,
     CONTROL_PERIOD,
     SampledLoop,
     places_in_reach,
@@ -13,11 +14,26 @@ from hydro_agents.controllers.sampled_loop import (
     speed_per_command,
 )
 from hydro_env import PlantParameters, equilibrium, simulate
-from paper.loop import bandwidth, closed_bode_table, closed_loop_run, sensible_gain
-from paper.moves import closed_moves_summary, closed_moves_table
+from hydro_env.plant.states import STATE_NAMES
+from paper.loop import bandwidth, closed_bode_table, sensible_gain
 from paper.rig import simplified, with_leak
 
 SPEED, LATE = 0.2, 1e-3  # m/s per command, s
+
+
+def closed_loop(parameters, reference, gain, start, offset=0.0, deviation=0.0):
+    """Positions (m) of the nonlinear plant under a sampled proportional controller, one per control period."""
+    state, holding = equilibrium(parameters, start)
+    state, before = state | {"position": start + deviation}, holding / 10.0
+    inner, late = round(CONTROL_PERIOD / 1e-3), round(COMMAND_LATENCY / 1e-3)
+    positions = []
+    for target in reference:
+        positions.append(state["position"])
+        command = float(np.clip(gain * (target - state["position"]) + offset, -1.0, 1.0))
+        run = simulate(parameters, 10.0 * np.repeat([before, command], [late, inner - late]), 1e-3, state)
+        state = dict(zip(STATE_NAMES, run.states[-1].tolist(), strict=True))
+        before = command
+    return np.array([*positions, state["position"]])
 
 
 @pytest.fixture(scope="module")
@@ -72,9 +88,9 @@ def test_response_is_that_of_the_nonlinear_plant(leak, hertz):
     place, gain, periods, size = 0.02, 300.0, 400, 1e-5
     reference = place + size * np.sin(2 * math.pi * hertz * CONTROL_PERIOD * np.arange(periods))
     _, holding = equilibrium(plant(leak), place)
-    run = closed_loop_run(plant(leak), reference, gain, place, holding / 10.0)
+    run = closed_loop(plant(leak), reference, gain, place, holding / 10.0)
     late = slice(periods // 2, periods)
-    position = run["position_m"].to_numpy()[::5][:periods][late] - place
+    position = run[:periods][late] - place
     turning = np.exp(-2j * math.pi * hertz * CONTROL_PERIOD * np.arange(periods))[late]
     seen = (position - position.mean()) @ turning / ((reference[late] - place) @ turning)
     assert seen == pytest.approx(sampled_loop(plant(leak), place).response(gain, np.array([hertz]))[0], rel=0.03)
@@ -89,8 +105,7 @@ def test_just_inside_the_limit_decays_and_just_outside_swings_up(law, leak, plac
     _, holding = equilibrium(axis, place)
     sizes = {}
     for share in (0.95, 1.05):
-        run = closed_loop_run(axis, np.full(240, place), share * limit, place, holding / 10.0, deviation=1e-6)
-        error = (run["position_m"].to_numpy() - place)[::5]
+        error = closed_loop(axis, np.full(240, place), share * limit, place, holding / 10.0, deviation=1e-6) - place
         error = np.abs(error - error[-80:].mean())
         sizes[share] = error[-40:].max() / error[60:100].max()
     assert sizes[0.95] < 0.6
@@ -114,8 +129,7 @@ def test_a_step_of_the_linear_loop_is_that_of_the_nonlinear_one():
     axis, place, gain, step = plant(4.0), 0.022, 474.0, 2e-5
     loop = sampled_loop(axis, place)
     _, holding = equilibrium(axis, place)
-    run = closed_loop_run(axis, np.full(400, place + step), gain, place, holding / 10.0)
-    seen = (run["position_m"].to_numpy()[::5] - place) / step
+    seen = (closed_loop(axis, np.full(400, place + step), gain, place, holding / 10.0) - place) / step
     assert seen == pytest.approx(loop.step_response(gain, 400), abs=0.02)
 
 
@@ -126,12 +140,3 @@ def test_closed_loop_table_holds_bandwidth_and_peak_of_its_own_curves():
         level = part["gain"] / part["at_rest"]
         below = part["frequency_hz"] > part["bandwidth_hz"]
         assert level[~below].min() > math.sqrt(0.5) > level[below].iloc[0]
-
-
-def test_feedback_hides_the_leak_in_the_moves():
-    table = closed_moves_table()
-    told = closed_moves_summary(table)
-    assert told["left_mm"].abs().iloc[-1] > 10.0 * told["left_mm"].abs().iloc[0]
-    assert told["command"].abs().is_monotonic_increasing
-    assert told["largest_mm"].max() < 2.0
-    assert np.allclose(table["error_mm"], table["reference_mm"] - table["position_mm"])

@@ -40,13 +40,6 @@ def test_a_move(monkeypatch, last_mm, swing_mm, with_friction, slows, damps):
     assert found[0].here.startswith("100.0 at 0.01 l/min")
 
 
-@pytest.mark.parametrize(("largest_mm", "verdict"), [(1.3, YES), (1.1, PART), (1.0, NO)])
-def test_a_move_in_a_closed_loop(monkeypatch, largest_mm, verdict):
-    rows = [{"largest_mm": size, "left_mm": 0.0, "command": 0.0} for size in (1.0, largest_mm)]
-    given(monkeypatch, "closed_moves_summary", rows)
-    assert verdicts.closed_moves(pd.DataFrame()).verdicts[0].verdict == verdict
-
-
 @pytest.mark.parametrize(
     ("bandwidth_hz", "hump", "harder", "damped"), [(30.0, 0.1, YES, YES), (39.5, NONE, NO, YES), (40.0, 0.9, NO, NO)]
 )

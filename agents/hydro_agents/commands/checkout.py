@@ -52,7 +52,7 @@ def benchmark(
         list[str] | None,
         typer.Option(
             "--only",
-            help="Group to measure (repeat the option for several): kernel, single, vector, cost, accuracy, "
+            help="Group to measure (repeat the option for several): kernel, single, vector, accuracy, "
             "training, memory, start, inference. Default: all.",
         ),
     ] = None,
