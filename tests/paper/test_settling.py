@@ -48,12 +48,9 @@ def test_settling_time_falls_with_the_leak(table, law, underlap):
     assert np.all(np.diff(part["signal_s"]) < 0.0)
 
 
-def test_linear_theory_holds_for_the_laminar_law(table):
+def test_linear_theory_holds_for_the_laminar_law_without_friction(table):
     part = picked(table, "laminar")
     assert part["theory_s"].to_numpy() == pytest.approx(part["clean_s"].to_numpy(), rel=0.03)
-
-
-def test_linear_theory_is_left_out_with_friction(table):
     assert table[table["friction"] != "none"]["theory_s"].isna().all()
 
 
