@@ -31,8 +31,6 @@ KIND = "flow_linearising"
 LAW = RigLaw(preview_paces=())  # previews as in the default task
 TRAINING_RIGS, CASES = 12, 14
 SETS, SET_RIGS, JUDGING_RIGS = 8, 1100, 1000  # sets beside the default; first training rigs to tune for, and to judge
-COUNTED = 16  # standstills per rig and controller in the test
-UNTUNED, TUNED, FIGURES = "untuned", "tuned", "PID from figures"
 
 
 def tune_for_any_rig(folder: Path, evaluations: int) -> None:
