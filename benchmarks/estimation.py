@@ -26,7 +26,6 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, default_randomisation
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import estimate
-from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.unknowns import LEAKAGE, default_unknowns
 
 BEGIN = {"rest": slice(0, 401), "later": slice(300, 701)}
@@ -111,13 +110,9 @@ def line(name: str, signals: Floats, config: TaskConfig, leak: Floats, threshold
         f"{100 * _mean((error <= 1.645 * sigma)[holds]):.1f}",
     ]
     shares = [f"{100 * chosen.mean():.1f}" for chosen in (holds & (value > threshold), ~holds, sized, beyond, surely)]
-    return [name, *shares[:3], *numbers, *shares[3:], f"{cost:.2f}", named(found)]
-
-
-def named(found: Estimate) -> str:
-    """The two unknowns that are most often beyond their ranges."""
-    count = Counter(unknown for window in range(len(found.holds)) for unknown in found.unlikely(window))
-    return ", ".join(f"{unknown} in {number}" for unknown, number in count.most_common(2)) or "–"
+    odd = Counter(unknown for window in range(len(leak)) for unknown in found.unlikely(window))
+    odd_ones = ", ".join(f"{unknown} in {number}" for unknown, number in odd.most_common(2)) or "–"
+    return [name, *shares[:3], *numbers, *shares[3:], f"{cost:.2f}", odd_ones]
 
 
 def _median(values: Floats) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.kept_rows import kept_rows
-from hydro_agents.running.seeds import LEAK_TESTS, THRESHOLDS
+from hydro_agents.running.seeds import LEAK_TESTS
 from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig
 from hydro_env.files import write_text
@@ -28,7 +28,6 @@ from hydro_rig.diagnosis.leak_test_plan import FIND, LeakTestSettings, Plan, pla
 from hydro_rig.diagnosis.leak_test_reading import read_leak_test
 from hydro_rig.recordings.simulated import recording_csv
 
-VALIDATION_SKIP = 60_000  # seeds of validation before those of this benchmark
 HEADER = ("leak", "axes", "answered", "found", "error, median", "largest", "in 90 % interval", "bound")
 
 
@@ -73,7 +72,6 @@ def main() -> None:
     parser.add_argument("--axes", type=int, default=16, help="of each leak")
     parser.add_argument("--leak", type=float, nargs="+", default=[0.0, 0.005, 0.01, 0.05], help="l/min at 100 bar")
     parser.add_argument("--duration", type=float, default=60.0, help="s")
-    parser.add_argument("--validation", action="store_true", help="validation seeds instead of test seeds")
     parser.add_argument("--folder", type=Path, help="for the results, which it keeps")
     given = parser.parse_args()
     config = task_config(None)
@@ -81,13 +79,7 @@ def main() -> None:
     print(f"{test.best.form.name}; bound {test.best.mean_bound():.2g}, worst {test.deviation:.2g} l/min at 100 bar")
     leaks: dict[int, float] = {}  # by seed; every leak has axes of its own
     for place, leak in enumerate(given.leak):
-        skip = 1000 * place
-        own = (
-            THRESHOLDS.take(given.axes, VALIDATION_SKIP + skip)
-            if given.validation
-            else LEAK_TESTS.take(given.axes, skip)
-        )
-        leaks |= dict.fromkeys(own, leak)
+        leaks |= dict.fromkeys(LEAK_TESTS.take(given.axes, 1000 * place), leak)
     with tempfile.TemporaryDirectory() as name:
         folder = given.folder or Path(name)
         folder.mkdir(parents=True, exist_ok=True)
