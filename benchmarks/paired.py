@@ -26,9 +26,16 @@ NAMES = ("single", "vector", "kernel", "ppo")
 
 
 def rates() -> dict[str, Callable[[float], float]]:
-    """The measurements as functions of their duration (s), made of each checkout's own code."""
+    """The measurements as functions of their duration (s): the functions of this checkout, the code of the other."""
     import gymnasium as gym
 
+    import hydro_agents
+    import hydro_env
+
+    for package in (hydro_env, hydro_agents):
+        if not Path(str(package.__file__)).resolve().is_relative_to(Path.cwd()):
+            raise SystemExit(f"{package.__name__} was imported from {package.__file__}")
+    sys.path.insert(0, str(HERE))
     from benchmarks.environment_rows import BareKernel, single_rate, vector_rate
     from benchmarks.table import rate
     from benchmarks.training_rows import native_model
