@@ -31,8 +31,7 @@ from hydro_rig.estimation.unknowns import LEAKAGE, default_unknowns
 BEGIN = {"rest": slice(0, 401), "later": slice(300, 701)}
 """Samples of a window, by where it begins."""
 
-LEVELS = (0.05, 0.1, 0.3, 1.0, 3.0)
-"""l/min at 100 bar."""
+LEVELS = (0.05, 0.1, 0.3, 1.0, 3.0)  # l/min at 100 bar
 
 CONFIG = TaskConfig(episode_duration=3.6)
 

@@ -102,8 +102,7 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
     write_whole(path, table.to_csv(index=False).encode())
 
 
-ROOT = Path(__file__).resolve().parents[1]
-"""The root of the checkout, for fresh processes."""
+ROOT = Path(__file__).resolve().parents[1]  # of the checkout, for fresh processes
 
 
 @dataclass(frozen=True)
