@@ -11,17 +11,16 @@ file of rows is the checkpoint: a later call continues it.
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 
+from benchmarks.kept_rows import kept_rows
 from benchmarks.no_tuning import tuned_for
-from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import make_controller
@@ -34,7 +33,6 @@ from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import ANY_AXIS
 from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig
-from hydro_env.files import write_text
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.paces import pace
@@ -42,22 +40,11 @@ from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 UNTUNED, POLICY, TUNED = "flow linearisation, untuned", "policy for any axis", "flow linearisation, tuned for the rig"
 CHOSEN = "flow linearisation, gains chosen by simulation"
-FIGURES, PROPORTIONAL, ZERO = "PID from the rig's figures", "P from the rig's figures", "no command"
+FIGURES, PROPORTIONAL = "PID from the rig's figures", "P from the rig's figures"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
 PLANTS = 8  # of each family and leak
 STANDSTILLS = 16
 RESAMPLES = 2000
-
-
-class Shut:
-    """Commands zero."""
-
-    def __init__(self, config: TaskConfig) -> None:
-        self.layout = ObservationLayout.of(config)
-
-    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> Any:
-        """Zero for every axis."""
-        return np.zeros((len(observation), 1), np.float32), state
 
 
 def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, Any]:
@@ -69,14 +56,14 @@ def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, A
     error = np.abs(run.position + run.position_bias[:, None] - run.reference)
     for axis in np.flatnonzero(run.failed_at >= 0):
         error[axis, run.failed_at[axis] :] = task.plant.cylinder.stroke
-    errors = {family: 1e6 * float(error[families == family].mean()) for family in MOVING_FAMILIES}
+    errors = {f"{family}_um": 1e6 * float(error[families == family].mean()) for family in MOVING_FAMILIES}
     rest = counted_at_rest(controller, task, ANY_AXIS, STANDSTILLS)
     return {
         "error_um": float(np.exp(np.mean(np.log(list(errors.values()))))),
         "failures": int((run.failed_at >= 0).sum()) + int(rest["failures"]),
         "travel": float(np.abs(np.diff(run.command, axis=1)).mean() / task.control_period),
         "limit_cycles": int(rest["limit_cycles"]),
-        **{f"{family}_um": value for family, value in errors.items()},
+        **errors,
     }
 
 
@@ -87,7 +74,6 @@ def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) ->
         UNTUNED: FlowLinearising(FlowLinearisingGains(), task),
         POLICY: PolicyController.load(weights).moved_to(task),
         CHOSEN: make_controller("flow_linearising", task, chosen_gains("flow_linearising", task).model_dump()),
-        ZERO: Shut(task),
     }
     if figures is not None:
         controllers[FIGURES] = PID(figures, task)
@@ -136,14 +122,13 @@ def main() -> None:
     given = parser.parse_args()
     law = {"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": []}
     tasks = [task_config(rig=rig) for rig in given.rig] if given.rig else rig_tasks(task_config(law=law))
-    rows = pd.read_csv(given.output) if given.output.exists() else pd.DataFrame({"rig": []})
-    began = time.perf_counter()
-    missing = [number for number in range(len(tasks)) if number not in set(rows["rig"])]
-    jobs = [delayed(rig_rows)(number, tasks[number], given.weights, given.tuned) for number in missing]
-    for done, found in enumerate(Parallel(given.jobs, return_as="generator_unordered")(jobs), 1):
-        rows = pd.concat([rows, pd.DataFrame(found)], ignore_index=True) if len(rows) else pd.DataFrame(found)
-        write_text(given.output, rows.to_csv(index=False, float_format="%.5g"))
-        print(f"{done} of {len(jobs)} rigs, {time.perf_counter() - began:.0f} s", flush=True)
+    rows = kept_rows(
+        given.output,
+        "rig",
+        range(len(tasks)),
+        lambda number: rig_rows(number, tasks[number], given.weights, given.tuned),
+        given.jobs,
+    )
     header = ("controller", "rigs", "error ÷ untuned, median (95 %)", "geometric mean", "better on", "range")
     print(markdown((*header, "valve travel, median", "failures", "limit cycles"), list(summary(rows))))
 

@@ -10,21 +10,20 @@ that rig. ``--own`` trains heads on the first rigs, minutes per rig. The file of
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 
+from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.detection.balance import INTERNAL, fit_balance
 from hydro_agents.detection.damaged_signals import repaired
 from hydro_agents.detection.detector import logit, measured_run, threshold_at_false_alarm_rate
-from hydro_agents.detection.head import LeakageEstimate, LeakageHead
+from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.head_training import train_head
 from hydro_agents.detection.operations import MANNERS, Operation, at_rest
 from hydro_agents.detection.sheet import leak_scale
@@ -35,7 +34,6 @@ from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import DETECTION, THRESHOLDS, SeedRange
 from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig
-from hydro_env.files import write_text
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.types import Floats
@@ -61,12 +59,6 @@ def windows(task: TaskConfig, still: bool, share: float, plants: SeedRange, skip
     return signals[run.failed_at < 0]
 
 
-def evidence(head: LeakageHead, signals: Floats) -> tuple[Floats, LeakageEstimate]:
-    """The evidence of a leak in each window (N,), and the whole answer."""
-    found = head.estimate_windows(signals)
-    return logit(found.probability), found
-
-
 def rig_rows(number: int, task: TaskConfig, weights: str, own: bool, plants: SeedRange) -> list[dict[str, Any]]:
     """A row of results for each detector and motion on one rig."""
     heads = {ANY: LeakageHead.load(weights).moved_to(task)}
@@ -77,8 +69,8 @@ def rig_rows(number: int, task: TaskConfig, weights: str, own: bool, plants: See
     rows = []
     for still in (False, True):
         signals = [windows(task, still, share, plants, 200 * number) for share in SHARES]
-        answers = {name: [evidence(head, each) for each in signals] for name, head in heads.items()}
-        scores = {name: [score for score, _ in each] for name, each in answers.items()}
+        answers = {name: [head.estimate_windows(each) for each in signals] for name, head in heads.items()}
+        scores = {name: [logit(found.probability) for found in each] for name, each in answers.items()}
         sheet = heads[ANY].sheet
         scores[BALANCE] = [fit_balance(repaired(each, sheet).signals, sheet).estimate[:, INTERNAL] for each in signals]
         for name, (healthy, *leaking) in scores.items():
@@ -89,12 +81,12 @@ def rig_rows(number: int, task: TaskConfig, weights: str, own: bool, plants: See
             truth = np.repeat([False, True], [len(healthy), len(leaking[1])])
             row["area_1"] = area_under_roc(np.concatenate([healthy, leaking[1]]), truth)
             if name in heads:
-                (_, calm), *found = answers[name]
+                calm, *_, large = answers[name]
                 own_threshold = heads[name].settings.threshold
                 valid = calm.outside == 0.0
                 row["false_alarms"] = float(np.mean((calm.probability >= own_threshold) & valid))
                 row["outside"] = float(np.mean(calm.outside))
-                row["size_ratio_3"] = float(np.median(found[2][1].flow_lpm) / (0.03 * FULL_FLOW * leak_scale(task)))
+                row["size_ratio_3"] = float(np.median(large.flow_lpm) / (0.03 * FULL_FLOW * leak_scale(task)))
             rows.append(row)
     return rows
 
@@ -126,15 +118,14 @@ def main() -> None:
     tasks = rig_tasks(
         task_config(law={"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": []})
     )
-    rows = pd.read_csv(given.output) if given.output.exists() else pd.DataFrame({"rig": []})
     plants = DETECTION if given.split == "test" else THRESHOLDS
-    began = time.perf_counter()
-    missing = [number for number in range(len(tasks)) if number not in set(rows["rig"])]
-    jobs = [delayed(rig_rows)(number, tasks[number], given.weights, number < given.own, plants) for number in missing]
-    for done, found in enumerate(Parallel(given.jobs, return_as="generator_unordered")(jobs), 1):
-        rows = pd.concat([rows, pd.DataFrame(found)], ignore_index=True) if len(rows) else pd.DataFrame(found)
-        write_text(given.output, rows.to_csv(index=False, float_format="%.5g"))
-        print(f"{done} of {len(jobs)} rigs, {time.perf_counter() - began:.0f} s", flush=True)
+    rows = kept_rows(
+        given.output,
+        "rig",
+        range(len(tasks)),
+        lambda number: rig_rows(number, tasks[number], given.weights, number < given.own, plants),
+        given.jobs,
+    )
     found = [f"{share:g} % found" for share in SHARES[1:]]
     header = ("motion", "detector", "rigs", *found, "1 %: worst tenth", "area, 1 % (least)")
     print(markdown((*header, "false alarms", "outside", "size of 3 %"), list(summary(rows))))

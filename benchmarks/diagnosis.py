@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import math
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -29,6 +28,7 @@ from hydro_agents.running.seeds import DIAGNOSIS
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
 from hydro_rig.diagnosis.diagnose import Diagnosis, diagnose
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.estimation.model import noise_of
@@ -39,12 +39,10 @@ WRONG_RIG = TASK.model_copy(update={"plant": TASK.plant.replace(cylinder={"rod_d
 QUIET = {name: {"noise": 0.5 * getattr(TASK.sensors, name).noise} for name in SENSORS}
 LUGRE = TASK.model_copy(update={"plant": TASK.plant.replace(friction={"model": "lugre"})})
 
+UNITS = {"position [mm]": 1e3, "pressure_a [bar]": 1e-5, "pressure_b [bar]": 1e-5, "spool_position [%]": 100.0}
+EXCHANGED = {"pressure_a [bar]": "pressure_b [bar]", "pressure_b [bar]": "pressure_a [bar]"}
+
 Change = Callable[[pd.DataFrame], pd.DataFrame]
-
-
-def as_recorded(table: pd.DataFrame) -> pd.DataFrame:
-    """The file as it was written."""
-    return table
 
 
 class Axis(NamedTuple):
@@ -55,7 +53,7 @@ class Axis(NamedTuple):
     leak: float = 0.01  # l/min at 100 bar
     faults: Mapping[str, float] = {}
     task: TaskConfig = TASK
-    change: Change = as_recorded  # what is done to the file
+    change: Change | None = None  # what is done to the file
 
 
 def without(*signals: str) -> Change:
@@ -63,34 +61,38 @@ def without(*signals: str) -> Change:
     return lambda table: table[[name for name in table if name.split()[0] not in signals]]
 
 
-def with_noise(factor: float, memory: float = 0.0) -> Change:
-    """Readings with ``factor`` times the noise of the data sheet; with a ``memory`` in rows, it is coloured."""
-    keep = math.exp(-1.0 / memory) if memory else 0.0
+def with_errors(seed: int, error: Callable[[np.random.Generator, int], Floats]) -> Change:
+    """Readings with an error: a function of a generator and a number of rows, in units of the data sheet's noise."""
 
     def change(table: pd.DataFrame) -> pd.DataFrame:
-        noisy, random = table.copy(), np.random.default_rng(1)
-        for column, noise in noises(table):
-            white = random.standard_normal(len(table))
-            noisy[column] += (
-                math.sqrt(factor**2 - 1.0) * noise * lfilter([math.sqrt(1.0 - keep**2)], [1.0, -keep], white)
-            )
-        return noisy
+        changed, random = table.copy(), np.random.default_rng(seed)
+        for (column, unit), noise in zip(UNITS.items(), noise_of(TASK), strict=True):
+            if column in table:
+                changed[column] += unit * float(noise) * error(random, len(table))
+        return changed
 
     return change
 
 
-def with_spikes(table: pd.DataFrame) -> pd.DataFrame:
+def with_noise(factor: float, memory: float = 0.0) -> Change:
+    """Readings with ``factor`` times the noise of the data sheet; with a ``memory`` in rows, it is coloured."""
+    keep, size = math.exp(-1.0 / memory) if memory else 0.0, math.sqrt(factor**2 - 1.0)
+
+    def error(random: np.random.Generator, rows: int) -> Floats:
+        return np.asarray(lfilter([size * math.sqrt(1.0 - keep**2)], [1.0, -keep], random.standard_normal(rows)))
+
+    return with_errors(1, error)
+
+
+def spikes(random: np.random.Generator, rows: int) -> Floats:
     """Two readings of a hundred are wrong by about 20 times the noise."""
-    spiky, random = table.copy(), np.random.default_rng(2)
-    for column, noise in noises(table):
-        struck = random.random(len(table)) < 0.02
-        spiky[column] += struck * 20.0 * noise * random.standard_normal(len(table))
-    return spiky
+    struck = random.random(rows) < 0.02
+    return struck * 20.0 * random.standard_normal(rows)
 
 
-def with_rows_lost(share: float) -> Change:
-    """Rows are missing at random places."""
-    return lambda table: table[np.random.default_rng(3).random(len(table)) >= share]
+def with_rows_lost(table: pd.DataFrame) -> pd.DataFrame:
+    """One row of twenty is missing, at random places."""
+    return table[np.random.default_rng(3).random(len(table)) >= 0.05]
 
 
 def drifting(table: pd.DataFrame) -> pd.DataFrame:
@@ -103,22 +105,6 @@ def command_moved(rows: int) -> Change:
     return lambda table: table.assign(**{"command [V]": table["command [V]"].shift(rows)}).iloc[
         abs(rows) : len(table) - abs(rows)
     ]
-
-
-def noises(table: pd.DataFrame) -> list[tuple[str, float]]:
-    """Columns of the sensors and their noise in the column's unit."""
-    units = {"position [mm]": 1e3, "pressure_a [bar]": 1e-5, "pressure_b [bar]": 1e-5, "spool_position [%]": 100.0}
-    return [
-        (column, units[column] * float(noise))
-        for column, noise in zip(units, noise_of(TASK), strict=True)
-        if column in table
-    ]
-
-
-def exchanged(table: pd.DataFrame) -> pd.DataFrame:
-    """The pressures of the chambers stand in each other's column."""
-    names = {"pressure_a [bar]": "pressure_b [bar]", "pressure_b [bar]": "pressure_a [bar]"}
-    return table.rename(columns=names)
 
 
 TABLES: dict[str, tuple[Axis, ...]] = {
@@ -154,25 +140,25 @@ TABLES: dict[str, tuple[Axis, ...]] = {
             for motion in ("standing still", "slow")
             for leak in (0.01, 0.1, 0.5)
         ),
-        Axis("pressures exchanged, 0.5 l/min", 8, 0.5, change=exchanged),
+        Axis("pressures exchanged, 0.5 l/min", 8, 0.5, change=lambda table: table.rename(columns=EXCHANGED)),
         Axis("every second row (10 ms), 0.5 l/min", 8, 0.5, change=lambda table: table.iloc[::2]),
     ),
     "errors": tuple(
         Axis(f"{name}, {leak:g} l/min", 8, leak, task=task, change=change)
         for name, task, change in (
-            ("noise × 0.5", task_config(TASK, sensors=QUIET), as_recorded),
+            ("noise × 0.5", task_config(TASK, sensors=QUIET), None),
             ("noise × 1.3", TASK, with_noise(1.3)),
             ("noise × 3", TASK, with_noise(3.0)),
             ("coloured noise × 2", TASK, with_noise(2.0, memory=5.0)),
-            ("2 % spikes", TASK, with_spikes),
-            ("5 % of rows lost", TASK, with_rows_lost(0.05)),
+            ("2 % spikes", TASK, with_errors(2, spikes)),
+            ("5 % of rows lost", TASK, with_rows_lost),
             ("pressure sensor a drifts by 5 bar", TASK, drifting),
-            ("latency 2 ms", task_config(TASK, command_latency=2e-3), as_recorded),
-            ("transducers of 3 ms", task_config(TASK, sensors={"pressure_rise_time": 3e-3}), as_recorded),
+            ("latency 2 ms", task_config(TASK, command_latency=2e-3), None),
+            ("transducers of 3 ms", task_config(TASK, sensors={"pressure_rise_time": 3e-3}), None),
             ("command a row late", TASK, command_moved(1)),
             ("command a row early", TASK, command_moved(-1)),
-            ("LuGre friction", LUGRE, as_recorded),
-            ("rod of 24 mm, file says 28", WRONG_RIG, as_recorded),
+            ("LuGre friction", LUGRE, None),
+            ("rod of 24 mm, file says 28", WRONG_RIG, None),
         )
         for leak in (0.01, 0.3)
     ),
@@ -184,18 +170,17 @@ def diagnosed(axis: Axis, seeds: range, head: LeakageHead, folder: Path) -> list
     controller, file, found = shipped("pid", axis.task), folder / "axis.csv", []
     for seed in seeds:
         record_axis(file, axis.task, controller, seed, axis.leak, faults=axis.faults)
-        axis.change(pd.read_csv(file)).to_csv(file, index=False)
+        if axis.change is not None:
+            axis.change(pd.read_csv(file)).to_csv(file, index=False)
         found.append(diagnose(file, TASK, head))
     return found
 
 
 def row(axis: Axis, found: list[Diagnosis]) -> str:
-    """One row of a table in Markdown."""
-    # the name of a fault without its size, so that equal answers are counted together
+    """One row of a table in Markdown; the name of a fault stands there without its size, to count equal answers."""
     verdicts = Counter(
-        f"{one.verdict.kind.value} ({one.verdict.why.split(' (')[0]})"
-        if one.verdict.why and one.verdict.kind is not Kind.UNKNOWN
-        else one.verdict.kind.value
+        one.verdict.kind.value
+        + (f" ({why.split(' (')[0]})" if (why := one.verdict.why) and one.verdict.kind is not Kind.UNKNOWN else "")
         for one in found
     )
     answers = ", ".join(f"{verdict} {count}" for verdict, count in verdicts.most_common())
@@ -211,8 +196,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=list(TABLES), default=list(TABLES))
     parser.add_argument("--share", type=float, default=1.0, help="of the recordings, for a quick look")
     arguments = parser.parse_args()
-    head, begun = LeakageHead.load(pretrained_folder() / "leakage_head"), time.monotonic()
-    skip = 0
+    head, skip = LeakageHead.load(pretrained_folder() / "leakage_head"), 0
     with tempfile.TemporaryDirectory() as folder:
         for name, axes in TABLES.items():
             if name in arguments.only:
@@ -223,7 +207,6 @@ def main() -> None:
                     count = max(round(arguments.share * axis.recordings), 1)
                     print(row(axis, diagnosed(axis, DIAGNOSIS.take(count, skip), head, Path(folder))), flush=True)
                 skip += axis.recordings
-    print(f"\n{time.monotonic() - begun:.0f} s")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from hydro_agents.rigs.stable_gain import stable_pid
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -129,11 +130,9 @@ def _write(file: Path, texts: dict[str, Any]) -> None:
 
 def _clip(recording: Path) -> float:
     """Clip the highest third of the positions of a recording, as a sensor that is too short would; its range in mm."""
-    lines = recording.read_text(encoding="utf-8").splitlines()
-    place = lines[0].split(",").index("position [mm]")
-    rows = [line.split(",") for line in lines[1:]]
-    end = float(np.quantile([float(row[place]) for row in rows], 2 / 3))
-    for row in rows:
-        row[place] = f"{min(float(row[place]), end):.7g}"
-    write_text(recording, "\n".join([lines[0], *(",".join(row) for row in rows)]) + "\n")
+    table = pd.read_csv(recording, dtype=str)
+    position = table["position [mm]"].astype(float)
+    end = float(np.quantile(position, 2 / 3))
+    table["position [mm]"] = [f"{min(value, end):.7g}" for value in position]
+    write_text(recording, table.to_csv(index=False))
     return end

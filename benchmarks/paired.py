@@ -2,22 +2,23 @@
 
 Run: python benchmarks/paired.py OTHER_CHECKOUT [--rounds 15] [--seconds 0.3] [--only single ...] [--cpu] [--floor 0.97]
 
-Each checkout runs in a process of its own and waits while the other one measures. In every round each of them
-measures each rate once; the order within a pair changes from round to round. A ratio above 1 means that this checkout
-is faster. This checkout given as the other one shows how large the noise is. ``--cpu`` divides by processor time
-instead of wall time: use it where other programs load the machine.
+In every round each checkout measures each rate once, in a process of its own; their order changes from round to round.
+A ratio above 1 means that this checkout is faster. This checkout given as the other one shows how large the noise is.
+``--cpu`` divides by processor time instead of wall time: use it where other programs load the machine.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
-import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+
+import numpy as np
 
 HERE = Path(__file__).resolve().parents[1]
 ENVIRONMENT_ID = "ServoHydraulic-v0"
@@ -25,17 +26,22 @@ NAMES = ("single", "vector", "kernel", "ppo")
 
 
 def rates() -> dict[str, Callable[[float], float]]:
-    """The measurements as functions of their duration (s), made of each checkout's own code."""
+    """The measurements as functions of their duration (s): the functions of this checkout, the code of the other."""
     import gymnasium as gym
 
-    from benchmarks.environment_rows import single_rate, vector_rate
-    from benchmarks.kernel_rows import BareKernel
-    from benchmarks.table import rate
-    from benchmarks.training_rows import default_study, native_model
+    import hydro_agents
+    import hydro_env
 
-    bare, settings = BareKernel(1024, 1), default_study()
-    model, _ = native_model(settings, settings.ppo)
-    steps = settings.ppo.axes * settings.ppo.steps_per_rollout
+    for package in (hydro_env, hydro_agents):
+        if not Path(str(package.__file__)).resolve().is_relative_to(Path.cwd()):
+            raise SystemExit(f"{package.__name__} was imported from {package.__file__}")
+    sys.path.insert(0, str(HERE))
+    from benchmarks.environment_rows import BareKernel, single_rate, vector_rate
+    from benchmarks.table import rate
+    from benchmarks.training_rows import native_model
+
+    bare, (model, _, ppo) = BareKernel(1024, 1), native_model()
+    steps = ppo.axes * ppo.steps_per_rollout
     return {
         "single": lambda seconds: single_rate(gym.make(ENVIRONMENT_ID), seconds),
         "vector": lambda seconds: vector_rate(gym.make_vec(ENVIRONMENT_ID, num_envs=1024), seconds),
@@ -44,43 +50,15 @@ def rates() -> dict[str, Callable[[float], float]]:
     }
 
 
-def serve(checkout: Path, seconds: float) -> None:
-    """Print one measured rate for each name read from standard input."""
-    import hydro_env
-
-    if not Path(hydro_env.__file__).resolve().is_relative_to(checkout.resolve()):
-        raise SystemExit(f"{checkout}: hydro_env was imported from {hydro_env.__file__}")
-    measures = rates()
-    print("ready", flush=True)
-    for line in sys.stdin:
-        print(measures[line.strip()](seconds), flush=True)
-
-
-class Checkout:
-    """A process that measures one checkout."""
-
-    def __init__(self, folder: Path, options: list[str]) -> None:
-        self.folder = folder
-        command = [sys.executable, str(Path(__file__).resolve()), str(folder), "--serve", *options]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(folder / "agents")])}
-        self.process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=folder, env=environment
-        )
-        self._answer()
-
-    def measure(self, name: str) -> float:
-        """One rate, per second."""
-        assert self.process.stdin is not None
-        self.process.stdin.write(f"{name}\n")
-        self.process.stdin.flush()
-        return float(self._answer())
-
-    def _answer(self) -> str:
-        assert self.process.stdout is not None
-        answer = self.process.stdout.readline()
-        if not answer:
-            raise SystemExit(f"{self.folder}: cannot be measured; its error is printed above")
-        return answer
+def measured_in(checkout: Path, options: list[str]) -> list[float]:
+    """Rates of a checkout, from a fresh process."""
+    variables = {**os.environ, "PYTHONPATH": os.pathsep.join([str(checkout), str(checkout / "agents")])}
+    command = [sys.executable, str(Path(__file__).resolve()), str(checkout), "--once", *options]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, cwd=checkout, env=variables, check=False)
+    if done.returncode:
+        raise SystemExit(f"{checkout}: cannot be measured; its error is printed above")
+    found: list[float] = json.loads(done.stdout.splitlines()[-1])
+    return found
 
 
 def main() -> int:
@@ -92,40 +70,33 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES)
     parser.add_argument("--cpu", action="store_true", help="per second of processor time, not of wall time")
     parser.add_argument("--floor", type=float, default=0.0, help="exit with 1 if a median ratio is lower")
-    parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.serve:
-        if options.cpu:
+    parser.add_argument("--once", action="store_true", help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.once:
+        if given.cpu:
             time.perf_counter = time.process_time
-        serve(options.other, options.seconds)
+        measures = rates()
+        print(json.dumps([measures[name](given.seconds) for name in given.only]))
         return 0
-    if not (options.other / "hydro_env").is_dir():
-        parser.error(f"{options.other}: no checkout of this project, it has no folder hydro_env")
-    passed = ["--seconds", str(options.seconds), *(["--cpu"] if options.cpu else [])]
-    checkouts = [Checkout(folder, passed) for folder in (HERE, options.other.resolve())]
-    measured: dict[str, list[tuple[float, float]]] = {name: [] for name in options.only}
-    for number in range(options.rounds):
-        for name, pairs in measured.items():
-            own, other = checkouts
-            if number % 2:
-                second, first = other.measure(name), own.measure(name)
-            else:
-                first, second = own.measure(name), other.measure(name)
-            pairs.append((first, second))
+    if not (given.other / "hydro_env").is_dir():
+        parser.error(f"{given.other}: no checkout of this project, it has no folder hydro_env")
+    options = ["--seconds", str(given.seconds), "--only", *given.only, *(["--cpu"] if given.cpu else [])]
+    folders = [HERE, given.other.resolve()]
+    rounds = []
+    for number in range(given.rounds):
+        order = (1, 0) if number % 2 else (0, 1)
+        found = {place: measured_in(folders[place], options) for place in order}
+        rounds.append((found[0], found[1]))
+    values = np.array(rounds)  # (rounds, checkouts, rates)
+    ratios = values[:, 0] / values[:, 1]
     print("| rate, 1/s | this checkout | other checkout | ratio, median | middle half | lowest–highest |")
     print("|---|---:|---:|---:|---|---|")
-    lowest = float("inf")
-    for name, pairs in measured.items():
-        rate, other_rate = (statistics.median(values) for values in zip(*pairs, strict=True))
-        ratios = [first / second for first, second in pairs]
-        low, median, high = statistics.quantiles(ratios, n=4) if len(ratios) > 1 else ratios * 3
-        print(
-            f"| {name} | {rate:,.0f} | {other_rate:,.0f} | {median:.3f} | {low:.3f}–{high:.3f} "
-            f"| {min(ratios):.3f}–{max(ratios):.3f} |"
-        )
-        lowest = min(lowest, median)
-    print(f"{options.rounds} rounds, {'processor' if options.cpu else 'wall'} time, {os.cpu_count()} cores")
-    return int(lowest < options.floor)
+    for place, name in enumerate(given.only):
+        least, low, middle, high, most = np.quantile(ratios[:, place], (0.0, 0.25, 0.5, 0.75, 1.0))
+        own, other = np.median(values[:, :, place], axis=0)
+        print(f"| {name} | {own:,.0f} | {other:,.0f} | {middle:.3f} | {low:.3f}–{high:.3f} | {least:.3f}–{most:.3f} |")
+    print(f"{given.rounds} rounds, {'processor' if given.cpu else 'wall'} time, {os.cpu_count()} cores")
+    return int(np.median(ratios, axis=0).min() < given.floor)
 
 
 if __name__ == "__main__":

@@ -1,17 +1,195 @@
-"""Put the tables of ``hydro benchmark`` into pages, between the markers that name their group.
+"""Keep the results that the pages show in ``docs/tables``, and put them into the pages.
 
-Run: python benchmarks/put_into_docs.py [results/benchmark/benchmark.md] [docs/performance.md ...]
+Run: python benchmarks/put_into_docs.py [results]
 
-A page holds ``<!-- benchmark: GROUP -->`` and ``<!-- end -->``; what stands between is replaced by the table of the
-group, or for ``circumstances`` by the line that names machine, versions and threads. A group that was not measured
-keeps what it has. put_results_into_docs.py does the same between ``<!-- table: NAME -->`` and ``<!-- end -->``.
+The folder holds what commands wrote: ``benchmark``, ``study``, ``seeds``, ``robustness``, ``leakage``, ``reproduce``,
+``alone``, ``baselines``. What is absent keeps what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``;
+what stands between is made from ``docs/tables/NAME.csv``, and ``tests/site/test_site.py`` checks that it still is. The
+tables of ``hydro benchmark`` stand between ``<!-- benchmark: GROUP -->`` and ``<!-- end -->``.
 """
+
+from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
+import pandas as pd
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+TABLES = DOCS / "tables"
+PAGES = ("results.md", "reproduction.md", "learning.md")
 MARKED = re.compile(r"(<!-- (?:benchmark|table): (\w+) -->\n).*?(<!-- end -->)", flags=re.DOTALL)
+
+
+class Source(NamedTuple):
+    """A table of the pages."""
+
+    file: str  # that a command wrote
+    columns: Mapping[str, str] = {}  # heading and format (empty: text of this name); none: only a chart shows it
+    change: Callable[[pd.DataFrame], pd.DataFrame] = pd.DataFrame.copy  # from what is kept to the rows of the page
+    keep: Callable[[pd.DataFrame], pd.DataFrame] = pd.DataFrame.copy  # from the file to what is kept
+
+
+def _interval(name: str, decimals: int = 3, low: str = "", high: str = "") -> str:
+    """Format of a figure with its interval."""
+    names = (name, low or f"{name}_low", high or f"{name}_high")
+    value, first, last = (f"{{{each}:.{decimals}f}}" for each in names)
+    return f"{value} ({first} to {last})"
+
+
+def _written(row: pd.Series, form: str) -> str:
+    """A cell: a figure without interval stands alone, and what is missing is a dash."""
+    text = form.format_map(row)
+    alone = text.partition(" (")[0] if "nan" in text else text
+    return "–" if alone.startswith("nan") else alone.replace(" ± nan", "")
+
+
+def _study(table: pd.DataFrame) -> pd.DataFrame:
+    return table[(table["against"] == "PID") & (table["group"] == "all")]
+
+
+def _detectors(table: pd.DataFrame) -> pd.DataFrame:
+    kept = table[(table["condition"] == "ordinary") & table["level"].isin((0.05, 0.1, 0.2, 0.3, 1.0))]
+    return kept[["detector", "level", "at_1_percent", "at_1_percent_low", "at_1_percent_high", "windows"]]
+
+
+def _by_level(table: pd.DataFrame) -> pd.DataFrame:
+    """One row per detector: shares in % with their intervals as text."""
+    names = ["at_1_percent", "at_1_percent_low", "at_1_percent_high"]
+    shares = table.assign(level=table["level"].map("{:g} l/min".format), **(100.0 * table[names]))
+    shares["text"] = shares.apply(_written, axis=1, form=_interval("at_1_percent", 1))
+    wide = shares.pivot(index="detector", columns="level", values="text")[shares["level"].unique()]
+    order = table["detector"].unique()
+    return wide.loc[order].assign(windows=table.groupby("detector")["windows"].min()).reset_index()
+
+
+def _seeds(table: pd.DataFrame) -> pd.DataFrame:
+    """All but the ranges of large leaks, which "≥ 0.3 l/min" holds."""
+    return table[~table["figure"].str.contains("leaks of (?:0.3–|0.5–|1–|2–)", regex=True)]
+
+
+SEED_DECIMALS = {"score": 1, "%": 2, "curve": 4, "s": 0}
+"""Decimals of a figure over the seeds, by the last word of its name; all others have three."""
+
+
+def _by_seed(table: pd.DataFrame) -> pd.DataFrame:
+    """The figures as text; the time of a training has no interval: the machine did other work as well."""
+    lines = []
+    for _, row in table.iterrows():
+        decimals = SEED_DECIMALS.get(row["figure"].split()[-1], 3)
+        seeds = {name: f"{row[name]:.{decimals}f}" for name in table if name.startswith("seed ")}
+        form = "{mean:.0f}" if row["figure"] == "training, s" else _interval("mean", decimals, "low", "high")
+        lines.append({"of": row["of"], "figure": row["figure"], **seeds, "mean": _written(row, form)})
+    return pd.DataFrame(lines)
+
+
+def _ladder(table: pd.DataFrame) -> pd.DataFrame:
+    figures = ("mean", "geo", "travel", "reversals", "failed", "gradient steps")
+    return table[["rung", "seeds", *figures, "mean sd", "geo sd"]]
+
+
+LADDER = {
+    "rung": "{rung}",
+    "seeds": "{seeds:.0f}",
+    "accuracy ÷ PID's": "{mean:.3f} ± {mean sd:.3f}",
+    "kinds of reference weigh the same": "{geo:.3f} ± {geo sd:.3f}",
+    "valve travel ÷ PID's": "{travel:.2f}",
+    "reversals ÷ PID's": "{reversals:.2f}",
+    "failures per training": "{failed:.1f}",
+    "gradient steps": "{gradient steps:.0f}",
+}
+
+
+def _rungs(table: pd.DataFrame) -> pd.DataFrame:
+    return table.assign(seeds=table["seeds"].replace(0, float("nan")))
+
+
+SOURCES = {
+    "score": Source(
+        "study/tables/score.csv",
+        {
+            "controller": "{controller}",
+            "score": _interval("score", 0, "low", "high"),
+            "accuracy, mm": "{mean_error_mm:.4f}",
+            "repeatability, mm": "{mean_error_sensor_mm:.4f}",
+        },
+    ),
+    "study": Source(
+        "study/tables/ratios.csv",
+        {
+            "controller": "{controller}",
+            "accuracy ÷ PID's": _interval("ratio", 3, "low", "high"),
+            "better than the PID in": "{better:.0f} % of cases",
+            "repeatability ÷ PID's": _interval("ratio_sensor"),
+        },
+        lambda table: table.assign(better=100 * table["share_of_cases_better"]),
+        _study,
+    ),
+    "seeds": Source(
+        "seeds/tables/over_seeds.csv",
+        {"trained": "{of}", "figure": "{figure}"}
+        | dict.fromkeys(("seed 0", "seed 1", "seed 2", "seed 3"), "")
+        | {"mean over the seeds": "{mean}"},
+        _by_seed,
+        _seeds,
+    ),
+    "learning_curves": Source("seeds/tables/learning_curves.csv"),
+    "robustness": Source(
+        "robustness/tables/ranking.csv",
+        {
+            "controller": "{controller}",
+            "score": _interval("score", 0),
+            "accuracy ÷ PID's": _interval("equal_weight"),
+            "repeatability ÷ PID's": _interval("equal_weight_sensor"),
+            "worst case": "{worst_ratio:.1f}",
+            "valve travel": "{travel_ratio:.2f}",
+            "reversals": "{reversals_ratio:.2f}",
+            "energy": "{energy_ratio:.2f}",
+            "limit cycles": "{limit_cycles:.0f} of {standstills:.0f}",
+            "failures": "{failures:.0f}",
+        },
+    ),
+    "detectors": Source(
+        "leakage/tables/detection.csv",
+        {"detector": "{detector}"}
+        | dict.fromkeys(("0.05 l/min", "0.1 l/min", "0.2 l/min", "0.3 l/min", "1 l/min"), "")
+        | {"windows": "{windows:.0f}"},
+        _by_level,
+        _detectors,
+    ),
+    "alone": Source("alone/ladder.csv", LADDER, _rungs, _ladder),
+    "baselines": Source("baselines/ladder.csv", LADDER, _rungs, _ladder),
+    "verdicts": Source(
+        "reproduce/verdicts.csv",
+        {
+            "the paper concludes": "{conclusion}",
+            "verdict": "**{verdict}**",
+            "measured": "{measured}",
+            "here": "{here}",
+            "figure": "{figure}",
+        },
+    ),
+}
+
+
+def table_of(name: str) -> str:
+    """A kept table in Markdown."""
+    source = SOURCES[name]
+    rows = source.change(pd.read_csv(TABLES / f"{name}.csv"))
+    header = list(source.columns)
+    lines = [
+        [_written(row, form) if form else row[heading] for heading, form in source.columns.items()]
+        for _, row in rows.iterrows()
+    ]
+    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *lines))
+
+
+def tables() -> dict[str, str]:
+    """The tables of the pages, from the kept results."""
+    return {name: table_of(name) for name, source in SOURCES.items() if source.columns}
 
 
 def sections(text: str) -> dict[str, str]:
@@ -24,32 +202,26 @@ def sections(text: str) -> dict[str, str]:
     return found
 
 
-def filled(page: str, tables: dict[str, str]) -> str:
+def filled(page: str, made: Mapping[str, str]) -> str:
     """The page with the tables in place."""
-
-    def put(match: re.Match[str]) -> str:
-        if match[2] not in tables:
-            return match[0]
-        return f"{match[1]}\n{tables[match[2]]}\n\n{match[3]}"
-
-    return MARKED.sub(put, page)
+    return MARKED.sub(lambda mark: f"{mark[1]}\n{made[mark[2]]}\n\n{mark[3]}" if mark[2] in made else mark[0], page)
 
 
-def main(source: str = "results/benchmark/benchmark.md", *pages: str) -> int:
-    """Fill the pages; 2 where a file cannot be used."""
-    try:
-        tables = sections(Path(source).read_text(encoding="utf-8"))
-        for name in pages or ("docs/performance.md",):
-            page = Path(name)
-            text = page.read_text(encoding="utf-8")
-            page.write_text(filled(text, tables), encoding="utf-8")
-            marked = [match[2] for match in MARKED.finditer(text)]
-            print(f"{name}: {', '.join(group for group in marked if group in tables) or 'no table'}")
-    except OSError as error:
-        print(f"{error.filename}: {error.strerror}", file=sys.stderr)
-        return 2
-    return 0
+def main(results: str = "results") -> None:
+    """Keep new results, fill the pages."""
+    for name, source in SOURCES.items():
+        file = Path(results) / source.file
+        if file.is_file():
+            source.keep(pd.read_csv(file)).to_csv(TABLES / f"{name}.csv", index=False, float_format="%.6g")
+        print(f"{name}: {file if file.is_file() else 'as before'}")
+    made = dict.fromkeys(PAGES, tables())
+    benchmark = Path(results, "benchmark", "benchmark.md")
+    if benchmark.is_file():
+        made["performance.md"] = sections(benchmark.read_text(encoding="utf-8"))
+    for page, texts in made.items():
+        path = DOCS / page
+        path.write_text(filled(path.read_text(encoding="utf-8"), texts), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    main(*sys.argv[1:])

@@ -1,6 +1,6 @@
 """What `hydro identify` and `hydro diagnose` say about public recordings of real machines (docs/real_machines.md).
 
-Run: python benchmarks/real_machines.py FOLDER [--only festo speeds friction refusals] [--samples 2 4] [--fit 1 2]
+Run: python benchmarks/real_machines.py FOLDER [--only festo speeds refusals] [--samples 2 4] [--fit 1 2]
 
 FOLDER holds the folders that the page names; what is absent is left out. The Festo axis is identified from steps of
 some voltages and predicted at the others.
@@ -9,17 +9,16 @@ some voltages and predicted at the others.
 from __future__ import annotations
 
 import argparse
-import os
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.text import markdown
 from hydro_env import HydroError
 from hydro_env.folders import config_file
-from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 from hydro_rig.diagnosis.diagnose import diagnose
@@ -33,7 +32,7 @@ from hydro_rig.recordings.sampling import Sampled, sampled
 
 RIG = Path(__file__).parent / "festo_tp511.yaml"
 FESTO = "festo_tp511"  # the folder with the MAT files
-PARTS = ["festo", "speeds", "friction", "refusals"]
+PARTS = ["festo", "speeds", "refusals"]
 MOVING = 0.3  # of the largest speed
 
 OTHERS = {
@@ -77,113 +76,60 @@ def festo(folder: Path, samples: list[int], fitted: list[int]) -> None:
         for chamber in "AB"
     }
     maps = [festo_map(chamber.lower()) for _, chamber in names.values()]
-    began, cost = time.monotonic(), time.process_time()
     others = [volts for volts in range(1, 6) if volts not in fitted]
     apart = [f"*_{volts}V_*" for volts in others]
-    task, rig = task_config(None, rig=RIG), read_rig(RIG)
     with ProgressDisplay() as display:
-        found = identify(list(names), task, rig, maps, display.update, apart)
-    recorded = sum(float(recording.time[-1]) for recording in found.recordings)
-    print(f"\n{found.verdict()}")
-    print(
-        f"{len(names)} recordings, {recorded:.0f} s; {len(found.fit.misfit)} windows; "
-        f"{time.monotonic() - began:.0f} s, {time.process_time() - cost:.0f} s of one core; {os.cpu_count()} cores\n"
-    )
-    print("| unknown | unit | found | 95 % interval | determined | standard deviation of the recordings |")
-    print("|---|---|---:|---|---|---:|")
-    repeats = {one.name: one for one in found.repeats}
-    fit = found.fit
+        found = identify(list(names), task_config(None, rig=RIG), read_rig(RIG), maps, display.update, apart)
+    print(f"\n{found.verdict()}\n{len(names)} recordings; {len(found.fit.misfit)} windows\n")
+    fit, lines = found.fit, []
     for name, value, low, high, known in zip(fit.names, fit.values, fit.low, fit.high, fit.determined, strict=True):
         look = shown(name, found.config.plant)
-        spread = repeats[name].spread if name in repeats else float("nan")
         cells = [look.value(float(value), float(high - low)), look.span(float(low), float(high))]
-        own = "–" if np.isnan(spread) else look.value(spread, spread)
-        print(f"| {look.words} | {look.unit} | {cells[0]} | {cells[1]} | {'yes' if known else 'no'} | {own} |")
+        lines.append((look.words, look.unit, *cells, "yes" if known else "no"))
+    print(markdown(("unknown", "unit", "found", "95 % interval", "determined"), lines))
     print(f"\nintervals of single recordings that hold the common value: {share_inside(found.repeats):.0%}\n")
-    print("| step | chamber | position, mm | speed out | speed in | pressure out, bar | pressure in, bar |")
-    print("|---|---|---:|---:|---:|---:|---:|")
-    path_of = list(names)
-    worst = 0.0
+    path_of, lines = list(names), []
     for volts in others:
         for place, chamber in enumerate("AB", 1):
             parts = [part for part in found.held_back if names[path_of[part.recording]] == (volts, chamber)]
             ratios = 100.0 * np.median([part.speed_ratios for part in parts], axis=0)
             position = 1e3 * np.median([part.error[0] for part in parts])
             pressures = 1e-5 * np.median([moving_errors(part, place) for part in parts], axis=0)
-            worst = max(worst, float(np.abs(ratios).max()))
-            print(
-                f"| {volts} V | {chamber.lower()} | {position:.1f} | {ratios[0]:+.1f} % | {ratios[1]:+.1f} % "
-                f"| {pressures[0]:+.2f} | {pressures[1]:+.2f} |"
-            )
-    print(f"\nlargest error of a speed: {worst:.1f} %")
+            cells = [f"{ratio:+.1f} %" for ratio in ratios] + [f"{pressure:+.2f}" for pressure in pressures]
+            lines.append((f"{volts} V", chamber.lower(), f"{position:.1f}", *cells))
+    header = ("step", "chamber", "position, mm", "speed out", "speed in", "pressure out, bar", "pressure in, bar")
+    print(markdown(header, lines, left=(0, 1)))
+
+
+def runs_of(folder: Path, volts: int, chamber: str, samples: list[int]) -> list[Sampled]:
+    """The recordings of a step with the transducer at one chamber."""
+    config = task_config(None, rig=RIG)
+    paths = [folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat" for sample in samples]
+    return [sampled(read_recording(path, festo_map(chamber.lower())), config, None) for path in paths]
 
 
 def speeds(folder: Path, samples: list[int]) -> None:
     """Print the measured speeds, and how far a straight line through those of 1 and 2 V misses the others."""
-    config = task_config(None, rig=RIG)
-    print("\n| step | chamber | speed out, mm/s | speed in, mm/s | line through 1 and 2 V: out | in |")
-    print("|---|---|---|---|---:|---:|")
+    lines = []
     for chamber in "AB":
         middle = {}
         for volts in range(1, 6):
-            paths = [folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat" for sample in samples]
-            recordings = [read_recording(path, festo_map(chamber.lower())) for path in paths]
-            found = np.array([steady_speeds(sampled(one, config, None)) for one in recordings])
+            found = np.array([steady_speeds(run) for run in runs_of(folder, volts, chamber, samples)])
             middle[volts] = np.median(found, axis=0)
             line = middle[1] + (volts - 1) * (middle[min(volts, 2)] - middle[1])
             missed = [f"{100 * ratio:+.1f} %" if volts > 2 else "–" for ratio in line / middle[volts] - 1.0]
             ranges = [f"{low:.1f} to {high:.1f}" for low, high in 1e3 * np.array([found.min(0), found.max(0)]).T]
-            print(f"| {volts} V | {chamber.lower()} | {ranges[0]} | {ranges[1]} | {missed[0]} | {missed[1]} |")
-
-
-def steady(samples: Sampled) -> tuple[np.ndarray, np.ndarray]:
-    """The samples out and in, (T,) each, in the middle of the stroke."""
-    position, command = samples.signals[0], samples.signals[4]
-    inside = np.abs(position) < 0.055
-    return inside & (command > 0.0), inside & (command < 0.0)
+            lines.append((f"{volts} V", chamber.lower(), *ranges, *missed))
+    header = ("step", "chamber", "speed out, mm/s", "speed in, mm/s", "line through 1 and 2 V: out", "in")
+    print(f"\n{markdown(header, lines, left=(0, 1, 2, 3))}")
 
 
 def steady_speeds(samples: Sampled) -> tuple[float, float]:
     """Speed out and in, m/s, in the middle of the stroke."""
-    out, back = (abs(float(np.polyfit(samples.time[k], samples.signals[0, k], 1)[0])) for k in steady(samples))
+    inside, command = np.abs(samples.signals[0]) < 0.055, samples.signals[4]
+    parts = inside & (command > 0.0), inside & (command < 0.0)
+    out, back = (abs(float(np.polyfit(samples.time[part], samples.signals[0, part], 1)[0])) for part in parts)
     return out, back
-
-
-def friction(folder: Path, samples: list[int]) -> None:
-    """Print the force of the pressures at constant speed, and how well some laws of friction describe it.
-
-    The pressures of the chambers come from different runs: each is the mean over the runs with its transducer.
-    """
-    config = task_config(None, rig=RIG)
-    areas = plant_coefficients(config.plant)
-    rows = []
-    print("\n| step | speed, mm/s | pressure a, bar | pressure b, bar | force, N |")
-    print("|---|---:|---:|---:|---:|")
-    for volts in range(1, 6):
-        found = []  # of each chamber: (runs, directions, 2), pressure and speed
-        for channel, chamber in enumerate("AB", 1):
-            paths = [folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat" for sample in samples]
-            runs = [sampled(read_recording(path, festo_map(chamber.lower())), config, None) for path in paths]
-            pressures = [[np.nanmedian(run.signals[channel, chosen]) for chosen in steady(run)] for run in runs]
-            found.append(np.stack([pressures, [steady_speeds(run) for run in runs]], axis=2))
-        for direction, sign, word in ((0, 1.0, "out"), (1, -1.0, "in")):
-            mean = np.mean(np.array(found)[:, :, direction], axis=1)  # (chambers, 2)
-            pressures, speed = mean[:, 0], sign * mean[:, 1].mean()
-            rows.append((sign, speed, *pressures, pressures[0] * areas.area_a - pressures[1] * areas.area_b))
-            bar = 1e-5 * pressures
-            print(f"| {volts} V {word} | {1e3 * speed:.1f} | {bar[0]:.2f} | {bar[1]:.2f} | {rows[-1][-1]:.1f} |")
-    sign, speed, pressure_a, pressure_b, force = np.array(rows).T
-    laws = {"Coulomb and viscous": [sign, speed]}
-    laws["and direction"] = [*laws["Coulomb and viscous"], np.ones_like(sign)]
-    laws["and Stribeck, 50 mm/s"] = [*laws["and direction"], sign * np.exp(-((speed / 0.05) ** 2))]
-    laws["pressures instead of Stribeck"] = [*laws["and direction"], sign * (pressure_a + pressure_b) * 1e-5]
-    print("\n| law of friction | last coefficient | its standard deviation | unexplained, N |\n|---|---:|---:|---:|")
-    for name, columns in laws.items():
-        matrix = np.column_stack(columns)
-        values = np.linalg.lstsq(matrix, force, rcond=None)[0]
-        variance = float(np.sum((force - matrix @ values) ** 2)) / (len(force) - len(columns))
-        deviation = np.sqrt(variance * np.linalg.inv(matrix.T @ matrix)[-1, -1])
-        print(f"| {name} | {values[-1]:.2f} | {deviation:.2f} | {np.sqrt(variance):.1f} |")
 
 
 def moving_errors(part: HeldBack, channel: int) -> tuple[float, float]:
@@ -223,15 +169,16 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--fit", type=int, nargs="+", default=[1, 2], help="voltages of the steps that are fitted")
     parser.add_argument("--samples", type=int, nargs="+", default=[2, 4])
-    arguments = parser.parse_args()
-    if "refusals" in arguments.only:
-        refusals(arguments.folder)
-    if "speeds" in arguments.only and (arguments.folder / FESTO).is_dir():
-        speeds(arguments.folder / FESTO, arguments.samples)
-    if "friction" in arguments.only and (arguments.folder / FESTO).is_dir():
-        friction(arguments.folder / FESTO, arguments.samples)
-    if "festo" in arguments.only and (arguments.folder / FESTO).is_dir():
-        festo(arguments.folder / FESTO, arguments.samples, arguments.fit)
+    given = parser.parse_args()
+    axis = given.folder / FESTO
+    parts: dict[str, Callable[[], None]] = {
+        "refusals": lambda: refusals(given.folder),
+        "speeds": lambda: speeds(axis, given.samples),
+        "festo": lambda: festo(axis, given.samples, given.fit),
+    }
+    for name, part in parts.items():
+        if name in given.only and (name == "refusals" or axis.is_dir()):
+            part()
 
 
 if __name__ == "__main__":

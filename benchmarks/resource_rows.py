@@ -7,13 +7,12 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from benchmarks.table import Case, Extent, Row, UnavailableError, fresh_process, one_row
+from benchmarks.table import Case, Extent, Row, fresh_process, one_row
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import MonitoredController
 from hydro_agents.learning.policy import PolicyController
@@ -21,22 +20,6 @@ from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ENVIRONMENT_ID, ServoHydraulicVectorEnv
 
 MEMORY_AXES = 65_536
-_RESIDENT_CODE = """
-import gymnasium, numpy as np, hydro_env
-def resident():
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * __import__("resource").getpagesize()
-def run(count):
-    env = gymnasium.make_vec("{env_id}", num_envs=count, threads=1)
-    env.reset(seed=0)
-    for _ in range(3):
-        env.step(np.zeros((count, 1), dtype=np.float32))
-    return env
-small = run(8)
-before = resident()
-large = run({count})
-print((resident() - before) / {count})
-"""
 _FIRST_STEP_CODE = f"""
 import gymnasium, hydro_env
 env = gymnasium.make("{ENVIRONMENT_ID}")
@@ -59,21 +42,10 @@ def memory_cases(extent: Extent, count: int = MEMORY_AXES) -> list[Case]:
     def arrays() -> float:
         env = ServoHydraulicVectorEnv(count)
         env.reset(seed=0)
-        size = array_bytes(env) / count
         env.close()
-        return size
+        return array_bytes(env) / count
 
-    def resident() -> float:
-        if not Path("/proc/self/statm").exists():
-            raise UnavailableError("not measured: this system has no /proc")
-        return float(fresh_process(_RESIDENT_CODE.format(env_id=ENVIRONMENT_ID, count=count))[1])
-
-    name, size = "arrays of one axis", f"N = {count:,}"
-    growth = "growth of resident memory per axis"
-    return [
-        one_row(name, "bytes", arrays, 1, note=size),
-        one_row(growth, "bytes", resident, extent.runs, name, f"{size}, fresh process"),
-    ]
+    return [one_row("arrays of one axis", "bytes", arrays, 1, note=f"N = {count:,}")]
 
 
 def start_cases(extent: Extent) -> list[Case]:
@@ -95,23 +67,14 @@ def start_cases(extent: Extent) -> list[Case]:
             first_step(folder.name)
         return first_step(folder.name)
 
-    own, note = "import hydro_env", "with its imports, without the start of the interpreter"
-    filled, anew = "first step, warm cache", "everything compiled again"
+    own, filled = "import hydro_env", "first step, warm cache"
     return [
         process("python, nothing imported", "pass"),
         process("import gymnasium", "import gymnasium", "python, nothing imported"),
         process(own, own, "import gymnasium"),
-        one_row(f"{own}, by -X importtime", "s", lambda: import_time("hydro_env"), extent.runs, note=note),
         one_row(filled, "s", warm, extent.runs, own, "import, gym.make, reset, step"),
-        one_row("first step, cold cache", "s", cold, min(3, extent.runs), filled, anew),
+        one_row("first step, cold cache", "s", cold, min(3, extent.runs), filled, "everything compiled again"),
     ]
-
-
-def import_time(module: str) -> float:
-    """Seconds of the import of a module, including its own imports, by ``python -X importtime``."""
-    text = fresh_process(f"import {module}", None, "-X", "importtime")[2]
-    line = next(line for line in text.splitlines() if line.rsplit("|", 1)[-1].strip() == module)
-    return 1e-6 * int(line.split("|")[1])
 
 
 def inference_cases(extent: Extent) -> list[Case]:

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import subprocess
 import sys
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any
-from unittest import mock
+
+import pandas as pd
 
 from hydro_agents.running.text import markdown, number
-from hydro_env.errors import ConfigurationError
 from hydro_env.files import write_whole
 
 HEADINGS = ("what", "unit", "median", "lowest–highest", "runs", "beside", "note")
-STATISTICS = ("median", "lowest", "highest", "ratio", "ratio_lowest", "ratio_highest")
-CSV_COLUMNS = ("group", "row", "unit", "against", "note", "runs", *STATISTICS, "values")
 
 
 class UnavailableError(Exception):
@@ -102,37 +95,14 @@ def write_markdown(path: Path, rows: Sequence[Row], titles: Mapping[str, str], h
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """Write every row with all its values, unrounded."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    for row in rows:
-        statistics: list[object] = []
-        for values in (row.values, ratios(row, rows)):
-            statistics += [median(values), min(values), max(values)] if values else [""] * 3
-        own = [row.group, row.name, row.unit, row.against, row.note, len(row.values)]
-        writer.writerow([*own, *statistics, " ".join(map(repr, row.values))])
-    write_whole(path, text.getvalue().encode())
+    table = pd.DataFrame([vars(row) for row in rows]).rename(columns={"name": "row"})
+    table["median"] = [median(row.values) if row.values else None for row in rows]
+    table["ratio"] = [median(own) if (own := ratios(row, rows)) else None for row in rows]
+    table["values"] = [" ".join(map(repr, row.values)) for row in rows]
+    write_whole(path, table.to_csv(index=False).encode())
 
 
-def read_csv(path: Path) -> list[Row]:
-    """Read what :func:`write_csv` wrote.
-
-    Raises:
-        ConfigurationError: the file is damaged or of another kind.
-    """
-    try:
-        lines = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
-        texts = {name: name for name in ("unit", "against", "note", "group")} | {"name": "row"}
-        return [
-            Row(**{name: line[column] for name, column in texts.items()}, values=[*map(float, line["values"].split())])
-            for line in lines
-        ]
-    except (OSError, KeyError, ValueError, AttributeError, TypeError) as error:
-        raise ConfigurationError(f"{path}: is not a table of hydro benchmark ({type(error).__name__})") from None
-
-
-ROOT = Path(__file__).resolve().parents[1]
-"""The root of the checkout, for fresh processes."""
+ROOT = Path(__file__).resolve().parents[1]  # of the checkout, for fresh processes
 
 
 @dataclass(frozen=True)
@@ -143,8 +113,6 @@ class Extent:
     seconds: float  # duration of one measurement of a rate
     kernel_sizes: Sequence[int]
     vector_sizes: Sequence[int]
-    cost_sizes: Sequence[int]
-    solver_periods: int
     accuracy_rigs: int
     training_steps: int
     calls: int
@@ -155,13 +123,11 @@ FULL = Extent(
     seconds=0.5,
     kernel_sizes=(1, 8, 64, 512, 4096, 65_536),
     vector_sizes=(16, 64, 256, 1024, 4096, 16_384),
-    cost_sizes=(256, 1024, 4096, 16_384, 65_536),
-    solver_periods=40,
     accuracy_rigs=240,
     training_steps=1_000_000,
     calls=20_000,
 )
-QUICK = Extent(3, 0.1, (1, 64, 4096), (16, 1024), (256, 4096), 8, 40, 131_072, 2000)
+QUICK = Extent(3, 0.1, (1, 64, 4096), (16, 1024), 40, 131_072, 2000)
 
 
 def rate(work: Callable[[], int], seconds: float) -> float:
@@ -175,8 +141,8 @@ def rate(work: Callable[[], int], seconds: float) -> float:
             return done / passed
 
 
-def fresh_process(code: str, environment: Mapping[str, str] | None = None, *options: str) -> tuple[float, str, str]:
-    """Run Python code in a new process; returns wall time (s), standard output and standard error.
+def fresh_process(code: str, environment: Mapping[str, str] | None = None) -> tuple[float, str]:
+    """Run Python code in a new process; returns wall time (s) and standard output.
 
     Raises:
         RuntimeError: the code failed; the message is the last line of its output.
@@ -184,29 +150,8 @@ def fresh_process(code: str, environment: Mapping[str, str] | None = None, *opti
     path = os.pathsep.join([str(ROOT), str(ROOT / "agents"), *filter(None, [os.environ.get("PYTHONPATH")])])
     variables = {**os.environ, "PYTHONPATH": path, **(environment or {})}
     began = time.perf_counter()
-    done = subprocess.run([sys.executable, *options, "-c", code], capture_output=True, text=True, env=variables)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=variables)
     seconds = time.perf_counter() - began
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or ["the process failed"])[-1])
-    return seconds, done.stdout, done.stderr
-
-
-@contextmanager
-def time_in(*functions: tuple[Any, str, str]) -> Iterator[Mapping[str, float]]:
-    """Seconds spent in functions (owner, attribute, name), by name; a nested call counts in both functions."""
-    seconds: defaultdict[str, float] = defaultdict(float)
-
-    def timed(plain: Callable[..., Any], name: str) -> Callable[..., Any]:
-        def call(*args: Any, **kwargs: Any) -> Any:
-            began = time.perf_counter()
-            try:
-                return plain(*args, **kwargs)
-            finally:
-                seconds[name] += time.perf_counter() - began
-
-        return call
-
-    with ExitStack() as stack:
-        for owner, attribute, name in functions:
-            stack.enter_context(mock.patch.object(owner, attribute, timed(getattr(owner, attribute), name)))
-        yield seconds
+    return seconds, done.stdout

@@ -12,18 +12,17 @@ is not written. Finished axes stay in the folder; after an interruption the same
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases
-from hydro_agents.running.jobs import Job, fingerprint, run_jobs
 from hydro_agents.running.seeds import TREND_CALIBRATION, TRENDS
 from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
@@ -72,13 +71,13 @@ def axis_of(seed: int, days: int, grows: bool) -> Axis:
     return Axis(leak, warm, repairs)
 
 
-def readings(controller: Controller, seed: int, days: int, grows: bool, windows: int) -> dict[str, Any]:
-    """The rows of an axis, one per day."""
-    axis, random = axis_of(seed, days, grows), np.random.default_rng([seed, 61])
+def table_of(controller: Controller, seed: int, axis: Axis, windows: int) -> pd.DataFrame:
+    """The table that `hydro trend` would write about an axis, a row for each day."""
+    days, random = len(axis.leak), np.random.default_rng([seed, 61])
     oil, true_oil = Oil.of("46"), Oil(46.0, GRADES[46] * (1.0 + 0.03 * random.standard_normal()))
     task = TaskConfig(episode_duration=LENGTH + SHIFT * (WEEKS - 1))
-    leak = axis.leak / true_oil.factor(axis.warm)
     names = np.array([FAMILIES[day % len(FAMILIES)] for day in range(days)])
+    leak = axis.leak / true_oil.factor(axis.warm)
     signals, _ = measured_run(task, controller, Cases(np.full(days, seed), leak, names))
     known, off = TaskConfig(), random.normal(0.0, 1.0)
     how = Settings(oil, (20.0, 60.0), windows=windows)
@@ -89,30 +88,20 @@ def readings(controller: Controller, seed: int, days: int, grows: bool, windows:
         kept = np.flatnonzero(random.random(part.shape[1]) >= LOST)
         warm = {"oil_temperature": axis.warm[day] + off + random.normal(0.0, 0.3, len(kept))}
         time = (kept - kept[0]) * task.control_period
-        live = Liveliest(how.window, known)
-        live.add(Recording("day", time, part[:, kept], {}, [], warm, START + DAY * day))
-        rows.append(row_of(f"{seed}", live, known, how))
-    return {
-        "verdict": np.array([row.verdict.value for row in rows]),
-        "reason": np.array([row.reason for row in rows]),
-        "leaks": np.array([[*row.leak, row.moving, row.temperature, *row.at_40] for row in rows]),
-    }
+        live, begun = Liveliest(how.window, known), START + DAY * day
+        live.add(Recording("day", time, part[:, kept], {}, [], warm, begun))
+        row = row_of(f"{seed}", live, known, how)
+        sizes = dict(zip(SIZES, (*row.leak, row.moving, row.temperature, *row.at_40), strict=True))
+        when = {"time": stamp(begun), "until": stamp(begun), "axis": f"{seed}"}
+        repaired = "x" if day in axis.repairs else ""
+        rows.append(sizes | when | {"verdict": row.verdict.value, "reason": row.reason, "repaired": repaired})
+    return pd.DataFrame(rows)
 
 
-def table_of(seed: int, found: dict[str, Any], repairs: tuple[int, int]) -> pd.DataFrame:
-    """The table that `hydro trend` would have written."""
-    table = pd.DataFrame(found["leaks"], columns=list(SIZES))
-    days = range(len(table))
-    marks = ["x" if day in repairs else "" for day in days]
-    times = [stamp(START + DAY * day) for day in days]
-    return table.assign(
-        time=times, until=times, axis=f"{seed}", verdict=found["verdict"], reason=found["reason"], repaired=marks
-    )
-
-
-def judge(seed: int, found: dict[str, Any], axis: Axis, grows: bool) -> dict[str, Any]:
+def judge(controller: Controller, seed: int, days: int, grows: bool, windows: int) -> dict[str, Any]:
     """What the trend said day by day: share of dates that hold, false dates and alarms."""
-    table, days = table_of(seed, found, axis.repairs), len(axis.leak)
+    axis = axis_of(seed, days, grows)
+    table = table_of(controller, seed, axis, windows)
     holds, early, raised, at_half = [], [], 0, np.nan
     since = axis.repairs[0]
     crossing = since + np.log10(LIMIT / axis.leak[since]) / GROWTH if grows else np.inf
@@ -125,20 +114,19 @@ def judge(seed: int, found: dict[str, Any], axis: Axis, grows: bool) -> dict[str
             holds.append(trend.dated and ahead.low <= left <= ahead.high)
             early.append(trend.growth.not_before <= left)
             at_half = float(holds[-1]) if len(holds) == 1 else at_half
-    error = np.log10(np.clip(found["leaks"][:, 5], 1e-4, None) / axis.leak)
-    inside = (found["leaks"][:, 6] <= axis.leak) & (axis.leak <= found["leaks"][:, 7])
+    value, low, high = (table[name].to_numpy() for name in [*SIZES][-3:])
+    answered, inside = np.isfinite(value), (low <= axis.leak) & (axis.leak <= high)
     return {
         "seed": seed,
         "grows": grows,
-        "holds": float(np.mean(holds)) if holds else np.nan,
         "days": len(holds),
         "held": int(np.sum(holds)),
         "at_half": at_half,
         "not_before": float(np.mean(early)) if early else np.nan,
         "raised": raised,
-        "read": float(np.isfinite(found["leaks"][:, 5]).mean()),
-        "inside": float(inside[np.isfinite(found["leaks"][:, 5])].mean()),
-        "scatter": float(np.nanstd(error)),
+        "read": float(answered.mean()),
+        "inside": float(inside[answered].mean()),
+        "scatter": float(np.nanstd(np.log10(np.clip(value, 1e-4, None) / axis.leak))),
     }
 
 
@@ -149,28 +137,18 @@ def main() -> None:
     parser.add_argument("--axes", type=int, default=20, help="that grow, and as many healthy ones")
     parser.add_argument("--days", type=int, default=60)
     parser.add_argument("--windows", type=int, default=1, help="of a day")
-    parser.add_argument("--jobs", type=int, default=None)
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--validation", action="store_true", help="validation seeds instead of test seeds")
     given = parser.parse_args()
-    controller = shipped("pid", TaskConfig())
-    digest = fingerprint(controller)
-    seeds = TREND_CALIBRATION if given.validation else TRENDS
-    cases = [
-        (seed, grows) for grows, skip in ((True, SEEN), (False, 1000 + SEEN)) for seed in seeds.take(given.axes, skip)
-    ]
-    jobs = {
-        f"{seed}": Job(readings, controller, (seed, given.days, grows, given.windows), digest) for seed, grows in cases
-    }
-
-    def progress(_: str, done: int, total: int) -> None:
-        print(f"{done} of {total} axes", file=sys.stderr, flush=True)
-
-    results, _ = run_jobs(jobs, given.folder, given.jobs, progress)
-    rows = [
-        judge(seed, dict(results[f"{seed}"].metrics), axis_of(seed, given.days, grows), grows) for seed, grows in cases
-    ]
-    table = pd.DataFrame(rows)
-    table.to_csv(given.folder / "axes.csv", index=False)
+    controller, seeds = shipped("pid", TaskConfig()), TREND_CALIBRATION if given.validation else TRENDS
+    grows = {seed: skip == SEEN for skip in (SEEN, 1000 + SEEN) for seed in seeds.take(given.axes, skip)}
+    table = kept_rows(
+        given.folder / "axes.csv",
+        "seed",
+        list(grows),
+        lambda seed: [judge(controller, seed, given.days, grows[seed], given.windows)],
+        given.jobs,
+    )
     growing, healthy = table[table["grows"]], table[~table["grows"]]
     held, days = int(growing["held"].sum()), int(growing["days"].sum())
     half = share_interval(int(growing["at_half"].sum()), int(growing["at_half"].notna().sum()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -13,8 +13,7 @@ from hydro_env.plant.analysis import force_rate_terms
 from hydro_env.plant.arrays import coefficient_array, derivative_array
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.states import STATE_NAMES
-from paper.leaks import FEW_LINES
-from paper.rig import LAWS, Law, Rig, simplified, with_leak
+from paper.rig import FEW_LEAKS, LAWS, PLANT, SAMPLE_TIME, START, VOLTAGE, Law, count, simplified, with_leak
 
 DRAWN = 1.0
 """l/min at 100 bar; the leak of the picture."""
@@ -30,32 +29,24 @@ TERMS = {
 }
 DRIVE, HELD, WATCH = 0.15, 0.02, 0.25
 WINDOWS = {"move": (0.0, DRIVE), "stop": (DRIVE, DRIVE + 0.15)}
-"""s after the command to move; all times of this file times Rig.stretch."""
+"""s after the command to move."""
 
 BINS = 8
 FEWEST = 10
 """Smallest number of samples in a bin of pressure differences."""
 
 
-@lru_cache(maxsize=4)
-def force_rate_table(
-    rig: Rig, law: Law = "laminar", leaks: tuple[float, ...] = FEW_LINES, orifice: float = 0.0
-) -> pd.DataFrame:
-    """The four terms over time for each leak, their sum, and dF/dt from the two chambers (23) as a check.
-
-    ``orifice``: gain of an additional throttle, m³/(s √Pa).
-    """
+@cache
+def force_rate_table(law: Law) -> pd.DataFrame:
+    """The four terms over time for each leak, their sum, and dF/dt from the two chambers (23) as a check."""
     parts = []
-    for leak in leaks:
-        plant = with_leak(simplified(rig.parameters, "none", True), leak, law)
-        leakage = {"external_resistance": resistance_from_flow(EXTERNAL_LEAK)}
-        if orifice:
-            leakage["orifice_gain"] = plant.leakage.orifice_gain + orifice
-        plant = plant.replace(leakage=leakage)
-        _, holding = equilibrium(plant, rig.start)
-        spans = ((HELD, holding), (DRIVE, rig.voltage), (WATCH, 0.0))
-        voltage = np.concatenate([np.full(rig.count(rig.stretch * seconds), volts) for seconds, volts in spans])
-        run = simulate(plant, voltage, rig.sample_time, {"position": rig.start})
+    for leak in FEW_LEAKS:
+        plant = with_leak(simplified(PLANT, "none", True), leak, law)
+        plant = plant.replace(leakage={"external_resistance": resistance_from_flow(EXTERNAL_LEAK)})
+        _, holding = equilibrium(plant, START)
+        spans = ((HELD, holding), (DRIVE, VOLTAGE), (WATCH, 0.0))
+        voltage = np.concatenate([np.full(count(seconds), volts) for seconds, volts in spans])
+        run = simulate(plant, voltage, SAMPLE_TIME, {"position": START})
         terms = force_rate_terms(run)
         c = coefficient_array(plant)
         rates = np.array([derivative_array(state, c, 0.0) for state in run.states])
@@ -65,7 +56,7 @@ def force_rate_table(
             pd.DataFrame(
                 {
                     "leak_lpm": leak,
-                    "time_s": run.time - rig.count(rig.stretch * HELD) * rig.sample_time,
+                    "time_s": run.time - count(HELD) * SAMPLE_TIME,
                     **dict(zip(TERMS, terms, strict=True)),
                     "sum_n_s": sum(terms),
                     "from_chambers_n_s": area_a * rates[:, row_a] - area_b * rates[:, row_b],
@@ -82,37 +73,36 @@ def share_of_leakage(samples: pd.DataFrame) -> float:
     return float(sizes["internal_leakage_n_s"] / sizes.sum())
 
 
-def shares(table: pd.DataFrame, stretch: float = 1.0) -> pd.DataFrame:
+def shares(table: pd.DataFrame) -> pd.DataFrame:
     """Per leak and window: internal leakage's share of all four sizes, and the mean pressure difference."""
     rows = []
     for leak, part in table.groupby("leak_lpm"):
         for window, (first, last) in WINDOWS.items():
-            samples = part[(part["time_s"] >= stretch * first) & (part["time_s"] < stretch * last)]
+            samples = part[(part["time_s"] >= first) & (part["time_s"] < last)]
             difference = samples["pressure_difference_bar"]
             rows.append(
                 {
                     "leak_lpm": leak,
                     "window": window,
                     "leakage_share": share_of_leakage(samples),
-                    "mean_difference_bar": float(difference.mean()),
                     "mean_size_of_difference_bar": float(difference.abs().mean()),
                 }
             )
     return pd.DataFrame(rows)
 
 
-def share_table(rig: Rig) -> pd.DataFrame:
+def share_table() -> pd.DataFrame:
     """Leakage's share of the sizes of all four terms by law, leak and size of the pressure difference, bar.
 
     Over the move and the stop of :func:`force_rate_table`; bins with too few samples are left out.
     """
-    tables = {law: force_rate_table(rig, law) for law in LAWS}
+    tables = {law: force_rate_table(law) for law in LAWS}
     moving = {law: table[table["time_s"] >= 0.0] for law, table in tables.items()}
     largest = max(float(table["pressure_difference_bar"].abs().quantile(0.99)) for table in moving.values())
     edges = np.linspace(0.0, max(largest, 1e-3), BINS + 1)
     rows = []
     for law, table in moving.items():
-        for leak in FEW_LINES:
+        for leak in FEW_LEAKS:
             part = table[table["leak_lpm"] == leak]
             size = part["pressure_difference_bar"].abs()
             for low, high in pairwise(edges):

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import math
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from hydro_agents.controllers.sampled_loop import (
-    COMMAND_LATENCY,
     CONTROL_PERIOD,
     SampledLoop,
     places_in_reach,
     sampled_loop,
 )
-from hydro_env import HydroError, PlantParameters, equilibrium, simulate
-from hydro_env.plant.states import STATE_NAMES
-from hydro_env.units import FULL_VOLTAGE
-from paper.leaks import LINES, TIGHT
-from paper.rig import Rig, with_leak
+from hydro_env import HydroError
+from paper.rig import LEAKS, PLACE, PLANT, TIGHT, with_leak
 
 GAIN_MARGIN = 2.0
 """Gain margin: largest stable gain over the gain in use."""
@@ -33,21 +28,14 @@ NYQUIST = 0.5 / CONTROL_PERIOD
 FREQUENCIES = np.geomspace(1e-3, 0.999, 500) * NYQUIST
 
 
-@lru_cache(maxsize=8)
-def sensible_gain(rig: Rig) -> float:
-    """Gain (command per metre, 1 = 10 V): the largest stable one over the whole reach with a tight seal, over a margin.
-
-    Raises:
-        HydroError: no gain is stable, or no gain is too large.
-    """
-    plant, limits = with_leak(rig.parameters, TIGHT, "laminar"), []
+@cache
+def sensible_gain() -> float:
+    """Gain (command per metre, 1 = 10 V): the largest stable one over the reach with a tight seal, over a margin."""
+    plant, limits = with_leak(PLANT, TIGHT, "laminar"), []
     for place in places_in_reach(plant):
         with contextlib.suppress(HydroError):  # a place that cannot be held
             limits.append(sampled_loop(plant, place).largest_stable_gain())
-    limit = min(limits, default=0.0)
-    if not 0.0 < limit < math.inf:
-        raise HydroError(f"no sensible gain: the largest stable one of the position loop is {limit:g} per metre")
-    return limit / GAIN_MARGIN
+    return min(limits) / GAIN_MARGIN
 
 
 def bandwidth(loop: SampledLoop, gain: float) -> float:
@@ -63,60 +51,15 @@ def bandwidth(loop: SampledLoop, gain: float) -> float:
     return float(frequencies[last] * (frequencies[last + 1] / frequencies[last]) ** share)
 
 
-def closed_loop_run(
-    parameters: PlantParameters,
-    reference: ArrayLike,
-    gain: float,
-    start: float,
-    offset: float = 0.0,
-    deviation: float = 0.0,
-) -> pd.DataFrame:
-    """Simulate the nonlinear plant under a sampled proportional controller; one row per sample, including the end.
-
-    Args:
-        parameters: the plant.
-        reference: m, one value per control period, shape (n,).
-        gain: command (1 = 10 V) per metre of reference − position.
-        start: m, initial position, at rest.
-        offset: added to the command, which stays within ±1.
-        deviation: m, added to the initial position.
-
-    Returns:
-        ``time_s``, ``reference_m``, ``position_m``, ``command`` (1 = 10 V).
-    """
-    targets = np.asarray(reference, dtype=np.float64)
-    state, holding = equilibrium(parameters, start)
-    state, before = state | {"position": start + deviation}, holding / FULL_VOLTAGE
-    per_period, late = round(CONTROL_PERIOD / INNER), round(COMMAND_LATENCY / INNER)
-    positions, commands = [np.array([state["position"]])], []
-    for target in targets:
-        command = float(np.clip(gain * (target - state["position"]) + offset, -1.0, 1.0))
-        acting = np.repeat([before, command], [late, per_period - late])
-        run = simulate(parameters, FULL_VOLTAGE * acting, INNER, state)
-        positions.append(run.position[1:])
-        commands.append(acting)
-        state = dict(zip(STATE_NAMES, run.states[-1].tolist(), strict=True))
-        before = command
-    held, acting = np.repeat(targets, per_period), np.concatenate(commands)
-    return pd.DataFrame(
-        {
-            "time_s": INNER * np.arange(len(held) + 1),
-            "reference_m": np.append(held, held[-1]),
-            "position_m": np.concatenate(positions),
-            "command": np.append(acting, acting[-1]),
-        }
-    )
-
-
-def closed_bode_table(rig: Rig) -> pd.DataFrame:
-    """Gain and phase (degrees) from reference to position over frequency by leak, at the rig's place.
+def closed_bode_table() -> pd.DataFrame:
+    """Gain and phase (degrees) from reference to position over frequency by leak.
 
     Repeated in every row of a leak: ``gain_per_m`` (command per metre), ``largest_gain_per_m``, ``at_rest`` (m per m),
     ``bandwidth_hz`` (−3 dB from ``at_rest``), ``peak_hz`` and ``peak`` (largest gain).
     """
-    gain, parts = sensible_gain(rig), []
-    for leak in LINES:
-        loop = sampled_loop(with_leak(rig.parameters, leak, "laminar"), rig.place)
+    gain, parts = sensible_gain(), []
+    for leak in LEAKS:
+        loop = sampled_loop(with_leak(PLANT, leak, "laminar"), PLACE)
         response = loop.response(gain, FREQUENCIES)
         size = np.abs(response)
         columns = {"leak_lpm": leak, "frequency_hz": FREQUENCIES, "gain": size}

@@ -1,4 +1,4 @@
-"""Fig. 12: start–stop moves at several leaks, open loop as recorded, and in a closed position loop."""
+"""Fig. 12: start–stop moves at several leaks, in open loop."""
 
 from __future__ import annotations
 
@@ -6,17 +6,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.sampled_loop import CONTROL_PERIOD
 from hydro_env import equilibrium, simulate
-from hydro_env.plant.analysis import speed_limits
-from paper.leaks import LINES
-from paper.loop import INNER, closed_loop_run, sensible_gain
-from paper.rig import Rig, simplified, with_leak
+from hydro_env.task.sensors import Sensors
+from paper.rig import LEAKS, PLANT, SAMPLE_TIME, START, VOLTAGE, count, simplified, with_leak
 from paper.signals import recorded
 
 MOVES = ((0.25, 1.0), (0.45, 0.0), (0.25, 1.0), (0.45, 0.0), (0.5, -1.0), (0.5, 0.0))
-"""s and fraction of Rig.voltage: two moves out and one back, each with a stop after it. Rig.stretch scales all
-times."""
+"""s and fraction of VOLTAGE: two moves out and one back, each with a stop after it."""
 
 HELD = 0.1
 """s; time at the initial position before the first move."""
@@ -24,48 +20,41 @@ HELD = 0.1
 FIRST_STOP = 0.35
 """s; the first command to stop."""
 
-SETTLE_FIRST = 1.0
-"""s; time for the closed loop to come to rest before the record begins."""
-
-JUDGED = 0.1
-"""s at the end of the first stop, for the mean of the remaining error."""
-
 SEED = 12
 
 
-def start_stop_voltage(rig: Rig, holding: float) -> NDArray[np.float64]:
+def start_stop_voltage(holding: float) -> NDArray[np.float64]:
     """The commands in V, one per sample; first the one that holds the start."""
-    commands = ((HELD, holding), *((duration, share * rig.voltage) for duration, share in MOVES))
-    return np.concatenate([np.full(rig.count(rig.stretch * duration), volts) for duration, volts in commands])
+    commands = ((HELD, holding), *((duration, share * VOLTAGE) for duration, share in MOVES))
+    return np.concatenate([np.full(count(duration), volts) for duration, volts in commands])
 
 
-def displacement_table(rig: Rig) -> pd.DataFrame:
+def displacement_table() -> pd.DataFrame:
     """Recorded and true displacement over time for each leak; throttle in parallel, open loop.
 
-    ``friction``: whether there is friction; only False if the rig has none. Every run has the same noise and bias.
+    ``friction``: whether there is friction. Every run has the same noise and bias.
     """
-    base, parts = rig.parameters, []
-    for friction in (True, False) if rig.has_friction else (False,):
-        for leak in LINES:
-            plant = with_leak(simplified(base, base.friction.model if friction else "none", True), leak, "throttle")
-            _, holding = equilibrium(plant, rig.start)
-            run = simulate(plant, start_stop_voltage(rig, holding), rig.sample_time, {"position": rig.start})
-            signal = recorded(run.position, rig.transducer, np.random.default_rng(SEED))
+    parts = []
+    for friction in (True, False):
+        for leak in LEAKS:
+            plant = with_leak(simplified(PLANT, PLANT.friction.model if friction else "none", True), leak, "throttle")
+            _, holding = equilibrium(plant, START)
+            run = simulate(plant, start_stop_voltage(holding), SAMPLE_TIME, {"position": START})
+            signal = recorded(run.position, Sensors().position, np.random.default_rng(SEED))
             columns = {"friction": friction, "leak_lpm": leak, "time_s": run.time, "command_v": run.voltage}
             positions = {"recorded_position_mm": 1e3 * signal, "true_position_mm": 1e3 * run.position}
             parts.append(pd.DataFrame(columns | positions))
     return pd.concat(parts, ignore_index=True)
 
 
-def displacement_summary(table: pd.DataFrame, stretch: float = 1.0) -> pd.DataFrame:
+def displacement_summary(table: pd.DataFrame) -> pd.DataFrame:
     """Per friction and leak: length of the first move, creep in the 0.4 s after it, swing of the true position, mm.
 
-    The creep ``drift_mm`` is ``forth_mm`` − ``back_mm``: first towards the start, then away from it.
+    The creep goes first towards the start (``back_mm``), then away from it (``forth_mm``).
     """
     rows = []
     for (friction, leak), part in table.groupby(["friction", "leak_lpm"]):
         time, true, signal = (part[name].to_numpy() for name in ("time_s", "true_position_mm", "recorded_position_mm"))
-        time = time / stretch
         stopped = np.interp(FIRST_STOP + 0.03, time, true)
         late = (time > FIRST_STOP + 0.40) & (time < FIRST_STOP + 0.44)
         early = (time > FIRST_STOP + 0.04) & (time < FIRST_STOP + 0.09)
@@ -76,7 +65,6 @@ def displacement_summary(table: pd.DataFrame, stretch: float = 1.0) -> pd.DataFr
                 "friction": friction,
                 "leak_lpm": leak,
                 "move_mm": stopped - true[0],
-                "drift_mm": float(true[late].mean() - stopped),
                 "back_mm": float(stopped - creep.min()),
                 "forth_mm": float(true[late].mean() - creep.min()),
                 "swing_mm": float(np.ptp(true[early] - straight)),
@@ -84,55 +72,3 @@ def displacement_summary(table: pd.DataFrame, stretch: float = 1.0) -> pd.DataFr
             }
         )
     return pd.DataFrame(rows)
-
-
-def start_stop_reference(rig: Rig) -> NDArray[np.float64]:
-    """Reference positions in m, one per control period: ramps at the speed of the open-loop command, and stops."""
-    positions, place = [np.full(_periods(rig, SETTLE_FIRST + HELD), rig.start)], rig.start
-    for duration, share in MOVES:
-        steps = np.arange(1, _periods(rig, duration) + 1)
-        positions.append(place + share * ramp_speed(rig) * CONTROL_PERIOD * steps)
-        place = float(positions[-1][-1])
-    return np.concatenate(positions)
-
-
-def ramp_speed(rig: Rig) -> float:
-    """Speed in m/s of the ramps: the lower no-load speed times the voltage of the moves over 10 V."""
-    return rig.voltage / 10.0 * min(speed_limits(rig.parameters))
-
-
-def _periods(rig: Rig, duration: float) -> int:
-    return round(rig.stretch * duration / CONTROL_PERIOD)
-
-
-def closed_moves_table(rig: Rig) -> pd.DataFrame:
-    """Reference, position and error in mm and command (1 = 10 V) by leak; throttle in parallel.
-
-    One row per control period.
-    """
-    reference, gain, parts = start_stop_reference(rig), sensible_gain(rig), []
-    skipped = _periods(rig, SETTLE_FIRST) * CONTROL_PERIOD
-    for leak in LINES:
-        run = closed_loop_run(with_leak(rig.parameters, leak, "throttle"), reference, gain, rig.start)
-        sampled = run[run["time_s"] >= skipped - 1e-9].iloc[:: round(CONTROL_PERIOD / INNER)]
-        parts.append(
-            pd.DataFrame(
-                {
-                    "leak_lpm": leak,
-                    "time_s": sampled["time_s"] - skipped,
-                    "reference_mm": 1e3 * sampled["reference_m"],
-                    "position_mm": 1e3 * sampled["position_m"],
-                    "error_mm": 1e3 * (sampled["reference_m"] - sampled["position_m"]),
-                    "command": sampled["command"],
-                }
-            )
-        )
-    return pd.concat(parts, ignore_index=True)
-
-
-def closed_moves_summary(table: pd.DataFrame, rig: Rig) -> pd.DataFrame:
-    """Per leak: largest error (mm), and mean error (mm) and command (1 = 10 V) at the end of the first stop."""
-    end = rig.stretch * (HELD + MOVES[0][0] + MOVES[1][0])
-    late = table[(table["time_s"] > end - JUDGED * rig.stretch) & (table["time_s"] < end)].groupby("leak_lpm")
-    largest = table["error_mm"].abs().groupby(table["leak_lpm"]).max()
-    return pd.DataFrame({"largest_mm": largest, "left_mm": late["error_mm"].mean(), "command": late["command"].mean()})

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from hydro_agents.report.canvas import GREY, INK, PALE, PAPER, legend_inside, ticks
@@ -21,24 +19,15 @@ from hydro_agents.report.palette import LEAK_LOOKS as LOOKS
 from hydro_agents.running.text import number, setting
 from hydro_env import resistance_from_flow
 from paper.force_rate import DRAWN, DRIVE, TERMS
-from paper.leaks import FEW_LINES, SCAN, TIGHT, flow
-from paper.leaks import LINES as LEAKS
 from paper.loop import NYQUIST
 from paper.moves import FIRST_STOP
-from paper.rig import LAWS, SHORT_LAWS, Rig
-from paper.sensitivity import RESULTS, effects
-from paper.settling import FRICTION_SHARES, chosen, friction_words
+from paper.rig import FEW_LEAKS, LAWS, LEAKS, TIGHT, VOLTAGE, flow
+from paper.settling import FRICTION_SHARES, SCAN_LEAKS, friction_words
 
 ENLARGED = (0.01, 1.0, 4.0)
 """Leaks whose stop is enlarged."""
 
 TIME_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-
-DEEPEST = 0.5
-"""Largest opacity of a shade; the background of the page, light or dark, shows through."""
-
-SHOWN = 20
-"""Parameters in the picture of the sensitivities."""
 
 MINUS_3_DB = math.sqrt(0.5)
 
@@ -53,7 +42,7 @@ def leak_lines(
         axes.plot(part[x], unit * part[y], label=flow(leak), marker=marker, **look.stroke, **options)
 
 
-def paint_displacement(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
+def paint_displacement(figure: Figure, table: pd.DataFrame) -> None:
     """Draw the whole move, and an enlarged time after the first stop, with and without friction."""
     parts: Any = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
     frictions = [bool(friction) for friction in table["friction"].unique()]
@@ -66,55 +55,34 @@ def paint_displacement(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     moving = (volts > 0.9 * volts.max()).tolist()
     whole.fill_between(command["time_s"], bottom, top, where=moving, color=INK, alpha=0.06, linewidth=0)
     whole.set(xlabel="time, s", ylabel="recorded position, mm", ylim=(bottom, top), xlim=(0.0, command["time_s"].max()))
-    whole.set_title(f"Start–stop moves (grey: valve open, +{rig.voltage:g} V twice, then −{rig.voltage:g} V)")
+    whole.set_title(f"Start–stop moves (grey: valve open, +{VOLTAGE:g} V twice, then −{VOLTAGE:g} V)")
     legend_inside(whole, title="leak at 100 bar", loc="upper right", handlelength=3.0)
-    stop, low, high = rig.stretch * FIRST_STOP, 0.0, 0.0
+    stop, low, high = FIRST_STOP, 0.0, 0.0
     for friction, axes in zip(frictions, panels, strict=True):
         for leak in ENLARGED:
             part = table[(table["leak_lpm"] == leak) & (table["friction"] == friction)]
             time, position = part["time_s"].to_numpy() - stop, part["recorded_position_mm"].to_numpy()
-            window = (time >= -0.01 * rig.stretch) & (time <= 0.15 * rig.stretch)
-            position = position - position[(time > 0.02 * rig.stretch) & (time < 0.05 * rig.stretch)].mean()
+            window = (time >= -0.01) & (time <= 0.15)
+            position = position - position[(time > 0.02) & (time < 0.05)].mean()
             axes.plot(1e3 * time[window], position[window], **LOOKS[leak].stroke, linewidth=1.0)
-            later = position[window & (time > 0.005 * rig.stretch)]
+            later = position[window & (time > 0.005)]
             low, high = min(low, float(later.min())), max(high, float(later.max()))
-        axes.set(xlabel="time after the first stop command, ms", xlim=(-10 * rig.stretch, 150 * rig.stretch))
+        axes.set(xlabel="time after the first stop command, ms", xlim=(-10, 150))
         axes.set_title(f"After the first stop, {'with' if friction else 'no'} friction")
     panels[0].set_ylim(1.5 * low, 1.15 * high)
     panels[0].set_ylabel("recorded position, mm\n(from where it stopped)")
 
 
-def paint_closed_moves(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
-    """Position with the reference, the error, the command."""
-    whole, error, command = figure.subplots(3, 1, sharex=True, height_ratios=[1.3, 1.0, 1.0])
-    leak_lines(whole, table, "time_s", "position_mm", linewidth=1.2)
-    leak_lines(error, table, "time_s", "error_mm", linewidth=1.0)
-    leak_lines(command, table, "time_s", "command", unit=10.0, linewidth=1.0)
-    part = table[table["leak_lpm"] == TIGHT]
-    whole.plot(part["time_s"], part["reference_mm"], color=GREY, linewidth=0.8, label="reference")
-    whole.set_ylabel("position, mm")
-    error.set_ylabel("error, mm")
-    command.set(ylabel="command, V", xlabel="time, s", xlim=(0.0, float(part["time_s"].max())))
-    for axes in (error, command):
-        axes.axhline(0.0, color=GREY, linewidth=0.7)
-    for axes, title in zip(
-        (whole, error, command),
-        ("The same start–stop moves, loop closed", "Reference minus position", "Valve command"),
-        strict=True,
-    ):
-        axes.set_title(title)
-    legend_inside(whole, title="leak at 100 bar", loc="upper right", handlelength=3.0)
-    figure.align_ylabels()
-
-
-def paint_settling(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
+def paint_settling(figure: Figure, table: pd.DataFrame) -> None:
     """Two laws by friction models; zero-lapped valve and null leakage in colours; signal as points, theory dashed."""
     models, underlaps = list(table["friction"].unique()), list(table["valve_null_leakage"].unique())
     grid = figure.subplots(len(LAWS), len(models), sharex=True, sharey=True, squeeze=False)
     for (row, column), axes in np.ndenumerate(grid):
         law, model = list(LAWS)[row], models[column]
         for look, underlap in zip(looks_of(underlaps).values(), underlaps, strict=True):
-            part = chosen(table, law, model, underlap)
+            part = table[
+                (table["friction"] == model) & (table["valve_null_leakage"] == underlap) & (table["law"] == law)
+            ]
             ohm, signal = part["resistance_pa_s_m3"], part["signal_s"]
             axes.plot(ohm, part["clean_s"], color=look.colour)
             spread = [signal - part["signal_low_s"], part["signal_high_s"] - signal]
@@ -123,7 +91,7 @@ def paint_settling(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
                 axes.plot(ohm, part["theory_s"], color=look.colour, linestyle=(0, (4, 2)), linewidth=1.0)
         axes.set(xscale="log", yscale="log")
         ticks(axes.yaxis, TIME_TICKS)
-        axes.set_title(f"{SHORT_LAWS[law]},\n{friction_words(model)}")
+        axes.set_title(f"{LAWS[law]},\n{friction_words(model)}")
         axes.set_xlabel("leakage resistance at 100 bar, Pa s/m³" if row else "")
         axes.set_ylabel("settling time, s" if column == 0 else "")
         for leak in (0.01, 0.1, 1.0, 4.0):  # the same in l/min, along the lower edge
@@ -144,13 +112,13 @@ def paint_settling(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8.0, columnspacing=1.2)
 
 
-def paint_force_rate(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
+def paint_force_rate(figure: Figure, table: pd.DataFrame) -> None:
     """Stacked terms with their sum, the leakage terms enlarged, the pressure difference; move and stop."""
     grid = figure.subplots(3, 2, sharex="col", sharey="row", height_ratios=[2.2, 1.2, 1.0])
-    part, stretch = table[table["leak_lpm"] == DRAWN], rig.stretch
+    part = table[table["leak_lpm"] == DRAWN]
     for column, (start, event) in enumerate(((0.0, "move"), (DRIVE, "stop"))):
-        after = 1e3 * (part["time_s"] - stretch * start)
-        rows = part[(after >= -10 * stretch) & (after <= 100 * stretch)]
+        after = 1e3 * (part["time_s"] - start)
+        rows = part[(after >= -10) & (after <= 100)]
         time = after[rows.index].to_numpy()
         stack, leaks, difference = grid[:, column]
         _stacked(stack, time, rows)
@@ -160,7 +128,7 @@ def paint_force_rate(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
         difference.plot(time, rows["pressure_difference_bar"], color=INK)
         difference.axhline(0.0, color=GREY, linewidth=0.7)
         difference.set_xlabel(f"time after the command to {event}, ms")
-        difference.set_xlim(-10 * stretch, 100 * stretch)
+        difference.set_xlim(-10, 100)
     labels = ("terms of dF/dt, kN/s", "leakage terms\nalone, kN/s", "P_a − P_b, bar")
     for axes, label in zip(grid[:, 0], labels, strict=True):
         axes.set_ylabel(label)
@@ -181,17 +149,17 @@ def _stacked(axes: Axes, time: np.ndarray, rows: pd.DataFrame) -> None:
     axes.plot(time, 1e-3 * rows["sum_n_s"], color=INK, linewidth=1.3, label="sum = dF/dt")
 
 
-def paint_share(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
+def paint_share(figure: Figure, table: pd.DataFrame) -> None:
     """Share over pressure difference, one panel per law."""
     panels = figure.subplots(1, len(LAWS), sharey=True)
     middle = 0.5 * (table["difference_low_bar"] + table["difference_high_bar"])
     drawn = table.assign(middle_bar=middle, percent=100.0 * table["leakage_share"])
     for axes, law in zip(panels, LAWS, strict=True):
         part = drawn[drawn["law"] == law]
-        leak_lines(axes, part, "middle_bar", "percent", FEW_LINES, markersize=4.0)
+        leak_lines(axes, part, "middle_bar", "percent", FEW_LEAKS, markersize=4.0)
         axes.set(yscale="log", xlabel="size of the pressure difference, bar")
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axes.set_title(SHORT_LAWS[law])
+        axes.set_title(LAWS[law])
     panels[0].set_ylabel("leakage's share of the terms of dF/dt, %")
     handles = panels[0].get_legend_handles_labels()
     figure.legend(
@@ -199,7 +167,7 @@ def paint_share(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     )
 
 
-def paint_closed_bode(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
+def paint_closed_bode(figure: Figure, table: pd.DataFrame) -> None:
     """Gain above phase, reference to position."""
     gain, phase = figure.subplots(2, 1, sharex=True, height_ratios=[1.4, 1.0])
     leak_lines(gain, table, "frequency_hz", "gain")
@@ -220,41 +188,16 @@ def paint_closed_bode(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     figure.align_ylabels()
 
 
-def paint_friction_scan(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
+def paint_friction_scan(figure: Figure, table: pd.DataFrame) -> None:
     """Settling time over friction."""
     axes = figure.subplots()
     positive = [100 * share for share in FRICTION_SHARES if share > 0.0]
     zero = 0.5 * positive[0]
     drawn = table.assign(percent=np.maximum(100 * table["friction_share"], zero))
-    leak_lines(axes, drawn, "percent", "settling_s", SCAN, markersize=4)
+    leak_lines(axes, drawn, "percent", "settling_s", SCAN_LEAKS, markersize=4)
     axes.set(xscale="log", yscale="log", xlabel="friction, % of what is assumed", ylabel="settling time, s")
     ticks(axes.xaxis, [zero, *positive], lambda value: "0" if value == zero else setting(value))
     low, high = axes.get_ylim()
     ticks(axes.yaxis, [tick for tick in TIME_TICKS if low <= tick <= high])
     axes.set_title("Settling time against friction")
     legend_inside(axes, title="leak at 100 bar", loc="best", handlelength=3.0)
-
-
-def paint_sensitivity(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
-    """A table of effects: the darker, the more the result changes."""
-    grid = effects(table).head(SHOWN)
-    axes = figure.subplots()
-    words = {result.name: result.words for result in RESULTS}
-    values = np.nan_to_num(grid.to_numpy(), nan=0.0)
-    norm = LogNorm(vmin=0.5, vmax=100.0, clip=True)
-    shade = DEEPEST * np.asarray(norm(np.maximum(values, 0.5)))
-    for (row, column), share in np.ndenumerate(shade):
-        axes.add_patch(Rectangle((column, row), 1.0, 1.0, facecolor=COLOURS["blue"], alpha=float(share), linewidth=0))
-    axes.set(xlim=(0, values.shape[1]), ylim=(values.shape[0], 0))
-    for (row, column), value in np.ndenumerate(values):
-        text = f"{value:.0f}" if value >= 10.0 else f"{value:.1f}" if value >= 0.1 else "·"
-        axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=7.5)
-    axes.set_yticks(np.arange(len(grid)) + 0.5, [name.replace(".", ": ").replace("_", " ") for name in grid.index])
-    axes.set_xticks(np.arange(grid.shape[1]) + 0.5, [words[name] for name in grid.columns], rotation=38, ha="left")
-    axes.xaxis.tick_top()
-    axes.set_xlabel("largest change of the result, %; · below 0.1 %")
-    axes.xaxis.set_label_position("bottom")
-    axes.tick_params(length=0)
-    axes.grid(visible=False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from hydro_env import ConfigurationError, HydroError, PlantParameters, Trajectory, resistance_from_flow
+from hydro_env import PlantParameters, Trajectory, resistance_from_flow
 from hydro_env.plant.linearisation import Mode, linearise
 from hydro_env.plant.states import STATE_NAMES
-from paper.leaks import FINE_BELOW, MODERATE, SCAN, TIGHT
-from paper.rig import LAWS, Law, Rig, quick_stop, simplified, with_friction_share, with_leak
+from paper.rig import LAWS, PLANT, TIGHT, Law, quick_stop, simplified, with_friction_share, with_leak
 from paper.signals import SETTLED, band_envelope, last_above, recorded_acceleration, swing_envelope
 
 FRICTION_MODELS = ("none", "stribeck", "lugre")
@@ -21,11 +21,14 @@ FRICTION_MODELS = ("none", "stribeck", "lugre")
 FRICTION_SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Friction of the scan relative to the assumed friction."""
 
-METHODS = {"clean_s": "noise-free", "signal_s": "accelerometer", "theory_s": "linear theory"}
+SETTLING_LEAKS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
+SCAN_LEAKS = (0.01, 0.1, 0.3, 1.0, 4.0)
+"""l/min at 100 bar, of Fig. 13 and of the scan of frictions."""
+
 NOISE_SEEDS = range(5)
 EDGE = 0.1  # s at the end of the record, where the filter of the noisy signal has no future
 RING_DOWN = (0.02, 0.10)  # s after the stop command; the state of the linear theory is the mean over it
-FIRST_SWINGS = 0.05  # s after the stop command. All three times Rig.stretch
+FIRST_SWINGS = 0.05  # s after the stop command
 
 
 class Settling(NamedTuple):
@@ -44,28 +47,12 @@ def friction_words(model: str) -> str:
     return {"none": "no friction", "lugre": "LuGre friction"}.get(model, f"{model.capitalize()} friction")
 
 
-def friction_models(rig: Rig) -> tuple[str, ...]:
-    """Friction models to compare: :data:`FRICTION_MODELS` and the rig's own; none alone if it has no friction."""
-    if not rig.has_friction:
-        return ("none",)
-    models = dict.fromkeys((*FRICTION_MODELS, rig.parameters.friction.model))
-    return tuple(model for model in models if _possible(rig.parameters, model))
-
-
-def _possible(base: PlantParameters, model: str) -> bool:
-    try:
-        simplified(base, model, True)
-    except ConfigurationError:  # the forces of the rig do not fit this model
-        return False
-    return True
-
-
-def oscillation_mode(run: Trajectory, stretch: float = 1.0) -> Mode | None:
+def oscillation_mode(run: Trajectory) -> Mode | None:
     """The mode of the axis without friction, linearised at the mean state of the first 0.1 s after the stop.
 
     Friction is left out: at rest the slope of its smooth sign would suppress any oscillation of the linear axis.
     """
-    window = (run.time >= stretch * RING_DOWN[0]) & (run.time <= stretch * RING_DOWN[1])
+    window = (run.time >= RING_DOWN[0]) & (run.time <= RING_DOWN[1])
     state = run.states[window].mean(axis=0)
     for name in ("velocity", "spool_position", "spool_velocity", "coil_current"):
         state[STATE_NAMES.index(name)] = 0.0
@@ -75,13 +62,13 @@ def oscillation_mode(run: Trajectory, stretch: float = 1.0) -> Mode | None:
         return None
 
 
-def settling_of(run: Trajectory, reference_frequency: float, stretch: float = 1.0) -> Settling:
+def settling_of(run: Trajectory, reference_frequency: float) -> Settling:
     """Settling times of one quick stop; the drift is the mean over one period of ``reference_frequency`` (rad/s)."""
     after = run.time >= 0.0
     time, acceleration = run.time[after], run.acceleration[after]
     swing = swing_envelope(time, acceleration, reference_frequency)
-    first = int(np.argmax(swing[time <= stretch * FIRST_SWINGS]))
-    mode = oscillation_mode(run, stretch)
+    first = int(np.argmax(swing[time <= FIRST_SWINGS]))
+    mode = oscillation_mode(run)
     theory = math.nan
     if mode is not None and run.parameters.friction.model == "none":
         decay = mode.damping_ratio * mode.natural_frequency
@@ -96,61 +83,40 @@ def settling_of(run: Trajectory, reference_frequency: float, stretch: float = 1.
     )
 
 
-def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int, stretch: float = 1.0) -> float:
+def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int) -> float:
     """Settling time in s from the accelerometer's record, by the envelope in a band about the oscillation."""
     sample_time = float(run.time[1] - run.time[0])
     signal = recorded_acceleration(run.acceleration, sample_time, np.random.default_rng(seed))
     outline = band_envelope(signal, sample_time, reference_frequency)
-    usable = (run.time >= 0.0) & (run.time <= run.time[-1] - stretch * EDGE)
+    usable = (run.time >= 0.0) & (run.time <= run.time[-1] - EDGE)
     return last_above(run.time[usable], outline[usable])
 
 
-def healthy_frequency(rig: Rig) -> float:
-    """Oscillation frequency in rad/s with a tight seal; all detectors use it.
-
-    Raises:
-        ArithmeticError: the axis does not oscillate.
-    """
-    plant = with_leak(simplified(rig.parameters, "none", False), TIGHT, "laminar")
-    mode = oscillation_mode(quick_stop(plant, rig), rig.stretch)
-    if mode is None:
-        raise ArithmeticError("the axis does not oscillate even with a tight seal and without friction")
+@cache
+def healthy_frequency() -> float:
+    """Oscillation frequency in rad/s with a tight seal; all detectors use it."""
+    plant = with_leak(simplified(PLANT, "none", False), TIGHT, "laminar")
+    mode = oscillation_mode(quick_stop(plant))
+    assert mode is not None
     return mode.natural_frequency
 
 
-def settling_table(rig: Rig, leaks: tuple[float, ...] = FINE_BELOW) -> pd.DataFrame:
-    """One row per friction, null leakage, law and leak: settling times in s by every method.
-
-    Raises:
-        HydroError: the stop is too gentle.
-    """
-    frequency, rows = healthy_frequency(rig), []
-    for friction in friction_models(rig):
-        for underlap in (False, True) if rig.parameters.valve.underlap > 0.0 else (False,):
-            plant = simplified(rig.parameters, friction, underlap)
-            for law in LAWS:
-                rows += [_row(rig, plant, law, leak, frequency) for leak in leaks]
-                need_a_swing(rows[0]["clean_s"])
+def settling_table(leaks: tuple[float, ...] = SETTLING_LEAKS) -> pd.DataFrame:
+    """One row per friction, null leakage, law and leak: settling times in s by every method."""
+    rows = [
+        _row(simplified(PLANT, friction, underlap), law, leak)
+        for friction in FRICTION_MODELS
+        for underlap in (False, True)
+        for law in LAWS
+        for leak in leaks
+    ]
     return pd.DataFrame(rows)
 
 
-def need_a_swing(settling_time: float | str | bool) -> None:
-    """Check that the stop of the tight axis without friction is abrupt enough for a settling time.
-
-    Raises:
-        HydroError: there is nothing to settle.
-    """
-    if settling_time == 0.0:
-        raise HydroError(
-            f"the valve closes so gently, or the move is so small, that no swing after it exceeds {SETTLED:g} m/s²: "
-            f"there is nothing to settle"
-        )
-
-
-def _row(rig: Rig, plant: PlantParameters, law: Law, leak: float, frequency: float) -> dict[str, float | str | bool]:
-    run = quick_stop(with_leak(plant, leak, law), rig)
-    settling = settling_of(run, frequency, rig.stretch)
-    from_signal = [settling_from_signal(run, frequency, seed, rig.stretch) for seed in NOISE_SEEDS]
+def _row(plant: PlantParameters, law: Law, leak: float) -> dict[str, float | str | bool]:
+    run, frequency = quick_stop(with_leak(plant, leak, law)), healthy_frequency()
+    settling = settling_of(run, frequency)
+    from_signal = [settling_from_signal(run, frequency, seed) for seed in NOISE_SEEDS]
     return {
         "friction": plant.friction.model,
         "valve_null_leakage": plant.valve.underlap > 0.0,
@@ -165,46 +131,25 @@ def _row(rig: Rig, plant: PlantParameters, law: Law, leak: float, frequency: flo
     }
 
 
-def chosen(table: pd.DataFrame, law: str, model: str, underlap: bool) -> pd.DataFrame:
-    """The rows of one law, friction model and valve, by leak."""
-    rows = (table["law"] == law) & (table["friction"] == model) & (table["valve_null_leakage"] == underlap)
-    return table[rows].set_index("leak_lpm", drop=False)
-
-
 def trends(table: pd.DataFrame) -> pd.DataFrame:
-    """One row per friction model, valve, law and method: whether settling falls at every step from leak to leak.
+    """One row per friction model, valve and law: noise-free settling times (s) by leak.
 
-    ``ratio``: settling with the tight seal over settling at the largest leak; ``falls``: at every step.
+    ``falls``: whether settling falls at every step from leak to leak.
     """
-    rows = []
-    for keys, part in table.groupby(["friction", "valve_null_leakage", "law"], sort=False):
-        for method in METHODS:
-            times = part.set_index("leak_lpm")[method]
-            if times.isna().all():
-                continue
-            first, last = times.iloc[0], times.iloc[-1]
-            row = dict(zip(("friction", "valve_null_leakage", "law"), keys, strict=True)) | {"method": method}
-            row |= {"first_s": first, "moderate_s": times[MODERATE], "last_s": last}
-            row |= {"ratio": first / last if last > 0.0 else math.inf, "falls": bool((times.diff().iloc[1:] < 0).all())}
-            rows.append(row)
-    return pd.DataFrame(rows)
+    names = ["friction", "valve_null_leakage", "law"]
+    times = table.pivot(index=names, columns="leak_lpm", values="clean_s")
+    times = times.reindex(table[names].drop_duplicates().itertuples(index=False, name=None))
+    return times.assign(falls=(times.diff(axis=1).iloc[:, 1:] < 0).all(axis=1))
 
 
 def friction_scan_table(
-    rig: Rig, leaks: tuple[float, ...] = SCAN, shares: tuple[float, ...] = FRICTION_SHARES
+    leaks: tuple[float, ...] = SCAN_LEAKS, shares: tuple[float, ...] = FRICTION_SHARES
 ) -> pd.DataFrame:
-    """Settling time (s) of the quick stop over friction and leak; laminar leak.
-
-    Raises:
-        HydroError: the rig has no dry friction, or its stop is too gentle.
-    """
-    if not rig.has_friction:
-        raise HydroError("it has no dry friction that could hide the trend")
-    frequency, rows = healthy_frequency(rig), []
+    """Settling time (s) of the quick stop over friction and leak; laminar leak."""
+    rows = []
     for leak in leaks:
         for share in shares:
-            run = quick_stop(with_leak(with_friction_share(rig.parameters, share), leak, "laminar"), rig)
-            time = settling_of(run, frequency, rig.stretch).clean_s
+            run = quick_stop(with_leak(with_friction_share(PLANT, share), leak, "laminar"))
+            time = settling_of(run, healthy_frequency()).clean_s
             rows.append({"friction_share": share, "leak_lpm": leak, "settling_s": time})
-            need_a_swing(rows[0]["settling_s"])
     return pd.DataFrame(rows)

@@ -18,12 +18,31 @@ def pytest_configure():
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-FEW_BUT_LONG = ("test_recipes.py", "test_runs_anywhere.py", "test_pages.py", "test_examples.py", "test_pretrained.py")
+LONG = (
+    *(
+        "test_recipes.py",
+        "test_run.py",
+        "test_cli.py",
+        "test_tuning.py",
+        "test_rates.py",
+        "test_job.py",
+        "test_ladder.py",
+    ),
+    *("test_structured_text.py", "test_controller_folder.py", "test_diagnose.py", "test_identify.py", "test_errors.py"),
+    *(
+        "test_ladder.py",
+        "test_runs_anywhere.py",
+        "test_pages.py",
+        "test_examples.py",
+        "test_pretrained.py",
+        "test_command.py",
+    ),
+)
 
 
 def pytest_collection_modifyitems(items):
-    """Files with few long tests come first: of several processes none is left with such a file at the end."""
-    items.sort(key=lambda item: item.path.name not in FEW_BUT_LONG)
+    """Files with long tests come first: of several processes none is left with such a file at the end."""
+    items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
 
 
 @pytest.fixture(scope="module")  # Playwright keeps an event loop: it ends with the file of tests

@@ -204,8 +204,8 @@ SIMULATE = {
     "--leakage": ["1", "0", "-1", "nan", "20", "1e300"],
     "--position": ["0", "0.05", "9", "nan", "-inf"],
     "--rig": ["a.yaml", "absent.yaml", "."],
-    "--overwrite": [None],
     "--output": ["out", "a.yaml", "a.yaml/b", "/proc/x", "b[/]c", "", "x" * 300],
+    "--overwrite": [None],
 }
 OTHERS = {
     "--config": ["a.yaml", "absent.yaml", "/dev/null"],
@@ -215,10 +215,8 @@ OTHERS = {
     "--agent": ["x", "=", "a=", "a=b:c", "a=a.yaml", "a=os:system", "PPO=absent"],
     "--head": ["absent", ".", "a.yaml"],
     "--only": ["kernel", "x"],
-    "--resume": [None],
-    "--overwrite": [None],
-    "--quick": [None],
     "--rig": ["a.yaml", "absent.yaml"],
+    **{option: [None] for option in ("--resume", "--overwrite", "--quick")},
 }
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import hydro_env
+
 ROOT = Path(__file__).parents[2]
 GROUND = ("errors", "version", "types", "compiling", "mistakes", "units", "field_mistakes", "folders", "files")
 ROOMS = (
@@ -160,17 +162,37 @@ def test_only_two_commands_import_what_is_not_installed():
 @pytest.mark.parametrize(
     ("code", "absent"),
     [
-        ("import gymnasium, hydro_env; gymnasium.make('ServoHydraulic-v0').reset(seed=0)", HEAVY | {"pygame"}),
+        (
+            "import gymnasium, hydro_env; gymnasium.make('ServoHydraulic-v0').reset(seed=0)",
+            HEAVY | {"pygame", "scipy.integrate"},
+        ),
         (
             "import hydro_agents.study.results; from hydro_agents.study.settings import default_study;"
             "default_study().with_weights({})",
             {"torch", "stable_baselines3"},  # an evaluation with shipped policies needs no library of the training
+        ),
+        (
+            "import gymnasium, hydro_env;"
+            "assert gymnasium.spec('ServoHydraulic-v0').entry_point == 'hydro_env.env:ServoHydraulicEnv'",
+            HEAVY | {"numba", "llvmlite", "scipy", "pydantic", "yaml", "pygame", "hydro_agents"},
+        ),
+        (
+            "import pickle; from hydro_env import PlantParameters, TaskConfig, LEAKAGE_CLASSES;"
+            "assert pickle.loads(pickle.dumps(TaskConfig())) == TaskConfig()",
+            HEAVY | {"numba", "llvmlite", "scipy", "pygame", "hydro_agents"},
         ),
     ],
 )
 def test_no_library_is_loaded_without_need(code, absent):
     code += f"; import sys; found = sorted(set(sys.modules) & {absent!r}); assert not found, found"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_every_public_name_can_be_had():
+    assert set(hydro_env.__all__) <= set(dir(hydro_env))
+    assert all(getattr(hydro_env, name) is not None for name in hydro_env.__all__)
+    with pytest.raises(AttributeError, match="'hydro_env' has no attribute 'nothing'"):
+        _ = hydro_env.nothing
 
 
 def test_the_wheel_holds_three_packages_with_names_of_their_own():

@@ -1,18 +1,14 @@
-"""The terms of dF/dt, and the table of equations."""
-
-from importlib import import_module
+"""The terms of dF/dt."""
 
 import numpy as np
 import pytest
 
 from paper.force_rate import TERMS, force_rate_table, share_table, shares
-from paper.rig import Rig
-from paper.run import equation_table
 
 
 @pytest.fixture(scope="module", params=["laminar", "throttle"])
 def table(request):
-    return force_rate_table(Rig(), request.param)
+    return force_rate_table(request.param)
 
 
 def test_the_terms_add_up_to_the_rate_of_the_force(table):
@@ -40,21 +36,10 @@ def test_the_share_of_leakage_grows_with_the_leak(table):
 
 
 def test_the_share_is_that_of_the_samples_at_a_pressure_difference():
-    row = share_table(Rig()).query("law == 'throttle' and leak_lpm == 1.0").iloc[1]
-    seen = force_rate_table(Rig(), "throttle").query("leak_lpm == 1.0 and time_s >= 0.0")
+    row = share_table().query("law == 'throttle' and leak_lpm == 1.0").iloc[1]
+    seen = force_rate_table("throttle").query("leak_lpm == 1.0 and time_s >= 0.0")
     size = seen["pressure_difference_bar"].abs()
     seen = seen[(size >= row["difference_low_bar"]) & (size < row["difference_high_bar"])]
     assert len(seen) == row["samples"]
     sizes = seen[list(TERMS)].abs().to_numpy()
     assert row["leakage_share"] == pytest.approx(sizes[:, 2].sum() / sizes.sum())
-
-
-def test_every_equation_has_a_function_that_exists():
-    table = equation_table()
-    assert list(table["equation"]) == [f"({number})" for number in range(1, 25)]
-    assert list(table.columns) == ["equation", "meaning", "functions", "correction"]
-    assert table.notna().all(axis=None)
-    for names in table["functions"]:
-        for name in names.split(", "):
-            module, _, function = name.rpartition(".")
-            assert callable(getattr(import_module(module), function)), name

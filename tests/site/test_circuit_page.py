@@ -64,19 +64,17 @@ def test_a_task_runs(name, tmp_path):
 
 
 def test_the_tasks_are_what_they_are_called(tmp_path):
-    env = ServoHydraulicEnv(task("another circuit, nothing drawn", tmp_path))
-    env.reset(seed=1)
-    drawn = env.parameters.replace(leakage={"internal_resistance": 2e13})
-    assert drawn == task("another circuit, nothing drawn", tmp_path).plant
+    def episode(name):
+        env = ServoHydraulicEnv(task(name, tmp_path))
+        return env, *env.reset(seed=1)
+
+    env, *_ = episode("another circuit, nothing drawn")
+    assert env.parameters.replace(leakage={"internal_resistance": 2e13}) == env.config.plant
     assert env.parameters.load.spring_stiffness == 0.0
-    env = ServoHydraulicEnv(task("leak through the throttle", tmp_path))
-    env.reset(seed=1)
-    assert env.parameters.leakage.orifice_gain > 0.0
+    assert episode("leak through the throttle")[0].parameters.leakage.orifice_gain > 0.0
     poor = task("a poorer position sensor, slow pressure transducers", tmp_path).sensors
-    assert poor.position.noise == 1e-4
-    assert poor.position.high == TaskConfig().sensors.position.high
-    env = ServoHydraulicEnv(task("exact sensors, no latency", tmp_path))
-    observation, info = env.reset(seed=1)
+    assert (poor.position.noise, poor.position.high) == (1e-4, TaskConfig().sensors.position.high)
+    env, observation, info = episode("exact sensors, no latency")
     column = env.observation_names.index("position")
     assert observation[column] * env.observation_scale[column] == pytest.approx(info["position"], abs=1e-8)
 

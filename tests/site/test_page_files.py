@@ -66,27 +66,37 @@ def test_maps_of_columns_read_files(tmp_path):
     assert (whole["position"].offset, whole["spool_position"].gain) == (-200.0, 0.125)
 
 
-def test_the_condition_belongs_into_a_protocol(tmp_path):
-    (text,) = blocks("robustness.md", "yaml")
-    ((name, condition),) = yaml.safe_load(text).items()
-    shipped = yaml.safe_load((ROOT / "configs/protocols/robustness.yaml").read_text(encoding="utf-8"))
-    for controller, settings in condition["controllers"].items():
-        assert shipped["conditions"][name]["controllers"][controller] == settings
-    own = {"conditions": {name: condition}, "bound_conditions": []}
+@pytest.fixture
+def with_lines(tmp_path):
+    """Write a shipped protocol with more lines beside links to what it names."""
     (tmp_path / "agents").symlink_to(ROOT / "configs" / "agents")
     (tmp_path / "protocols").mkdir()
-    file = tmp_path / "protocols" / "mine.yaml"
-    file.write_text(yaml.safe_dump(shipped | own), encoding="utf-8")
-    protocol = RobustnessProtocol.from_yaml(file)
+
+    def write(name, change):
+        shipped = yaml.safe_load((ROOT / "configs" / "protocols" / f"{name}.yaml").read_text(encoding="utf-8"))
+        file = tmp_path / "protocols" / "mine.yaml"
+        file.write_text(yaml.safe_dump(shipped | change(shipped)), encoding="utf-8")
+        return file
+
+    return write
+
+
+def test_the_condition_belongs_into_a_protocol(with_lines):
+    (text,) = blocks("robustness.md", "yaml")
+    ((name, condition),) = yaml.safe_load(text).items()
+
+    def change(shipped):
+        assert condition["controllers"].items() <= shipped["conditions"][name]["controllers"].items()
+        return {"conditions": {name: condition}, "bound_conditions": []}
+
+    protocol = RobustnessProtocol.from_yaml(with_lines("robustness", change))
     assert protocol.conditions[name].task == condition["task"]
 
 
-def test_the_detector_belongs_into_the_leak_protocol(tmp_path):
+def test_the_detector_belongs_into_the_leak_protocol(with_lines):
     (text,) = blocks("results.md", "yaml")
-    shipped = yaml.safe_load((ROOT / "configs/protocols/leakage.yaml").read_text(encoding="utf-8"))
-    shipped["detectors"] |= yaml.safe_load(text)["detectors"]
-    file = tmp_path / "my_leakage.yaml"
-    file.write_text(yaml.safe_dump(shipped), encoding="utf-8")
+    own = yaml.safe_load(text)["detectors"]
+    file = with_lines("leakage", lambda shipped: {"detectors": shipped["detectors"] | own})
     assert LeakProtocol.from_yaml(file).detectors["mine"].windows == 1000
 
 

@@ -23,11 +23,11 @@ def script(path, monkeypatch):
 
 
 def test_the_tables_of_the_pages_are_those_of_the_results(monkeypatch):
-    results = script(ROOT / "benchmarks" / "put_results_into_docs.py", monkeypatch)
+    results = script(ROOT / "benchmarks" / "put_into_docs.py", monkeypatch)
     shown = ""
     for name in results.PAGES:
         page = (DOCS / name).read_text(encoding="utf-8")
-        assert results.filled(page, results.tables()) == page, "run: python benchmarks/put_results_into_docs.py"
+        assert results.filled(page, results.tables()) == page, "run: python benchmarks/put_into_docs.py"
         shown += page
     for name, table in results.tables().items():
         assert table in shown, name

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.running.seeds import RIGS, UNTUNED_RIGS
+from hydro_agents.running.seeds import RIGS, SeedRange
 from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import closed_port_natural_frequency, full_pressure_forces, speed_limits
 from hydro_env.task.configuration import task_config
@@ -18,6 +18,7 @@ from hydro_env.task.nameplates import QUESTIONS
 from hydro_env.task.paces import full_speed, outside_law, pace
 from hydro_env.task.signals import SHEET, data_sheet
 
+UNTUNED_RIGS = SeedRange(2_140_000, 50_000, "this test")
 LAW = RigLaw(count=6)
 SMALL = {"rig": "drawn", "law": {"count": 6}, "episode_duration": 0.2}
 ROUNDED = 1.05  # masses and volumes have three digits
