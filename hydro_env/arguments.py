@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from hydro_env.errors import ConfigurationError
 
-INFO_KINDS = (True, False, "flat")
-
 
 def shown(value: Any) -> str:
     """A value in one short line."""
@@ -39,16 +37,3 @@ def numbers(values: Any) -> NDArray[np.float64] | None:
     except (TypeError, ValueError, RuntimeError):
         return None
     return given.astype(np.float64) if given.dtype.kind in "fiu" else None
-
-
-def info_kind(value: Any) -> bool | str:
-    """The checked kind of ``info``.
-
-    Raises:
-        ConfigurationError: the value is not one of :data:`INFO_KINDS`.
-    """
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, str) and value in INFO_KINDS:
-        return value
-    raise ConfigurationError(f"info = {shown(value)}: must be True, False or 'flat'")

@@ -1,4 +1,4 @@
-"""Inner steps and error of the integrator on one rig, from a short run at full voltage with two tolerances."""
+"""Error of the integrator on one rig, from a short run at full voltage with two tolerances."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_env.errors import InvalidStateError
-from hydro_env.plant.arrays import coefficient_array, equilibrium, plant_coefficients
-from hydro_env.plant.kernel import N_PEAKS, STEPS, TOLERANCE, Accuracy, Plants, integrate
+from hydro_env.plant.arrays import equilibrium, plant_coefficients
+from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.simulate import simulate
 from hydro_env.plant.states import EMPHASIS, STATE_NAMES
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 
 PERIOD = 5e-3
-"""s; each voltage is held for whole periods, and steps are counted per period."""
+"""s; each voltage is held for whole periods."""
 
 HELD = (8, 8, 4, 4, 4, 4, 2, 2, 2, 2)
 """Numbers of periods for which +10 V and −10 V act in turn: 0.2 s in all."""
@@ -31,10 +31,8 @@ LEAST_RANGE = 0.01
 
 
 class Probe(NamedTuple):
-    """Work and error of the integrator."""
+    """Error of the integrator."""
 
-    mean_steps: float  # per PERIOD, repeated ones included
-    most_steps: int
     error: float  # largest of any state, relative to its range
     state: str  # the state with that error
 
@@ -52,32 +50,14 @@ def probe(parameters: PlantParameters, position: float = 0.0, tolerance: float =
 
     Raises:
         HydroError: the position cannot be held.
-        InvalidStateError: a state becomes NaN.
+        InvalidStateError: a state leaves the range in which the model is valid.
     """
-    steps, states = _run(parameters, position, tolerance)
-    _, exact = _run(parameters, position, EXACT_TOLERANCE * tolerance)
-    if not (np.isfinite(states).all() and np.isfinite(exact).all()):
-        raise InvalidStateError("a state becomes NaN under full voltage")
-    errors = np.abs(states - exact).max(axis=0) / state_ranges(parameters, exact)
-    worst = int(np.argmax(errors))
-    return Probe(float(steps.mean()), int(steps.max()), float(errors[worst]), STATE_NAMES[worst])
-
-
-def _run(parameters: PlantParameters, position: float, tolerance: float) -> tuple[Floats, Floats]:
-    """Steps in each period, (periods,), and states at their ends, (periods, N_STATES)."""
     start, _ = equilibrium(parameters, position)
-    plants = Plants(
-        state=np.array([[start[name] for name in STATE_NAMES]]),
-        coefficients=coefficient_array(parameters)[None],
-        voltage=np.empty((1, 1)),
-        durations=np.full((1, 1), PERIOD),
-        peaks=np.empty((1, N_PEAKS)),
+    voltage = FULL_VOLTAGE * np.repeat((-1.0) ** np.arange(len(HELD)), HELD)
+    run, exact = (
+        simulate(parameters, voltage, PERIOD, start, tolerance=each).states
+        for each in (tolerance, EXACT_TOLERANCE * tolerance)
     )
-    steps, states = [], []
-    for number, periods in enumerate(HELD):
-        plants.voltage[:] = FULL_VOLTAGE if number % 2 == 0 else -FULL_VOLTAGE
-        for _ in range(periods):
-            integrate(plants, Accuracy(tolerance=tolerance), 0, 1)
-            steps.append(plants.peaks[0, STEPS])
-            states.append(plants.state[0].copy())
-    return np.array(steps), np.array(states)
+    errors = np.abs(run - exact).max(axis=0) / state_ranges(parameters, exact)
+    worst = int(np.argmax(errors))
+    return Probe(float(errors[worst]), STATE_NAMES[worst])
