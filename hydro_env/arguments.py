@@ -6,9 +6,9 @@ import reprlib
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.errors import ConfigurationError
+from hydro_env.types import Floats
 
 
 def shown(value: Any) -> str:
@@ -30,7 +30,7 @@ def whole_number(name: str, value: Any, low: int, high: int | None = None) -> in
     raise ConfigurationError(f"{name} = {shown(value)}: must be a whole number {allowed}")
 
 
-def numbers(values: Any) -> NDArray[np.float64] | None:
+def numbers(values: Any) -> Floats | None:
     """A new array of numbers; None if ``values`` are anything else (text, truth values, objects, ragged rows)."""
     try:
         given = np.asarray(values)

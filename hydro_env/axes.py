@@ -120,8 +120,6 @@ class Axes:
         )
         self._chances.seeds["episode"] = -1
 
-        self._drawn_faults = [name for name in FAULTS if getattr(config.faults, KIND_OF_FAULT[name]).probability > 0.0]
-
         wanted = threads if threads is not None else (os.cpu_count() or 1)
         self._threads = max(1, min(wanted, count // AXES_PER_THREAD))
         self._pool: ThreadPoolExecutor | None = None
@@ -234,7 +232,6 @@ class Axes:
             **self.arrays._asdict(),
             "physical": self.physical,
             "seeds": self._chances.seeds,
-            "persistent": self.options.persistent,
             **{f"fixed_{name}": values for name, values in fixed.items()},
         }
 
@@ -283,7 +280,9 @@ class Axes:
     def drawn_faults(self) -> dict[str, Floats]:
         """Present magnitude, (N,), of each fault that the task may draw, by name."""
         magnitudes = self.column("fault")
-        return {name: magnitudes[:, FAULTS.index(name)].copy() for name in self._drawn_faults}
+        kinds = self.config.faults
+        drawn = [index for index, name in enumerate(FAULTS) if getattr(kinds, KIND_OF_FAULT[name]).probability > 0.0]
+        return {FAULTS[index]: magnitudes[:, index].copy() for index in drawn}
 
     def parameters(self, axis: int) -> PlantParameters:
         """The physical parameters of an axis in its present episode, leakage and faults included."""

@@ -115,13 +115,12 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
 
     | option | value |
     |---|---|
-    | ``leakage_flow_lpm`` | l/min at 100 bar across the piston, 0 to 20; or ``leakage_resistance`` in Pa s/m³ |
+    | ``leakage_flow_lpm`` | l/min at 100 bar across the piston, 0 to 20 |
     | ``reference`` | name of a family; or an array in m, one value per control period, whose last value is repeated |
     | ``parameters`` | of the rig: ``{"load": {"mass": 80.0}}`` |
     | ``initial_position`` | m, as the sensor measures it |
     | ``rig`` | number of a drawn rig |
     | ``faults`` | ``{"valve_null_shift": 0.01}``; names and units: :data:`hydro_env.task.faults.FAULTS` |
-    | ``persist`` | ``True``: the options also apply to the automatic resets that follow |
 
     ``info`` tells what the controller must not know; it serves evaluation alone:
 

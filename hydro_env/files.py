@@ -24,9 +24,6 @@ LARGEST_FILE = 100_000
 MOST_ALIASES = 100
 """Largest number of aliases in a YAML file; none may stand within an anchor, because nested aliases multiply."""
 
-DEEPEST = 50
-"""Largest number of levels in a YAML file; a study has five."""
-
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass as _ModelType
@@ -99,7 +96,7 @@ def _lines_of(file: str, within: str) -> Callable[[Sequence[int | str], Any], in
     """
     loader, root = _Loader(""), None
     if file.endswith((".yaml", ".yml")):
-        with contextlib.suppress(ConfigurationError, yaml.YAMLError):
+        with contextlib.suppress(ConfigurationError, yaml.YAMLError, RecursionError):
             loader = _Loader(read_text(file))
             root = loader.get_single_node()
 
@@ -151,7 +148,7 @@ class _Loader(yaml.SafeLoader):
         for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
-    depth = anchored = aliases = 0
+    anchored = aliases = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]
@@ -160,12 +157,8 @@ class _Loader(yaml.SafeLoader):
         self.aliases += alias
         if alias and (self.anchored or self.aliases > MOST_ALIASES):
             raise _problem(f"more than {MOST_ALIASES} aliases, or one within an anchor", event)
-        self.depth += 1
         self.anchored += anchor
-        if self.depth > DEEPEST:
-            raise _problem(f"more than {DEEPEST} levels", event)
         node = super().compose_node(parent, index)
-        self.depth -= 1
         self.anchored -= anchor
         return node
 
@@ -226,6 +219,8 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         if node is None:
             return {}
         values = loader.construct_document(node)
+    except RecursionError:
+        raise ConfigurationError(f"{path}: not valid YAML: too many levels") from None
     except yaml.YAMLError as error:
         problem = str(getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML")
         known = ((words, begins) for pattern, words, begins in _IN_PLAIN_WORDS if re.search(pattern, problem))

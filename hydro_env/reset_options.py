@@ -19,7 +19,6 @@ from hydro_env.task.record import OPTION_NAMES, Fixed
 from hydro_env.task.reference_signals import FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
 from hydro_env.task.settings import draws_of
 from hydro_env.types import Floats
-from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
 """Parameters that must exceed another one (rod, Coulomb force, precharge): their lowest draw is critical."""
@@ -80,7 +79,6 @@ class ResetOptions:
             user_reference=np.zeros((1, samples)),
             faults=np.full((count, len(FAULTS)), np.nan),
         )
-        self.persistent = np.zeros(count, dtype=np.bool_)
         self._check_parameters(np.full(len(PARAMETER_PATHS), np.nan), "task: randomisation")
         if tasks[0].references.user:
             row = np.asarray(tasks[0].references.user)
@@ -88,12 +86,11 @@ class ResetOptions:
         self._own_reference = self.fixed.user_reference[0].copy()
 
     def used(self, axes: Indices) -> None:
-        """Release the options that do not persist, after an episode has begun on these axes."""
-        passing = axes[~self.persistent[axes]]
+        """Release the options after an episode has begun on these axes."""
         for name, drawn in _DRAWN.items():
-            getattr(self.fixed, name)[passing] = drawn
+            getattr(self.fixed, name)[axes] = drawn
         if len(self.fixed.user_reference) == self.count:
-            self.fixed.user_reference[passing] = self._own_reference
+            self.fixed.user_reference[axes] = self._own_reference
 
     def set_user_reference(self, rows: Floats, axes: Indices) -> None:
         """Set the user's own references on some axes, (axes, samples) or (1, samples), m."""
@@ -113,9 +110,6 @@ class ResetOptions:
         for name in given:
             if name not in OPTION_NAMES:
                 raise UnknownKeyError(f"reset options: {unknown(name, OPTION_NAMES, 'option')}")
-        persist = given.get("persist", False)
-        if not isinstance(persist, bool | np.bool_):
-            raise _wrong(f"persist = {shown(persist)}: must be true or false")
         values: dict[str, NDArray[Any]] = {}
         if "initial_position" in given:
             position = self._per_axis(given["initial_position"], "initial_position", axes, -self._half, self._half, "m")
@@ -124,8 +118,9 @@ class ResetOptions:
             values["rig"] = self._per_axis(given["rig"], "rig", axes, 0, len(self._rigs) - 1)
             if (values["rig"] % 1.0 != 0.0).any():
                 raise _wrong(f"rig = {shown(given['rig'])}: must be whole numbers")
-        if "leakage_resistance" in given or "leakage_flow_lpm" in given:
-            values["leakage_flow_lpm"] = self._leak(given, axes)
+        if "leakage_flow_lpm" in given:
+            flow, unit = given["leakage_flow_lpm"], "l/min at 100 bar"
+            values["leakage_flow_lpm"] = self._per_axis(flow, "leakage_flow_lpm", axes, 0.0, LEAKAGE_LIMIT, unit)
         if given.get("faults") is not None:
             values["faults"] = self._faults(given["faults"], axes)
         if given.get("parameters") is not None:
@@ -135,7 +130,6 @@ class ResetOptions:
             values["family"], reference = self._reference(given["reference"], axes)
         for name, drawn in _DRAWN.items():
             getattr(self.fixed, name)[axes] = values.get(name, drawn)
-        self.persistent[axes] = bool(persist)
         if reference is not None:
             self.set_user_reference(reference, axes)
 
@@ -156,17 +150,6 @@ class ResetOptions:
             allowed = "a number" if low == -np.inf else f"within {low:g} to {high:g}"
             raise _wrong(f"{name} = {array[wrong][0]:g}{unit and ' '}{unit}: must be {allowed}")
         return array
-
-    def _leak(self, given: Mapping[str, Any], axes: Indices) -> Floats:
-        if "leakage_resistance" not in given:
-            flow, unit = given["leakage_flow_lpm"], "l/min at 100 bar"
-            return self._per_axis(flow, "leakage_flow_lpm", axes, 0.0, LEAKAGE_LIMIT, unit)
-        if "leakage_flow_lpm" in given:
-            raise _wrong("leakage_resistance and leakage_flow_lpm exclude each other")
-        least = LEAKAGE_TEST_PRESSURE / (LEAKAGE_LIMIT * LITRE_PER_MINUTE)
-        resistance = given["leakage_resistance"]
-        resistance = self._per_axis(resistance, "leakage_resistance", axes, least, np.inf, "Pa s/m³")
-        return LEAKAGE_TEST_PRESSURE / resistance / LITRE_PER_MINUTE  # infinity gives 0
 
     def _faults(self, given: Any, axes: Indices) -> Floats:
         if not isinstance(given, Mapping):
@@ -190,7 +173,7 @@ class ResetOptions:
                 guess = did_you_mean(path, PARAMETER_PATHS)
                 raise _wrong(f"parameters.{path} is not a parameter of the plant{guess}")
             if path in LEAKAGE_OF_THE_TASK:
-                raise _wrong(f"parameters.{path}: give leakage_flow_lpm or leakage_resistance instead")
+                raise _wrong(f"parameters.{path}: give leakage_flow_lpm instead")
             if path in MODEL_CODES:
                 if not isinstance(value, str) or value not in MODEL_CODES[path]:
                     raise _wrong(f"parameters.{path} = {shown(value)}: {one_of(value, MODEL_CODES[path])}")

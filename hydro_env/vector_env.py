@@ -23,6 +23,7 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES, NO_FAILURE
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
+from hydro_env.types import Floats
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 Observations = NDArray[np.float32]
@@ -166,9 +167,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
             if value is not None:
                 self._axes.seed(int(axis), seeding.np_random(value)[0])
 
-    def step(
-        self, actions: NDArray[np.float32]
-    ) -> tuple[Observations, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+    def step(self, actions: NDArray[np.float32]) -> tuple[Observations, Floats, Flags, Flags, dict[str, Any]]:
         """Advance every axis by one control period.
 
         Args:
@@ -337,7 +336,7 @@ def _names_of(codes: Indices, known: Sequence[str], present: Flags) -> NDArray[n
     return names
 
 
-def _present_values(values: Mapping[str, NDArray[np.float64]], present: Flags) -> dict[str, Any]:
+def _present_values(values: Mapping[str, Floats], present: Flags) -> dict[str, Any]:
     """Each array where an axis is present and its value is not 0, and a mask of those axes; nothing without any."""
     found: dict[str, Any] = {}
     for name, array in values.items():

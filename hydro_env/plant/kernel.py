@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.compiling import (
     SOURCES,
@@ -29,6 +28,7 @@ from hydro_env.compiling import (
 )
 from hydro_env.plant.equations import Coefficients, command_changed, derivatives, hold_limits, time_to_kink
 from hydro_env.plant.states import N_STATES, State
+from hydro_env.types import Floats
 
 LANES = 8
 """Plants that one vector instruction works on (eight doubles fill an AVX-512 register)."""
@@ -84,11 +84,11 @@ PEAK_PRESSURE, IMPACT_SPEED, STEPS = range(N_PEAKS)
 class Plants(NamedTuple):
     """Arrays of the plants that :func:`integrate` advances, one row each."""
 
-    state: NDArray[np.float64]  # (plants, N_STATES), changed in place
-    coefficients: NDArray[np.float64]  # (plants, N_COEFFICIENTS)
-    voltage: NDArray[np.float64]  # (plants, intervals), V, held in each interval
-    durations: NDArray[np.float64]  # (plants, intervals), s
-    peaks: NDArray[np.float64]  # (plants, N_PEAKS), written
+    state: Floats  # (plants, N_STATES), changed in place
+    coefficients: Floats  # (plants, N_COEFFICIENTS)
+    voltage: Floats  # (plants, intervals), V, held in each interval
+    durations: Floats  # (plants, intervals), s
+    peaks: Floats  # (plants, N_PEAKS), written
 
 
 class Accuracy(NamedTuple):

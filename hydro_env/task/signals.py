@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from hydro_env.compiling import inline, named_tuple
 from hydro_env.task.configuration import TaskConfig
-from hydro_env.task.fault_effects import lost_or_frozen, misread, read_truly
+from hydro_env.task.fault_effects import lost_or_frozen, misread
 from hydro_env.task.law import RigLaw
 from hydro_env.task.paces import full_speed, pace
 from hydro_env.task.random_numbers import between, noise_pair
 from hydro_env.task.record import table
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.settings import ERROR_INTEGRAL_LIMIT
+from hydro_env.types import Floats
 
 POSITION, PRESSURE_A, PRESSURE_B, SPOOL_POSITION = (
     CHANNELS.index(name) for name in ("position", "pressure_a", "pressure_b", "spool_position")
@@ -90,7 +91,7 @@ SHEET = (
 SHEET_LIMIT = 10.0
 
 
-Layout = tuple[tuple[str, ...], tuple[str, ...], NDArray[np.float64], NDArray[np.float64]]
+Layout = tuple[tuple[str, ...], tuple[str, ...], Floats, Floats]
 
 
 def observation_layout(config: TaskConfig) -> Layout:
@@ -162,7 +163,7 @@ def layout_of(config: TaskConfig, law: RigLaw | None = None) -> NDArray[Any]:
     return layout
 
 
-def _own_scale(config: TaskConfig, names: Sequence[str], units: Sequence[str]) -> NDArray[np.float64]:
+def _own_scale(config: TaskConfig, names: Sequence[str], units: Sequence[str]) -> Floats:
     """SI units per 1 of each entry of a drawn rig's observation; for the data sheet, one over the value."""
     speed, own = full_speed(config.plant), pace(config)
     scales = {
@@ -226,12 +227,6 @@ def sample(row, s, settings):
             if row.faulty > 0.0:
                 value = lost_or_frozen(value, channel, row, sensor)
             row.measured[channel] = value
-
-
-@inline
-def held_position(reading, row, settings):
-    """Position in m of an axis whose sensor reads ``reading``, without noise."""
-    return read_truly(reading - row.bias[POSITION], POSITION, row, settings.channels[POSITION])
 
 
 @inline

@@ -16,7 +16,7 @@ TASK = {
     "references": {"weights": {"sine": 1.0, "step": 1.0, "user": 1.0}, "user": [0.0, 0.001, 0.003]},
 }
 ACTIONS = np.random.default_rng(8).uniform(-1, 1, (70, 6, 1))
-OPTIONS = {"leakage_flow_lpm": 1.5, "persist": True}
+OPTIONS = {"leakage_flow_lpm": 1.5}
 
 
 def continued(env, steps=70):
@@ -47,7 +47,7 @@ def begun(**options):
     return env
 
 
-@pytest.mark.parametrize("options", [{}, OPTIONS, {"reference": [0.0, 0.01]}], ids=["drawn", "persisting", "reference"])
+@pytest.mark.parametrize("options", [{}, OPTIONS, {"reference": [0.0, 0.01]}], ids=["drawn", "leak", "reference"])
 def test_an_episode_and_all_that_follow_repeat_from_a_saved_state(options):
     env = begun(**options)
     state = env.get_state()

@@ -58,7 +58,6 @@ def test_all_options_together():
         "reference": reference,
         "initial_position": 0.02,
         "parameters": {"load": {"mass": 55.0}, "supply": {"pressure": 80e5}},
-        "persist": False,
     }
     given = {key: value.copy() if isinstance(value, np.ndarray) else value for key, value in options.items()}
     observation, info = env.reset(seed=1, options=options)
@@ -123,42 +122,22 @@ def test_values_per_axis_with_a_mask_may_count_all_or_only_the_chosen_axes(value
     assert info["reference"].tolist() == [0.0, 0.02, 0.0, 0.04]
 
 
-@pytest.mark.parametrize("persist", [True, False])
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_options_hold_for_automatic_resets_only_if_they_persist(mode, persist):
+def test_options_hold_for_one_episode(mode):
     flows = np.array([0.4, 1.4])
     options = {"leakage_flow_lpm": flows, "reference": 0.01 * np.ones(4), "parameters": {"load": {"mass": 66.0}}}
     envs = ServoHydraulicVectorEnv(2, autoreset_mode=mode, **SHORT)
-    envs.reset(seed=0, options={**options, "persist": persist})
-    began = 0
-    for _ in range(35):
-        _, _, _, truncated, info = envs.step(np.zeros((2, 1)))
-        if truncated.any() if mode == "SameStep" else (envs.axes.column("step") == 0).any():
-            began += 1
-            assert (info["leakage_flow_lpm"] == flows).all() == persist
-            assert (info["reference_family"] == "user").all() == persist
-            assert (envs.axes.parameters(1).load.mass == 66.0) == persist
-    assert began >= 3
-    # A reset without options is a new beginning in any case.
-    infos = [envs.reset(seed=0)[1], *(envs.step(np.zeros((2, 1)))[-1] for _ in range(12))]
-    assert all((info["leakage_flow_lpm"] != flows).all() for info in infos)
-
-
-def test_persistence_of_some_axes():
-    envs = three(**SHORT)
-    envs.reset(seed=0)
-    mask = np.array([True, False, False])
-    envs.reset(options={"leakage_flow_lpm": 2.5, "persist": True, "reset_mask": mask})
-    for _ in range(40):
-        _, _, _, _, info = envs.step(np.zeros((3, 1)))
-        np.testing.assert_array_equal(info["leakage_flow_lpm"] == 2.5, mask)
-    # An option that does not persist, on one axis, lets go of that axis alone.
-    envs.reset(options={"leakage_flow_lpm": 1.5, "persist": True})
-    envs.reset(options={"leakage_flow_lpm": 3.5, "reset_mask": mask})
-    for _ in range(35):
-        _, _, _, _, info = envs.step(np.zeros((3, 1)))
-    assert info["leakage_flow_lpm"][0] not in (1.5, 3.5)
-    assert info["leakage_flow_lpm"][1:].tolist() == [1.5, 1.5]
+    _, info = envs.reset(seed=0, options=options)
+    assert (info["leakage_flow_lpm"] == flows).all()
+    for _ in range(12):
+        *_, info = envs.step(np.zeros((2, 1)))
+    assert (info["leakage_flow_lpm"] != flows).all()
+    assert (info["reference_family"] != "user").all()
+    assert envs.axes.parameters(1).load.mass != 66.0
+    # An option on one axis lets go of that axis alone.
+    envs.reset(options={"leakage_flow_lpm": flows})
+    envs.reset(options={"leakage_flow_lpm": 3.5, "reset_mask": np.array([True, False])})
+    assert envs.axes.column("leak_flow").tolist() == [3.5, 1.4]
 
 
 @BOTH
@@ -182,8 +161,7 @@ def of_load(**values):
 
 
 WRONG = [
-    ({"leakage": 0.1}, r"unknown option 'leakage'; did you mean leakage_flow_lpm\? known: leakage_resistance, "),
-    ({"leakage_resistance": 1e12, "leakage_flow_lpm": 0.6}, "exclude each other"),
+    ({"leakage": 0.1}, r"unknown option 'leakage'; did you mean leakage_flow_lpm\? known: leakage_flow_lpm, "),
     ({"leakage_flow_lpm": -0.1}, "leakage_flow_lpm = -0.1 l/min at 100 bar: must be within 0 to 20"),
     ({"leakage_flow_lpm": 25.0}, "leakage_flow_lpm = 25 l/min at 100 bar: must be within 0 to 20"),
     ({"leakage_flow_lpm": NAN}, "leakage_flow_lpm = nan l/min at 100 bar: must be within 0 to 20"),
@@ -191,9 +169,6 @@ WRONG = [
     ({"leakage_flow_lpm": [0.1, 0.2]}, r"leakage_flow_lpm has shape \(2,\): must be one number"),
     ({"leakage_flow_lpm": [[1.0]]}, "leakage_flow_lpm"),
     ({"leakage_flow_lpm": HUGE}, "leakage_flow_lpm"),
-    ({"leakage_resistance": 0.0}, r"leakage_resistance = 0 Pa s/m³: must be within 3e\+10 to inf"),
-    ({"leakage_resistance": NAN}, "leakage_resistance = nan Pa s/m³: must be within"),
-    ({"leakage_resistance": 1e9}, r"leakage_resistance = 1e\+09 Pa s/m³: must be within"),
     ({"reference": [0.0, NAN]}, r"reference\[1\] = nan m: must be a position within the stroke"),
     ({"reference": [0.0, 10.0]}, r"reference\[1\] = 10 m: .*±0.2 m"),
     ({"reference": [-0.2]}, r"reference\[0\] = -0.2 m: must be a position within"),
@@ -228,11 +203,8 @@ WRONG = [
     # Beyond what may be drawn for the other parameter.
     ({"parameters": {"supply": {"precharge_pressure": 65e5}}}, "precharge_pressure = 65 bar .* pressure = 60 bar"),
     ({"parameters": {"friction": {"breakaway_force": 200.0}}}, "breakaway_force = 200 N .* coulomb_force = 300 N"),
-    (5, "reset options: 5: must be a mapping, of leakage_resistance"),
-    (["persist"], r"reset options: \['persist'\]: must be a mapping"),
+    (5, "reset options: 5: must be a mapping, of leakage_flow_lpm"),
     ({3: 4}, "3"),
-    ({"persist": "yes"}, "persist = 'yes': must be true or false"),
-    ({"persist": 1}, "persist = 1"),
 ]
 OF_THREE = [
     ({"leakage_flow_lpm": [0.1, 0.2]}, r"has shape \(2,\): must be one number, or one per axis"),

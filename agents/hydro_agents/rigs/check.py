@@ -31,9 +31,7 @@ from hydro_env.plant.analysis import (
     speed_limits,
 )
 from hydro_env.plant.arrays import equilibrium, plant_coefficients
-from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.linearisation import fastest_motion, linearise
-from hydro_env.plant.probe import ALLOWED_ERROR, probe
 from hydro_env.plant.states import State
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.randomisation import default_randomisation
@@ -87,7 +85,7 @@ def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig
         *_forces(parameters),
         *_oscillation(parameters, place),
         *_loop(task or TaskConfig(plant=parameters, randomisation=default_randomisation(parameters)), place),
-        *_integration(parameters, place),
+        Row("integration", "fastest rate |λ|, at rest", _position(place), _figure(_fastest, parameters, place), "1/s"),
     ]
 
 
@@ -236,27 +234,6 @@ def _gain(loop: Weakest | None) -> float | str:
 
 def _text(value: float) -> float | str:
     return value if math.isfinite(value) else "unlimited"
-
-
-def _integration(parameters: PlantParameters, place: float) -> list[Row]:
-    group, at = "integration", _position(place)
-    rows = [Row(group, "fastest rate |λ|, at rest", at, _figure(_fastest, parameters, place), "1/s")]
-    run = f"±10 V in turn from {at}"
-    try:
-        done = probe(parameters, place)
-    except HydroError as error:
-        return [*rows, Row(group, "estimated error", run, str(error), "")]
-    enough = "yes" if done.error <= ALLOWED_ERROR else "no"
-    limit = f"error ≤ {ALLOWED_ERROR:g}"
-    return [
-        *rows,
-        Row(group, f"estimated error ({_words(done.state)})", f"tolerance {TOLERANCE:g}", done.error, "of its range"),
-        Row(group, "is the inner step small enough", limit, enough, "", "" if enough == "yes" else "inaccurate"),
-    ]
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _figure(

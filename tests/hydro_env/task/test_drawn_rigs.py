@@ -40,20 +40,12 @@ def test_drawn_rigs_are_plausible_and_differ():
         assert 0.1 / LARGEST_GAP < np.mean(speed_limits(plant)) < 1.0 * LARGEST_GAP
         assert min(full_pressure_forces(plant)) > 1.2 * plant.load.external_force
         assert len(task.randomisation) > 10
-        seen.append((plant.cylinder.bore_diameter, plant.load.mass, plant.valve.natural_frequency))
-    assert len(set(seen)) == len(seen)
-
-
-def test_the_mass_gives_the_drawn_frequency_unless_the_supply_could_not_move_it():
-    limited = 0
-    for seed in UNTUNED_RIGS.take(24, 100):
-        plant = drawn_task(TaskConfig(), LAW, seed).plant
         dead = 0.25 * np.pi * plant.cylinder.bore_diameter**2 * plant.cylinder.stroke * DEAD
         assert plant.cylinder.dead_volume == pytest.approx(dead, rel=0.01)
-        frequency = closed_port_natural_frequency(plant) / (2.0 * np.pi)
-        assert frequency > 5.0  # hoses and piston lower it below the drawn one
-        limited += frequency > 80.0 * ROUNDED
-    assert limited < 8
+        # Hoses and piston lower it below the drawn one; a light load that the supply could not move faster raises it.
+        assert closed_port_natural_frequency(plant) / (2.0 * np.pi) > 5.0
+        seen.append((plant.cylinder.bore_diameter, plant.load.mass, plant.valve.natural_frequency))
+    assert len(set(seen)) == len(seen)
 
 
 def test_splits_share_no_rig():

@@ -70,8 +70,9 @@ def test_what_decides_nothing_is_not_drawn_again():
 
 
 def test_automatic_resets_draw_again_too():
-    envs = ServoHydraulicVectorEnv(200, episode_duration=0.05, info=False)
-    envs.reset(seed=0, options={"leakage_flow_lpm": 20.0, "persist": True})
+    leakage = {"healthy_share": 0.0, "faulty_range": [20.0, 20.0]}
+    envs = ServoHydraulicVectorEnv(200, episode_duration=0.05, info=False, leakage=leakage)
+    envs.reset(seed=0)
     redraws = 0
     for _ in range(44):
         envs.step(np.zeros((200, 1)))

@@ -2,11 +2,6 @@
 
 import json
 import math
-import os
-import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -173,18 +168,6 @@ def test_every_task_can_begin_on_every_rig(task, rig):
     observation, reward, *_ = envs.step(np.zeros((60, 1)))
     assert np.isfinite(observation).all()
     assert np.isfinite(reward).all()
-
-
-def test_an_installed_package_finds_its_configurations(tmp_path):
-    """They lie inside the package then, where pyproject.toml puts them."""
-    root = Path(__file__).parents[3]
-    assert '"configs" = "hydro_env/configs"' in (root / "pyproject.toml").read_text(encoding="utf-8")
-    shutil.copytree(root / "hydro_env", tmp_path / "hydro_env", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(root / "configs", tmp_path / "hydro_env" / "configs")
-    code = "from hydro_env.folders import config_file; print(config_file('tasks', 'worn').read_text())"
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    shown = subprocess.check_output([sys.executable, "-c", code], cwd=tmp_path, env=environment, text=True)
-    assert shown.strip() == (root / "configs" / "tasks" / "worn.yaml").read_text().strip()
 
 
 def test_a_rig_says_which_sensors_it_has(small):
