@@ -83,8 +83,8 @@ def test_the_fastest_rate():
     rate, state = fastest_rate(PlantParameters().replace(friction=lugre))
     speed = max(speed_limits(PlantParameters()))
     assert (rate, state) == (pytest.approx(1e9 * speed / 120.0, rel=1e-2), "bristle_deflection")
-    damped = {"cylinder": {"end_stop_damping": 1e6}, "load": {"mass": 97.0}}
-    assert fastest_rate(PlantParameters().replace(**damped)) == (pytest.approx(1e4, rel=0.05), "velocity")
+    damped = {"cylinder": {"end_stop_damping": 1e7}, "load": {"mass": 97.0}}
+    assert fastest_rate(PlantParameters().replace(**damped)) == (pytest.approx(1e5, rel=0.05), "velocity")
 
 
 IMPOSSIBLE = [
@@ -96,14 +96,14 @@ IMPOSSIBLE = [
         {"cylinder": {"dead_volume": 1e-7}, "valve": {"transition_pressure": 1.0}},
         r"dead_volume.* is 4,000 \(2\.56e",
     ),
-    ({"friction": {"transition_velocity": 1e-6}}, r"friction\.transition_velocity .* 2\.86e\+06 1/s"),
+    ({"friction": {"transition_velocity": 1e-6}}, r"friction\.transition_velocity .* 2\.84e\+06 1/s"),
     ({"cylinder": {"end_stop_damping": 1e7}, "load": {"mass": 0.1}}, r"cylinder\.end_stop_damping"),
     ({"valve": {"coil_inductance": 1e-6, "coil_resistance": 5.0, "amplifier_gain": 1.25}}, r"coil_inductance"),
     ({"friction": {"model": "lugre", "bristle_stiffness": 1e10}}, r"friction\.bristle_stiffness for this"),
     ({"friction": {"coulomb_force": 4e3, "breakaway_force": 5e3}}, r"breakaway_force = 5000 N: .* limit is 4272 N"),
-    ({"leakage": {"internal_resistance": 1e8}}, r"leakage\.internal_resistance = 1e\+08 .* must be at least"),
-    ({"leakage": {"internal_resistance": 1e9}}, r"must be at least 1\.9e\+09$"),
-    ({"leakage": {"external_resistance": 1e8}}, r"leakage\.external_resistance .* must be at least"),
+    ({"leakage": {"internal_resistance": 1e8}}, r"leakage\.internal_resistance = 1e\+08: more oil leaks than"),
+    ({"leakage": {"internal_resistance": 1.9e9}}, r"no position can be held$"),  # with 1.95e9 it can, see above
+    ({"leakage": {"external_resistance": 1e8}}, r"leakage\.external_resistance = 1e\+08: more oil"),
     ({"supply": {"model": "pump", "pump_flow": 1e-6}}, r"supply\.pump_flow = 1e-06 m³/s .* leaks draw 2\.48e-06"),
     ({"supply": {"relief_slope": 1e-14}}, r"supply\.relief_slope .* must be at least 1\.11e-12"),
     ({"valve": {"amplifier_gain": 1e-6}}, r"valve\.amplifier_gain .* at least 1 %"),
