@@ -11,7 +11,7 @@ from hydro_env.plant.analysis import force_limits, full_pressure_forces, reachab
 from hydro_env.plant.arrays import coefficient_array, derived_array, equilibrium
 from hydro_env.plant.kernel import STABLE_PRODUCT
 from hydro_env.plant.linearisation import fastest_motion
-from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.parameters import PARAMETER_UNITS, PlantParameters
 from hydro_env.plant.parts.friction import FrictionModel
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL
 from hydro_env.plant.simulate import DERIVED_NAMES, valid_ranges
@@ -176,7 +176,7 @@ def _why_no_rest(parameters: PlantParameters) -> str:
         name, value, tight = law.parameter, getattr(leakage, law.parameter), law.value(0.0)
         if value != tight and _can_rest(parameters.replace(leakage={name: tight})):
             return (
-                f"leakage.{name} = {value:.3g}: more oil leaks than the valve feeds from "
-                f"{supply.pressure / 1e5:g} bar, and no position can be held"
+                f"leakage.{name} = {value:.3g} {PARAMETER_UNITS[f'leakage.{name}']}: more oil leaks than the valve "
+                f"feeds from {supply.pressure / 1e5:g} bar, and no position can be held"
             )
     return "no position can be held: leaks, forces and supply pressure contradict each other"

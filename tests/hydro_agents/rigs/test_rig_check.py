@@ -296,7 +296,7 @@ def read_csv(file):
     [
         (("--period", "1 bar"), "check-rig: --period = '1 bar': unit 'bar': must be one of s, ms"),
         (("--period", "1,5 ms"), "check-rig: --period = '1,5 ms': must be a number within 0.0005 to 0.02"),
-        (("--latency", "-1 ms"), "check-rig: --latency = '-1 ms': must be a number within 0 to 20 ms"),
+        (("--latency", "-1 ms"), "check-rig: --latency = '-1 ms': must be a number within 0 to 0.02"),
         (("--period", "0.5 ms"), "check-rig: --latency = 0.001 s must not exceed --period = 0.0005 s"),
     ],
 )
