@@ -22,8 +22,9 @@ import numpy as np
 from benchmarks.table import Case, Extent, Row
 from hydro_agents.running.seeds import ACCURACY
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
+from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.kernel import TOLERANCE
-from hydro_env.plant.probe import state_ranges
+from hydro_env.plant.states import EMPHASIS, STATE_NAMES
 from hydro_env.types import Floats
 
 SAMPLE_TIME = 5e-3
@@ -96,6 +97,14 @@ def _voltage(signal: str, generator: np.random.Generator) -> Floats:
 def reference(run: Run) -> Floats:
     """States of a run by the reference solver; takes a second or two."""
     return run.states(method="radau")
+
+
+def state_ranges(parameters: PlantParameters, states: Floats) -> Floats:
+    """Range of each state along a run, states (samples, N_STATES), at least 1 % of its full scale."""
+    c = plant_coefficients(parameters)
+    full_scale = EMPHASIS / np.array([getattr(c, f"{name}_weight") for name in STATE_NAMES])
+    ranges: Floats = np.maximum(np.ptp(states, axis=0), 0.01 * full_scale)
+    return ranges
 
 
 def errors(runs: Iterable[Run], exact: Iterable[Floats], **options: Any) -> Floats:

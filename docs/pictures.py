@@ -173,7 +173,7 @@ def save(chart: str, paint: Callable[[Figure], None], height: float) -> None:
 
 CONTROLLERS = {"left: PID, tuned": "pid", "right: flow linearisation": "flow_linearising"}
 LEAK = 2.0  # l/min at 100 bar, of the animation
-DRAWN = (24, 56, 460, 320)  # of a frame: cylinder and valve, pixels
+DRAWN = (24, 70, 460, 206)  # of a frame: the cylinder, pixels
 GAP = 18  # between the two axes, pixels
 EVERY = 8  # control periods of 5 ms per frame
 

@@ -6,11 +6,9 @@ import reprlib
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.errors import ConfigurationError
-
-INFO_KINDS = (True, False, "flat")
+from hydro_env.types import Floats
 
 
 def shown(value: Any) -> str:
@@ -32,23 +30,10 @@ def whole_number(name: str, value: Any, low: int, high: int | None = None) -> in
     raise ConfigurationError(f"{name} = {shown(value)}: must be a whole number {allowed}")
 
 
-def numbers(values: Any) -> NDArray[np.float64] | None:
+def numbers(values: Any) -> Floats | None:
     """A new array of numbers; None if ``values`` are anything else (text, truth values, objects, ragged rows)."""
     try:
         given = np.asarray(values)
     except (TypeError, ValueError, RuntimeError):
         return None
     return given.astype(np.float64) if given.dtype.kind in "fiu" else None
-
-
-def info_kind(value: Any) -> bool | str:
-    """The checked kind of ``info``.
-
-    Raises:
-        ConfigurationError: the value is not one of :data:`INFO_KINDS`.
-    """
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, str) and value in INFO_KINDS:
-        return value
-    raise ConfigurationError(f"info = {shown(value)}: must be True, False or 'flat'")

@@ -120,8 +120,6 @@ class Axes:
         )
         self._chances.seeds["episode"] = -1
 
-        self._drawn_faults = [name for name in FAULTS if getattr(config.faults, KIND_OF_FAULT[name]).probability > 0.0]
-
         wanted = threads if threads is not None else (os.cpu_count() or 1)
         self._threads = max(1, min(wanted, count // AXES_PER_THREAD))
         self._pool: ThreadPoolExecutor | None = None
@@ -140,14 +138,10 @@ class Axes:
         rows = self.record.view(np.ndarray).view(np.float64).reshape(self.count, -1)
         self.numbers = rows[:, : COLUMN["noise_key"]]
 
-    # Randomness -----------------------------------------------------------------------------------------------------
-
     def seed(self, axis: int, generator: np.random.Generator) -> None:
         """Seed an axis from its generator; its episode number restarts at 0."""
         self._chances.seeds["root"][axis] = generator.integers(0, 2**64, dtype=np.uint64)
         self._chances.seeds["episode"][axis] = -1
-
-    # Episodes -------------------------------------------------------------------------------------------------------
 
     def begin(self, axes: Indices) -> None:
         """Begin new episodes on some axes.
@@ -165,37 +159,28 @@ class Axes:
 
     def _check_begun(self, axes: Indices) -> None:
         failed = axes[self.column("failure")[axes] != NO_FAILURE]
-        if len(failed):
-            axis = int(failed[0])
-            physical = dict(zip(PARAMETER_PATHS, self.physical[axis], strict=True))
-            shift = self._task["start_bias_share"][0] * self.column("bias")[axis, POSITION]
-            start = self.column("position")[axis] + shift
-            what = (
-                f"initial position {1e3 * start:.4g} mm cannot be held"
-                if self.column("failure")[axis] == CANNOT_BE_HELD
-                else self._unreachable(axis)
-            )
-            raise ConfigurationError(
-                f"axis {axis}: {what} by its plant (supply {physical['supply.pressure'] / 1e5:.3g} bar, spring "
-                f"{physical['load.spring_stiffness']:.4g} N/m, external force {physical['load.external_force']:.4g} N, "
-                f"leakage {self.column('leak_flow')[axis]:.3g} l/min at 100 bar), nor by {task_kernel.MOST_DRAWS - 1} "
-                "others that were drawn"
-            )
-
-    def _unreachable(self, axis: int) -> str:
-        """Message about a reference that needs more force than the supply can give."""
+        if len(failed) == 0:
+            return
         from hydro_env.plant.analysis import force_limits  # imported only for the message
 
-        plant = self.parameters(axis)
+        axis = int(failed[0])
+        plant, row = self.parameters(axis), self.reference[axis]
         stiffness = plant.load.spring_stiffness
-        if stiffness <= 0.0:
-            return "no reference can be reached"
-        out, back = force_limits(plant)
-        low, high = -back / stiffness, out / stiffness
-        row = self.reference[axis]
-        farthest = row.max() if row.max() - high > low - row.min() else row.min()
-        return (
-            f"reference of {1e3 * farthest:.4g} mm cannot be reached, only {1e3 * low:.4g} to {1e3 * high:.4g} mm can,"
+        if self.column("failure")[axis] == CANNOT_BE_HELD:
+            shift = self._task["start_bias_share"][0] * self.column("bias")[axis, POSITION]
+            what = f"initial position {1e3 * (self.column('position')[axis] + shift):.4g} mm cannot be held"
+        elif stiffness <= 0.0:
+            what = "no reference can be reached"
+        else:
+            low, high = -force_limits(plant).retracting / stiffness, force_limits(plant).extending / stiffness
+            farthest = row.max() if row.max() - high > low - row.min() else row.min()
+            reached = f"only {1e3 * low:.4g} to {1e3 * high:.4g} mm can,"
+            what = f"reference of {1e3 * farthest:.4g} mm cannot be reached, {reached}"
+        raise ConfigurationError(
+            f"axis {axis}: {what} by its plant (supply {plant.supply.pressure / 1e5:.3g} bar, spring "
+            f"{stiffness:.4g} N/m, external force {plant.load.external_force:.4g} N, leakage "
+            f"{self.column('leak_flow')[axis]:.3g} l/min at 100 bar), nor by {task_kernel.MOST_DRAWS - 1} others that "
+            "were drawn"
         )
 
     def step(self, actions: NDArray[Any]) -> None:
@@ -239,8 +224,6 @@ class Axes:
             self._pool.shutdown()
             self._pool = None
 
-    # Branching ------------------------------------------------------------------------------------------------------
-
     def _rows(self) -> dict[str, NDArray[Any]]:
         """Every array that an episode depends on, by name; one row per axis."""
         fixed = self.options.fixed._asdict()
@@ -249,7 +232,6 @@ class Axes:
             **self.arrays._asdict(),
             "physical": self.physical,
             "seeds": self._chances.seeds,
-            "persistent": self.options.persistent,
             **{f"fixed_{name}": values for name, values in fixed.items()},
         }
 
@@ -279,8 +261,6 @@ class Axes:
         if not np.array_equal(own["fixed_user_reference"][axes], user_reference):
             self.options.set_user_reference(user_reference, axes)
 
-    # Hidden from the controller ---------------------------------------------------------------------------------------
-
     def column(self, name: str) -> Floats:
         """A view of one field of ``record``, shape (N,), or (N, entries)."""
         return self.record[name]
@@ -300,7 +280,9 @@ class Axes:
     def drawn_faults(self) -> dict[str, Floats]:
         """Present magnitude, (N,), of each fault that the task may draw, by name."""
         magnitudes = self.column("fault")
-        return {name: magnitudes[:, FAULTS.index(name)].copy() for name in self._drawn_faults}
+        kinds = self.config.faults
+        drawn = [index for index, name in enumerate(FAULTS) if getattr(kinds, KIND_OF_FAULT[name]).probability > 0.0]
+        return {FAULTS[index]: magnitudes[:, index].copy() for index in drawn}
 
     def parameters(self, axis: int) -> PlantParameters:
         """The physical parameters of an axis in its present episode, leakage and faults included."""
@@ -310,12 +292,13 @@ class Axes:
             coefficient = self.coefficient[axis, names.index(law.coefficient)]
             vector[PARAMETER_PATHS.index(f"leakage.{law.parameter}")] = law.value_of_coefficient(coefficient)
         faults = dict(zip(FAULTS, self.column("fault")[axis], strict=True))
-        vector[PARAMETER_PATHS.index("valve.null_shift")] += faults["valve_null_shift"]
-        vector[PARAMETER_PATHS.index("valve.underlap")] += faults["valve_underlap"]
-        vector[PARAMETER_PATHS.index("valve.rated_flow")] *= 1.0 + faults["valve_flow"]
-        vector[PARAMETER_PATHS.index("supply.tank_pressure")] += faults["tank_pressure"]
+        at = PARAMETER_PATHS.index
+        vector[at("valve.null_shift")] += faults["valve_null_shift"]
+        vector[at("valve.underlap")] += faults["valve_underlap"]
+        vector[at("valve.rated_flow")] *= 1.0 + faults["valve_flow"]
+        vector[at("supply.tank_pressure")] += faults["tank_pressure"]
         if faults["external_leak"] > 0.0:
-            rod_seal = PARAMETER_PATHS.index(f"leakage.{ROD_SEAL.parameter}")
+            rod_seal = at(f"leakage.{ROD_SEAL.parameter}")
             vector[rod_seal] = 1.0 / (1.0 / vector[rod_seal] + 1.0 / ROD_SEAL.value(faults["external_leak"]))
         return from_vector(vector)
 

@@ -179,36 +179,28 @@ def named_tuple(name: str, fields: Iterable[str], module: str) -> Any:
     return namedtuple(name, list(fields), module=module)
 
 
-def _fields(kind: type) -> tuple[str, ...]:
-    fields: tuple[str, ...] = kind._fields  # type: ignore[attr-defined]
-    return fields
+def tuple_reader(kind: Any, first: int = 0, lanes: int = 0) -> Any:
+    """``read(array)``: the named tuple ``kind`` from a one-dimensional array, from index ``first`` on.
+
+    With ``lanes``: ``read(array, lane)``, from one lane of rows of so many elements, from row ``first`` on.
+    """
+    values = ", ".join(f"array[{place}]" for place in _places(kind, first, lanes))
+    return _generated("read", "array, lane" if lanes else "array", [f"return kind({values})"], kind=kind)
 
 
-def tuple_reader(kind: type, first: int = 0) -> Callable[..., Any]:
-    """``read(array)``: the named tuple ``kind`` from a one-dimensional array, from index ``first`` on."""
-    values = ", ".join(f"array[{first + row}]" for row in range(len(_fields(kind))))
-    return _generated("read", "array", [f"return kind({values})"], kind=kind)  # type: ignore[no-any-return]
+def tuple_writer(kind: Any, first: int = 0, lanes: int = 0) -> Any:
+    """``write(array, values)`` or ``write(array, lane, values)``: the inverse of :func:`tuple_reader`."""
+    places = zip(_places(kind, first, lanes), kind._fields, strict=True)
+    lines = [f"array[{place}] = values.{name}" for place, name in places]
+    return _generated("write", "array, lane, values" if lanes else "array, values", lines)
 
 
-def tuple_writer(kind: type, first: int = 0) -> Callable[..., Any]:
-    """``write(array, values)``: the inverse of :func:`tuple_reader`."""
-    lines = [f"array[{row}] = values.{name}" for row, name in enumerate(_fields(kind), first)]
-    return _generated("write", "array, values", lines)  # type: ignore[no-any-return]
+def _places(kind: Any, first: int, lanes: int) -> list[str]:
+    rows = range(first, first + len(kind._fields))
+    return [f"{row * lanes} + lane" if lanes else f"{row}" for row in rows]
 
 
-def lane_reader(kind: type, first_row: int, lanes: int) -> Callable[..., Any]:
-    """``read(array, lane)``: the named tuple ``kind`` from one lane of rows of ``lanes`` elements, from a row on."""
-    values = ", ".join(f"array[{(first_row + row) * lanes} + lane]" for row in range(len(_fields(kind))))
-    return _generated("read", "array, lane", [f"return kind({values})"], kind=kind)  # type: ignore[no-any-return]
-
-
-def lane_writer(kind: type, first_row: int, lanes: int) -> Callable[..., Any]:
-    """``write(array, lane, values)``: the inverse of :func:`lane_reader`."""
-    lines = [f"array[{row * lanes} + lane] = values.{name}" for row, name in enumerate(_fields(kind), first_row)]
-    return _generated("write", "array, lane, values", lines)  # type: ignore[no-any-return]
-
-
-def lane_function(array: str, rows: int, lanes: int, *statements: str) -> Callable[..., Any]:
+def lane_function(array: str, rows: int, lanes: int, *statements: str) -> Any:
     """A function of an array that runs statements for every ``lane`` and ``place`` = row · lanes + lane."""
     lines = [
         f"for lane in range({lanes}):",
@@ -216,10 +208,10 @@ def lane_function(array: str, rows: int, lanes: int, *statements: str) -> Callab
         f"        place = row * {lanes} + lane",
         *(f"        {statement}" for statement in statements),
     ]
-    return _generated("combine", array, lines)  # type: ignore[no-any-return]
+    return _generated("combine", array, lines)
 
 
-def function_of_number(functions: Sequence[Callable[..., Any]], parameters: str, number: str) -> Callable[..., Any]:
+def function_of_number(functions: Sequence[Callable[..., Any]], parameters: str, number: str) -> Any:
     """A function of ``parameters`` that calls ``functions[number]``, and nothing for other numbers.
 
     Args:
@@ -230,40 +222,37 @@ def function_of_number(functions: Sequence[Callable[..., Any]], parameters: str,
     others = ", ".join(name for name in parameters.split(", ") if name != number)
     lines = [f"if {number} == {index}: function_{index}({others})" for index in range(len(functions))]
     names = {f"function_{index}": function for index, function in enumerate(functions)}
-    return _generated("choose", parameters, lines, **names)  # type: ignore[no-any-return]
+    return _generated("choose", parameters, lines, **names)
 
 
-def tuple_replacer(kind: type, *replaced: str) -> Callable[..., Any]:
+def tuple_replacer(kind: Any, *replaced: str) -> Any:
     """``replace(old, …)``: a copy of the named tuple ``kind`` with new values of the fields ``replaced``, in order."""
-    values = ", ".join(name if name in replaced else f"old.{name}" for name in _fields(kind))
-    text = [f"return kind({values})"]
-    return _generated("replace", f"old, {', '.join(replaced)}", text, kind=kind)  # type: ignore[no-any-return]
+    values = ", ".join(name if name in replaced else f"old.{name}" for name in kind._fields)
+    return _generated("replace", f"old, {', '.join(replaced)}", [f"return kind({values})"], kind=kind)
 
 
-def tuple_joiner(kind: type, parts: Sequence[type]) -> Callable[..., Any]:
+def tuple_joiner(kind: Any, parts: Sequence[Any]) -> Any:
     """``join(part_0, part_1, …)``: the named tuple ``kind`` whose fields are those of its parts, one after another."""
-    names = [f"part_{number}" for number in range(len(parts))]
-    values = [f"{name}.{field}" for name, part in zip(names, parts, strict=True) for field in _fields(part)]
-    return _generated("join", ", ".join(names), [f"return kind({', '.join(values)})"], kind=kind)  # type: ignore[no-any-return]
+    values = [f"part_{number}.{field}" for number, part in enumerate(parts) for field in part._fields]
+    parameters = ", ".join(f"part_{number}" for number in range(len(parts)))
+    return _generated("join", parameters, [f"return kind({', '.join(values)})"], kind=kind)
 
 
-def tuple_first(kind: type, condition: str, names: str) -> Callable[..., Any]:
+def tuple_first(kind: Any, condition: str, names: str) -> Any:
     """``first(…)``: index of the first field for which a condition over ``{name}`` is true, −1 for none."""
-    lines = [f"if {condition.replace('{name}', name)}: return {index}" for index, name in enumerate(_fields(kind))]
-    return _generated("first", names, [*lines, "return -1"])  # type: ignore[no-any-return]
+    lines = [f"if {condition.replace('{name}', name)}: return {index}" for index, name in enumerate(kind._fields)]
+    return _generated("first", names, [*lines, "return -1"])
 
 
-def tuple_map(kind: type, expression: str, parameters: str) -> Callable[..., Any]:
+def tuple_map(kind: Any, expression: str, parameters: str) -> Any:
     """The named tuple ``kind`` of an expression over ``{name}``, field by field."""
-    values = ", ".join(expression.replace("{name}", name) for name in _fields(kind))
-    return _generated("combine", parameters, [f"return kind({values})"], kind=kind)  # type: ignore[no-any-return]
+    values = ", ".join(expression.replace("{name}", name) for name in kind._fields)
+    return _generated("combine", parameters, [f"return kind({values})"], kind=kind)
 
 
-def tuple_maximum(kind: type, expression: str, parameters: str) -> Callable[..., Any]:
+def tuple_maximum(kind: Any, expression: str, parameters: str) -> Any:
     """The largest value of an expression over ``{name}``; NaN if any value is NaN."""
-    values = [f"value_{index}" for index in range(len(_fields(kind)))]
-    lines = [
-        f"{value} = {expression.replace('{name}', name)}" for value, name in zip(values, _fields(kind), strict=True)
-    ]
+    values = {f"value_{name}": expression.replace("{name}", name) for name in kind._fields}
+    lines = [f"{value} = {text}" for value, text in values.items()]
     lines += [f"total = {' + '.join(values)}", f"return max({', '.join(values)}) if total == total else total"]
-    return _generated("largest", parameters, lines)  # type: ignore[no-any-return]
+    return _generated("largest", parameters, lines)

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.arguments import info_kind, numbers, shown, whole_number
-from hydro_env.axes import COLUMN, Axes, AxesState
+from hydro_env.arguments import numbers, shown, whole_number
+from hydro_env.axes import COLUMN, AxesState
+from hydro_env.common import AxisEnvironment, Given
 from hydro_env.errors import ConfigurationError, NotBegunError
-from hydro_env.pacing import Pace
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.specification import PlainSpec
-from hydro_env.task.configuration import TaskConfig, task_config
+from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.units import resistance_from_flow
-from hydro_env.view import View
 
 if TYPE_CHECKING:
     from hydro_env.rendering import AxisRenderer
@@ -39,9 +36,10 @@ _FAMILY, _FAILURE, _REWARD, _STEP, _FAULTY, _RIG = (
 _TERMS = tuple(enumerate(REWARD_TERMS, COLUMN["costs"]))
 _FIRST = np.zeros(1, dtype=np.int64)
 RENDER_MODES = ("human", "rgb_array")  # with pygame
+FRAMES_PER_SECOND = 50.0  # of a window
 
 
-class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
+class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32]]):
     """A hydraulic cylinder positions a load; its piston seal may leak, and the controller cannot see the leak.
 
     ## Description
@@ -117,13 +115,12 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     | option | value |
     |---|---|
-    | ``leakage_flow_lpm`` | l/min at 100 bar across the piston, 0 to 20; or ``leakage_resistance`` in Pa s/m³ |
+    | ``leakage_flow_lpm`` | l/min at 100 bar across the piston, 0 to 20 |
     | ``reference`` | name of a family; or an array in m, one value per control period, whose last value is repeated |
     | ``parameters`` | of the rig: ``{"load": {"mass": 80.0}}`` |
     | ``initial_position`` | m, as the sensor measures it |
     | ``rig`` | number of a drawn rig |
     | ``faults`` | ``{"valve_null_shift": 0.01}``; names and units: :data:`hydro_env.task.faults.FAULTS` |
-    | ``persist`` | ``True``: the options also apply to the automatic resets that follow |
 
     ``info`` tells what the controller must not know; it serves evaluation alone:
 
@@ -164,28 +161,16 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES) if find_spec("pygame") else [], "render_fps": 50}
 
     def __init__(
-        self,
-        config: TaskConfig | Mapping[str, Any] | str | Path | None = None,
-        render_mode: str | None = None,
-        info: bool | str = True,
-        **overrides: Any,
+        self, config: Given = None, render_mode: str | None = None, info: bool | str = True, **overrides: Any
     ) -> None:
         if render_mode not in (None, *RENDER_MODES):
             raise ConfigurationError(f"render_mode = {shown(render_mode)}: must be 'human', 'rgb_array' or None")
-        self._info_kind = info_kind(info)
-        self.config = task_config(config, **overrides)
-        self.render_mode = render_mode
-        self._axes = Axes(self.config, 1)
+        self._set_up(task_config(config, **overrides), 1, None, info)
         self.observation_space = self._axes.observation_space
         self.action_space = self._axes.action_space
-        self.observation_names = self._axes.observation_names
-        self.observation_units = self._axes.observation_units
-        self.observation_scale = self._axes.scale
-        self._seeded = False
-        self._begun = False
+        self.render_mode = render_mode
         self._history: list[tuple[float, float]] = []  # position and reference, for drawing
         self._renderer: AxisRenderer | None = None
-        self._pace = Pace()
         # Wrappers that record or show each step use this rate: real time, like the window.
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.rigs[0].control_period)}
         self._task = self.rigs[0]  # of the present episode
@@ -208,7 +193,6 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         self._begun = True
         self._task = self.rigs[int(self._axes.numbers[0, _RIG])]
         self._history = []
-        self._pace.begin()
         self._record_frame()
         return self._axes.observation[0].copy(), self._info(self._axes.numbers[0].tolist())
 
@@ -265,16 +249,6 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         self._task = self.rigs[int(self._axes.numbers[0, _RIG])]
         self._seeded = self._begun = True
 
-    @property
-    def rigs(self) -> tuple[TaskConfig, ...]:
-        """The task on each of its rigs, by the number ``info["rig"]``; one unless the task has a law."""
-        return self._axes.tasks
-
-    @property
-    def axes(self) -> Axes:
-        """The arrays behind the environment, with one axis (hidden from the controller)."""
-        return self._axes
-
     def __getstate__(self) -> dict[str, Any]:
         """Content of a copy or a pickle: everything except the window or canvas, which the copy creates again."""
         return {**self.__dict__, "_renderer": None}
@@ -317,13 +291,16 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         return info
 
     def _record_frame(self) -> None:
-        """Add the present position to the drawn curve; a window draws it when its time has come."""
+        """Add the present position to the drawn curve; a window shows some of them, in real time."""
         if self.render_mode is None:
             return
         row = self._axes.numbers[0]
         self._history.append((row[_POSITION], row[_REFERENCE]))
-        if self.render_mode == "human" and self._pace.due(row[_STEP] * self._task.control_period):
+        if self.render_mode == "human" and row[_STEP] % self._periods_per_frame() == 0:
             self.render()
+
+    def _periods_per_frame(self) -> int:
+        return max(round(1.0 / (FRAMES_PER_SECOND * self._task.control_period)), 1)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the axis: an image (height, width, 3) with ``"rgb_array"``, a window with ``"human"``."""
@@ -332,11 +309,12 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             return None
         if not self._begun:
             raise NotBegunError("render: call reset first")
-        if self._renderer is None:
-            from hydro_env.rendering import AxisRenderer
+        from hydro_env.rendering import AxisRenderer, View
 
+        if self._renderer is None:
             self._renderer = AxisRenderer(self.render_mode)
-        return self._renderer.draw(View.of(self._axes, self._history))
+        frame_time = self._periods_per_frame() * self._task.control_period
+        return self._renderer.draw(View.of(self._axes, self._history), frame_time)
 
     def close(self) -> None:
         """Close the window, if there is one; may be called more than once."""

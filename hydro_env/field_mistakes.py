@@ -53,8 +53,7 @@ def described(
         line = line_of(path, given)
         place = f"line {line}: " if line is not None else ""
         place += f"{where}{'' if mistake['type'] in ABSENT else _shown(given)}: " if where else ""
-        message = _message(schema, path, given, mistake, brief=len(mistakes) > 1)
-        found.setdefault(path, (line or 0, " ".join(f"{place}{message}".split())))
+        found.setdefault(path, (line or 0, " ".join(f"{place}{_message(schema, path, given, mistake)}".split())))
     lines = [text for _, text in sorted(found.values(), key=lambda mistake: mistake[0])]
     unknown_key = any(mistake["type"] == "extra_forbidden" for _, _, mistake in mistakes)
     kind = UnknownKeyError if unknown_key else ConfigurationError
@@ -76,67 +75,47 @@ def _found_in(values: Any, mistake: Mapping[str, Any]) -> tuple[Path, Any]:
     return place, values
 
 
-def _message(root: Mapping[str, Any], path: Path, given: Any, mistake: Mapping[str, Any], brief: bool) -> str:
-    """What is wrong and what is allowed; ``brief``: a likely name instead of all names."""
+def _message(root: Mapping[str, Any], path: Path, given: Any, mistake: Mapping[str, Any]) -> str:
+    """What is wrong and what is allowed."""
     schema = _schema_at(root, path)
     unit = f" (unit: {schema['unit']})" if "unit" in schema else ""
-    if mistake["type"] == "extra_forbidden":
-        fields = _schema_at(root, path[:-1]).get("properties", {})
-        deeper = [f"{group}.{path[-1]}" for group in fields if path[-1] in _fields(root, (*path[:-1], group))]
-        guess = f"; did you mean {' or '.join(deeper[:3])}?" if deeper else did_you_mean(path[-1], fields)
-        known = "" if brief and guess else f"{'' if guess else ';'} known here: {', '.join(fields)}"
-        return f"unknown key{guess}{known}"
-    if mistake["type"] in ABSENT:
-        return "is missing" if mistake["type"] == "missing" else "a key must be text; decimals need a point"
-    if mistake["type"] == "too_short":
-        least = mistake["ctx"]["min_length"]
-        return f"must hold at least {least} {'entry' if least == 1 else 'entries'}"
-    if mistake["type"] == "value_error":  # of a validator of this project
-        return f"{mistake['msg'].removeprefix('Value error, ')}{unit}"
+    match mistake["type"]:
+        case "extra_forbidden":
+            fields = _schema_at(root, path[:-1]).get("properties", {})
+            inner = {group: _schema_at(root, (*path[:-1], group)).get("properties", {}) for group in fields}
+            deeper = [f"{group}.{path[-1]}" for group in fields if path[-1] in inner[group]]
+            guess = f"; did you mean {' or '.join(deeper[:3])}?" if deeper else did_you_mean(path[-1], fields)
+            known = f"; known here: {', '.join(fields)}"
+            return f"unknown key{guess or known}"
+        case "missing":
+            return "is missing"
+        case "invalid_key":
+            return "a key must be text; decimals need a point"
+        case "too_short":
+            return f"must hold at least {mistake['ctx']['min_length']} entries"
+        case "value_error":  # of a validator of this project
+            return f"{mistake['msg'].removeprefix('Value error, ')}{unit}"
     if "enum" in schema:
         return one_of(given, map(str, schema["enum"]))
-    schema, own_unit, meant = _in_unit_of(given, schema)
-    unit = f" {own_unit}" if own_unit else unit
-    allowed = allowed_by(schema)
+    allowed = _allowed_by(schema)
     message = f"must be {allowed}" if allowed else "is not allowed here"
-    hint = f"; {meant} meant?" if meant else ""
+    hint = _other_unit(given, schema)
     if isinstance(given, str) and schema.get("type") == "object" and ":" in given:
         hint = "; a space must follow the colon"
-    elif (isinstance(given, str) and re.match(r"[-+\d.]*,\d", given)) or _doubled(given, schema):
+    elif isinstance(given, str) and re.match(r"[-+\d.]*,\d", given):
         hint = "; decimals need a point"
     return f"{'is empty; ' if given is None else ''}{message}{unit}{hint}"
 
 
-def _in_unit_of(given: Any, schema: dict[str, Any]) -> tuple[dict[str, Any], str, str]:
-    """The bounds of a number in the unit in which the user wrote it, this unit, and the quantity probably meant.
-
-    ``120 MPa`` where at most 100 MPa are allowed is probably ``120 bar``, and a mere ``70`` in Pa ``70 bar``.
-    """
-    bounds = [key for key in ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum") if key in schema]
-    written, own = split_quantity(given) if isinstance(given, str) else (given, "")
-    anywhere = next((known for known in UNITS.values() if own in known), {})  # a sensor's field has the signal's unit
-    units = UNITS.get(str(schema.get("unit")), anywhere)
-    if not bounds or not units or isinstance(given, bool):
-        return schema, "", ""
-    if not isinstance(written, int | float) or abs(written) > 1e300 or (isinstance(given, str) and own not in units):
-        return schema, "", ""
-    low = max(schema.get("minimum", -math.inf), schema.get("exclusiveMinimum", -math.inf))
-    high = min(schema.get("maximum", math.inf), schema.get("exclusiveMaximum", math.inf))
-    fitting = [name for name, factor in units.items() if name != own and low < written * factor < high]
-    meant = f"{written:g} {fitting[0]}" if fitting and written else ""
-    if not own:
-        return schema, "", meant
-    return schema | {key: float(f"{schema[key] / units[own]:.12g}") for key in bounds}, own, meant
-
-
-def _doubled(given: Any, schema: Mapping[str, Any]) -> bool:
-    """Whether a list has twice the entries that it may have, as ``[0,9, 1,1]``."""
-    return isinstance(given, list) and 0 < 2 * len(schema.get("prefixItems", [])) == len(given)
-
-
-def _fields(root: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
-    fields: Mapping[str, Any] = _schema_at(root, path).get("properties", {})
-    return fields
+def _other_unit(given: Any, schema: Mapping[str, Any]) -> str:
+    """``; 70 bar meant?`` for a mere ``70`` in Pa, or for ``70 MPa``, where 100 MPa are too much."""
+    written = split_quantity(given)[0] if isinstance(given, str) else given
+    if not isinstance(written, int | float) or isinstance(written, bool) or not 0.0 < abs(written) < 1e300:
+        return ""
+    low, high = schema.get("minimum", -math.inf), schema.get("maximum", math.inf)
+    units = UNITS.get(str(schema.get("unit")), {})
+    fitting = [name for name, factor in units.items() if low < written * factor < high]
+    return f"; {written:g} {fitting[0]} meant?" if fitting else ""
 
 
 def _shown(value: Any) -> str:
@@ -172,28 +151,21 @@ def _schema_at(root: Mapping[str, Any], path: Sequence[int | str]) -> dict[str, 
     return schema
 
 
-def allowed_by(schema: Mapping[str, Any]) -> str:
+def _allowed_by(schema: Mapping[str, Any]) -> str:
     """What a JSON schema allows, in words; empty if there are none."""
-    if "enum" in schema or "const" in schema:
-        return f"one of {', '.join(map(str, schema.get('enum', [schema.get('const')])))}"
-    kind = schema.get("type")
+    kind = str(schema.get("type"))
+    words = {"string": "text", "boolean": "true or false", "object": "a group of settings"}
     if kind == "array":
-        entries = schema.get("prefixItems", [])
-        what = allowed_by(entries[0] if entries else schema.get("items", {}))
-        count = f"{len(entries)} entries" if entries else "entries"
-        return f"a list of {count}{f', each {what}' if what else ''}"
+        entries = len(schema.get("prefixItems", []))
+        return f"a list of {entries} entries" if entries else "a list"
     if kind not in ("number", "integer"):
-        words = {"string": "text", "boolean": "true or false", "object": "a group of settings"}
-        return words.get(str(kind), " or ".join(filter(None, map(allowed_by, schema.get("anyOf", [])))))
-    low, high = schema.get("minimum"), schema.get("maximum")
-    above, below = schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
-    if low is not None and high is not None:
-        bounds = f" within {_number(low)} to {_number(high)}"
-    else:
-        limits = (("at least", low), ("above", above), ("at most", high), ("below", below))
-        given = [f"{word} {_number(bound)}" for word, bound in limits if bound is not None]
-        bounds = f", {' and '.join(given)}" if given else ""
-    return f"a{' whole' if kind == 'integer' else ''} number{bounds}"
+        return words.get(kind, " or ".join(filter(None, map(_allowed_by, schema.get("anyOf", [])))))
+    limits = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
+    bounds = [f"{word} {_number(schema[name])}" for name, word in limits.items() if name in schema]
+    bounded = f", {' and '.join(bounds)}" if bounds else ""
+    if "minimum" in schema and "maximum" in schema:
+        bounded = f" within {_number(schema['minimum'])} to {_number(schema['maximum'])}"
+    return f"a{' whole' if kind == 'integer' else ''} number{bounded}"
 
 
 def _number(value: float) -> str:

@@ -7,7 +7,7 @@ import json
 import os
 import re
 import uuid
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -21,11 +21,8 @@ from hydro_env.units import in_si
 LARGEST_FILE = 100_000
 """Largest size of a configuration file in bytes; the largest of this project has two thousand."""
 
-MOST_NODES = 20_000
-"""Largest number of values in a YAML file; each alias counts its values again, because nested aliases multiply."""
-
-DEEPEST = 50
-"""Largest number of levels in a YAML file; a study has five."""
+MOST_ALIASES = 100
+"""Largest number of aliases in a YAML file; none may stand within an anchor, because nested aliases multiply."""
 
 
 if TYPE_CHECKING:
@@ -97,11 +94,11 @@ def _lines_of(file: str, within: str) -> Callable[[Sequence[int | str], Any], in
 
     It gives ``None`` if the file does not hold this value: keywords may replace what a file says.
     """
-    try:
-        loader = _Loader(read_text(file)) if file.endswith((".yaml", ".yml")) else _Loader("")
-        root = loader.get_single_node()
-    except (ConfigurationError, yaml.YAMLError):
-        loader, root = _Loader(""), None
+    loader, root = _Loader(""), None
+    if file.endswith((".yaml", ".yml")):
+        with contextlib.suppress(ConfigurationError, yaml.YAMLError, RecursionError):
+            loader = _Loader(read_text(file))
+            root = loader.get_single_node()
 
     def line_of(path: Sequence[int | str], value: Any) -> int | None:
         node, line = root, None
@@ -151,15 +148,28 @@ class _Loader(yaml.SafeLoader):
         for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
-    depth = 0
+    anchored = aliases = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise _problem(f"more than {DEEPEST} levels", self.peek_event())  # type: ignore[no-untyped-call]
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        alias = isinstance(event, yaml.AliasEvent)
+        anchor = not alias and event.anchor is not None
+        self.aliases += alias
+        if alias and (self.anchored or self.aliases > MOST_ALIASES):
+            raise _problem(f"more than {MOST_ALIASES} aliases, or one within an anchor", event)
+        self.anchored += anchor
         node = super().compose_node(parent, index)
-        self.depth -= 1
+        self.anchored -= anchor
         return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        names = set()
+        for key, _ in node.value:
+            name = (key.tag, str(key.value))
+            if name in names:
+                raise _problem(f"the key '{name[1][:40]}' stands here twice", key)
+            names.add(name)
+        return super().construct_mapping(node, deep)
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
@@ -195,31 +205,6 @@ def _problem(problem: str, at: Any) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=at.start_mark)
 
 
-def _count_nodes(node: yaml.Node, counted: dict[int, int]) -> int:
-    """Number of values in a node, itself included; an alias counts each time. Refuses repeated keys."""
-    if id(node) in counted:
-        return counted[id(node)]
-    counted[id(node)] = MOST_NODES + 1  # refuses an alias within itself
-    inner: list[yaml.Node] = []
-    if isinstance(node, yaml.MappingNode):
-        keys = set()
-        for key, value in node.value:
-            name = (key.tag, key.value if isinstance(key.value, Hashable) else id(key))
-            if name in keys:
-                raise _problem(f"the key '{str(key.value)[:40]}' stands here twice", key)
-            keys.add(name)
-            inner += [key, value]
-    elif isinstance(node, yaml.SequenceNode):
-        inner = node.value
-    total = 1
-    for part in inner:
-        total += _count_nodes(part, counted)
-        if total > MOST_NODES:
-            raise _problem(f"more than {MOST_NODES:,} values, aliases included", node)
-    counted[id(node)] = total
-    return total
-
-
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """Read a YAML mapping.
 
@@ -233,8 +218,9 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         node = loader.get_single_node()
         if node is None:
             return {}
-        _count_nodes(node, {})
         values = loader.construct_document(node)
+    except RecursionError:
+        raise ConfigurationError(f"{path}: not valid YAML: too many levels") from None
     except yaml.YAMLError as error:
         problem = str(getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML")
         known = ((words, begins) for pattern, words, begins in _IN_PLAIN_WORDS if re.search(pattern, problem))
@@ -264,11 +250,8 @@ def read_json(path: str | Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
         values = json.loads(text, object_pairs_hook=unrepeated)
     except json.JSONDecodeError as error:
         raise ConfigurationError(f"{path}: not valid JSON in line {error.lineno}: {error.msg}") from None
-    except RecursionError:
-        raise ConfigurationError(f"{path}: not valid JSON: too many levels") from None
-    except ValueError as error:
-        problem = "a key stands twice" if "twice" in str(error) else "a number with too many digits"
-        raise ConfigurationError(f"{path}: not valid JSON: {problem}") from None
+    except (RecursionError, ValueError) as error:  # too many levels, or a number with too many digits
+        raise ConfigurationError(f"{path}: not valid JSON: {str(error).partition(';')[0]}") from None
     return _mapping(values, path)
 
 
@@ -298,19 +281,15 @@ def write_whole(path: str | Path, content: bytes) -> None:
         ConfigurationError: the folder cannot be made or written.
     """
     path = Path(path)
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
         handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from None
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from None
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise

@@ -6,14 +6,10 @@ import difflib
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from pydantic import AfterValidator
 
 from hydro_env.errors import ConfigurationError, UnknownKeyError
-
-if TYPE_CHECKING:
-    pass
 
 
 def did_you_mean(given: object, known: Iterable[str]) -> str:

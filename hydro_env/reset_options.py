@@ -19,10 +19,19 @@ from hydro_env.task.record import OPTION_NAMES, Fixed
 from hydro_env.task.reference_signals import FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
 from hydro_env.task.settings import draws_of
 from hydro_env.types import Floats
-from hydro_env.units import flow_from_resistance
 
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
 """Parameters that must exceed another one (rod, Coulomb force, precharge): their lowest draw is critical."""
+
+_DRAWN: dict[str, float] = {
+    "parameters": np.nan,
+    "leakage_flow_lpm": np.nan,
+    "initial_position": np.nan,
+    "rig": -1,
+    "family": -1,
+    "faults": np.nan,
+}
+"""Value of each field of :class:`Fixed` that is drawn; ``user_reference`` has none."""
 
 Indices = NDArray[np.int64]
 
@@ -38,6 +47,10 @@ def options_given(options: Any) -> dict[str, Any]:
     if not isinstance(options, Mapping):
         raise ConfigurationError(f"reset options: {shown(options)}: must be a mapping, of {', '.join(OPTION_NAMES)}")
     return dict(options)
+
+
+def _wrong(message: str) -> ConfigurationError:
+    return ConfigurationError(f"reset options: {message}")
 
 
 class ResetOptions:
@@ -66,7 +79,6 @@ class ResetOptions:
             user_reference=np.zeros((1, samples)),
             faults=np.full((count, len(FAULTS)), np.nan),
         )
-        self.persistent = np.zeros(count, dtype=np.bool_)
         self._check_parameters(np.full(len(PARAMETER_PATHS), np.nan), "task: randomisation")
         if tasks[0].references.user:
             row = np.asarray(tasks[0].references.user)
@@ -74,16 +86,11 @@ class ResetOptions:
         self._own_reference = self.fixed.user_reference[0].copy()
 
     def used(self, axes: Indices) -> None:
-        """Release the options that do not persist, after an episode has begun on these axes."""
-        passing = axes[~self.persistent[axes]]
-        self.fixed.parameters[passing] = np.nan
-        self.fixed.leakage_flow_lpm[passing] = np.nan
-        self.fixed.initial_position[passing] = np.nan
-        self.fixed.rig[passing] = -1
-        self.fixed.family[passing] = -1
-        self.fixed.faults[passing] = np.nan
+        """Release the options after an episode has begun on these axes."""
+        for name, drawn in _DRAWN.items():
+            getattr(self.fixed, name)[axes] = drawn
         if len(self.fixed.user_reference) == self.count:
-            self.fixed.user_reference[passing] = self._own_reference
+            self.fixed.user_reference[axes] = self._own_reference
 
     def set_user_reference(self, rows: Floats, axes: Indices) -> None:
         """Set the user's own references on some axes, (axes, samples) or (1, samples), m."""
@@ -99,142 +106,81 @@ class ResetOptions:
             ConfigurationError: an option is unknown, a shape is wrong, or a value is impossible; then nothing is
                 changed.
         """
-        options = options_given(options)
-        for name in options:
+        given = options_given(options)
+        for name in given:
             if name not in OPTION_NAMES:
                 raise UnknownKeyError(f"reset options: {unknown(name, OPTION_NAMES, 'option')}")
-        leak = self._leak_option(options, axes)
-        position = self._position_option(options, axes)
-        rig = self._rig_option(options, axes)
-        parameters = self._parameter_option(options.get("parameters"), axes)
-        families, user = self._reference_option(options.get("reference"), axes)
-        faults = self._fault_option(options.get("faults"), axes)
-        persist = options.get("persist", False)
-        if not isinstance(persist, bool | np.bool_):
-            raise ConfigurationError(f"reset options: persist = {shown(persist)}: must be true or false")
-        self.fixed.leakage_flow_lpm[axes] = leak
-        self.fixed.initial_position[axes] = position
-        self.fixed.rig[axes] = rig
-        self.fixed.parameters[axes] = parameters
-        self.fixed.family[axes] = families
-        self.fixed.faults[axes] = faults
-        self.persistent[axes] = bool(persist)
-        if user is not None:
-            self.set_user_reference(user, axes)
+        values: dict[str, NDArray[Any]] = {}
+        if "initial_position" in given:
+            position = self._per_axis(given["initial_position"], "initial_position", axes, -self._half, self._half, "m")
+            values["initial_position"] = position
+        if "rig" in given:
+            values["rig"] = self._per_axis(given["rig"], "rig", axes, 0, len(self._rigs) - 1)
+            if (values["rig"] % 1.0 != 0.0).any():
+                raise _wrong(f"rig = {shown(given['rig'])}: must be whole numbers")
+        if "leakage_flow_lpm" in given:
+            flow, unit = given["leakage_flow_lpm"], "l/min at 100 bar"
+            values["leakage_flow_lpm"] = self._per_axis(flow, "leakage_flow_lpm", axes, 0.0, LEAKAGE_LIMIT, unit)
+        if given.get("faults") is not None:
+            values["faults"] = self._faults(given["faults"], axes)
+        if given.get("parameters") is not None:
+            values["parameters"] = self._parameters(given["parameters"], axes)
+        reference = None
+        if given.get("reference") is not None:
+            values["family"], reference = self._reference(given["reference"], axes)
+        for name, drawn in _DRAWN.items():
+            getattr(self.fixed, name)[axes] = values.get(name, drawn)
+        if reference is not None:
+            self.set_user_reference(reference, axes)
 
-    def _per_axis(self, value: Any, name: str, axes: Indices) -> Floats:
-        """One number for all axes, or one per axis."""
+    def _per_axis(
+        self, value: Any, name: str, axes: Indices, low: float = -np.inf, high: float = np.inf, unit: str = ""
+    ) -> Floats:
+        """One number for all axes, or one per axis, within bounds."""
         array = numbers(value)
         if array is None:
-            raise ConfigurationError(f"reset options: {name} = {shown(value)}: must be a number")
+            raise _wrong(f"{name} = {shown(value)}: must be a number")
         if array.shape == (self.count,) and self.count > 1:
             array = array[axes]
         elif array.shape not in ((), (len(axes),)):
-            raise ConfigurationError(
-                f"reset options: {name} has shape {array.shape}: must be one number, or one per axis ({self.count},)"
-            )
-        return np.broadcast_to(array, (len(axes),)).copy()
-
-    def _leak_option(self, options: Mapping[str, Any], axes: Indices) -> Floats:
-        if "leakage_resistance" in options and "leakage_flow_lpm" in options:
-            raise ConfigurationError("reset options: leakage_resistance and leakage_flow_lpm exclude each other")
-        if "leakage_resistance" in options:
-            resistance = self._per_axis(options["leakage_resistance"], "leakage_resistance", axes)
-            if not np.all(resistance > 0.0):
-                raise ConfigurationError(
-                    f"reset options: leakage_resistance = {resistance.min():g} Pa s/m³: must be positive"
-                )
-            flow = np.array([flow_from_resistance(r) for r in resistance])  # infinity gives 0
-        elif "leakage_flow_lpm" in options:
-            flow = self._per_axis(options["leakage_flow_lpm"], "leakage_flow_lpm", axes)
-        else:
-            return np.full(len(axes), np.nan)
-        wrong = ~((flow >= 0.0) & (flow <= LEAKAGE_LIMIT))
+            raise _wrong(f"{name} has shape {array.shape}: must be one number, or one per axis ({self.count},)")
+        array = np.broadcast_to(array, (len(axes),)).copy()
+        wrong = ~((array >= low) & (array <= high))
         if wrong.any():
-            raise ConfigurationError(
-                f"reset options: leakage of {flow[wrong][0]:g} l/min at 100 bar: must be within 0 to {LEAKAGE_LIMIT:g}"
-            )
-        return flow
+            allowed = "a number" if low == -np.inf else f"within {low:g} to {high:g}"
+            raise _wrong(f"{name} = {array[wrong][0]:g}{unit and ' '}{unit}: must be {allowed}")
+        return array
 
-    def _position_option(self, options: Mapping[str, Any], axes: Indices) -> Floats:
-        if "initial_position" not in options:
-            return np.full(len(axes), np.nan)
-        position = self._per_axis(options["initial_position"], "initial_position", axes)
-        wrong = ~(np.abs(position) <= self._half)
-        if wrong.any():
-            first = position[wrong][0]
-            raise ConfigurationError(
-                f"reset options: initial_position = {first:g} m: must be within the stroke, ±{self._half:g} m"
-            )
-        return position
-
-    def _rig_option(self, options: Mapping[str, Any], axes: Indices) -> Indices:
-        if "rig" not in options:
-            return np.full(len(axes), -1, dtype=np.int64)
-        number = self._per_axis(options["rig"], "rig", axes)
-        wrong = ~np.isin(number, np.arange(len(self._rigs)))
-        if wrong.any():
-            raise ConfigurationError(
-                f"reset options: rig = {number[wrong][0]:g}: must be the number of a rig, 0 to {len(self._rigs) - 1}"
-            )
-        return number.astype(np.int64)
-
-    def _fault_option(self, given: Any, axes: Indices) -> Floats:
-        magnitudes = np.full((len(axes), len(FAULTS)), np.nan)
-        if given is None:
-            return magnitudes
+    def _faults(self, given: Any, axes: Indices) -> Floats:
         if not isinstance(given, Mapping):
-            raise ConfigurationError('reset options: faults must be a mapping, {"valve_null_shift": 0.01}')
+            raise _wrong('faults must be a mapping, {"valve_null_shift": 0.01}')
+        magnitudes = np.full((len(axes), len(FAULTS)), np.nan)
         for name, value in given.items():
             if name not in FAULTS:
                 raise UnknownKeyError(f"reset options: {unknown(name, FAULTS, 'fault')}")
-            column = self._per_axis(value, f"faults.{name}", axes)
-            low, high = fault_limits(name)
-            wrong = ~((column >= low) & (column <= high))
-            if wrong.any():
-                raise ConfigurationError(
-                    f"reset options: faults.{name} = {column[wrong][0]:g}: must be within {low:g} to {high:g}"
-                )
-            magnitudes[:, FAULTS.index(name)] = column
+            magnitudes[:, FAULTS.index(name)] = self._per_axis(value, f"faults.{name}", axes, *fault_limits(name))
         return magnitudes
 
-    def _parameter_option(self, changes: Any, axes: Indices) -> Floats:
-        override = np.full((len(axes), len(PARAMETER_PATHS)), np.nan)
-        if changes is None:
-            return override
+    def _parameters(self, changes: Any, axes: Indices) -> Floats:
         if isinstance(changes, PlantParameters):
             changes = changes.model_dump()
             changes["leakage"] = {"external_resistance": changes["leakage"]["external_resistance"]}
-        if not isinstance(changes, Mapping):
-            raise ConfigurationError("reset options: parameters must be groups of fields, {'load': {'mass': 80.0}}")
-        checked: dict[tuple[Any, ...], None] = {}
-        for group, fields in changes.items():
-            if not isinstance(fields, Mapping):
-                raise ConfigurationError(f"reset options: parameters.{group} must be a mapping of fields")
-            for field, value in fields.items():
-                path = f"{group}.{field}"
-                if path not in PARAMETER_PATHS:
-                    guess = did_you_mean(path, PARAMETER_PATHS)
-                    raise ConfigurationError(f"reset options: parameters.{path} is not a parameter of the plant{guess}")
-                if path in LEAKAGE_OF_THE_TASK:
-                    raise ConfigurationError(
-                        f"reset options: parameters.{path}: give leakage_flow_lpm or leakage_resistance instead"
-                    )
-                if path in MODEL_CODES:
-                    if not isinstance(value, str) or value not in MODEL_CODES[path]:
-                        raise ConfigurationError(
-                            f"reset options: parameters.{path} = {shown(value)}: {one_of(value, MODEL_CODES[path])}"
-                        )
-                    value = float(MODEL_CODES[path].index(value))
-                column = PARAMETER_PATHS.index(path)
-                override[:, column] = self._per_axis(value, f"parameters.{path}", axes)
-                if np.isnan(override[:, column]).any():
-                    raise ConfigurationError(f"reset options: parameters.{path} = nan: must be a number")
-        for row in override:
-            key = tuple(row[~np.isnan(row)])
-            if key not in checked:
-                checked[key] = None
-                self._check_parameters(row, "reset options")
+        if not isinstance(changes, Mapping) or not all(isinstance(fields, Mapping) for fields in changes.values()):
+            raise _wrong("parameters must be groups of fields, {'load': {'mass': 80.0}}")
+        override = np.full((len(axes), len(PARAMETER_PATHS)), np.nan)
+        for path, value in ((f"{group}.{name}", value) for group in changes for name, value in changes[group].items()):
+            if path not in PARAMETER_PATHS:
+                guess = did_you_mean(path, PARAMETER_PATHS)
+                raise _wrong(f"parameters.{path} is not a parameter of the plant{guess}")
+            if path in LEAKAGE_OF_THE_TASK:
+                raise _wrong(f"parameters.{path}: give leakage_flow_lpm instead")
+            if path in MODEL_CODES:
+                if not isinstance(value, str) or value not in MODEL_CODES[path]:
+                    raise _wrong(f"parameters.{path} = {shown(value)}: {one_of(value, MODEL_CODES[path])}")
+                value = float(MODEL_CODES[path].index(value))
+            override[:, PARAMETER_PATHS.index(path)] = self._per_axis(value, f"parameters.{path}", axes)
+        for row in {row.tobytes(): row for row in override}.values():
+            self._check_parameters(row, "reset options")
         return override
 
     def _check_parameters(self, row: Floats, where: str) -> None:
@@ -255,53 +201,40 @@ class ResetOptions:
             except ConfigurationError as error:
                 raise ConfigurationError(f"{where}: {error}") from None
 
-    def _reference_option(self, given: Any, axes: Indices) -> tuple[Indices, Floats | None]:
-        families = np.full(len(axes), -1, dtype=np.int64)
-        if given is None:
-            return families, None
-        names: Sequence[Any] | None = None
-        if isinstance(given, str):
-            names = [given] * len(axes)
-        elif isinstance(given, list | tuple) and given and all(isinstance(name, str) for name in given):
-            names = [given[axis] for axis in axes] if len(given) == self.count else list(given)
-        if names is not None:
-            if len(names) != len(axes):
-                raise ConfigurationError(f"reset options: reference has {len(names)} names for {len(axes)} axes")
-            for index, name in enumerate(names):
+    def _reference(self, given: Any, axes: Indices) -> tuple[Indices, Floats | None]:
+        """Family of each axis, and the rows of references that the user gives as numbers."""
+        names = [given] * len(axes) if isinstance(given, str) else given
+        if isinstance(names, list | tuple) and names and all(isinstance(name, str) for name in names):
+            if len(names) not in (len(axes), self.count):
+                raise _wrong(f"reference has {len(names)} names for {len(axes)} axes")
+            if len(names) > len(axes):
+                names = [names[axis] for axis in axes]
+            for name in names:
                 if name not in FAMILIES:
                     known = f"{', '.join(FAMILIES)}{did_you_mean(name, FAMILIES)}"
-                    raise ConfigurationError(
-                        f"reset options: reference = {shown(name)}: must be an array in m, or of {known}"
-                    )
-                families[index] = REFERENCE_FAMILIES.index(name)
-            return families, None
+                    raise _wrong(f"reference = {shown(name)}: must be an array in m, or of {known}")
+            return np.array([REFERENCE_FAMILIES.index(name) for name in names], dtype=np.int64), None
         array = numbers(given)
         if array is None:
-            raise ConfigurationError("reset options: reference must be numbers in m, or the name of a family")
+            raise _wrong("reference must be numbers in m, or the name of a family")
         if array.ndim == 1:
-            rows = np.repeat(self._checked_reference(array, "reset options: reference")[None], len(axes), axis=0)
-        elif array.ndim == 2 and len(array) in (self.count, len(axes)):
-            chosen = array[axes] if len(array) == self.count else array
-            rows = np.array([self._checked_reference(row, "reset options: reference") for row in chosen])
-        else:
-            raise ConfigurationError(
-                f"reset options: reference has shape {array.shape}: must be (samples,) or ({self.count}, samples)"
-            )
-        families[:] = USER_FAMILY
-        return families, rows
+            array = array[None]  # the same for all axes
+        elif array.ndim != 2 or len(array) not in (self.count, len(axes)):
+            raise _wrong(f"reference has shape {array.shape}: must be (samples,) or ({self.count}, samples)")
+        chosen = array[axes] if len(array) > len(axes) else array
+        rows = np.array([self._checked_reference(row, "reset options: reference") for row in chosen])
+        return np.full(len(axes), USER_FAMILY, dtype=np.int64), rows
 
     def _checked_reference(self, values: Floats, where: str) -> Floats:
         """The reference with the length that an episode needs; its last value is repeated."""
-        if values.ndim != 1 or len(values) == 0:
+        if len(values) == 0:
             raise ConfigurationError(f"{where}: must be a row of positions in m")
         wrong = ~(np.abs(values) < self._half)
         if wrong.any():
-            first = int(np.argmax(wrong))
+            first, limit = int(np.argmax(wrong)), f"±{self._half:g} m"
             raise ConfigurationError(
-                f"{where}[{first}] = {values[first]:g} m: must be a position within the stroke, ±{self._half:g} m "
-                "(unit: m)"
+                f"{where}[{first}] = {values[first]:g} m: must be a position within the stroke, {limit} (unit: m)"
             )
-        row = np.empty(self._samples)
+        row = np.full(self._samples, values[-1])
         row[: len(values)] = values[: self._samples]
-        row[len(values) :] = values[-1]
         return row

@@ -87,11 +87,11 @@ def in_si(value: Any, unit: str) -> Any:
     """
     if isinstance(value, list | tuple):
         return [in_si(entry, unit) for entry in value]
-    found = _QUANTITY.fullmatch(value.strip()) if isinstance(value, str) else None
-    if found is None:
+    number, own = split_quantity(value) if isinstance(value, str) else (None, "")
+    if number is None:
         return value
-    factor = unit_factor(found[2], UNITS.get(unit, {unit: 1.0}))
-    return float(f"{float(found[1]) * factor:.15g}")  # 36 mm are 0.036 m, not 0.036000000000000004
+    factor = unit_factor(own, UNITS.get(unit, {unit: 1.0}))
+    return float(f"{number * factor:.15g}")  # 36 mm are 0.036 m, not 0.036000000000000004
 
 
 def resistance_from_flow(flow_lpm: float) -> float:
@@ -152,7 +152,6 @@ Number = Annotated[float, BeforeValidator(_no_truth_value), AfterValidator(_no_n
 """A float that is neither a truth value nor NaN."""
 
 
-def quantity(default: float, unit: str, origin: str, low: float, high: float, *, above: bool = False) -> Any:
+def quantity(default: float, unit: str, origin: str, low: float, high: float) -> Any:
     """A numeric field with its unit, its origin and its allowed range, beyond which a value must be a mistake."""
-    bounds: dict[str, Any] = {"gt" if above else "ge": low, "le": high}
-    return Field(default, description=origin, json_schema_extra={"unit": unit}, **bounds)
+    return Field(default, description=origin, json_schema_extra={"unit": unit}, ge=low, le=high)

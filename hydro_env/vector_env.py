@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,26 +13,27 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from hydro_env.arguments import info_kind, numbers, shown, whole_number
-from hydro_env.axes import Axes, AxesState
+from hydro_env.arguments import numbers, shown, whole_number
+from hydro_env.axes import AxesState, Indices
+from hydro_env.common import AxisEnvironment, Given
 from hydro_env.errors import ConfigurationError, NotBegunError
-from hydro_env.infos import Flags, names_of, present_values
 from hydro_env.mistakes import one_of
 from hydro_env.reset_options import options_given
-from hydro_env.specification import PlainSpec
-from hydro_env.task.configuration import TaskConfig, task_config
+from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES, NO_FAILURE
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
+from hydro_env.types import Floats
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 Observations = NDArray[np.float32]
+Flags = NDArray[np.bool_]
 
 MOST_AXES = 1_000_000
 MOST_THREADS = 1024
 
 
-class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.float32], NDArray[Any]]):
+class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[np.float32], NDArray[Any]]):
     """N independent axes of :class:`~hydro_env.env.ServoHydraulicEnv`, which describes spaces, rewards and options.
 
     ``gym.make_vec("ServoHydraulic-v0", num_envs=N)`` makes it. With the same seed an axis gives the same numbers as
@@ -69,7 +69,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
     def __init__(
         self,
         num_envs: int = 1,
-        config: TaskConfig | Mapping[str, Any] | str | Path | None = None,
+        config: Given = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         threads: int | None = None,
@@ -87,39 +87,23 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         except ValueError:
             allowed = one_of(autoreset_mode, [mode.value for mode in AutoresetMode])
             raise ConfigurationError(f"autoreset_mode = {shown(autoreset_mode)}: {allowed}") from None
-        self._info_kind = info_kind(info)
-        self.config = task_config(config, **overrides)
-        if max_episode_steps is not None and self.config.law is not None:
+        task = task_config(config, **overrides)
+        if max_episode_steps is not None and task.law is not None:
             raise ConfigurationError("max_episode_steps: drawn rigs differ in their periods; give episode_duration")
-        if max_episode_steps is not None and max_episode_steps != self.config.steps:
+        if max_episode_steps is not None and max_episode_steps != task.steps:
             steps = whole_number("max_episode_steps", max_episode_steps, 1)
-            self.config = task_config(self.config, episode_duration=steps * self.config.control_period)
+            task = task_config(task, episode_duration=steps * task.control_period)
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self._axes = Axes(self.config, self.num_envs, threads)
+        self._set_up(task, self.num_envs, threads, info)
         self.single_observation_space = self._axes.observation_space
         self.single_action_space = self._axes.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.observation_names = self._axes.observation_names
-        self.observation_units = self._axes.observation_units
-        self.observation_scale = self._axes.scale
         self._everyone = np.arange(self.num_envs, dtype=np.int64)
         self._present = np.ones(self.num_envs, dtype=np.bool_)
         self._present.flags.writeable = False
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
-        self._seeded = False
-        self._begun = False
-
-    @property
-    def rigs(self) -> tuple[TaskConfig, ...]:
-        """The task on each of its rigs, by the numbers ``info["rig"]``; one unless the task has a law."""
-        return self._axes.tasks
-
-    @property
-    def axes(self) -> Axes:
-        """The arrays behind the environment (hidden from the controller)."""
-        return self._axes
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -143,7 +127,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         self._ended[axes] = False
         return self._axes.observation.copy(), self._info(axes)
 
-    def _chosen(self, mask: Any) -> NDArray[np.int64]:
+    def _chosen(self, mask: Any) -> Indices:
         if mask is None:
             return self._everyone
         try:
@@ -156,13 +140,13 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             )
         return np.flatnonzero(chosen)
 
-    def _begin(self, axes: NDArray[np.int64]) -> None:
+    def _begin(self, axes: Indices) -> None:
         """Begin episodes; if one of them cannot begin, all axes need a reset before the next step."""
         self._begun = False
         self._axes.begin(axes)
         self._begun = True
 
-    def _seed(self, seed: int | Sequence[int | None] | None, axes: NDArray[np.int64]) -> None:
+    def _seed(self, seed: int | Sequence[int | None] | None, axes: Indices) -> None:
         if isinstance(seed, list | tuple | np.ndarray) and np.shape(np.asarray(seed, dtype=object))[:1]:
             if len(seed) != self.num_envs:
                 raise ConfigurationError(f"seed: {len(seed)} seeds for {self.num_envs} axes")
@@ -183,9 +167,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             if value is not None:
                 self._axes.seed(int(axis), seeding.np_random(value)[0])
 
-    def step(
-        self, actions: NDArray[np.float32]
-    ) -> tuple[Observations, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+    def step(self, actions: NDArray[np.float32]) -> tuple[Observations, Floats, Flags, Flags, dict[str, Any]]:
         """Advance every axis by one control period.
 
         Args:
@@ -198,10 +180,9 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             ConfigurationError: an action is NaN or infinite, the shape is wrong, or ``reset`` was not called.
         """
         commands = numbers(actions)
-        if commands is None:
-            raise ConfigurationError("actions: must be numbers within -1 to 1")
-        if commands.shape != (self.num_envs, 1):
-            raise ConfigurationError(f"actions: shape {commands.shape}: must be ({self.num_envs}, 1)")
+        if commands is None or commands.shape != (self.num_envs, 1):
+            given = "no numbers" if commands is None else f"shape {commands.shape}"
+            raise ConfigurationError(f"actions: {given}: must be numbers within -1 to 1, of shape ({self.num_envs}, 1)")
         if not np.isfinite(commands).all():
             axis = int(np.argmin(np.isfinite(commands[:, 0])))
             raise ConfigurationError(f"actions[{axis}] = {commands[axis, 0]}: must be a finite number within -1 to 1")
@@ -213,7 +194,6 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
                 "(options={'reset_mask': ...})"
             )
         self._axes.step(commands[:, 0])
-        observation = self._axes.observation
         record = self._axes.record
         reward = record["reward"].copy()
         terminated = record["failure"] != NO_FAILURE
@@ -229,29 +209,24 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         self._ended = terminated | truncated
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._ended.any():
             final = self._finish()
-        return observation.copy(), reward, terminated, truncated, self._info(self._everyone) | final
+        info = self._info(self._everyone) | final
+        return self._axes.observation.copy(), reward, terminated, truncated, info
 
     def _finish(self) -> dict[str, Any]:
         """Restart the axes that ended in this step; returns their last observation and info."""
-        mask = self._ended
-        ended = np.flatnonzero(mask)
+        mask, ended = self._ended, np.flatnonzero(self._ended)
+        last: NDArray[Any]
         if self._info_kind == "flat":
             last = np.where(mask[:, None], self._axes.observation, np.float32(0.0))
             final = {f"final_{name}": values for name, values in self._info(ended).items() if name[0] != "_"}
-            final |= {"final_obs": last, "_final_obs": mask.copy()}
         else:
             last = np.full(self.num_envs, None, dtype=object)
             for axis in ended:
                 last[axis] = self._axes.observation[axis].copy()
-            final = {
-                "final_obs": last,
-                "_final_obs": mask.copy(),
-                "final_info": self._info(ended),
-                "_final_info": mask.copy(),
-            }
+            final = {"final_info": self._info(ended), "_final_info": mask.copy()}
         self._begin(ended)
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
-        return final
+        return {"final_obs": last, "_final_obs": mask.copy(), **final}
 
     def get_state(self, axes: Sequence[int] | None = None) -> AxesState:
         """Complete state of some axes (all by default); see the single environment.
@@ -286,7 +261,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         self._ended = self._axes.ended()
         self._seeded = self._begun = True
 
-    def _numbered(self, axes: Sequence[int] | None) -> NDArray[np.int64]:
+    def _numbered(self, axes: Sequence[int] | None) -> Indices:
         if axes is None:
             return self._everyone
         if not isinstance(axes, list | tuple | range | np.ndarray) or len(axes) == 0:
@@ -296,21 +271,18 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             raise ConfigurationError(f"axes = {shown(axes)}: each axis may be named once")
         return np.array(chosen, dtype=np.int64)
 
-    def _info(self, axes: NDArray[np.int64]) -> dict[str, Any]:
+    def _info(self, axes: Indices) -> dict[str, Any]:
         """Arrays over all axes, each with a mask of the axes to which it applies; zero elsewhere, as in Gymnasium."""
         if self._info_kind is False:
             return {}
-        everyone = len(axes) == self.num_envs
         present = self._present
-        if not everyone:
+        if len(axes) < self.num_envs:
             present = np.zeros(self.num_envs, dtype=np.bool_)
             present[axes] = True
 
-        record = self._axes.record
-
         def column(name: str) -> NDArray[Any]:
-            values: NDArray[Any] = record[name].copy()
-            if not everyone:
+            values: NDArray[Any] = self._axes.record[name].copy()
+            if present is not self._present:
                 values[~present] = 0.0
             return values
 
@@ -320,6 +292,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             np.divide(LEAKAGE_TEST_PRESSURE, flow * LITRE_PER_MINUTE, out=resistance, where=present)
         family, failure = column("reference_family").astype(np.int64), column("failure").astype(np.int64)
         costs = column("costs")
+        terms = {name: -costs[:, index] for index, name in enumerate(REWARD_TERMS)}
         values: dict[str, Any] = {
             "leakage_resistance": resistance,
             "leakage_flow_lpm": flow,
@@ -334,21 +307,15 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         if self.config.law is not None:
             values["rig"] = column("rig").astype(np.int64)
         if self._info_kind == "flat":
-            values |= {f"reward_{name}": -costs[:, index] for index, name in enumerate(REWARD_TERMS)}
-            values |= {
-                f"fault_{name}": np.where(present, size, 0.0) for name, size in self._axes.drawn_faults().items()
-            }
+            values |= {f"reward_{name}": costs for name, costs in terms.items()}
+            faults = self._axes.drawn_faults()
+            values |= {f"fault_{name}": np.where(present, size, 0.0) for name, size in faults.items()}
         else:
-            values["reference_family"] = names_of(family, REFERENCE_FAMILIES, present)
-            values["failure"] = names_of(failure, FAILURES, present)
-            terms: dict[str, Any] = {}
-            for index, name in enumerate(REWARD_TERMS):
-                terms[name] = -costs[:, index]
-                terms[f"_{name}"] = present
-            values["reward_terms"] = terms
-            values["faults"] = present_values(self._axes.faults(), present)
-        masks = {f"_{name}": present for name in values}
-        return values | masks
+            values["reference_family"] = _names_of(family, REFERENCE_FAMILIES, present)
+            values["failure"] = _names_of(failure, FAILURES, present)
+            values["reward_terms"] = terms | {f"_{name}": present for name in terms}
+            values["faults"] = _present_values(self._axes.faults(), present)
+        return values | {f"_{name}": present for name in values}
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the worker threads."""
@@ -356,3 +323,24 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         axes = getattr(self, "_axes", None)  # absent if the constructor raised an error
         if axes is not None:
             axes.close()
+
+
+def _names_of(codes: Indices, known: Sequence[str], present: Flags) -> NDArray[np.object_]:
+    """The name of each code; None if an axis is not present.
+
+    Filled code by code: NumPy 2.0 to 2.2.2 crash when two threads repeat an array of objects.
+    """
+    names = np.empty(len(codes), dtype=object)
+    for code in np.bincount(codes).nonzero()[0].tolist():
+        names[(codes == code) & present] = known[code]
+    return names
+
+
+def _present_values(values: Mapping[str, Floats], present: Flags) -> dict[str, Any]:
+    """Each array where an axis is present and its value is not 0, and a mask of those axes; nothing without any."""
+    found: dict[str, Any] = {}
+    for name, array in values.items():
+        exists = present & (array != 0.0)
+        if exists.any():
+            found |= {name: np.where(exists, array, 0.0), f"_{name}": exists}
+    return found

@@ -7,12 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from hydro_env import equilibrium, resistance_from_flow, simulate
-from hydro_env.plant.analysis import force_rate_terms
-from hydro_env.plant.arrays import coefficient_array, derivative_array
+from hydro_env import Trajectory, equilibrium, resistance_from_flow, simulate
+from hydro_env.plant.arrays import coefficient_array, derivative_array, plant_coefficients
 from hydro_env.plant.equations import Coefficients
-from hydro_env.plant.states import STATE_NAMES
+from hydro_env.plant.parts.chambers import chamber_volumes, pressure_rate
+from hydro_env.plant.parts.leakage import external_leakage, internal_leakage
+from hydro_env.plant.states import STATE_NAMES, State
 from paper.rig import FEW_LEAKS, LAWS, PLANT, SAMPLE_TIME, START, VOLTAGE, Law, count, simplified, with_leak
 
 DRAWN = 1.0
@@ -34,6 +36,25 @@ WINDOWS = {"move": (0.0, DRIVE), "stop": (DRIVE, DRIVE + 0.15)}
 BINS = 8
 FEWEST = 10
 """Smallest number of samples in a bin of pressure differences."""
+
+
+def force_rate_terms(run: Trajectory) -> NDArray[np.float64]:
+    """The four terms of (24) in N/s, with the corrected volume of chamber b, along a run of n + 1 samples: (4, n + 1).
+
+    Flow through the valve, motion, internal leakage, external leakage; they add up to dF/dt.
+    """
+    c = plant_coefficients(run.parameters)
+    rows = []
+    for sample in range(len(run)):
+        s = State(*run.states[sample])
+        volume_a, volume_b = chamber_volumes(s.position, c)
+        per_flow_a = c.area_a * pressure_rate(1.0, volume_a, c.wall_compliance_a, s.pressure_a, c)
+        per_flow_b = c.area_b * pressure_rate(1.0, volume_b, c.wall_compliance_b, s.pressure_b, c)
+        valve = per_flow_a * run.flow_a[sample] + per_flow_b * run.flow_b[sample]
+        motion = -(per_flow_a * c.area_a + per_flow_b * c.area_b) * s.velocity
+        inside = -(per_flow_a + per_flow_b) * internal_leakage(s.pressure_a, s.pressure_b, c)
+        rows.append((valve, motion, inside, per_flow_b * external_leakage(s.pressure_b, c)))
+    return np.array(rows).T
 
 
 @cache

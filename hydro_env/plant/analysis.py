@@ -1,21 +1,15 @@
-"""Formulas for hand calculations: natural frequency, stiffness, speed and force limits, the terms of dF/dt."""
+"""Formulas for hand calculations: natural frequency, stiffness, speed and force limits."""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.parts import chambers
-from hydro_env.plant.parts.chambers import pressure_rate
-from hydro_env.plant.parts.leakage import external_leakage, internal_leakage
+from hydro_env.plant.parts.leakage import internal_leakage
 from hydro_env.plant.parts.load import piston_force
-from hydro_env.plant.simulate import Trajectory
-from hydro_env.plant.states import State
-from hydro_env.types import Floats
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 
@@ -125,32 +119,3 @@ def reachable_range(parameters: PlantParameters) -> tuple[float, float]:
     if c.spring_stiffness == 0.0:
         return (-stop if back > 0 else stop), (stop if out > 0 else -stop)
     return max(-back / c.spring_stiffness, -stop), min(out / c.spring_stiffness, stop)
-
-
-class ForceRateTerms(NamedTuple):
-    """The four terms of dF/dt in N/s (24), F = P_a A_a − P_b A_b; they add up to the total."""
-
-    valve: Floats
-    motion: Floats
-    internal_leakage: Floats
-    external_leakage: Floats
-
-
-def force_rate_terms(trajectory: Trajectory) -> ForceRateTerms:
-    """The four terms of (24), with the corrected volume of chamber b, along a trajectory; shapes (n + 1,)."""
-    c = plant_coefficients(trajectory.parameters)
-    rows = []
-    for sample in range(len(trajectory)):
-        s = State(*trajectory.states[sample])
-        volume_a, volume_b = chambers.chamber_volumes(s.position, c)
-        per_flow_a = c.area_a * pressure_rate(1.0, volume_a, c.wall_compliance_a, s.pressure_a, c)
-        per_flow_b = c.area_b * pressure_rate(1.0, volume_b, c.wall_compliance_b, s.pressure_b, c)
-        rows.append(
-            (
-                per_flow_a * trajectory.flow_a[sample] + per_flow_b * trajectory.flow_b[sample],
-                -(per_flow_a * c.area_a + per_flow_b * c.area_b) * s.velocity,
-                -(per_flow_a + per_flow_b) * internal_leakage(s.pressure_a, s.pressure_b, c),
-                per_flow_b * external_leakage(s.pressure_b, c),
-            )
-        )
-    return ForceRateTerms(*np.array(rows).T)

@@ -15,20 +15,20 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.compiling import (
     SOURCES,
     compiled,
     inline,
     lane_function,
-    lane_reader,
-    lane_writer,
     tuple_map,
     tuple_maximum,
+    tuple_reader,
+    tuple_writer,
 )
 from hydro_env.plant.equations import Coefficients, command_changed, derivatives, hold_limits, time_to_kink
 from hydro_env.plant.states import N_STATES, State
+from hydro_env.types import Floats
 
 LANES = 8
 """Plants that one vector instruction works on (eight doubles fill an AVX-512 register)."""
@@ -84,11 +84,11 @@ PEAK_PRESSURE, IMPACT_SPEED, STEPS = range(N_PEAKS)
 class Plants(NamedTuple):
     """Arrays of the plants that :func:`integrate` advances, one row each."""
 
-    state: NDArray[np.float64]  # (plants, N_STATES), changed in place
-    coefficients: NDArray[np.float64]  # (plants, N_COEFFICIENTS)
-    voltage: NDArray[np.float64]  # (plants, intervals), V, held in each interval
-    durations: NDArray[np.float64]  # (plants, intervals), s
-    peaks: NDArray[np.float64]  # (plants, N_PEAKS), written
+    state: Floats  # (plants, N_STATES), changed in place
+    coefficients: Floats  # (plants, N_COEFFICIENTS)
+    voltage: Floats  # (plants, intervals), V, held in each interval
+    durations: Floats  # (plants, intervals), s
+    peaks: Floats  # (plants, N_PEAKS), written
 
 
 class Accuracy(NamedTuple):
@@ -120,13 +120,13 @@ _VOLTAGE, _REMAINING, _PROPOSED, _STEP, _REPEATED, _PLANT, _INTERVAL = (
 _PRESSURE_PEAK, _SPEED_PEAK, _STEP_COUNT = (_PEAKS + LANES * row for row in range(N_PEAKS))
 
 _read_state, _read_trial, _read_derivative, _read_error = (
-    lane_reader(State, _ROW[name], LANES) for name in ("state", "trial", "derivative", "error")
+    tuple_reader(State, _ROW[name], LANES) for name in ("state", "trial", "derivative", "error")
 )
-_read_coefficients = lane_reader(Coefficients, _ROW["coefficients"], LANES)
+_read_coefficients = tuple_reader(Coefficients, _ROW["coefficients"], LANES)
 _write_state, _write_trial, _write_derivative = (
-    lane_writer(State, _ROW[name], LANES) for name in ("state", "trial", "derivative")
+    tuple_writer(State, _ROW[name], LANES) for name in ("state", "trial", "derivative")
 )
-_read_weights = lane_reader(State, _ROW["coefficients"] + Coefficients._fields.index("position_weight"), LANES)
+_read_weights = tuple_reader(State, _ROW["coefficients"] + Coefficients._fields.index("position_weight"), LANES)
 _difference = tuple_map(State, "a.{name} - b.{name}", "a, b")
 _choice = tuple_map(State, "a.{name} if condition else b.{name}", "condition, a, b")
 _weighted_maximum = tuple_maximum(State, "abs(error.{name} * weight.{name})", "error, weight")
@@ -142,7 +142,7 @@ def _sum(weights: Sequence[float], names: Sequence[str]) -> str:
     return f"work[{_STEP} + lane] * ({' + '.join(terms)})"
 
 
-def _stage(number: int) -> Callable[..., Any]:
+def _stage(number: int) -> Any:
     """``stage(work)``: set every lane's trial state from the derivatives so far (STAGES), and keep the newest one."""
     known = [*_STAGE_NAMES[: number - 1], "derivative"]
     trial = f"{_row('trial')} = {_row('state')} + {_sum(STAGES[number - 1], known)}"

@@ -18,8 +18,6 @@ from hydro_env.types import Floats
 AXIS_STATES = ("position", "velocity", "pressure_a", "pressure_b", "supply_pressure")
 """The states of the axis without its valve."""
 
-INPUT_UNITS = {"voltage": "V", "external_force": "N"}
-
 IDEAL_RATE = 1e5
 """1/s; an ideal part of the valve follows its command at this rate in a linearisation."""
 
@@ -36,17 +34,16 @@ class Mode(NamedTuple):
 
 
 class StateSpace(NamedTuple):
-    """dx/dt = A x + B u, y = C x + D u, of deviations; with names and units of x, u and y.
+    """dx/dt = A x + B u, y = C x + D u, of deviations, where u is the voltage; with names and units of x, u and y.
 
     Use it as ``scipy.signal.StateSpace(*space.matrices)`` or ``control.ss(*space.matrices, **space.names)``.
     """
 
     A: Floats  # (n, n)
-    B: Floats  # (n, m)
+    B: Floats  # (n, 1)
     C: Floats  # (p, n)
-    D: Floats  # (p, m)
+    D: Floats  # (p, 1)
     states: tuple[str, ...]
-    inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     units: dict[str, str]
 
@@ -58,7 +55,7 @@ class StateSpace(NamedTuple):
     @property
     def names(self) -> dict[str, list[str]]:
         """Names of states, inputs and outputs, as keywords for python-control."""
-        return {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
+        return {"states": list(self.states), "inputs": ["voltage"], "outputs": list(self.outputs)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,36 +89,20 @@ class Linearisation:
         acts[STATE_NAMES.index("position")] = True
         return tuple(name for name, active in zip(STATE_NAMES, moves & acts, strict=True) if active)
 
-    def state_space(self, outputs: Sequence[str] = ("position",), inputs: Sequence[str] = ("voltage",)) -> StateSpace:
-        """State space of the active states, with chosen outputs (names of states) and inputs.
-
-        Inputs are ``voltage`` and ``external_force``.
+    def state_space(self, outputs: Sequence[str] = ("position",)) -> StateSpace:
+        """State space of the active states, from the voltage to chosen outputs (names of states).
 
         Raises:
-            HydroError: an output or input is unknown, or a state is not active.
+            HydroError: an output is unknown, or not active.
         """
         active = self.active_states
-        for kind, given, known in (("outputs", outputs, active), ("inputs", inputs, tuple(INPUT_UNITS))):
-            unknown = [name for name in given if name not in known]
-            if isinstance(given, str) or unknown:
-                shown = repr(given) if isinstance(given, str) else repr(unknown[0])
-                raise HydroError(f"state_space: {kind} = {shown}: must be names of {', '.join(known)}")
+        if isinstance(outputs, str) or not set(outputs) <= set(active):
+            raise HydroError(f"state_space: outputs = {outputs!r}: must be names of {', '.join(active)}")
         rows = [STATE_NAMES.index(name) for name in active]
-        columns = {"voltage": self.b, "external_force": self.force}
-        b = np.column_stack([columns[name][rows] for name in inputs])
         c = np.array([[float(name == state) for state in active] for name in outputs])
-        units = {name: STATES[name].unit for name in active} | {name: INPUT_UNITS[name] for name in inputs}
-        d = np.zeros((len(outputs), len(inputs)))
-        return StateSpace(self.a[np.ix_(rows, rows)], b, c, d, active, tuple(inputs), tuple(outputs), units)
-
-    @property
-    def modes(self) -> list[Mode]:
-        """Modes of the active states by rising natural frequency; complex pairs appear once."""
-        rows = [STATE_NAMES.index(name) for name in self.active_states]
-        values = [complex(value) for value in np.linalg.eigvals(self.a[np.ix_(rows, rows)]) if value.imag >= 0]
-        values = [value if abs(value) > NO_RATE else 0j for value in values]
-        modes = [Mode(abs(v), -v.real / abs(v) if v else 1.0, v) for v in values]
-        return sorted(modes, key=lambda mode: mode.natural_frequency)
+        units = {name: STATES[name].unit for name in active} | {"voltage": "V"}
+        d = np.zeros((len(outputs), 1))
+        return StateSpace(self.a[np.ix_(rows, rows)], self.b[rows][:, None], c, d, active, tuple(outputs), units)
 
     @property
     def hydraulic_mode(self) -> Mode:
@@ -170,7 +151,11 @@ def linearise(
     holding = 0.0
     if state is None:
         state, holding = equilibrium(parameters, position)
-    at = _state_array(state)
+    values = [state.get(name) for name in STATE_NAMES] if isinstance(state, Mapping) else state
+    try:
+        at = np.array(values, dtype=np.float64).reshape(N_STATES)
+    except (TypeError, ValueError):
+        raise HydroError(f"state: must be numbers for {', '.join(STATE_NAMES)}") from None
     voltage = holding if voltage is None else float(voltage)
     c = coefficient_array(parameters)
     columns = [
@@ -181,23 +166,14 @@ def linearise(
     b = _difference(lambda step: derivative_array(at, c, voltage + step), 1e-3)
     acting = np.eye(len(c))[Coefficients._fields.index("external_force")]
     force = _difference(lambda step: derivative_array(at, c + acting * step, voltage), 1.0)
-    _make_ideal(a, b, at, c, voltage)
+    # The states that a new command sets at once (ideal parts of the valve) get a lag of 10 µs.
+    elsewhere = at + 1e-3 * TYPICAL_SIZE
+    gains = _difference(lambda step: command_changed_array(at, c, voltage + step), 1e-3)
+    for row in np.flatnonzero(command_changed_array(elsewhere, c, voltage) != elsewhere):
+        a[row] = 0.0
+        a[row, row] = -IDEAL_RATE
+        b[row] = IDEAL_RATE * gains[row]
     return Linearisation(a, b, force, at, voltage)
-
-
-def _state_array(state: Any) -> Floats:
-    if isinstance(state, Mapping):
-        missing = next((name for name in STATE_NAMES if name not in state), None)
-        if missing is not None:
-            raise HydroError(f"state: '{missing}' is missing; it needs {', '.join(STATE_NAMES)}")
-        state = [state[name] for name in STATE_NAMES]
-    try:
-        values = np.array(state, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise HydroError("state: must be numbers") from None
-    if values.shape != (N_STATES,):
-        raise HydroError(f"state: shape {values.shape}: must be ({N_STATES},): {', '.join(STATE_NAMES)}")
-    return values
 
 
 def _unit(column: int) -> Floats:
@@ -211,17 +187,13 @@ def _difference(function: Any, step: float) -> Floats:
     return difference
 
 
-def _make_ideal(a: Floats, b: Floats, at: Floats, c: Floats, voltage: float) -> None:
-    """Give the states that a new command sets at once (ideal parts of the valve) a lag of 10 µs."""
-    elsewhere = at + 1e-3 * TYPICAL_SIZE
-    gains = _difference(lambda step: command_changed_array(at, c, voltage + step), 1e-3)
-    for row in np.flatnonzero(command_changed_array(elsewhere, c, voltage) != elsewhere):
-        a[row] = 0.0
-        a[row, row] = -IDEAL_RATE
-        b[row] = IDEAL_RATE * gains[row]
+def fastest_motion(parameters: PlantParameters, state: State | Floats, voltage: float = 0.0) -> tuple[float, str]:
+    """|λ| in 1/s of the fastest eigenvalue at a state, and the state that moves most in it, relative to its size.
 
-
-def fastest_eigenvalue(parameters: PlantParameters, state: State | Floats, voltage: float = 0.0) -> float:
-    """|λ| in 1/s of the fastest eigenvalue of the linearisation at a state, without ideal parts of the valve."""
-    magnitudes = np.abs(np.linalg.eigvals(linearise(parameters, state, voltage).a))
-    return float(magnitudes[np.abs(magnitudes - IDEAL_RATE) > 1e-6 * IDEAL_RATE].max())
+    Ideal parts of the valve do not count.
+    """
+    values, vectors = np.linalg.eig(linearise(parameters, state, voltage).a)
+    rates = np.abs(values)
+    rates[np.abs(rates - IDEAL_RATE) < 1e-6 * IDEAL_RATE] = 0.0
+    fastest = int(np.argmax(rates))
+    return float(rates[fastest]), STATE_NAMES[int(np.argmax(np.abs(vectors[:, fastest]) / TYPICAL_SIZE))]

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_env.compiling import named_tuple
@@ -26,6 +25,7 @@ from hydro_env.plant.parts.leakage import Leakage
 from hydro_env.plant.parts.load import Load
 from hydro_env.plant.parts.supply import Supply
 from hydro_env.plant.parts.valve import Valve
+from hydro_env.types import Floats
 
 OF_THE_TASK = ("randomisation", "sensors")
 """Groups in the file of a rig that belong to the task."""
@@ -125,7 +125,7 @@ Physical = named_tuple("Physical", (path.replace(".", "_") for path in PARAMETER
 """The parameters of :class:`PlantParameters` as ``group_field``, for compiled code."""
 
 
-def to_vector(parameters: PlantParameters) -> NDArray[np.float64]:
+def to_vector(parameters: PlantParameters) -> Floats:
     """All parameters as one vector of ``len(PARAMETER_PATHS)`` numbers, for compiled code."""
     values = []
     for path in PARAMETER_PATHS:
@@ -135,7 +135,7 @@ def to_vector(parameters: PlantParameters) -> NDArray[np.float64]:
     return np.array(values, dtype=np.float64)
 
 
-def from_vector(vector: NDArray[np.float64]) -> PlantParameters:
+def from_vector(vector: Floats) -> PlantParameters:
     """The inverse of :func:`to_vector`; validates."""
     values: dict[str, dict[str, Any]] = {}
     for path, value in zip(PARAMETER_PATHS, vector.tolist(), strict=True):

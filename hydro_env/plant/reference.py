@@ -23,6 +23,9 @@ from hydro_env.types import Floats
 _PRESSURE_A, _PRESSURE_B, _SPOOL, _SPOOL_VELOCITY = (
     STATE_NAMES.index(name) for name in ("pressure_a", "pressure_b", "spool_position", "spool_velocity")
 )
+_ROWS = (_SPOOL_VELOCITY, _SPOOL, _PRESSURE_A, _PRESSURE_B)
+"""The state of each limit, in the order of :class:`Held`."""
+
 _NEAR = 1e-12
 """Relative distance from a limit within which a state counts as on it."""
 
@@ -127,14 +130,9 @@ class _Plant:
     def rate(self, y: Floats, voltage: float, held: Held) -> Floats:
         """The derivative with the active limits."""
         rate = self.free_rate(y, voltage)
-        if held.slew or self.limits.ideal_spool:
-            rate[_SPOOL_VELOCITY] = 0.0
-        if held.stroke or self.limits.ideal_spool:
-            rate[_SPOOL] = 0.0
-        if held.vapour_a:
-            rate[_PRESSURE_A] = 0.0
-        if held.vapour_b:
-            rate[_PRESSURE_B] = 0.0
+        for row, holds in zip(_ROWS, held, strict=True):
+            if holds or (self.limits.ideal_spool and row in (_SPOOL, _SPOOL_VELOCITY)):
+                rate[row] = 0.0
         return rate
 
     def events(self, voltage: float, held: Held) -> list[Any]:
@@ -167,10 +165,8 @@ class _Plant:
     def put_on_limit(self, y: Floats, met: NDArray[np.intp], held: Held) -> Floats:
         """The state moved exactly onto the limits that it has just met, and slightly off those that it has left."""
         y = y.copy()
-        for event, row, limit in ((0, _SPOOL_VELOCITY, self.limits.slew_limit), (1, _SPOOL, 1.0)):
-            if event in met:
-                y[row] = np.sign(y[row]) * limit * (1.0 - _OFF if held[event] else 1.0)
-        for event, row in ((2, _PRESSURE_A), (3, _PRESSURE_B)):
-            if event in met:
-                y[row] = VAPOUR_PRESSURE * (1.0 - _OFF if held[event] else 1.0)
+        limits = (self.limits.slew_limit, 1.0, abs(VAPOUR_PRESSURE), abs(VAPOUR_PRESSURE))
+        for event in met:
+            row = _ROWS[event]
+            y[row] = np.sign(y[row]) * limits[event] * (1.0 - _OFF if held[event] else 1.0)
         return y

@@ -84,15 +84,9 @@ class Trajectory:
         return f"Trajectory({len(self)} samples, {self.time[-1]:g} s, {', '.join(TRAJECTORY_NAMES[2:5])}, …)"
 
     def to_dataframe(self) -> Any:
-        """All quantities as a pandas DataFrame (n + 1 rows), indexed by time; ``frame.attrs["units"]`` has the units.
+        """All quantities as a pandas DataFrame (n + 1 rows) over time; ``frame.attrs["units"]`` has the units."""
+        from pandas import DataFrame, Index  # imported at first use
 
-        Raises:
-            HydroError: pandas is not installed.
-        """
-        try:
-            from pandas import DataFrame, Index
-        except ModuleNotFoundError:
-            raise HydroError("to_dataframe: needs pandas; pip install pandas") from None
         names = TRAJECTORY_NAMES[1:]
         frame = DataFrame({name: self[name] for name in names}, index=Index(self.time, name="time"))
         frame.attrs["units"] = dict(TRAJECTORY_UNITS)
@@ -145,13 +139,13 @@ def simulate(
     if not isinstance(parameters, PlantParameters):
         raise HydroError(f"parameters = {type(parameters).__name__}: must be PlantParameters")
     inputs = _checked_input(voltage)
-    sample_time = _positive("sample_time", sample_time, "s")
+    sample_time = _number("sample_time", sample_time, 0.0, 1e6)
     accuracy = Accuracy(
-        maximum_step=_positive("maximum_step", maximum_step, "s"),
-        tolerance=_positive("tolerance", tolerance, "", np.inf),
+        maximum_step=_number("maximum_step", maximum_step, 0.0, 1e6),
+        tolerance=_number("tolerance", tolerance, 0.0),
         most_steps=MOST_STEPS_PER_PERIOD * max(sample_time / LONGEST_PERIOD, 1.0),
     )
-    _positive("relative_tolerance", relative_tolerance, "", 1.0)
+    relative_tolerance = _number("relative_tolerance", relative_tolerance, 0.0, 1.0)
     start = _checked_start(parameters, initial_state)
     coefficients = coefficient_array(parameters)
     if method == "fast":
@@ -194,21 +188,20 @@ def _checked_input(voltage: ArrayLike) -> Floats:
         raise HydroError(f"voltage: must be one row of at least one value, not of shape {inputs.shape}")
     wrong = ~(np.abs(inputs) <= FULL_VOLTAGE)
     if wrong.any():
-        first = int(np.argmax(wrong))
-        raise HydroError(
-            f"voltage[{first}] = {inputs[first]:g} V: must be within -{FULL_VOLTAGE:g} to {FULL_VOLTAGE:g} V"
-        )
+        first, limit = int(np.argmax(wrong)), FULL_VOLTAGE
+        raise HydroError(f"voltage[{first}] = {inputs[first]:g} V: must be within -{limit:g} to {limit:g} V")
     return inputs
 
 
-def _positive(name: str, value: Any, unit: str, largest: float = 1e6) -> float:
+def _number(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> float:
+    """A number above ``low``, at most ``high``."""
     try:
         number = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError):
         number = math.nan
-    if not 0.0 < number <= largest:
-        shown = f"{value} {unit}".strip() if isinstance(value, int | float) else repr(value)
-        raise HydroError(f"{name} = {shown}: must be positive, at most {largest:g} {unit}".rstrip())
+    if not low < number <= high:
+        allowed = f"positive, at most {high:g}" if low == 0.0 else "a finite number"
+        raise HydroError(f"{name} = {value!r}: must be {allowed}")
     return number
 
 
@@ -219,12 +212,7 @@ def _checked_start(parameters: PlantParameters, initial_state: Mapping[str, floa
     for name, value in (initial_state or {}).items():
         if name not in STATE_NAMES:
             raise HydroError(f"initial_state: {unknown(name, STATE_NAMES, 'state')}")
-        try:
-            given[name] = float(value)
-        except (TypeError, ValueError):
-            raise HydroError(f"initial_state: {name} = {value!r}: must be a number") from None
-        if not np.isfinite(given[name]):
-            raise HydroError(f"initial_state: {name} = {value}: must be a finite number")
+        given[name] = _number(f"initial_state: {name}", value, high=1e300)
     if len(given) < len(STATE_NAMES):
         rest, _ = equilibrium(parameters, given.get("position", 0.0))
         given = rest | given

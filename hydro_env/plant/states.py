@@ -10,9 +10,9 @@ import math
 from typing import Annotated, NamedTuple, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env.compiling import inline, tuple_first
+from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 
 ATMOSPHERIC_PRESSURE = 101_325.0
@@ -56,8 +56,8 @@ STATES: dict[str, StateInfo] = {
 STATE_NAMES = State._fields
 STATE_UNITS = tuple(info.unit for info in STATES.values())
 N_STATES = len(STATES)
-TYPICAL_SIZE: NDArray[np.float64] = np.array([info.typical for info in STATES.values()])
-EMPHASIS: NDArray[np.float64] = np.array([info.emphasis for info in STATES.values()])
+TYPICAL_SIZE: Floats = np.array([info.typical for info in STATES.values()])
+EMPHASIS: Floats = np.array([info.emphasis for info in STATES.values()])
 
 
 first_outside = tuple_first(State, "not (lowest.{name} <= s.{name} <= highest.{name})", "s, lowest, highest")

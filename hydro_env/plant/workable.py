@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from hydro_env.errors import ConfigurationError, HydroError
 from hydro_env.plant.analysis import force_limits, full_pressure_forces, reachable_range, speed_limits
-from hydro_env.plant.arrays import coefficient_array, derived_array, equilibrium, plant_coefficients
-from hydro_env.plant.kernel import MAXIMUM_STEP, STABLE_PRODUCT
-from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.arrays import coefficient_array, derived_array, equilibrium
+from hydro_env.plant.kernel import STABLE_PRODUCT
+from hydro_env.plant.linearisation import fastest_motion
+from hydro_env.plant.parameters import PARAMETER_UNITS, PlantParameters
 from hydro_env.plant.parts.friction import FrictionModel
-from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, Law, Leakage
-from hydro_env.plant.rates import Rates, rates
+from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL
 from hydro_env.plant.simulate import DERIVED_NAMES, valid_ranges
 from hydro_env.plant.states import STATE_NAMES, State
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
@@ -32,62 +31,40 @@ STEPS_PERIOD = 5e-3
 """s; steps are counted over this period."""
 
 CAUSES = {
-    "chamber_a": "cylinder.dead_volume, valve.transition_pressure or a leak: the oil of chamber a relaxes",
-    "chamber_b": "cylinder.dead_volume, valve.transition_pressure or a leak: the oil of chamber b relaxes",
-    "friction": "friction.transition_velocity or load.viscous_damping for this load.mass: friction brakes",
-    "oil_column": "load.mass and cylinder.piston_mass on this oil column: they swing",
-    "end_stop": "cylinder.end_stop_damping or end_stop_stiffness for this load.mass: the end stop acts",
-    "valve": "valve.natural_frequency or coil_inductance: the valve acts",
-    "supply_line": "supply.line_volume: pump and relief valve act on the oil in it",
+    "pressure_a": "cylinder.dead_volume, valve.transition_pressure, a leak, or load.mass on this oil column",
+    "pressure_b": "cylinder.dead_volume, valve.transition_pressure, a leak, or load.mass on this oil column",
+    "velocity": "friction.transition_velocity, load.viscous_damping or cylinder.end_stop_damping for this load.mass",
+    "position": "load.mass on this spring, or cylinder.end_stop_stiffness",
+    "bristle_deflection": "friction.bristle_stiffness for this coulomb_force",
+    "spool_position": "valve.natural_frequency",
+    "spool_velocity": "valve.natural_frequency",
+    "coil_current": "valve.coil_inductance",
+    "supply_pressure": "supply.line_volume",
 }
-
-LUGRE_CAUSES = {
-    "friction": "friction.bristle_stiffness for this coulomb_force, or bristle_damping for this load.mass: it brakes",
-    "oil_column": "friction.bristle_stiffness on this load.mass: they swing",
-}
-"""Causes that replace those above with LuGre friction."""
+"""Figures that make a state move too fast."""
 
 PLACES = 5
 """Number of positions over the reachable range; the axis must be able to hold one of them."""
 
 
-class InnerStep(NamedTuple):
-    """Inner step that keeps the integrator stable, independent of its accuracy."""
+def fastest_rate(parameters: PlantParameters) -> tuple[float, str]:
+    """|λ| in 1/s of the fastest motion where it is fastest, and the state that moves most in it.
 
-    rate: float  # 1/s, upper estimate of the fastest |λ|
-    cause: str  # field of :class:`~hydro_env.plant.rates.Rates`
-    steps: int  # in STEPS_PERIOD
-    step: float  # s, no longer than the integrator's longest
-
-    @property
-    def stable(self) -> float:
-        """Longest stable step, s."""
-        return STABLE_PRODUCT / self.rate
-
-
-def inner_step(parameters: PlantParameters, position: float = 0.0) -> InnerStep:
-    """Fastest rate, its cause, and the longest stable inner step at a position (m).
-
-    The integration method is stable to h·|λ| = 3.2; no step is longer than 2 ms. The tolerance makes most steps
-    shorter (:mod:`hydro_env.plant.probe`). LuGre friction relaxes faster at a higher speed: its rate is taken at the
-    speed without load.
+    The valve is fully open without a pressure drop, at mid-stroke and on both end stops. LuGre friction relaxes faster
+    at a higher speed: its rate is that at the speed without load.
     """
-    still = State(**dict.fromkeys(STATE_NAMES, 0.0))
+    supply, stop = parameters.supply, 0.5 * parameters.cylinder.stroke + 1e-4
     lugre = parameters.friction.model == FrictionModel.LUGRE
-    at = still._replace(position=float(position), velocity=max(speed_limits(parameters)) if lugre else 0.0)
-    estimates = rates(at, plant_coefficients(parameters))
-    cause = max(Rates._fields, key=lambda name: getattr(estimates, name))
-    rate = float(getattr(estimates, cause))
-    steps = max(
-        math.ceil(STEPS_PERIOD / MAXIMUM_STEP - 1e-9), math.ceil(min(STEPS_PERIOD * rate / STABLE_PRODUCT, 1e15))
+    open_valve = State(**dict.fromkeys(STATE_NAMES, 0.0))._replace(
+        velocity=max(speed_limits(parameters)) if lugre else 0.0,
+        pressure_a=supply.pressure,
+        pressure_b=supply.tank_pressure,
+        spool_position=1.0,
+        supply_pressure=supply.pressure,
+        gas_volume=supply.accumulator_volume,
     )
-    return InnerStep(rate, cause, steps, STEPS_PERIOD / steps)
-
-
-def shortest_inner_step(parameters: PlantParameters) -> InnerStep:
-    """:func:`inner_step` at the position where it is shortest: mid-stroke or one of the ends."""
-    half = 0.5 * parameters.cylinder.stroke
-    return max((inner_step(parameters, position) for position in (0.0, -half, half)), key=lambda step: step.rate)
+    places = (open_valve, open_valve._replace(position=stop), open_valve._replace(position=-stop))
+    return max(fastest_motion(parameters, state) for state in places)
 
 
 def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
@@ -129,12 +106,12 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
             f"{weaker - least:.4g} N"
         )
     _refuse_valve_and_pump(parameters, source)
-    shortest = shortest_inner_step(parameters)
-    if shortest.steps > MOST_STEPS:
-        causes = CAUSES | LUGRE_CAUSES if parameters.friction.model == FrictionModel.LUGRE else CAUSES
+    rate, state = fastest_rate(parameters)
+    steps = math.ceil(min(STEPS_PERIOD * rate / STABLE_PRODUCT, 1e15))
+    if steps > MOST_STEPS:
         raise ConfigurationError(
-            f"{source}: {causes[shortest.cause]} at {shortest.rate:.3g} 1/s, which requires {shortest.steps:,} inner "
-            f"steps in {1e3 * STEPS_PERIOD:g} ms; the limit is {MOST_STEPS:,} "
+            f"{source}: {CAUSES[state]}: {state} moves at {rate:.3g} 1/s, which requires {steps:,} inner steps in "
+            f"{1e3 * STEPS_PERIOD:g} ms; the limit is {MOST_STEPS:,} "
             f"({MOST_STEPS * STABLE_PRODUCT / STEPS_PERIOD:.3g} 1/s)"
         )
     if not _can_rest(parameters):
@@ -197,25 +174,9 @@ def _why_no_rest(parameters: PlantParameters) -> str:
         )
     for law in (*LEAK_LAWS.values(), ROD_SEAL):
         name, value, tight = law.parameter, getattr(leakage, law.parameter), law.value(0.0)
-        if value == tight or not _can_rest(parameters.replace(leakage={name: tight})):
-            continue
-        extra: Any = Leakage.model_fields[name].json_schema_extra
-        bound, limit = "at least" if law.resists else "at most", _leak_limit(parameters, law)
-        return (
-            f"leakage.{name} = {value:.3g} {extra['unit']}: more oil leaks than the valve feeds from "
-            f"{supply.pressure / 1e5:g} bar, and no position can be held; it must be {bound} {limit:.2g}"
-        )
+        if value != tight and _can_rest(parameters.replace(leakage={name: tight})):
+            return (
+                f"leakage.{name} = {value:.3g} {PARAMETER_UNITS[f'leakage.{name}']}: more oil leaks than the valve "
+                f"feeds from {supply.pressure / 1e5:g} bar, and no position can be held"
+            )
     return "no position can be held: leaks, forces and supply pressure contradict each other"
-
-
-def _leak_limit(parameters: PlantParameters, law: Law) -> float:
-    """Limit of a leak's parameter for holding a position, with an accuracy of 1 %."""
-    name, away = law.parameter, 10.0 if law.resists else 0.1
-    value: float = getattr(parameters.leakage, name)
-    good = value * away
-    while not _can_rest(parameters.replace(leakage={name: good})):
-        value, good = good, good * away
-    while abs(math.log(value / good)) > 0.01:
-        middle = math.sqrt(value * good)
-        value, good = (value, middle) if _can_rest(parameters.replace(leakage={name: middle})) else (middle, good)
-    return good

@@ -23,7 +23,7 @@ from hydro_env.plant.kernel import (
     integrate_part,
 )
 from hydro_env.plant.states import first_outside, valid_range
-from hydro_env.task.fault_effects import draw_faults, driven
+from hydro_env.task.fault_effects import draw_faults, driven, read_truly
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     FAULT,
@@ -58,13 +58,12 @@ from hydro_env.task.reference_signals import USER_FAMILY, feasible, fill_referen
 from hydro_env.task.rewards import costs
 from hydro_env.task.schedules import (
     draw_changing_force,
-    draw_latency,
     draw_leak,
     draw_steady_force,
     follow_schedules,
     set_leak,
 )
-from hydro_env.task.signals import POSITION, draw_biases, held_position, lagged, sample, write_observation
+from hydro_env.task.signals import POSITION, draw_biases, lagged, sample, write_observation
 from hydro_env.units import FULL_VOLTAGE
 
 MOST_DRAWS = 200
@@ -96,12 +95,6 @@ def _draw_plant(physical, key, plant, draws, fixed):
             value = draw.otherwise
         if math.isnan(fixed[draw.parameter]):
             physical[draw.parameter] = value
-
-
-@inline
-def _draw_rig(key, fixed, count):
-    """Number of the episode's rig; ``fixed`` replaces the draw if it is not negative."""
-    return fixed if fixed >= 0 else np.int64(count * uniform(key, 0))
 
 
 @inline
@@ -154,7 +147,9 @@ def _build(sources):
             axis = chosen[number]
             row = record[axis]
             root, episode = chances.seeds[axis].root, chances.seeds[axis].episode
-            rig = _draw_rig(source_key(root, episode, RIG), fixed.rig[axis], task.shape[0])
+            rig = fixed.rig[axis]
+            if rig < 0:
+                rig = np.int64(task.shape[0] * uniform(source_key(root, episode, RIG), 0))
             row.rig = rig
             settings = task[rig]
             reference = references[axis, : settings.samples]
@@ -167,7 +162,8 @@ def _build(sources):
                     reference[sample_number] = source[sample_number]
             row.noise_key = source_key(root, episode, NOISE)
             draw_biases(row, settings)
-            draw_latency(row, source_key(root, episode, LATENCY), settings)
+            latency_key = source_key(root, episode, LATENCY)
+            row.latency = between(latency_key, 0, settings.latency_range[0], settings.latency_range[1])
             force_key = source_key(root, episode, DISTURBANCE)
             row.failure = CANNOT_BE_HELD
             attempt = 0
@@ -211,7 +207,9 @@ def _build(sources):
                     )
 
                 # The axis holds the position that its sensor reads as the initial position.
-                held = held_position(start, row, settings) if settings.start_bias_share > 0.0 else start
+                held = start
+                if settings.start_bias_share > 0.0:
+                    held = read_truly(start - row.bias[POSITION], POSITION, row, settings.channels[POSITION])
                 s, voltage, found = equilibrium_state(held, p, c)
                 write_state(states[axis], s)
                 if not found or abs(held) > c.end_stop_position:

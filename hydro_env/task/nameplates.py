@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import yaml
 
 from hydro_env.errors import ConfigurationError
 from hydro_env.mistakes import one_of
+from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.rig import Rig, rig_from
 from hydro_env.task.sensors import SENSORS
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE, UNITS, in_si
@@ -24,6 +25,14 @@ LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml is several tim
 
 Answers = Mapping[str, float | str]
 Line = tuple[str, str, str]  # field, value as text, origin of the value
+
+NEEDS = {
+    "accumulator": "pump_flow",
+    "line_length": "line_diameter",
+    "line_diameter": "line_length",
+    "pressure_accuracy": "pressure_range",
+}
+"""Answers that need another one."""
 
 SENSOR_FIELDS = {"noise": "noise", "resolution": "resolution", "high": "range"}
 """Fields of a sensor, and the words of their questions."""
@@ -46,15 +55,12 @@ def new_rig(answers: Answers, texts: Mapping[str, str], source: str) -> tuple[st
     Raises:
         ConfigurationError: the figures contradict each other, or the rig cannot work.
     """
-    if "accumulator" in answers and "pump_flow" not in answers:
-        raise ConfigurationError("accumulator: needs pump-flow; without a pump the supply counts as constant")
-    if ("line_length" in answers) != ("line_diameter" in answers):
-        raise ConfigurationError("line-length and line-diameter: give both, or none")
-    if "pressure_accuracy" in answers and "pressure_range" not in answers:
-        raise ConfigurationError("pressure-accuracy: needs pressure-range, of which it is a share")
+    for key, needed in NEEDS.items():
+        if key in answers and needed not in answers:
+            raise ConfigurationError(f"{key.replace('_', '-')}: needs {needed.replace('_', '-')}")
     plate = _Plate(answers, texts)
     text = HEADER.format(source=source) + "".join(
-        f"{group}:{comment}\n" + "".join(f"  {field}: {value}  # {origin}\n" for field, value, origin in lines())
+        f"{group}:{comment}\n" + "".join(f"  {field}: {value}  # {origin}\n" for field, value, origin in lines)
         for group, comment, lines in plate.groups()
     )
     if sensors := plate.sensors():
@@ -90,20 +96,12 @@ class _Plate:
         self.hose = "line_length" in answers and answers.get("line_kind") == "hose"
         self.supply = "accumulator" if "accumulator" in answers else "pump" if "pump_flow" in answers else "constant"
 
-    def groups(self) -> tuple[tuple[str, str, Callable[[], Iterator[Line]]], ...]:
+    def groups(self) -> Iterator[tuple[str, str, Iterator[Line]]]:
         """Name, comment and lines of each group of the file."""
+        for name in PlantParameters.model_fields:
+            yield name, "", getattr(self, f"_{name}")()
         uncertain = "  # uncertain values: each episode draws them; hydro identify narrows them with a recording"
-        return (
-            ("cylinder", "", self._cylinder),
-            ("valve", "", self._valve),
-            ("lines", "", self._lines),
-            ("fluid", "", self._fluid),
-            ("load", "", self._load),
-            ("friction", "", self._friction),
-            ("supply", "", self._supply),
-            ("leakage", "", self._leakage),
-            ("randomisation", uncertain, self._ranges),
-        )
+        yield "randomisation", uncertain, self._ranges()
 
     def _given(self, field: str, key: str, otherwise: str = "", origin: str = "") -> Line:
         """A line with the value that the user gave, or else with another one."""
@@ -260,11 +258,11 @@ class _Plate:
         for name, key in {"position": "position", "pressure_a": "pressure", "pressure_b": "pressure"}.items():
             given = {field: f"{key}_{word}" for field, word in SENSOR_FIELDS.items()}
             sensors[name] = {field: self.texts[question] for field, question in given.items() if question in self.texts}
-        if "position_accuracy" in self.si:
-            sensors["position"]["bias"] = _in(self.bias, "m", "mm")
-        if "pressure_accuracy" in self.si:
-            error = _in(self.si["pressure_accuracy"] * self.si["pressure_range"], "Pa", "bar")
-            sensors["pressure_a"]["bias"] = sensors["pressure_b"]["bias"] = error
+            if f"{key}_accuracy" in self.si:
+                error = self.bias, "m", "mm"
+                if key == "pressure":
+                    error = self.si["pressure_accuracy"] * self.si["pressure_range"], "Pa", "bar"
+                sensors[name]["bias"] = _in(*error)
         absent = str(self.answers.get("absent", "")).split(",")
         sensors |= {name: {"fitted": "false"} for name in absent if name}
         return {name: fields for name, fields in sensors.items() if fields}
@@ -335,44 +333,36 @@ def parsed(question: Question, text: str) -> float | str:
     Raises:
         ConfigurationError: number or unit is missing, the unit belongs to another quantity, or a word is unknown.
     """
-    place, known = f"{question.name} '{text.strip()[:40]}'", _known_words(question)
+    place = f"{question.name} '{text.strip()[:40]}'"
+    known = {"line_kind": LINE_KINDS, "absent": SENSORS[1:]}.get(question.key)
     if known:
         words = [word.strip() for word in text.split(",")]
         if unknown := [word for word in words if word not in known]:
             raise ConfigurationError(f"{place}: '{unknown[0][:40]}': {one_of(unknown[0], known)}")
         return ",".join(words)
+    unit = question.unit
+    if unit == SIGNAL:
+        unit = "A" if text.strip().endswith(tuple(UNITS["A"])) else "V"
     try:
-        value = in_si(text, _unit(question, text))
+        value = in_si(text, unit)
     except ValueError as error:
         raise ConfigurationError(f"{place}: {error}") from None
     try:
         number = float(value)
     except ValueError:
         comma = "; decimals need a point" if re.match(r"[-+]?\d*,\d", text.strip()) else ""
-        raise ConfigurationError(
-            f"{place}: must be a number with its unit, such as {question.example}{comma}"
-        ) from None
+        example = f"must be a number with its unit, such as {question.example}"
+        raise ConfigurationError(f"{place}: {example}{comma}") from None
     share = question.example.endswith("%")
     if isinstance(value, str) and number != 0.0 and (question.unit != "1" or share):
         raise ConfigurationError(f"{place}: needs a unit, such as {question.example}")
-    if share and number >= 1.0:
-        raise ConfigurationError(f"{place}: must be below 100 %")
-    if question.key != "external_force" and not number >= 0.0:
-        raise ConfigurationError(f"{place}: must not be negative")
+    if share and not 0.0 <= number < 1.0:
+        raise ConfigurationError(f"{place}: must be within 0 to 100 %")
     if number == 0.0 and (question.required or question.key in DIVISORS):
         raise ConfigurationError(f"{place}: must be above 0")
+    if question.key != "external_force" and not number >= 0.0:
+        raise ConfigurationError(f"{place}: must not be negative")
     return number
-
-
-def _known_words(question: Question) -> tuple[str, ...]:
-    return {"line_kind": LINE_KINDS, "absent": SENSORS[1:]}.get(question.key, ())
-
-
-def _unit(question: Question, text: str) -> str:
-    """SI unit of an answer; a full signal in amperes is a current, otherwise a voltage."""
-    if question.unit != SIGNAL:
-        return question.unit
-    return "A" if text.strip().endswith(tuple(UNITS["A"])) else "V"
 
 
 def answers_from(texts: Mapping[str, str]) -> dict[str, float | str]:

@@ -183,14 +183,10 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
         if distribution.otherwise is not None:
             values.append(distribution.otherwise)
         group, field = path.split(".")
-        unit = PARAMETER_UNITS[path]
-        for bound in type(getattr(plant, group)).model_fields[field].metadata:
-            low, above, high = (getattr(bound, name, None) for name in ("ge", "gt", "le"))
-            for value in values:
-                limit = next((one for one in (low, above) if one is not None and value < one), None)
-                if limit is not None or value == above:
-                    least = written(value if limit is None else limit, unit)
-                    raise ValueError(f"randomisation: {path} = {written(value, unit)} is below its limit {least}")
-                if high is not None and value > high:
-                    most = written(high, unit)
-                    raise ValueError(f"randomisation: {path} = {written(value, unit)} is above its limit {most}")
+        metadata = type(getattr(plant, group)).model_fields[field].metadata
+        low, high = (next(getattr(bound, name) for bound in metadata if hasattr(bound, name)) for name in ("ge", "le"))
+        for value in values:
+            if not low <= value <= high:
+                side, limit = ("below", low) if value < low else ("above", high)
+                number, limit = written(value, PARAMETER_UNITS[path]), written(limit, PARAMETER_UNITS[path])
+                raise ValueError(f"randomisation: {path} = {number} is {side} its limit {limit}")

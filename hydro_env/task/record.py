@@ -13,6 +13,7 @@ from hydro_env.plant.states import N_STATES, STATE_NAMES
 from hydro_env.task.faults import FAULT_KINDS, FAULTS
 from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.task.sensors import CHANNELS
+from hydro_env.types import Floats
 
 RECORD = np.dtype(
     [
@@ -82,8 +83,8 @@ class AxisArrays(NamedTuple):
     """Arrays of N axes that a step reads and writes."""
 
     record: NDArray[Any]  # (N,), RECORD
-    plant: NDArray[np.float64]  # (N, PLANT_COLUMNS)
-    reference: NDArray[np.float64]  # (N, samples), m
+    plant: Floats  # (N, PLANT_COLUMNS)
+    reference: Floats  # (N, samples), m
     observation: NDArray[np.float32]  # (N, observations)
 
 
@@ -91,32 +92,30 @@ class Chances(NamedTuple):
     """Seeds and distributions of the episodes of N axes."""
 
     seeds: NDArray[Any]  # (N,), SEEDS
-    plant: NDArray[np.float64]  # (rigs, parameters), nominal values
+    plant: Floats  # (rigs, parameters), nominal values
     draws: NDArray[Any]  # (rigs, drawn parameters), DRAW
-    family_weights: NDArray[np.float64]  # (families,)
+    family_weights: Floats  # (families,)
 
 
 class Fixed(NamedTuple):
     """Values that the caller has fixed in the next episode of N axes; NaN, or family −1, means drawn."""
 
-    parameters: NDArray[np.float64]  # (N, parameters)
-    leakage_flow_lpm: NDArray[np.float64]  # (N,), l/min at 100 bar
-    initial_position: NDArray[np.float64]  # (N,), m
+    parameters: Floats  # (N, parameters)
+    leakage_flow_lpm: Floats  # (N,), l/min at 100 bar
+    initial_position: Floats  # (N,), m
     rig: NDArray[np.int64]  # (N,), −1 means drawn
     family: NDArray[np.int64]  # (N,)
-    user_reference: NDArray[np.float64]  # (1 or N, samples), m
-    faults: NDArray[np.float64]  # (N, faults), magnitudes
+    user_reference: Floats  # (1 or N, samples), m
+    faults: Floats  # (N, faults), magnitudes
 
 
 OPTION_NAMES = (
-    "leakage_resistance",
     "leakage_flow_lpm",
     "reference",
     "parameters",
     "initial_position",
     "rig",
     "faults",
-    "persist",
     "reset_mask",
 )
 """Names of the options of ``reset``."""

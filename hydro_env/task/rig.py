@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, ModelType, read_yaml, validate
 from hydro_env.folders import config_file, config_folder
-from hydro_env.mistakes import kept, refuse
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.randomisation import Distribution, Randomisation, check_draws, default_randomisation, own_value
 from hydro_env.task.sensors import SCALED_FIELDS, Sensors
@@ -135,13 +134,7 @@ def task_from(
     own = values.get("plant")
     if isinstance(own, str | Path):
         rest = {key: value for key, value in values.items() if key != "plant"}
-        errors: list[ConfigurationError] = []
-        with kept(errors):
-            values = merged(moved(defaults, defaults, read_rig(own, folder)), rest)
-        if errors:  # the mistakes of the task, beside those of its rig
-            with kept(errors):
-                validate(model, rest, source, within)
-        refuse(errors, source)
+        values = merged(moved(defaults, defaults, read_rig(own, folder)), rest)
     if isinstance(overrides.get("plant"), str | Path):
         if rig is not None:
             raise ConfigurationError(
@@ -184,40 +177,6 @@ def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dic
 
 def _following(plant: PlantParameters, defaults: Mapping[str, Any]) -> dict[str, Any]:
     """Settings that follow from a rig, by path; for the paper's rig they are the defaults, bit for bit."""
-    scales = _scales(plant)
-    factors = {
-        "references.largest_amplitude": scales.reach,
-        "references.step_range": scales.reach,
-        "references.acceleration_limit": scales.acceleration,
-        "reward.error_scale": scales.reach,
-        "failure.end_stop_speed": scales.speed,
-        "failure.pressure_rating": max(scales.pressure, 1.0),  # a weak supply makes no weak cylinder
-        "disturbance.force_range": scales.force,
-    }
-    for sensor, factor in (
-        ("position", scales.reach),
-        ("pressure_a", scales.pressure),
-        ("pressure_b", scales.pressure),
-    ):
-        factors |= {f"sensors.{sensor}.{name}": factor for name in SCALED_FIELDS}
-    values = {}
-    for path, factor in factors.items():
-        value = _at(defaults, path)
-        values[path] = tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value
-    return values
-
-
-class _Scales(NamedTuple):
-    """A rig relative to the paper's."""
-
-    reach: float  # stroke
-    speed: float  # at full opening, against the external force
-    acceleration: float  # speed in as many natural periods as there, but no more than the supply can give
-    pressure: float  # supply
-    force: float  # that the supply gives
-
-
-def _scales(plant: PlantParameters) -> _Scales:
     from hydro_env.plant.analysis import (  # compiled code
         closed_port_natural_frequency,
         force_limits,
@@ -225,19 +184,34 @@ def _scales(plant: PlantParameters) -> _Scales:
         speed_limits,
     )
 
+    reach = pressure = speed = acceleration = force = 1.0  # relative to the paper's rig
     paper = PlantParameters()
-    if plant == paper:
-        return _Scales(1.0, 1.0, 1.0, 1.0, 1.0)
-    speed = sum(speed_limits(plant, plant.load.external_force)) / sum(speed_limits(paper))
-    frequency = closed_port_natural_frequency(plant) / closed_port_natural_frequency(paper)
-    available = min(force_limits(plant)) / (plant.load.mass + plant.cylinder.piston_mass)
-    return _Scales(
-        reach=plant.cylinder.stroke / paper.cylinder.stroke,
-        speed=speed,
-        acceleration=min(speed, speed * frequency, SHARE_OF_ACCELERATION * available / 4.0),
-        pressure=plant.supply.pressure / paper.supply.pressure,
-        force=sum(full_pressure_forces(plant)) / sum(full_pressure_forces(paper)),
-    )
+    if plant != paper:
+        reach = plant.cylinder.stroke / paper.cylinder.stroke
+        pressure = plant.supply.pressure / paper.supply.pressure
+        force = sum(full_pressure_forces(plant)) / sum(full_pressure_forces(paper))
+        # At full opening, against the external force.
+        speed = sum(speed_limits(plant, plant.load.external_force)) / sum(speed_limits(paper))
+        frequency = closed_port_natural_frequency(plant) / closed_port_natural_frequency(paper)
+        available = min(force_limits(plant)) / (plant.load.mass + plant.cylinder.piston_mass)
+        # The speed in as many natural periods as there, but no more than the supply can give.
+        acceleration = min(speed, speed * frequency, SHARE_OF_ACCELERATION * available / 4.0)
+    factors = {
+        "references.largest_amplitude": reach,
+        "references.step_range": reach,
+        "references.acceleration_limit": acceleration,
+        "reward.error_scale": reach,
+        "failure.end_stop_speed": speed,
+        "failure.pressure_rating": max(pressure, 1.0),  # a weak supply makes no weak cylinder
+        "disturbance.force_range": force,
+    }
+    for sensor, factor in {"position": reach, "pressure_a": pressure, "pressure_b": pressure}.items():
+        factors |= {f"sensors.{sensor}.{name}": factor for name in SCALED_FIELDS}
+    values = {}
+    for path, factor in factors.items():
+        value = _at(defaults, path)
+        values[path] = tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value
+    return values
 
 
 def _moved_ranges(ranges: Mapping[str, Any], old: PlantParameters, rig: Rig) -> dict[str, Any]:

@@ -137,12 +137,6 @@ def _external_force(row, time, settings):
 
 
 @inline
-def draw_latency(row, key, settings):
-    """Draw the latency of an episode."""
-    row.latency = between(key, 0, settings.latency_range[0], settings.latency_range[1])
-
-
-@inline
 def follow_schedules(row, coefficient, settings):
     """Set leak, faults and external force for the control period that begins."""
     time = row.step * settings.control_period

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from hydro_env.compiling import inline, named_tuple
 from hydro_env.task.configuration import TaskConfig
-from hydro_env.task.fault_effects import lost_or_frozen, misread, read_truly
+from hydro_env.task.fault_effects import lost_or_frozen, misread
 from hydro_env.task.law import RigLaw
 from hydro_env.task.paces import full_speed, pace
 from hydro_env.task.random_numbers import between, noise_pair
 from hydro_env.task.record import table
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.settings import ERROR_INTEGRAL_LIMIT
+from hydro_env.types import Floats
 
 POSITION, PRESSURE_A, PRESSURE_B, SPOOL_POSITION = (
     CHANNELS.index(name) for name in ("position", "pressure_a", "pressure_b", "spool_position")
@@ -90,9 +91,10 @@ SHEET = (
 SHEET_LIMIT = 10.0
 
 
-def observation_layout(
-    config: TaskConfig,
-) -> tuple[tuple[str, ...], tuple[str, ...], NDArray[np.float64], NDArray[np.float64]]:
+Layout = tuple[tuple[str, ...], tuple[str, ...], Floats, Floats]
+
+
+def observation_layout(config: TaskConfig) -> Layout:
     """Names, units, scales (SI per 1 of the observation) and largest absolute values (in the observation)."""
     if config.law is not None:
         return _own_layout(config.law)
@@ -104,9 +106,7 @@ def observation_layout(
     return names, units, np.array(scale), np.array(largest) / np.array(scale)
 
 
-def _own_layout(
-    law: RigLaw,
-) -> tuple[tuple[str, ...], tuple[str, ...], NDArray[np.float64], NDArray[np.float64]]:
+def _own_layout(law: RigLaw) -> Layout:
     """The layout of a task that draws its rigs: the observation is in units of the rig, its scale is 1."""
     reference, *others = OWN_ENTRIES
     previews = [(f"reference_preview_{paces:g}_paces", "full speed, pace", 1000.0) for paces in law.preview_paces]
@@ -149,39 +149,33 @@ def layout_of(config: TaskConfig, law: RigLaw | None = None) -> NDArray[Any]:
         config: the task; on one of its rigs if it draws them.
         law: from which the rig was drawn; ``None``: the task has one rig.
     """
-    names, _, scale, limit = observation_layout(config) if law is None else _own_layout(law)
+    names, units, scale, limit = observation_layout(config) if law is None else _own_layout(law)
     layout = table(len(scale), LAYOUT)
     layout["limit"] = limit
     layout["preview"][1 : 1 + len(config.preview_samples)] = config.preview_samples
     layout["entry"] = [Entries._fields.index(name) if name in Entries._fields else 0 for name in names]
     if law is not None:
-        scale = _own_scale(config, names)
+        scale = _own_scale(config, names, units)
         if not config.sensors.spool_position.fitted:  # the best substitute
             layout["entry"][names.index("spool_position")] = Entries._fields.index("previous_command")
-        layout["entry"][[index for index, name in enumerate(names) if name in SHEET]] = Entries._fields.index(
-            "constant"
-        )
+        layout["entry"][np.isin(names, SHEET)] = Entries._fields.index("constant")
     layout["scale"] = scale
     return layout
 
 
-def _own_scale(config: TaskConfig, names: Sequence[str]) -> NDArray[np.float64]:
+def _own_scale(config: TaskConfig, names: Sequence[str], units: Sequence[str]) -> Floats:
     """SI units per 1 of each entry of a drawn rig's observation; for the data sheet, one over the value."""
     speed, own = full_speed(config.plant), pace(config)
-    half, travel, supply = 0.5 * config.plant.cylinder.stroke, speed * own, config.plant.supply.pressure
     scales = {
-        "reference": half,
-        "position": half,
-        "velocity_estimate": speed,
-        "pressure_a": supply,
-        "pressure_b": supply,
-        "spool_position": 1.0,
-        "previous_command": 1.0,
-        "tracking_error": travel,
-        "error_integral": travel * own,
+        "half stroke": 0.5 * config.plant.cylinder.stroke,
+        "full speed": speed,
+        "supply pressure": config.plant.supply.pressure,
+        "full speed, pace": speed * own,
+        "full speed, pace squared": speed * own * own,
+        "1": 1.0,
     }
-    scales |= {name: 1.0 / value if value else math.inf for name, value in data_sheet(config).items()}
-    return np.array([scales.get(name, travel) for name in names])
+    sheet = {name: 1.0 / value if value else math.inf for name, value in data_sheet(config).items()}
+    return np.array([sheet.get(name, scales[unit]) for name, unit in zip(names, units, strict=True)])
 
 
 @inline
@@ -233,12 +227,6 @@ def sample(row, s, settings):
             if row.faulty > 0.0:
                 value = lost_or_frozen(value, channel, row, sensor)
             row.measured[channel] = value
-
-
-@inline
-def held_position(reading, row, settings):
-    """Position in m of an axis whose sensor reads ``reading``, without noise."""
-    return read_truly(reading - row.bias[POSITION], POSITION, row, settings.channels[POSITION])
 
 
 @inline

@@ -274,11 +274,9 @@ COLUMNS = b"time: {column: 1, unit: s}\ncommand: {column: 6, unit: V, gain: -1}\
 
 OPTIONS = {
     "leakage_flow_lpm": 1.0,
-    "leakage_resistance": 1e12,
     "reference": [0.0, 0.01],
     "parameters": {"load": {"mass": 80.0}, "valve": {"model": "spool"}},
     "initial_position": 0.01,
-    "persist": True,
     "reset_mask": [True, False, True],
 }
 

@@ -8,27 +8,16 @@ from refusal import refused
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import LARGEST_FILE, Group, read_json, read_text, read_yaml, validate, write_text
 
-
-def nested_aliases(levels):
-    """A few lines of YAML that stand for 9 ** levels values."""
-    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
-    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, levels)]
-    return "\n".join(lines)
-
-
-MERGED = "\n".join(f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 9)}]}}" for n in range(1, 9))
+NESTED = "a0: &a0 [1, 1]\n" + "\n".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 40))
 YAML = [
-    (nested_aliases(9), "more than 20,000 values, aliases included"),
-    ("a0: &a0 {x: 1}\n" + MERGED, "more than 20,000 values"),
-    ("a: &a [*a]", "more than 20,000 values"),
-    ("a: " + "[" * 90_000, "more than 50 levels"),
-    ("\n".join(" " * n + "a:" for n in range(200)), "line 50: more than 50 levels"),
+    (NESTED, "or one within an anchor"),
+    ("a: &a [*a]", "or one within an anchor"),
+    ("a: &a 1\nb: [" + "*a, " * 101 + "]", "more than 100 aliases"),
+    ("a: " + "[" * 90_000, "too many levels"),
     ("load: {mass: 1}\nload: {mass: 2}", "line 2: the key 'load' stands here twice"),
     ("load:\n  mass: 1\n  mass: 2", "line 3: the key 'mass' stands here twice"),
     ("a: " + "9" * 5000, "line 1: a value that YAML cannot read"),
-    ("a: 0x" + "f" * 5000, "line 1: a value that YAML cannot read"),
     ("a: 1\nb: !!float abc", "line 2: a value that YAML cannot read"),
-    ("a: !!timestamp abc", "line 1: a value that YAML cannot read"),
     ("a: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
     ("? [1]\n: 2", "unhashable key"),
     ("7: 1", "7 is a key: keys must be text"),
@@ -38,8 +27,8 @@ YAML = [
 ]
 JSON = [
     ('{"a": ', "not valid JSON in line 1"),
-    ("[" * 90_000, "too many levels"),
-    ('{"a": ' + "9" * 5000 + "}", "too many digits"),
+    ("[" * 90_000, "maximum recursion depth"),
+    ('{"a": ' + "9" * 5000 + "}", "Exceeds the limit"),
     ('{"a": 1, "a": 2}', "a key stands twice"),
     ("[1]", "must be a mapping of settings, not a list"),
     ("null", "must be a mapping of settings, not nothing"),
@@ -104,14 +93,12 @@ class Settings(Group):
     ("model", "values", "message"),
     [
         (Settings, {"whole": True}, "whole = true: must be a number, not true/false"),
-        (Settings, {"share": False}, "share = false: must be a number, not true/false"),
         (Settings, {"switch": 7}, "switch = 7: must be true or false"),
         (Settings, {"name": 7}, "name = 7: must be text"),
         (Settings, {"frameskip": 1}, "frameskip = 1: unknown key"),
         (Settings, 7, "must be a mapping of settings, not a number"),
         (Settings, {"whole": 1.5}, "whole = 1.5: must be a whole number"),
-        (PlantParameters, {"lode": {}}, "lode: unknown key; did you mean load? known here: cylinder, valve"),
-        (PlantParameters, {"load": {"mass": "x" * 99}}, "load.mass: must be a number"),
+        (PlantParameters, {"lode": {}}, "lode: unknown key; did you mean load?"),
         (PlantParameters, {"load": {"mass": 10**4000}}, "load.mass: must be a number"),
         (TaskConfig, {"leakage": {"class_bounds": [1, 2, "x"]}}, "leakage.class_bounds.2 = 'x': must be a number"),
         (TaskConfig, {"initial_position_range": 3}, "initial_position_range = 3: must be a list of 2 entries"),

@@ -140,7 +140,7 @@ def check_rig(
 
     The figures are areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional
     gain of the sampled position loop with a tight and a leaking seal and on the worst plant within the rig's ranges,
-    gain and phase margin, and the inner steps of the integrator.
+    gain and phase margin, and the fastest rate of the axis.
     """
     from hydro_agents.rigs.check_table import check_to_console
 

@@ -31,11 +31,9 @@ from hydro_env.plant.analysis import (
     speed_limits,
 )
 from hydro_env.plant.arrays import equilibrium, plant_coefficients
-from hydro_env.plant.kernel import TOLERANCE
-from hydro_env.plant.linearisation import fastest_eigenvalue, linearise
-from hydro_env.plant.probe import ALLOWED_ERROR, PERIOD, probe
+from hydro_env.plant.linearisation import fastest_motion, linearise
 from hydro_env.plant.states import State
-from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inner_step
+from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.randomisation import default_randomisation
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
@@ -87,7 +85,7 @@ def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig
         *_forces(parameters),
         *_oscillation(parameters, place),
         *_loop(task or TaskConfig(plant=parameters, randomisation=default_randomisation(parameters)), place),
-        *_integration(parameters, place),
+        Row("integration", "fastest rate |λ|, at rest", _position(place), _figure(_fastest, parameters, place), "1/s"),
     ]
 
 
@@ -238,37 +236,6 @@ def _text(value: float) -> float | str:
     return value if math.isfinite(value) else "unlimited"
 
 
-def _integration(parameters: PlantParameters, place: float) -> list[Row]:
-    group, rate, step = "integration", "fastest rate |λ|, bound", "longest stable step"
-    shortest, here, at = shortest_inner_step(parameters), inner_step(parameters, place), _position(place)
-    rows = [
-        Row(group, "fastest rate |λ|, at rest", at, _figure(_fastest, parameters, place), "1/s"),
-        Row(group, rate, f"{at} ({_words(here.cause)})", here.rate, "1/s"),
-        Row(group, rate, f"whole stroke ({_words(shortest.cause)})", shortest.rate, "1/s"),
-        Row(group, step, at, 1e3 * here.stable, "ms"),
-        Row(group, step, "whole stroke", 1e3 * shortest.stable, "ms"),
-    ]
-    run, period = f"±10 V in turn from {at}", f"{1e3 * PERIOD:g} ms"
-    try:
-        done = probe(parameters, place)
-    except HydroError as error:
-        return [*rows, Row(group, "inner steps", run, str(error), "")]
-    enough = "yes" if done.error <= ALLOWED_ERROR else "no"
-    limit = f"error ≤ {ALLOWED_ERROR:g}"
-    return [
-        *rows,
-        Row(group, f"inner steps in {period}, mean", run, done.mean_steps, "1"),
-        Row(group, f"inner steps in {period}, most", run, float(done.most_steps), "1"),
-        Row(group, "mean inner step", run, 1e3 * PERIOD / done.mean_steps, "ms"),
-        Row(group, f"estimated error ({_words(done.state)})", f"tolerance {TOLERANCE:g}", done.error, "of its range"),
-        Row(group, "is the inner step small enough", limit, enough, "", "" if enough == "yes" else "inaccurate"),
-    ]
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
-
-
 def _figure(
     compute: Callable[[PlantParameters, float], float], parameters: PlantParameters, place: float
 ) -> float | str:
@@ -301,7 +268,7 @@ def _static_stiffness(gain: float, parameters: PlantParameters, place: float) ->
 
 def _fastest(parameters: PlantParameters, place: float) -> float:
     state, voltage = equilibrium(parameters, place)
-    return fastest_eigenvalue(parameters, State(**state), voltage)
+    return fastest_motion(parameters, State(**state), voltage)[0]
 
 
 def _position(position: float) -> str:

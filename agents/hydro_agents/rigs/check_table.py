@@ -105,8 +105,6 @@ def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:
             watch.append(f"the pump alone sustains only {lasting:.3g} mm/s {way}")
     if isinstance(damping, float) and damping < WEAK_DAMPING:
         watch.append("the axis rings: use damping (pressure feedback) or a low gain")
-    if "inaccurate" in figures:
-        watch.append("the integrator is less accurate than on the paper's rig")
     if isinstance(damping, str) and damping != OVERDAMPED:
         watch.append(f"at the examined position: {damping}")
     return watch

@@ -124,13 +124,3 @@ def time_to_cavitation(s, rate):
     chamber_a = over_a / -rate.pressure_a if rate.pressure_a < 0.0 and over_a > 0.0 else FAR
     chamber_b = over_b / -rate.pressure_b if rate.pressure_b < 0.0 and over_b > 0.0 else FAR
     return min(chamber_a, chamber_b)
-
-
-@inline
-def smallest_volumes(position, c):
-    """Lower bounds of the oil volumes in m³ during one control period that starts at a position."""
-    margin = 2e-3  # m; the piston moves less than this within one control period
-    return (
-        max(c.volume_a0 + c.area_a * (position - margin), 0.2 * (c.volume_a0 - c.area_a * c.end_stop_position)),
-        max(c.volume_b0 - c.area_b * (position + margin), 0.2 * (c.volume_b0 - c.area_b * c.end_stop_position)),
-    )

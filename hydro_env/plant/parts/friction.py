@@ -118,12 +118,3 @@ def time_to_reversal(s, rate, c):
     turning = s.velocity * rate.velocity < 0.0 or speed < 2.0
     change = abs(rate.velocity) * c.inverse_transition_velocity
     return max(speed - 2.0, 1.0) / change if turning and change > 0.0 else FAR
-
-
-@inline
-def friction_rate(s, c):
-    """Upper estimate in 1/s of the rate at which friction brakes the mass and the bristles relax."""
-    steady = (1.0 - c.has_bristles) * (c.coulomb_force + c.stribeck_force) * c.inverse_transition_velocity
-    return (steady + c.viscous_damping + c.bristle_damping * c.has_bristles) * c.inverse_mass + (
-        c.has_bristles * c.bristle_stiffness * abs(s.velocity) / max(c.coulomb_force, 1e-300)
-    )

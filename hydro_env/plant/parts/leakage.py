@@ -88,12 +88,6 @@ def internal_leakage(pressure_a, pressure_b, c):
 
 
 @inline
-def internal_leakage_slope(slope, c):
-    """Upper estimate of dQ_i/dΔp in m³/(s Pa); ``slope``: of :func:`smooth_root` at zero."""
-    return c.leakage_conductance + c.leakage_orifice_gain * slope
-
-
-@inline
 def external_leakage(pressure_b, c):
     """Q_e in m³/s from chamber b to ambient (11)."""
     return c.external_conductance * pressure_b

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from hydro_env.compiling import inline
@@ -84,16 +83,3 @@ def acceleration(s, friction_force, c):
         + c.external_force
     )
     return (piston_force(s.pressure_a, s.pressure_b, c) - resisting) * c.inverse_mass
-
-
-@inline
-def oil_column_rate(volume_a, volume_b, c):
-    """Upper estimate in 1/s of the natural frequency of the mass on both oil columns, spring and bristles."""
-    oil_column = c.bulk_modulus * (c.area_a * c.area_a / volume_a + c.area_b * c.area_b / volume_b)
-    return math.sqrt((oil_column + c.spring_stiffness + c.has_bristles * c.bristle_stiffness) * c.inverse_mass)
-
-
-@inline
-def end_stop_rate(c):
-    """Upper estimate in 1/s of the rate of the mass on an end stop."""
-    return c.end_stop_damping * c.inverse_mass + math.sqrt(c.end_stop_stiffness * c.inverse_mass)

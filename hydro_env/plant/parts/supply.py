@@ -114,14 +114,3 @@ def gas_volume_at(supply_pressure, p):
     """Volume in m³ of the accumulator's gas, compressed from its precharge pressure (polytropic)."""
     ratio = (p.supply_precharge_pressure + ATMOSPHERIC_PRESSURE) / (supply_pressure + ATMOSPHERIC_PRESSURE)
     return p.supply_accumulator_volume * ratio ** (1.0 / p.supply_polytropic_index)
-
-
-@inline
-def supply_line_rate(edge_slope, c):
-    """Upper estimate in 1/s of the rate of pump and relief valve on the oil in the line.
-
-    Args:
-        edge_slope: largest flow per pressure drop of one edge, m³/(s Pa).
-        c: coefficients of the plant.
-    """
-    return c.line_stiffness * (c.relief_slope + 2.0 * edge_slope)

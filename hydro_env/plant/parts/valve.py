@@ -249,9 +249,3 @@ def time_to_spool_kink(s, rate, c):
         0.0 if ended else direction * rate.spool_velocity,
     )
     return min(slew, stroke)
-
-
-@inline
-def valve_rate(c):
-    """Upper estimate in 1/s of the fastest rate of spool and coil."""
-    return max(math.sqrt(c.spool_stiffness) + c.spool_damping, c.coil_rate)

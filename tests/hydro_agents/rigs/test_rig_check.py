@@ -34,9 +34,7 @@ from hydro_agents.study.settings import default_study
 from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.plant.kernel import STABLE_PRODUCT, TOLERANCE
 from hydro_env.plant.parts.valve import edge_openings
-from hydro_env.plant.probe import probe
 from hydro_env.task.configuration import task_config
 from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_env.task.rig import read_rig
@@ -109,19 +107,6 @@ def rows_of(**changes):
     return {(row.quantity, row.at): row.value for row in rows}
 
 
-def test_the_integration_rows_tell_what_the_integrator_did():
-    rows = {(row.quantity, row.at): row.value for row in ROWS if row.group == "integration"}
-    run, bound = "±10 V in turn from mid-stroke", rows["fastest rate |λ|, bound", "mid-stroke (chamber b)"]
-    done = probe(PlantParameters())
-    assert rows["longest stable step", "mid-stroke"] == pytest.approx(1e3 * STABLE_PRODUCT / bound)
-    assert rows["fastest rate |λ|, at rest", "mid-stroke"] <= bound
-    assert rows["inner steps in 5 ms, mean", run] == done.mean_steps
-    assert rows["inner steps in 5 ms, most", run] == done.most_steps
-    assert rows["mean inner step", run] == pytest.approx(5.0 / done.mean_steps)
-    assert rows["is the inner step small enough", "error ≤ 0.0001"] == "yes"
-    assert rows[f"estimated error ({done.state.replace('_', ' ')})", f"tolerance {TOLERANCE:g}"] == done.error
-
-
 CIRCUITS = {
     "ideal valve": {"valve": {"model": "ideal"}},
     "pump": {"supply": {"model": "pump"}},
@@ -137,7 +122,6 @@ CIRCUITS = {
 @pytest.mark.parametrize("changes", CIRCUITS.values(), ids=CIRCUITS)
 def test_every_circuit_is_checked(changes):
     rows = rows_of(**changes)
-    assert rows["is the inner step small enough", "error ≤ 0.0001"] == "yes"
     numbers = [value for value in rows.values() if not isinstance(value, str)]
     assert all(math.isfinite(value) for value in numbers)
     pump = rows.get(("flow of the pump", ""))
@@ -312,7 +296,7 @@ def read_csv(file):
     [
         (("--period", "1 bar"), "check-rig: --period = '1 bar': unit 'bar': must be one of s, ms"),
         (("--period", "1,5 ms"), "check-rig: --period = '1,5 ms': must be a number within 0.0005 to 0.02"),
-        (("--latency", "-1 ms"), "check-rig: --latency = '-1 ms': must be a number within 0 to 20 ms"),
+        (("--latency", "-1 ms"), "check-rig: --latency = '-1 ms': must be a number within 0 to 0.02"),
         (("--period", "0.5 ms"), "check-rig: --latency = 0.001 s must not exceed --period = 0.0005 s"),
     ],
 )

@@ -49,17 +49,6 @@ def test_the_whole_drive_adds_the_lag_of_the_coil():
 
 
 @pytest.mark.parametrize("model", ["spool", "ideal"])
-def test_every_valve_gives_the_same_speed_in_the_end(model):
-    plant = PlantParameters().replace(
-        valve={"model": model}, load={"spring_stiffness": 0.0}, friction={"model": "none"}, supply={"model": "constant"}
-    )
-    speeds = step(plant, 2.0, 0.4, {"position": -0.1}).velocity
-    full = step(plant.replace(valve={"model": "drive"}), 2.0, 0.4, {"position": -0.1}).velocity
-    assert speeds[-1] == pytest.approx(full[-1], rel=5e-3)
-    assert speeds[-1] > 0.02
-
-
-@pytest.mark.parametrize("model", ["spool", "ideal"])
 def test_the_linearisation_knows_ideal_parts(model):
     """Transfer from voltage to spool: what is ideal neither delays nor weakens it."""
     axis = linearise(PlantParameters().replace(valve={"model": model}), position=0.02)
@@ -91,15 +80,6 @@ def test_a_pump_without_accumulator_settles_on_its_relief_valve():
     assert rest["supply_pressure"] == pytest.approx(supply.pressure + rise, rel=1e-4)
 
 
-def test_a_line_without_accumulator_sags_more_when_the_axis_starts():
-    dips = []
-    for model in ("constant", "accumulator", "pump"):
-        run = step(PlantParameters().replace(supply={"model": model}), 10.0, 0.1)
-        dips.append(run.supply_pressure[0] - run.supply_pressure.min())
-    assert dips[0] == 0.0
-    assert 0.0 < dips[1] < 0.5 * dips[2]
-
-
 def test_an_accumulator_alone_gives_what_its_gas_gives():
     """Pump standing still: (P_s + p_atm) V^n stays, and the gas grows by the oil that left."""
     plant = PlantParameters().replace(supply={"pump_flow": 0.0})
@@ -110,11 +90,6 @@ def test_an_accumulator_alone_gives_what_its_gas_gives():
     assert drawn[-1] > 2e-5
     assert run.gas_volume - run.gas_volume[0] == pytest.approx(drawn, abs=2e-3 * drawn[-1])
     assert run.supply_pressure[-1] < run.supply_pressure[0] - 1e5
-
-
-def test_a_relief_valve_can_be_taken_away_only_with_its_pump_standing():
-    still = PlantParameters().replace(supply={"relief_slope": 0.0, "pump_flow": 0.0})
-    assert equilibrium(still)[0]["supply_pressure"] == still.supply.pressure
 
 
 def test_the_throttle_alone_or_with_the_seal():
@@ -156,19 +131,13 @@ CIRCUITS = {
 def test_every_circuit_meets_the_reference_solver(changes):
     plant = PlantParameters().replace(**changes)
     assert from_vector(to_vector(plant)) == plant
+    env = ServoHydraulicEnv(plant=changes, episode_duration=0.2)
+    env.reset(seed=1)
+    steps = [env.step(np.array([0.2 * math.sin(0.3 * step)])) for step in range(40)]
+    assert not any(terminated for _, _, terminated, _, _ in steps)
+    assert np.isfinite([observation for observation, *_ in steps]).all()
     voltage = np.array([3.0, 3.0, -10.0, -2.0, 10.0, 0.0, 0.0, 0.5])
     start = {"position": 0.01, "velocity": 0.02}
     fast, exact = (simulate(plant, voltage, 5e-3, start, method=method) for method in ("fast", "radau"))
     size = np.maximum(np.ptp(exact.states, axis=0), 0.01 * np.array([0.1, 0.1, 7e6, 7e6, 1, 100, 2.5, 7e6, 1e-3, 4e-5]))
     assert (np.abs(fast.states - exact.states).max(axis=0) / size).max() < 1e-4
-
-
-@pytest.mark.parametrize("changes", CIRCUITS.values(), ids=CIRCUITS)
-def test_every_circuit_runs_as_an_environment(changes):
-    env = ServoHydraulicEnv(plant=changes, episode_duration=0.2)
-    env.reset(seed=1)
-    for step in range(40):
-        observation, _, terminated, truncated, info = env.step(np.array([0.2 * math.sin(0.3 * step)]))
-        assert np.isfinite(observation).all()
-        assert not terminated, info["failure"]
-    assert truncated

@@ -62,14 +62,6 @@ def test_parameters_are_frozen():
     assert (parameters.load.mass, changed.load.mass) == (60.0, 80.0)
 
 
-def test_unreadable_files_are_answered_with_one_line(tmp_path):
-    binary = tmp_path / "binary.yaml"
-    binary.write_bytes(bytes(range(128, 256)))
-    for path, reason in ((tmp_path / "absent.yaml", "No such file"), (tmp_path, "directory"), (binary, "not a text")):
-        with refused(f"^{path}: cannot be read: .*{reason}"):
-            PlantParameters.from_yaml(path)
-
-
 def test_replace_and_vectors_are_validated():
     with refused(r"unknown group 'loads'; did you mean load\? known: cylinder"):
         PlantParameters().replace(loads={"mass": 1.0})

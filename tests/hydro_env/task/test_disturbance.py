@@ -27,16 +27,6 @@ def middle(steps=100):
     return PERIOD * (np.arange(steps)[:, None] + 0.5)
 
 
-def test_no_disturbance_by_default():
-    envs = ServoHydraulicVectorEnv(20, plant={"load": {"external_force": 150.0}})
-    envs.reset(seed=0)
-    assert envs.config.disturbance.kind == "none"
-    for _ in range(20):
-        envs.step(np.zeros((20, 1)))
-    assert (envs.axes.column("force_amplitude") == 0.0).all()
-    assert {envs.axes.external_force(axis) for axis in range(20)} == {150.0}
-
-
 @pytest.mark.parametrize(
     ("kind", "settings"),
     [
@@ -92,12 +82,3 @@ def test_a_disturbed_axis_moves_as_the_plant_with_that_force():
     positions = [env.step(np.full(1, 0.1))[-1]["position"] for _ in range(30)]
     np.testing.assert_allclose(positions, run.position[1:], rtol=0, atol=1e-12)
     assert abs(positions[-1] - 0.01) > 1e-4
-
-
-def test_the_force_of_the_last_episode_is_forgotten():
-    env = ServoHydraulicEnv(disturbance={"kind": "step", "start_range": [0.0, 0.0]})
-    env.reset(seed=0)
-    env.step(np.zeros(1))
-    assert env.axes.external_force(0) != 0.0
-    env.reset()
-    assert env.axes.external_force(0) == 0.0

@@ -41,20 +41,12 @@ def test_drawn_rigs_are_plausible_and_differ():
         assert 0.1 / LARGEST_GAP < np.mean(speed_limits(plant)) < 1.0 * LARGEST_GAP
         assert min(full_pressure_forces(plant)) > 1.2 * plant.load.external_force
         assert len(task.randomisation) > 10
-        seen.append((plant.cylinder.bore_diameter, plant.load.mass, plant.valve.natural_frequency))
-    assert len(set(seen)) == len(seen)
-
-
-def test_the_mass_gives_the_drawn_frequency_unless_the_supply_could_not_move_it():
-    limited = 0
-    for seed in UNTUNED_RIGS.take(24, 100):
-        plant = drawn_task(TaskConfig(), LAW, seed).plant
         dead = 0.25 * np.pi * plant.cylinder.bore_diameter**2 * plant.cylinder.stroke * DEAD
         assert plant.cylinder.dead_volume == pytest.approx(dead, rel=0.01)
-        frequency = closed_port_natural_frequency(plant) / (2.0 * np.pi)
-        assert frequency > 5.0  # hoses and piston lower it below the drawn one
-        limited += frequency > 80.0 * ROUNDED
-    assert limited < 8
+        # Hoses and piston lower it below the drawn one; a light load that the supply could not move faster raises it.
+        assert closed_port_natural_frequency(plant) / (2.0 * np.pi) > 5.0
+        seen.append((plant.cylinder.bore_diameter, plant.load.mass, plant.valve.natural_frequency))
+    assert len(set(seen)) == len(seen)
 
 
 def test_splits_share_no_rig():
@@ -113,11 +105,17 @@ def test_observations_are_in_the_units_of_the_rig():
         assert counts[-1] * task.control_period == pytest.approx(5.0 * pace(task), abs=task.control_period)
 
 
-def test_an_agent_may_have_to_find_out():
-    names = [
-        ServoHydraulicEnv(rig="drawn", law={"count": 1, "sheet": told}).observation_names for told in (True, False)
-    ]
-    assert names[0] == (*names[1], *SHEET)
+def test_an_agent_may_have_to_find_out_and_lengths_are_those_of_the_rigs():
+    told, untold = (ServoHydraulicEnv(**{**SMALL, "law": {"count": 6, "sheet": sheet}}) for sheet in (True, False))
+    assert told.observation_names == (*untold.observation_names, *SHEET)
+    rigs, lengths = [], []
+    untold.reset(seed=0)
+    for _ in range(6):
+        _, info = untold.reset()
+        rigs.append(untold.rigs[info["rig"]].steps)
+        lengths.append(next(step for step in range(1, 1000) if untold.step([0.0])[3]))
+    assert lengths == rigs
+    assert len(set(lengths)) > 1
 
 
 def test_gymnasium_accepts_it():
@@ -129,21 +127,6 @@ def test_gymnasium_accepts_it():
     one = env.step([0.1])[0]
     env.unwrapped.set_state(state)
     np.testing.assert_array_equal(env.step([0.1])[0], one)
-
-
-def test_every_episode_may_have_another_rig_and_its_length():
-    env = ServoHydraulicEnv(**SMALL)
-    rigs, lengths = [], []
-    env.reset(seed=0)
-    for _ in range(8):
-        _, info = env.reset()
-        steps = 1
-        while not (env.step([0.0])[3]):
-            steps += 1
-        rigs.append(info["rig"])
-        lengths.append(steps)
-    assert len(set(rigs)) > 2
-    assert lengths == [env.rigs[rig].steps for rig in rigs]
 
 
 @pytest.mark.parametrize(
@@ -167,7 +150,7 @@ def test_what_needs_one_rig_says_so(tmp_path):
     task = task_config(rig="drawn", law={"count": 2})
     with pytest.raises(ConfigurationError, match="law: a controller is made for one rig"):
         FlowLinearising(FlowLinearisingGains(), task)
-    with pytest.raises(ConfigurationError, match="rig = 2: must be the number of a rig, 0 to 1"):
+    with pytest.raises(ConfigurationError, match="rig = 2: must be within 0 to 1"):
         ServoHydraulicEnv(task).reset(options={"rig": 2})
     with pytest.raises(ConfigurationError, match="max_episode_steps"):
         ServoHydraulicVectorEnv(2, task, max_episode_steps=10)

@@ -93,16 +93,6 @@ def test_one_axis_with_a_leak_to_the_outside_and_an_offset():
     assert envs.axes.column("reference")[0] - envs.axes.column("position")[0] == pytest.approx(read)
 
 
-def test_a_saved_state_keeps_its_faults():
-    env = gym.make("ServoHydraulic-v0", task="faulty").unwrapped
-    env.reset(seed=4, options={"faults": {"pressure_b_freeze": 1.0, "valve_null_shift": -0.01}})
-    state, rows = env.get_state(), []
-    for _ in range(2):
-        env.set_state(state)
-        rows.append([env.step(np.array([0.2], np.float32))[0] for _ in range(20)])
-    np.testing.assert_array_equal(*rows)
-
-
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_a_sensor_reads_beside_the_truth(channel):
     sensor = getattr(ServoHydraulicVectorEnv(1).config.sensors, channel)

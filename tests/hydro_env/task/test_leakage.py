@@ -30,13 +30,6 @@ def test_leaks_are_log_uniform_within_healthy_and_faulty_range():
     assert stats.kstest(flow[~healthy], stats.loguniform(0.1, 4.0).cdf).pvalue > 1e-3
 
 
-def test_where_a_leak_begins_says_nothing_about_where_it_ends():
-    envs = ServoHydraulicVectorEnv(COUNT, leakage={"schedule": "growth", "healthy_share": 0.0})
-    envs.reset(seed=0)
-    start, target = (np.log(envs.axes.column(name)) for name in ("leak_start_flow", "leak_target_flow"))
-    assert stats.pearsonr(start, target).pvalue > 1e-3
-
-
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.6, 1.0])
 def test_share_of_healthy_seals(share):
     info = leaks(healthy_share=share)
@@ -57,23 +50,16 @@ def test_classes_have_the_shares_that_the_draw_implies():
 BOUNDS = [(0.0, 0), (0.03, 0), (0.0301, 1), (0.1, 1), (0.3, 1), (0.301, 2), (1.0, 2), (1.001, 3), (4.0, 3)]
 
 
-def test_labels_at_the_bounds_belong_to_the_lower_class():
-    envs = ServoHydraulicVectorEnv(len(BOUNDS))
-    _, info = envs.reset(options={"leakage_flow_lpm": np.array([flow for flow, _ in BOUNDS])})
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_labels_at_the_bounds_belong_to_the_lower_class(factor):
+    envs = ServoHydraulicVectorEnv(len(BOUNDS), leakage={"class_bounds": factor * np.array([0.03, 0.3, 1.0])})
+    _, info = envs.reset(options={"leakage_flow_lpm": factor * np.array([flow for flow, _ in BOUNDS])})
     assert info["leakage_class"].tolist() == [label for _, label in BOUNDS]
 
 
-def test_labels_follow_configured_bounds():
-    info = leaks(500, class_bounds=[0.2, 0.5, 2.0])
-    expected = np.searchsorted([0.2, 0.5, 2.0], info["leakage_flow_lpm"])
-    np.testing.assert_array_equal(info["leakage_class"], expected)
-    assert set(expected) == {0, 1, 2, 3}
-
-
-@pytest.mark.parametrize(("option", "value"), [("leakage_flow_lpm", 0.7), ("leakage_resistance", 6e11 / 0.7)])
-def test_a_given_leak_acts_and_stands_in_the_info(option, value):
+def test_a_given_leak_acts_and_stands_in_the_info():
     env = ServoHydraulicEnv()
-    _, info = env.reset(seed=0, options={option: value})
+    _, info = env.reset(seed=0, options={"leakage_flow_lpm": 0.7})
     assert info["leakage_flow_lpm"] == pytest.approx(0.7, rel=1e-12)
     assert info["leakage_resistance"] == pytest.approx(6e11 / 0.7, rel=1e-12)
     leakage = env.parameters.leakage
@@ -130,12 +116,6 @@ def test_a_leak_follows_its_schedule(schedule):
     np.testing.assert_allclose(flow[1:], start * (target / start) ** share, rtol=1e-9)
     # The straight line in the logarithm meets the target at the end of the episode.
     np.testing.assert_allclose(flow[-1] * flow[-1] / flow[-2], target, rtol=1e-6)
-
-
-@pytest.mark.parametrize("schedule", ["onset", "growth"])
-def test_a_healthy_seal_stays_healthy(schedule):
-    flow, *_ = along_an_episode(schedule, count=50, healthy_share=1.0)
-    assert 0.003 <= flow.min() <= flow.max() <= 0.03
 
 
 def test_a_given_leak_is_the_end_of_its_schedule():

@@ -153,14 +153,3 @@ def test_a_fixed_parameter_leaves_the_other_parameters_alone():
     changed = begin({"parameters": {"valve": {"damping_ratio": 0.7}}})["plant"]
     assert (changed[:, column] == 0.7).all()
     np.testing.assert_array_equal(np.delete(changed, column, axis=1), np.delete(plain, column, axis=1))
-
-
-def test_what_multiplies_a_fixed_parameter_follows_it():
-    """The breakaway force is drawn as 1.2 to 1.8 times the Coulomb force, also of a fixed one."""
-    plant = begin({"parameters": {"friction": {"coulomb_force": 500.0}}})["plant"]
-    ratio = plant[:, PARAMETER_PATHS.index("friction.breakaway_force")] / 500.0
-    assert 1.2 <= ratio.min() <= ratio.max() <= 1.8
-    plain = begin()["plant"]
-    own = plain[:, PARAMETER_PATHS.index("friction.breakaway_force")]
-    own = own / plain[:, PARAMETER_PATHS.index("friction.coulomb_force")]
-    np.testing.assert_allclose(ratio, own, rtol=1e-12)

@@ -53,15 +53,13 @@ def test_noise_is_normal_and_bias_uniform_as_configured(name):
 def test_bias_stays_for_the_episode_and_is_drawn_anew_for_the_next():
     envs = ServoHydraulicVectorEnv(20, sensors=sensors(position={"bias": 1e-3}))
     biases = []
-    for _ in range(2):
-        envs.reset(seed=None if biases else 0)
-        bias = of_channel(envs.axes, "measured", "position") - envs.axes.column("position")
+    for seed in (0, None):
+        envs.reset(seed=seed)
         for _ in range(5):
             envs.step(np.ones((20, 1)))
-            error = of_channel(envs.axes, "measured", "position") - envs.axes.column("position")
-            np.testing.assert_allclose(error, bias, rtol=0, atol=1e-12)
-        biases.append(bias)
-    assert (np.abs(biases[1] - biases[0]) > 1e-7).all()
+            biases.append(of_channel(envs.axes, "measured", "position") - envs.axes.column("position"))
+    np.testing.assert_allclose(np.ptp(np.array(biases).reshape(2, 5, 20), axis=1), 0.0, atol=1e-12)
+    assert (np.abs(biases[-1] - biases[0]) > 1e-7).all()
 
 
 def test_noise_is_drawn_anew_in_every_sample_and_channel():
@@ -199,27 +197,6 @@ def test_switched_off_sensors_tell_the_exact_truth():
         action = rng.uniform(-1, 1, 1)
         command = action[0]
         observation, _, _, _, info = env.step(action)
-
-
-def test_observations_stay_inside_the_box_whatever_is_done():
-    """Also with springless axes that crash into the end stops, at full command and with wild transducers."""
-    wild = {field: {**values, "noise": 10 * values["high"]} for field, values in sensors().items()}
-    for config in ({}, {"sensors": wild}, {"plant": {"load": {"spring_stiffness": 0.0}}, "randomisation": {}}):
-        envs = ServoHydraulicVectorEnv(32, **config)
-        observation, _ = envs.reset(seed=1)
-        rng = np.random.default_rng(2)
-        action = rng.uniform(-1, 1, (32, 1)).astype(np.float32)
-        ended = 0
-        for step in range(500):
-            assert envs.observation_space.contains(observation)
-            if step % 100 == 0:
-                level = np.sign(rng.uniform(-1, 1, (32, 1)))
-            action = level if step % 200 < 100 else rng.uniform(-1.5, 1.5, (32, 1))
-            observation, reward, terminated, _, _ = envs.step(action.astype(np.float32))
-            assert np.isfinite(reward).all()
-            ended += int(terminated.sum())
-        if "plant" in config:
-            assert ended > 0
 
 
 def test_a_sensor_that_is_not_fitted_leaves_the_observation():
