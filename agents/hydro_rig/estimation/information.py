@@ -136,98 +136,60 @@ def jacobian_at(model: Model, scaled: Floats) -> Floats:
     return 0.5 * (above + below)
 
 
-def covariance(
+def sigma(
     known: Information,
-    unknowns: Sequence[str] | None = None,
+    name: str = LEAKAGE,
+    unknowns: Mapping[str, float] | Sequence[str] | None = None,
     sensors: Sequence[str] = SENSORS,
-    widths: Mapping[str, float] | None = None,
 ) -> Floats:
-    """Smallest covariance of some unknowns, (B, lengths, p, p), each in its unit; the others are known exactly.
+    """The bound of one unknown: its smallest standard deviation, (B, lengths), in its unit.
 
     Args:
         known: information of the readings.
-        unknowns: names; ``None``: all.
+        name: of the unknown.
+        unknowns: names of all unknowns, the others are known exactly; or factors on the standard deviations of their
+            priors, by name: ``inf`` means no prior. ``None``: all.
         sensors: available sensors.
-        widths: factors on the standard deviations of priors, by name; ``inf`` means no prior.
 
     Raises:
         ConfigurationError: an unknown or a sensor is not in ``known``.
     """
     names = known.names if unknowns is None else tuple(unknowns)
     for what, choice, allowed in (("unknowns", names, known.names), ("sensors", sensors, SENSORS)):
-        for name in choice:
-            if name not in allowed:
-                raise ConfigurationError(f"{what}: '{name}': {one_of(name, allowed)}")
-    place = [known.names.index(name) for name in names]
+        for one in choice:
+            if one not in allowed:
+                raise ConfigurationError(f"{what}: '{one}': {one_of(one, allowed)}")
+    places = [known.names.index(one) for one in names]
     rows = [SENSORS.index(sensor) for sensor in sensors]
-    matrix = known.matrix[:, :, rows].sum(axis=2)[..., place, :][..., place]
-    width = np.array([(widths or {}).get(name, 1.0) for name in names])
+    matrix = known.matrix[:, :, rows].sum(axis=2)[..., places, :][..., places]
+    width = np.array([unknowns[one] if isinstance(unknowns, Mapping) else 1.0 for one in names])
     matrix = matrix + np.diag(1.0 / width**2)
     # The unknowns have very different information; scaling each by its own keeps the inverse accurate.
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", matrix), 1e-300))
     inverse = np.linalg.inv(matrix * scale[..., :, None] * scale[..., None, :])
-    unit = known.unit[:, None, place] * scale
-    result: Floats = inverse * unit[..., :, None] * unit[..., None, :]
-    return result
-
-
-def sigma(
-    known: Information,
-    name: str = LEAKAGE,
-    unknowns: Sequence[str] | None = None,
-    sensors: Sequence[str] = SENSORS,
-    widths: Mapping[str, float] | None = None,
-) -> Floats:
-    """The bound of one unknown: its smallest standard deviation, (B, lengths), in its unit; see :func:`covariance`."""
-    names = known.names if unknowns is None else tuple(unknowns)
-    spread = covariance(known, names, sensors, widths)
     place = names.index(name)
-    result: Floats = np.sqrt(spread[..., place, place])
+    unit = (known.unit[:, None, places] * scale)[..., place]
+    result: Floats = np.sqrt(inverse[..., place, place] * unit * unit)
     return result
 
 
-class UnknownSet(NamedTuple):
-    """Some unknowns, and factors on the standard deviations of their priors."""
-
-    unknowns: tuple[str, ...]
-    widths: Mapping[str, float]
-
-
-class UnknownSets(NamedTuple):
-    """Sets of unknowns by name, and the priors of all their unknowns."""
-
-    sets: Mapping[str, UnknownSet]
-    priors: Mapping[str, Prior]
-
-
-def unknown_sets(config: TaskConfig, more: Sequence[str] = ()) -> UnknownSets:
-    """The sets for a task; ``more`` adds a set with these unknowns in addition to the task's.
-
-    Raises:
-        ConfigurationError: an unknown of ``more`` does not exist, occurs twice, or is already an unknown of the task.
-    """
+def unknown_sets(config: TaskConfig) -> tuple[dict[str, Prior], dict[str, dict[str, float]]]:
+    """Priors of many unknowns; and sets of them by name, each with factors on the deviations of these priors."""
     task = default_unknowns(config)
-    for name in more:
-        prior_of(config, name)
-        if name in task or list(more).count(name) > 1:
-            what = "is among the unknowns of the task" if name in task else "is given twice"
-            raise ConfigurationError(f"unknown '{name}': {what}")
     own = {name: prior_of(config, name) for name in _WEAR}
     worn = {name: _widened(prior, *_WEAR[name]) for name, prior in own.items()}
-    names = tuple(dict.fromkeys((*task, *worn, *_FURTHER, *more)))
-    priors = priors_of(config, names, worn)
     as_drawn = {name: _linear(own[name], worn[name]) / worn[name].deviation for name in worn}
-    start = tuple(name for name in task if name in (*BIASES, *STARTS))
+    start = [name for name in task if name in (*BIASES, *STARTS)]
+    with_wear = dict.fromkeys((*task, *worn), 1.0)
+    everything = with_wear | dict.fromkeys(_FURTHER, 1.0)
     sets = {
-        LEAK_ALONE: UnknownSet((LEAKAGE,), {}),
-        PLANT_KNOWN: UnknownSet((LEAKAGE, *start), {}),
-        TASK: UnknownSet(task, as_drawn),
-        WORN_VALVE: UnknownSet(tuple(dict.fromkeys((*task, *worn))), {}),
-        EVERYTHING: UnknownSet(tuple(dict.fromkeys((*task, *worn, *_FURTHER))), {}),
+        LEAK_ALONE: {LEAKAGE: 1.0},
+        PLANT_KNOWN: dict.fromkeys((LEAKAGE, *start), 1.0),
+        TASK: {name: as_drawn.get(name, 1.0) for name in task},
+        WORN_VALVE: with_wear,
+        EVERYTHING: everything,
     }
-    if more:
-        sets[f"the plant and {', '.join(more)} too"] = UnknownSet((*task, *more), as_drawn)
-    return UnknownSets(sets, priors)
+    return priors_of(config, tuple(everything), worn), sets
 
 
 def _widened(prior: Prior, deviation: float, logarithmic: bool) -> Prior:

@@ -65,12 +65,9 @@ class KnownWindows:
             return flow
         if name == LATENCY:
             return self.latency
-        if name in BIASES:
-            return self.bias[:, BIASES.index(name)]
-        if name in GAINS:
-            return self.gain[:, GAINS.index(name)]
-        if name in STARTS:
-            return self.start[:, STARTS.index(name)]
+        for names, values in ((BIASES, self.bias), (GAINS, self.gain), (STARTS, self.start)):
+            if name in names:
+                return values[:, names.index(name)]
         return self.physical[:, PARAMETER_PATHS.index(name)]
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.operations import ACTING
@@ -17,15 +15,16 @@ from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
 from hydro_agents.running.seeds import EVALUATION
+from hydro_agents.running.text import frame_markdown, number, setting
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT
 from hydro_env.task.sensors import SENSORS
-from hydro_rig.estimation.information import TASK, UnknownSets, information, sigma, unknown_sets
+from hydro_rig.estimation.information import TASK, information, sigma, unknown_sets
 from hydro_rig.estimation.known_windows import MOTIONS, known_windows, leak_cases
 from hydro_rig.estimation.unknowns import priors_of
 
 ALL_SENSORS = "all sensors"
+BEGIN = 1.0  # s after the start of the episode: start of the windows of the survey
 
 COLUMNS = ("motion", "leakage_flow_lpm", "seed", "window_s", "unknowns", "sensors", "sigma_lpm")
 """Columns of :func:`survey`."""
@@ -73,18 +72,6 @@ def bound_of_windows(
     return {"seed": cases.seeds.astype(np.float64), "sigma_lpm": found}
 
 
-class SurveySettings(Group):
-    """Leaks, windows and plants of the table."""
-
-    leak_levels: tuple[float, ...] = Field(
-        (0.0, 0.05, 0.1, 0.3, 1.0, 4.0), min_length=1, description="l/min at 100 bar"
-    )
-    windows: tuple[float, ...] = Field((0.5, 1.0, 2.0, 4.0, 8.0), min_length=1, description="s")
-    plants: int = Field(24, ge=3, le=10_000, description="of the test seeds, per motion and leak")
-    begin: float = Field(1.0, ge=0.0, le=1e4, description="start of the window, s after the start of the episode")
-    more_unknowns: tuple[str, ...] = Field((), description="in addition to those of the task, as a separate set")
-
-
 def sensor_choices(config: TaskConfig) -> dict[str, tuple[str, ...]]:
     """Choices of the sensors that the rig has, by name; the command is always known."""
     fitted = [name for name in SENSORS if getattr(config.sensors, name).fitted]
@@ -98,28 +85,12 @@ def sensor_choices(config: TaskConfig) -> dict[str, tuple[str, ...]]:
     return {name: tuple(sensors) for name, sensors in choices.items() if name == ALL_SENSORS or sensors != fitted}
 
 
-def checked(settings: SurveySettings, config: TaskConfig) -> UnknownSets:
-    """Check leaks, windows and unknowns; returns the sets of unknowns.
-
-    Raises:
-        ConfigurationError: a value is impossible or occurs twice.
-    """
-    for name, values, low, high, unit in (
-        ("leak", settings.leak_levels, 0.0, LEAKAGE_LIMIT, "l/min"),
-        ("window", settings.windows, 2.0 * config.control_period, 60.0, "s"),
-    ):
-        for value in values:
-            if not low <= value <= high:
-                raise ConfigurationError(f"--{name} {value:g}: must be within {low:g} to {high:g} {unit}")
-            if values.count(value) > 1:
-                raise ConfigurationError(f"--{name} {value:g}: is given twice")
-    return unknown_sets(config, settings.more_unknowns)
-
-
 def survey(
     config: TaskConfig,
     controller: Controller,
-    settings: SurveySettings,
+    leaks: Sequence[float],
+    windows: Sequence[float],
+    plants: int,
     folder: Path | None = None,
     progress: Report | None = None,
 ) -> pd.DataFrame:
@@ -128,32 +99,52 @@ def survey(
     Args:
         config: the task.
         controller: moves the axes.
-        settings: leaks, windows, plants and unknowns.
+        leaks: l/min at 100 bar.
+        windows: lengths, s.
+        plants: number of plants of the test seeds, per motion and leak.
         folder: for the results of the jobs, one per motion and leak; ``None`` keeps none.
         progress: called when a job finishes.
 
     Raises:
-        ConfigurationError: the settings are impossible.
+        ConfigurationError: a leak or a window is impossible, or a job failed.
     """
-    checked(settings, config)
-    return _rows(surveyed, controller, (config, settings), MOTIONS, settings.leak_levels, folder, progress)
+    for name, values, low, high, unit in (
+        ("leak", leaks, 0.0, LEAKAGE_LIMIT, "l/min"),
+        ("window", windows, 2.0 * config.control_period, 60.0, "s"),
+    ):
+        for value in values:
+            if not low <= value <= high:
+                raise ConfigurationError(f"--{name} {value:g}: must be within {low:g} to {high:g} {unit}")
+    digest, lengths = fingerprint(controller), tuple(dict.fromkeys(windows))
+    jobs = {
+        f"{motion}|{leak:g}": Job(surveyed, controller, (config, lengths, plants, motion, leak), digest)
+        for motion in MOTIONS
+        for leak in dict.fromkeys(leaks)
+    }
+    results = run_jobs(jobs, folder, None, progress)[0]
+    for key in jobs:
+        if results[key].error:
+            raise ConfigurationError(results[key].error)
+    return pd.concat([pd.DataFrame(results[key].metrics) for key in jobs], ignore_index=True)
 
 
-def surveyed(controller: Controller, config: TaskConfig, settings: SurveySettings, motion: str, leak: float) -> Columns:
+def surveyed(
+    controller: Controller, config: TaskConfig, lengths: tuple[float, ...], plants: int, motion: str, leak: float
+) -> Columns:
     """The rows of one motion and leak: each set of unknowns with all sensors, each choice of sensors with the task's.
 
     Raises:
         ConfigurationError: an episode cannot begin.
     """
-    unknowns, choices = checked(settings, config), sensor_choices(config)
-    cases = leak_cases(EVALUATION.take(settings.plants), settings.plants, leak)
-    windows = known_windows(MOTIONS[motion](config), controller, cases, settings.begin, max(settings.windows))
-    known = information(MOTIONS[motion](config), windows, unknowns.priors, settings.windows, threads=1)
-    pairs = [(name, ALL_SENSORS) for name in unknowns.sets] + [(TASK, name) for name in choices if name != ALL_SENSORS]
+    priors, sets = unknown_sets(config)
+    choices, task = sensor_choices(config), MOTIONS[motion](config)
+    cases = leak_cases(EVALUATION.take(plants), plants, leak)
+    windows = known_windows(task, controller, cases, BEGIN, max(lengths))
+    known = information(task, windows, priors, lengths, threads=1)
+    pairs = [(name, ALL_SENSORS) for name in sets] + [(TASK, name) for name in choices if name != ALL_SENSORS]
     frames = []
     for name, sensors in pairs:
-        chosen = unknowns.sets[name]
-        values = sigma(known, unknowns=chosen.unknowns, sensors=choices[sensors], widths=chosen.widths)
+        values = sigma(known, unknowns=sets[name], sensors=choices[sensors])
         frames += [
             pd.DataFrame({"seed": cases.seeds[windows.case], "window_s": length, "sigma_lpm": values[:, place]}).assign(
                 motion=motion, leakage_flow_lpm=leak, unknowns=name, sensors=sensors
@@ -163,28 +154,51 @@ def surveyed(controller: Controller, config: TaskConfig, settings: SurveySetting
     return columns_of(pd.concat(frames, ignore_index=True)[list(COLUMNS)])
 
 
-def _rows(
-    work: Callable[..., Columns],
-    controller: Controller,
-    arguments: tuple[Any, ...],
-    motions: Iterable[str],
-    leaks: Iterable[float],
-    folder: Path | None,
-    progress: Report | None,
-) -> pd.DataFrame:
-    """The rows of one job per motion and leak, in this order.
-
-    Raises:
-        ConfigurationError: a job failed.
-    """
-    digest, leaks = fingerprint(controller), tuple(leaks)
-    jobs = {
-        f"{motion}|{leak:g}": Job(work, controller, (*arguments, motion, leak), digest)
-        for motion in motions
-        for leak in leaks
+def tables(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Medians over the plants by title, as text; l/min at 100 bar. Where one is fixed: about 2 s and 0.3 l/min."""
+    ordinary = next(iter(MOTIONS))
+    length, leak = _nearest(table["window_s"], 2.0), _nearest(table["leakage_flow_lpm"], 0.3)
+    whole, drawn = table["sensors"] == ALL_SENSORS, table["unknowns"] == TASK
+    window, level, usual = table["window_s"] == length, table["leakage_flow_lpm"] == leak, table["motion"] == ordinary
+    seconds, given = f"window of {length:g} s", f"unknown: {TASK}"
+    return {
+        f"By leak and unknowns ({ordinary}, {seconds})": _pivot(
+            table[usual & whole & window], "leakage_flow_lpm", "unknowns", "leak, l/min"
+        ),
+        f"By length of the window and unknowns ({ordinary}, leak of {leak:g} l/min)": _pivot(
+            table[usual & whole & level], "window_s", "unknowns", "window, s"
+        ),
+        f"By sensors and leak ({ordinary}, {seconds}; {given})": _pivot(
+            table[usual & drawn & window], "sensors", "leakage_flow_lpm", "sensors"
+        ),
+        f"By motion and leak: median, and 10 to 90 % of the plants ({seconds}; {given})": _pivot(
+            table[whole & drawn & window], "leakage_flow_lpm", "motion", "leak, l/min", spread=True
+        ),
     }
-    results = run_jobs(jobs, folder, None, progress)[0]
-    for key in jobs:
-        if results[key].error:
-            raise ConfigurationError(results[key].error)
-    return pd.concat([pd.DataFrame(results[key].metrics) for key in jobs], ignore_index=True)
+
+
+def _nearest(values: Iterable[float], wanted: float) -> float:
+    """The value with the ratio to ``wanted`` closest to 1."""
+    return min(values, key=lambda value: abs(np.log(max(value, 1e-9) / wanted)))
+
+
+def _pivot(rows: pd.DataFrame, index: str, columns: str, name: str, spread: bool = False) -> pd.DataFrame:
+    """Medians, and with ``spread`` the range of most plants, by two columns."""
+
+    def cell(values: pd.Series[float]) -> str:
+        low, median, high = (number(float(value), digits=2) for value in np.quantile(values, [0.1, 0.5, 0.9]))
+        return f"{median} ({low} to {high})" if spread else median
+
+    def words(value: object) -> str:
+        return setting(value) if isinstance(value, float) else str(value)
+
+    return (
+        rows.pivot_table("sigma_lpm", index, columns, aggfunc=cell, sort=False)
+        .rename(index=words, columns=words)
+        .rename_axis(index=name, columns=None)
+    )
+
+
+def bound_markdown(table: pd.DataFrame) -> str:
+    """All tables of :func:`tables` as Markdown."""
+    return "\n\n".join(f"{title}:\n\n{frame_markdown(part)}" for title, part in tables(table).items())
