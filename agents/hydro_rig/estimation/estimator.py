@@ -9,6 +9,7 @@ A window at rest shows no signs of wear, whatever the valve is like, so that its
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -193,7 +194,7 @@ class EstimatorDetector:
             return moves
         course = course_of((windows.samples - 1) * task.control_period)
         first = {name: worn.value(name)[odd] for name in worn.names if np.isfinite(worn.value(name)[odd]).all()}
-        settings = self.settings.model_copy(update={"horizons": (), "restarts": 0})
+        settings = replace(self.settings, horizons=(), restarts=0)
         names = (*worn.names, *course)
         found = self._estimate(windows.part(odd), task, names, settings, priors=wear_priors(task), first=first)
         gain = worn.unlikelihood[odd] - found.unlikelihood
@@ -212,7 +213,7 @@ class EstimatorDetector:
         """Fit the windows ``simple`` without wear; returns the estimate, and the row of each of these windows in it."""
         names = windows.unrecorded(self.names(task, False))
         first = {name: worn.value(name)[simple] for name in names if name in worn.names}
-        settings = self.settings.model_copy(update={"horizons": ()})
+        settings = replace(self.settings, horizons=())
         plain = self._estimate(windows.part(simple), task, names, settings, progress, first=first)
         return plain, np.arange(len(simple))
 

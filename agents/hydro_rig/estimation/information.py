@@ -129,10 +129,10 @@ def jacobian_at(model: Model, scaled: Floats) -> Floats:
 
     A first, coarse derivative gives the steps: each changes the readings by about :data:`RESPONSE`.
     """
-    coarse = model.linearise(scaled).jacobian[:, model.simulated]
+    coarse = model.linearise(scaled)[1][:, model.simulated]
     steps = np.clip(RESPONSE / np.sqrt(1.0 + (coarse**2).sum(axis=(2, 3))), 1e-7, 0.1)
     directions = steps[:, :, None] * np.eye(len(model.simulated))
-    above, below = (model.linearise(scaled, directions=sign * directions).jacobian for sign in (1.0, -1.0))
+    above, below = (model.linearise(scaled, sign * directions)[1] for sign in (1.0, -1.0))
     return 0.5 * (above + below)
 
 

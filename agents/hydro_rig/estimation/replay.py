@@ -63,6 +63,11 @@ class Commands(NamedTuple):
         boundary = None if self.boundary is None else self.boundary[:, :, :samples]
         return Commands(self.command[:, :samples], self.durations[:, : samples - 1], boundary)
 
+    def part(self, windows: NDArray[np.int64]) -> Commands:
+        """Some of the windows."""
+        boundary = None if self.boundary is None else self.boundary[windows]
+        return Commands(self.command[windows], self.durations[windows], boundary)
+
 
 def time_constant(config: TaskConfig) -> float:
     """Time constant in s of the pressure transducers; 0 for exact sensors."""
@@ -80,8 +85,10 @@ def replay(
     threads: int | None = None,
     lag: Floats | None = None,
     course: Floats | None = None,
-) -> tuple[Floats, Floats]:
-    """Readings of R plants, without noise and bias, and their states at the last sample.
+) -> Floats:
+    """Readings of R plants, without noise and bias, (R, sensors, T), in the order of ``SENSORS``.
+
+    They are NaN after a failure of the integration.
 
     Args:
         config: the task; it sets the integrator's accuracy and the transducers' lag.
@@ -95,14 +102,9 @@ def replay(
         threads: worker threads; ``None`` takes one per core.
         lag: time constant of the pressure transducers of each row, (R,), s; ``None``: that of the task.
         course: added to the setting of each row's supply, and to its pressure, (R, T), Pa; ``None``: 0.
-
-    Returns:
-        Readings (R, sensors, T) in the order of ``SENSORS``, and states (R, N_STATES). They are NaN after a failure
-        of the integration.
     """
     rows, samples = len(window), commands.command.shape[1]
     readings = np.full((rows, len(SENSORS), samples), np.nan)
-    state = np.array(start, dtype=np.float64)
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
     boundary = commands.boundary
     arguments: tuple[Any, ...] = (
@@ -115,21 +117,18 @@ def replay(
         np.full(rows, time_constant(config)) if lag is None else np.asarray(lag, dtype=np.float64),
         np.zeros((rows, samples)) if course is None else course,
         accuracy,
-        state,
+        np.array(start, dtype=np.float64),
         readings,
     )
     wanted = threads if threads is not None else (os.cpu_count() or 1)
     parts = max(1, min(wanted, rows // ROWS_PER_THREAD))
+    ends = [rows * part // parts for part in range(parts + 1)]
     if parts == 1:
         _replay(*arguments, 0, rows)
-        return readings, state
-
-    def run(part: int) -> None:
-        _replay(*arguments, rows * part // parts, rows * (part + 1) // parts)
-
+        return readings
     with ThreadPoolExecutor(parts, thread_name_prefix="estimation") as pool:
-        list(pool.map(run, range(parts)))
-    return readings, state
+        list(pool.map(lambda first, last: _replay(*arguments, first, last), ends[:-1], ends[1:]))
+    return readings
 
 
 def _build(sources: int) -> Any:

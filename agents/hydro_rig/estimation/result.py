@@ -38,7 +38,6 @@ class Estimate:
     chi2_per_sample: Floats  # (B,), about 1 if readings and model differ only by noise
     misfit: Floats  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
     holds: NDArray[np.bool_]  # (B,), whether the model explains the readings
-    iterations: Indices  # (B,), of the last fit
     searches: Indices  # (B,), 1 if the first search gave the result
     scaled: Floats  # (B, P), the values in standard deviations of the prior from its mean
     precision: Floats  # (B, P, P), inverse covariance of the scaled unknowns

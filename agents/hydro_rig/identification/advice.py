@@ -18,7 +18,7 @@ from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import usable_readings
 from hydro_rig.estimation.model import LONG_STEP, Model
-from hydro_rig.estimation.solver import equations_of, prior_belief, without
+from hydro_rig.estimation.solver import Belief, Linearised
 from hydro_rig.estimation.unknowns import priors_of, starts_of
 from hydro_rig.identification.fit import DETERMINED, Fit
 
@@ -113,14 +113,14 @@ def _information(commands: Floats, fit: Fit, config: TaskConfig, state: dict[str
     shared = np.arange(len(fit.names))
     precision = np.tile(np.eye(len(priors)), (len(commands), 1, 1))
     precision[:, shared[:, None], shared] += _widened(fit.information, fit)
-    linear = model.linearise(scaled, None, model.directions(precision, LONG_STEP))
-    measured = linear.readings * model.noise[:, None]
+    read, slopes = model.linearise(scaled, model.directions(precision, LONG_STEP))
+    measured = read * model.noise[:, None]
     for row, channel in enumerate(SENSORS):  # absent sensors give no information
         if f"{channel}_bias" not in fit.names and config.sensors.enabled:
             measured[:, row] = np.nan
     signals = np.concatenate([measured, commands[:, None]], axis=1)
     known = np.isfinite(usable_readings(signals, config, model))
-    jacobian = np.where(known[:, None], linear.jacobian, 0.0).reshape(len(commands), len(priors), -1)
+    jacobian = np.where(known[:, None], slopes, 0.0).reshape(len(commands), len(priors), -1)
     ones = np.ones((len(commands), jacobian.shape[2]))
-    prior = without(prior_belief(model, model.count).precision, shared)
-    return equations_of(0.0 * ones, jacobian, ones, scaled, prior, shared).information
+    belief = Belief.of_priors(model).without(shared)
+    return Linearised(0.0 * ones, jacobian, ones, known).equations(scaled, belief, shared).information

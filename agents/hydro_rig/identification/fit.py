@@ -129,7 +129,7 @@ def _beside_edges(common: Common, config: TaskConfig, ends: Floats) -> tuple[Joi
     """Interval ends on one side only: their unknowns move away from the found edge, and the others are fitted again."""
     joint, model = common.joint, common.model
     spread = spread_of(joint)
-    sides = sides_of(model, common.readings, joint, spread, ends, common.explained > 0)
+    sides = sides_of(common.problem, joint, spread, ends, common.explained > 0)
     edges = np.flatnonzero(sides.open)
     if not len(edges):
         return joint, spread, sides
@@ -141,7 +141,7 @@ def _beside_edges(common: Common, config: TaskConfig, ends: Floats) -> tuple[Joi
         moved[place] = beside_the_edge(name, model.priors[name], config.plant, limit, float(end))
         scaled += ridge(joint, edge) * (moved[place] - joint.scaled[0, place])
     scaled[:, places] = 0.0
-    again = fit_together(pinned(model, moved), common.readings, scaled)
+    again = fit_together(pinned(common.problem, moved), scaled)
     for place, value in moved.items():
         again.scaled[:, place] = value
     # The readings say nothing about them here.

@@ -187,8 +187,7 @@ def _simulated(
     early = None if boundary is None else boundary[:, :, : count + 1]
     found = estimate(unbiased[:, :, : count + 1], config, names, priors=fixed, physical=plants, boundary=early)
     model = Model(config, priors_of(config, names, fixed), windows[:, COMMAND], physical=plants, boundary=boundary)
-    read, _ = model.readings(found.scaled, np.arange(len(windows)))
-    readings: Floats = read * model.noise[:, None] + bias
+    readings: Floats = model.readings(found.scaled) * model.noise[:, None] + bias
     return readings
 
 

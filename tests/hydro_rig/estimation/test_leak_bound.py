@@ -58,8 +58,9 @@ def test_windows_hold_the_truth_and_the_faults(pid, windows):
         priors = priors_of(CONFIG, tuple(dict.fromkeys((*default_unknowns(CONFIG), *truth))))
         model, scaled = true_model(CONFIG, seen, priors)
         measured = usable_readings(seen.signals, CONFIG, model)
-        read, _ = model.readings(scaled, np.arange(seen.count))
-        assert np.nanmean((measured - read) ** 2) == pytest.approx(1.0, abs=0.05 if seen is windows else 0.08)
+        assert np.nanmean((measured - model.readings(scaled)) ** 2) == pytest.approx(
+            1.0, abs=0.05 if seen is windows else 0.08
+        )
         for name, value in truth.items():
             np.testing.assert_allclose(seen.value(name), value)
 
@@ -71,9 +72,7 @@ def test_one_unknown_is_known_as_well_as_its_derivative_says(windows):
     model, _ = true_model(CONFIG, windows, priors)
     used = np.isfinite(usable_readings(windows.signals, CONFIG, model))
     change = 1e-3  # l/min
-    above, below = (
-        model.readings(model.scaled(np.full((3, 1), LEAK + sign * change)), np.arange(3))[0] for sign in (1, -1)
-    )
+    above, below = (model.readings(model.scaled(np.full((3, 1), LEAK + sign * change))) for sign in (1, -1))
     slope = np.where(used, (above - below) / (2.0 * change), 0.0)
     closed = 1.0 / np.sqrt((slope**2).sum(axis=(1, 2)))
     np.testing.assert_allclose(sigma(told, unknowns={LEAKAGE: np.inf})[:, 0], closed, rtol=0.01)
@@ -121,7 +120,7 @@ def test_the_estimate_attains_the_bound(windows):
     one = windows.part(0, 1)
     priors = priors_of(CONFIG, FEW)
     model, scaled = true_model(CONFIG, one, priors)
-    true = model.readings(scaled, np.zeros(1, dtype=np.int64))[0][0] * model.noise[:, None]
+    true = model.readings(scaled)[0] * model.noise[:, None]
     noise = np.random.default_rng(0).standard_normal((copies, *true.shape)) * model.noise[:, None]
     command = np.broadcast_to(one.signals[:, -1:], (copies, 1, true.shape[1]))
     signals = np.concatenate([true + noise, command], axis=1)

@@ -74,7 +74,7 @@ def test_the_course_of_a_supply_is_the_sum_of_its_steps():
     commands = np.full((1, 101), 0.05)
     course = course_of(100 * CONFIG.control_period)
     assert course == ("supply.course_1", "supply.course_2")
-    window, priors = np.zeros(1, np.int64), priors_of(constant)
+    priors = priors_of(constant)
     moving = Model(constant, priors_of(constant, (*priors, *course)), commands)
     scaled = np.zeros((1, len(moving.names)))
     scaled[0, -2:] = 1.0
@@ -84,7 +84,7 @@ def test_the_course_of_a_supply_is_the_sum_of_its_steps():
     pressure = setting + step * (np.clip(time / 0.25, 0.0, 1.0) + np.clip(time / 0.25 - 1.0, 0.0, 1.0))
     boundary = np.stack([pressure[None], np.full((1, 101), np.nan)], axis=1)
     known = Model(constant, priors, commands, boundary=boundary)
-    read, expected = moving.readings(scaled, window)[0], known.readings(scaled[:, :-2], window)[0]
+    read, expected = moving.readings(scaled), known.readings(scaled[:, :-2])
     # The recorded pressure is the mean over a period, the course that at its end.
     np.testing.assert_allclose(read, expected, rtol=0.02, atol=2.0)
 
@@ -95,16 +95,14 @@ def test_a_recorded_pressure_at_the_setting_of_a_constant_supply_changes_nothing
     commands = np.tile(0.05 * np.sin(np.arange(100) / 10.0), (1, 1))
     pressure, tank = constant.plant.supply.pressure, constant.plant.supply.tank_pressure
     boundary = np.stack([np.full((1, 100), pressure), np.full((1, 100), tank)], axis=1)
-    scaled, window = np.zeros((1, len(priors))), np.zeros(1, np.int64)
+    scaled = np.zeros((1, len(priors)))
     plain = Model(constant, priors, commands)
     known = Model(constant, priors, commands, boundary=boundary)
     setting = float(plain.values(scaled)[0, plain.names.index("supply.pressure")])
     boundary[:, 0] = setting
-    np.testing.assert_allclose(
-        known.readings(scaled, window)[0], plain.readings(scaled, window)[0], rtol=1e-6, atol=1e-3
-    )
+    np.testing.assert_allclose(known.readings(scaled), plain.readings(scaled), rtol=1e-6, atol=1e-3)
     boundary[:, 0] = 1.1 * setting
-    assert np.abs(known.readings(scaled, window)[0] - plain.readings(scaled, window)[0]).max() > 10.0
+    assert np.abs(known.readings(scaled) - plain.readings(scaled)).max() > 10.0
     with pytest.raises(ConfigurationError, match=r"boundary: shape \(1, 2, 99\)"):
         Model(constant, priors, commands, boundary=boundary[:, :, :99])
 

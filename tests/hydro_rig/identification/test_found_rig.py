@@ -190,16 +190,14 @@ def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(mo
     """The first common fit leaves out one window; the second would leave out another: its result is of all it had."""
     misfits = {4: [1.0, 1.0, 1.0, 50.0], 3: [1.0, 1.0, 40.0]}
 
-    def fitted(model, readings, first, progress):
-        count = len(readings)
+    def fitted(problem, first, progress):
+        count = len(problem)
         nothing, none = np.zeros((count, 1)), np.empty(0, np.int64)
         misfit = np.array(misfits[count])
         own = np.zeros(1, np.int64)
         return Joint(nothing, own, nothing[..., None], nothing, misfit, none, np.zeros((count, 0, 1)), 0.0)
 
-    monkeypatch.setattr(common_fit, "Model", lambda config, priors, commands, boundary: None)
-    monkeypatch.setattr(common_fit, "usable_readings", lambda signals, config, model: signals)
-    monkeypatch.setattr(common_fit, "shared_and_own", lambda model: (np.zeros(1, np.int64), np.empty(0, np.int64)))
+    monkeypatch.setattr(common_fit, "replayed", lambda windows, config, priors: windows)
     monkeypatch.setattr(common_fit, "_first_values", lambda *_: [None])
     monkeypatch.setattr(common_fit, "descend", lambda *_, **__: (None, None))
     monkeypatch.setattr(common_fit, "costs_of", lambda *_: [0.0])

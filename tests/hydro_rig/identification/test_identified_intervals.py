@@ -10,6 +10,7 @@ from benchmarks.hidden_rigs import true_values
 from hydro_agents.detection.detector import Windows
 from hydro_env import PlantParameters
 from hydro_env.task.configuration import task_config
+from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification.common_fit import Joint
 from hydro_rig.identification.fit import Fit, fit_windows
@@ -114,28 +115,28 @@ class Saturating:
         self.edge = edge
         self.time = np.linspace(-1.0, 1.0, READINGS)
 
-    def readings(self, scaled, window):
+    def readings(self, scaled, samples=None):
         limit, gain = np.minimum(scaled[:, 0], self.edge), scaled[:, 1]
-        return (20.0 * limit[:, None] * self.time + 20.0 * gain[:, None])[:, None], None
+        return (20.0 * limit[:, None] * self.time + 20.0 * gain[:, None])[:, None]
 
 
 def fit_at(model, limit):
     """The fit at a value of the limit; its slope is that of differences to both sides."""
     scaled = np.tile([limit, 0.3], (WINDOWS, 1))
-    measured, _ = model.readings(scaled, np.arange(WINDOWS))
+    measured = model.readings(scaled)
     slope = 0.5 * (1.0 if limit < model.edge else 0.0) + 0.5 * (1.0 if limit <= model.edge else 0.0)
     jacobian = np.tile(20.0 * np.stack([slope * model.time, np.ones(READINGS)]), (WINDOWS, 1, 1))
     score = np.zeros((WINDOWS, 2))
     information = jacobian @ jacobian.transpose(0, 2, 1)
     rest = np.zeros(WINDOWS), np.empty(0, np.int64), np.zeros((WINDOWS, 0, 2)), 0.0
     joint = Joint(scaled, np.arange(2), information, score, *rest)
-    return model, measured, joint
+    return Problem(model, measured, None), joint
 
 
 @pytest.mark.parametrize("step", [0.5, 2.0])
 def test_a_limit_that_was_never_reached_leaves_the_cost_flat_on_one_side(step):
     fitted = fit_at(Saturating(), 0.5)
-    deviation = np.sqrt(np.diag(np.linalg.inv(fitted[2].precision)))
+    deviation = np.sqrt(np.diag(np.linalg.inv(fitted[1].precision)))
     rises = _rises(*fitted, step * np.tile(deviation[:, None], 2))
     assert rises[0, 1] < 0.25 < rises[0, 0]
     # Where the limit acts, the rise is that of the linear model, also along its ridge.
