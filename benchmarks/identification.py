@@ -67,13 +67,12 @@ def judged(hidden: HiddenRig) -> dict[str, Any]:
     except HydroError as error:
         return result | {"refused": str(error), "share": None, "explained": "", "time": time.monotonic() - began}
     fit = found.fit
-    for name, low, high, left, known, side in zip(
-        fit.names, fit.low, fit.high, fit.remaining, fit.determined, fit.side, strict=True
-    ):
-        value = hidden.true[name]
-        away = abs(value - 0.5 * (low + high)) / max((high - low) / 3.92, 1e-300)
-        row = {"name": name, "determined": bool(known), "side": int(side), "within": bool(low <= value <= high)}
-        result["unknowns"].append(row | {"left": float(left), "away": float(away)})
+    for one in fit.unknowns:
+        value = hidden.true[one.name]
+        away = abs(value - 0.5 * (one.low + one.high)) / max((one.high - one.low) / 3.92, 1e-300)
+        row = {"name": one.name, "determined": fit.knows(one), "side": one.side}
+        within = {"within": bool(one.low <= value <= one.high), "left": one.remaining, "away": float(away)}
+        result["unknowns"].append(row | within)
     return result | {
         "refused": "" if found.describes else found.verdict(),
         "share": None if np.isnan(found.share) else found.share,

@@ -92,11 +92,10 @@ def festo(folder: Path, samples: list[int], fitted: list[int]) -> None:
     print("| unknown | unit | found | 95 % interval | determined | standard deviation of the recordings |")
     print("|---|---|---:|---|---|---:|")
     repeats = {one.name: one for one in found.repeats}
-    fit = found.fit
-    for name, value, low, high, known in zip(fit.names, fit.values, fit.low, fit.high, fit.determined, strict=True):
-        look = shown(name, found.config.plant)
-        spread = repeats[name].spread if name in repeats else float("nan")
-        cells = [look.value(float(value), float(high - low)), look.span(float(low), float(high))]
+    for one in found.fit.unknowns:
+        look, known = shown(one.name, found.config.plant), found.fit.knows(one)
+        spread = repeats[one.name].spread if one.name in repeats else float("nan")
+        cells = [look.value(one.value, one.high - one.low), look.span(one.low, one.high)]
         own = "–" if np.isnan(spread) else look.value(spread, spread)
         print(f"| {look.words} | {look.unit} | {cells[0]} | {cells[1]} | {'yes' if known else 'no'} | {own} |")
     print(f"\nintervals of single recordings that hold the common value: {share_inside(found.repeats):.0%}\n")

@@ -69,7 +69,8 @@ def _commands(time: Floats, can: _Travel) -> dict[str, Floats]:
 
 def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Advice | None]:
     """For each undetermined unknown, the most informative motion of the identified plant; ``None`` if none helps."""
-    wanted = [name for name, known in zip(fit.names, fit.determined, strict=True) if not known]
+    wanted = {place: one for place, one in enumerate(fit.unknowns) if not fit.knows(one)}
+    nothing: dict[str, Advice | None] = {one.name: None for one in wanted.values()}
     if not wanted:
         return {}
     try:
@@ -78,23 +79,22 @@ def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Ad
         state, voltage = equilibrium(plant, middle)
         speeds = speed_limits(plant, plant.load.external_force + plant.load.spring_stiffness * middle)
     except HydroError:
-        return dict.fromkeys(wanted)
+        return nothing
     can = _Travel(high - low, speeds.extending, speeds.retracting, voltage / 10.0)
     if not min(can.reach, can.out, can.back) > 0.0:
-        return dict.fromkeys(wanted)
+        return nothing
     time = config.control_period * np.arange(round(DURATION / config.control_period), dtype=np.float64)
     commands = _commands(time, can)
     information = _information(np.clip(list(commands.values()), -1.0, 1.0), fit, config, state)
     # The recording is weighted by its widened intervals.
     present = _widened(fit.information, fit) + np.eye(len(fit.names))
     after = np.sqrt(np.einsum("mii->mi", np.linalg.inv(present + _widened(information, fit))))
-    advice: dict[str, Advice | None] = {}
-    for name in wanted:
-        place = fit.names.index(name)
+    advice = nothing
+    for place, one in wanted.items():
         best = int(after[:, place].argmin())
         left = float(after[best, place])
-        helps = left < LEAST_GAIN * fit.remaining[place]
-        advice[name] = Advice(list(commands)[best], left, left <= DETERMINED) if helps else None
+        if left < LEAST_GAIN * one.remaining:
+            advice[one.name] = Advice(list(commands)[best], left, left <= DETERMINED)
     return advice
 
 
@@ -106,9 +106,9 @@ def _widened(information: Floats, fit: Fit) -> Floats:
 def _information(commands: Floats, fit: Fit, config: TaskConfig, state: dict[str, float]) -> Floats:
     """Information of each candidate about the unknowns, (motions, p, p), with an unknown start."""
     starts = starts_of(config)
-    priors = fit.priors | priors_of(config, starts)
+    priors = {one.name: one.prior for one in fit.unknowns} | priors_of(config, starts)
     model = Model(config, priors, commands)
-    values = [*fit.values, *(state[name.removeprefix("start.")] for name in starts)]
+    values = [*fit.own().values(), *(state[name.removeprefix("start.")] for name in starts)]
     scaled = model.scaled(np.tile(values, (len(commands), 1)))
     shared = np.arange(len(fit.names))
     precision = np.tile(np.eye(len(priors)), (len(commands), 1, 1))

@@ -76,24 +76,6 @@ def found_plant(fit: Fit, config: TaskConfig) -> PlantParameters:
     return config.plant.replace(**groups)
 
 
-def found_biases(fit: Fit) -> list[float]:
-    """Bias of each channel, SI; 0 where it was not fitted."""
-    own = fit.own()
-    return [own.get(name, 0.0) for name in BIASES]
-
-
-def found_timing(fit: Fit) -> dict[str, float]:
-    """Latency of the command and rise time of the transducers, s, where the task's did not hold."""
-    own = fit.own()
-    return {name: own[name] for name in TIMING if name in own}
-
-
-def found_gains(fit: Fit) -> dict[str, float]:
-    """Gain of each sensor that has an unknown one, by name."""
-    own = fit.own()
-    return {name: own[name] for name in GAINS if name in own}
-
-
 def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
     """Lowest and highest value that a range allows, SI, including the value without the range.
 
@@ -117,25 +99,25 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
     """
     result: dict[str, dict[str, Any]] = {}
     plant = found_plant(fit, config)
-    for name, low, high, determined, side in zip(fit.names, fit.low, fit.high, fit.determined, fit.side, strict=True):
-        path = path_of(name)
+    for one in fit.unknowns:
+        path = path_of(one.name)
         if path not in ranges:
             continue
         given = ranges[path]
-        if not (determined or side):
+        if not (fit.knows(one) or one.side):
             result[path] = _undetermined(config.plant, path, given)
-        elif name == EXTERNAL_LEAKAGE:
-            result[path] = _external(low, high, given)
+        elif one.name == EXTERNAL_LEAKAGE:
+            result[path] = _external(one.low, one.high, given)
         else:
-            ends = _overlap((low, high), hull(config.plant, plant, path, given))
-            ends = (within_bounds(plant, path, ends[0]), within_bounds(plant, path, ends[1]))
+            low, high = _overlap((one.low, one.high), hull(config.plant, plant, path, given))
+            low, high = (within_bounds(plant, path, end) for end in (low, high))
             if given.times is None:
-                form = "log_uniform" if side and given.logarithmic else "uniform"
-                result[path] = {form: _rounded(ends)}
+                form = "log_uniform" if one.side and given.logarithmic else "uniform"
+                result[path] = {form: _rounded((low, high))}
             else:  # a ratio is never below the old one: breakaway stays above Coulomb friction
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
-                ratios = (max(ends[0] / factor, least), max(ends[1] / factor, least))
-                result[path] = {"uniform": _rounded(ratios), "times": given.times}
+                ratios = _rounded((max(low / factor, least), max(high / factor, least)))
+                result[path] = {"uniform": ratios, "times": given.times}
     return result
 
 
@@ -148,11 +130,11 @@ def _overlap(interval: tuple[float, float], before: tuple[float, float]) -> tupl
 def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> list[str]:
     """Names of the parameters whose whole interval lies outside the range of the rig file."""
     plant, names = found_plant(fit, config), []
-    for name, low, high in zip(fit.names, fit.low, fit.high, strict=True):
-        if name in ranges:
-            least, most = hull(config.plant, plant, name, ranges[name])
-            if high < least or low > most:
-                names.append(name)
+    for one in fit.unknowns:
+        if one.name in ranges:
+            least, most = hull(config.plant, plant, one.name, ranges[one.name])
+            if one.high < least or one.low > most:
+                names.append(one.name)
     return names
 
 

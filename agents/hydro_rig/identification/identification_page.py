@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,15 +27,16 @@ from hydro_env.task.sensors import POSITION
 from hydro_rig.identification.found_rig import rig_yaml, shown
 from hydro_rig.identification.held_back import HeldBack
 from hydro_rig.identification.identification_tables import (
+    as_json,
     combinations_table,
     errors_table,
     forecasts_table,
     open_table,
     place_of_part,
-    repeats_tables,
+    repeats_table,
     unknowns_table,
 )
-from hydro_rig.identification.identify import Identification, as_json
+from hydro_rig.identification.identify import Identification
 from hydro_rig.identification.repeatability import share_inside
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
@@ -80,11 +80,8 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
     if not found.describes:
         raise ConfigurationError(f"{found.source}: {found.verdict()}; see {folder / PAGE_FILE}")
     findings = [finding.line() for finding in found.findings]
-    open_ones = [name for name, known in zip(found.fit.names, found.fit.determined, strict=True) if not known]
-    lines = [*findings, *found.noted]
-    if open_ones:
-        lines.append(f"Not determined: {', '.join(open_ones)}")
-    return [*lines, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
+    left = [f"Not determined: {', '.join(found.undetermined)}"] if found.undetermined else []
+    return [*findings, *found.noted, *left, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
 
 
 def render_identification(found: Identification, origin: Origin) -> Page:
@@ -101,6 +98,7 @@ def render_identification(found: Identification, origin: Origin) -> Page:
         "Fitted to": f"{len(windows)} windows of {length:g} s"
         + (f" of {len(used)} recordings" if len(used) > 1 else ""),
         "Explained": f"{int(found.fit.explained.sum())} windows to within the sensors' noise",
+        "Left out": f"{int(np.isinf(found.fit.misfit).sum())} windows, which the model fits far worse than the others",
         "Held back": "; ".join(place_of_part(found, part) for part in found.held_back) or "nothing",
         "Standard deviations": f"widened by {found.fit.widening.min():.3g} to {found.fit.widening.max():.3g}",
     }
@@ -189,7 +187,7 @@ def repeatability(content: Content) -> list[Block]:
     )
     if not math.isnan(inside):
         note += f" {100 * inside:.0f} % of their 95 % intervals hold the common value."
-    return [Text(note), *repeats_tables(found)]
+    return [Text(note), repeats_table(found)]
 
 
 @section("What this recording cannot determine", needs=("identification",))
@@ -234,35 +232,18 @@ def paint_held_back(figure: Figure, part: HeldBack) -> None:
 
 def paint_intervals(figure: Figure, found: Identification) -> None:
     """Draw each unknown's 95 % interval, in standard deviations of its range; 0 is the middle of the range."""
-    fit = found.fit
-    axis = figure.subplots()
-    names = [shown(name, found.config.plant).words for name in fit.names]
-    low, middle, high = (_scaled(found, values) for values in (fit.low, fit.values, fit.high))
-    places = np.arange(len(names))
+    fit, axis = found.fit, figure.subplots()
     axis.axvspan(-1.7, 1.7, color=GREY, alpha=0.12, linewidth=0)
+    rows = [[one.prior.scaled(value) for value in (one.value, one.low, one.high)] for one in fit.unknowns]
+    middle, low, high = np.array(rows).T
+    determined, places = np.array([fit.knows(one) for one in fit.unknowns]), np.arange(len(rows))
     for known, colour, label in ((True, COLOURS["blue"], "determined"), (False, COLOURS["orange"], "not determined")):
-        rows = fit.determined == known
-        if rows.any():
-            reach = np.array([middle - low, high - middle])[:, rows]
-            axis.errorbar(middle[rows], places[rows], xerr=np.maximum(reach, 0.0), fmt="o", color=colour, label=label)
-    row_axis(axis, names)
-    limit = max(2.6, float(np.nanmax(np.abs([low, high]))) * 1.05)
-    end = min(limit, 6.0)
+        chosen = determined == known
+        if chosen.any():
+            reach = np.maximum(np.array([middle - low, high - middle])[:, chosen], 0.0)
+            axis.errorbar(middle[chosen], places[chosen], xerr=reach, fmt="o", color=colour, label=label)
+    row_axis(axis, [shown(name, found.config.plant).words for name in fit.names])
+    end = max(2.6, float(np.nanmax(np.abs([low, high]))) * 1.05)
     axis.set_xlim(-end, end)
-    for row in np.flatnonzero(np.abs(middle) > end):  # an arrow at the edge instead of a point beyond it
-        side, colour = np.sign(middle[row]), COLOURS["blue" if fit.determined[row] else "orange"]
-        axis.plot(side * end, places[row], ">" if side > 0 else "<", color=colour, markersize=7.0, clip_on=False)
-        words: dict[str, Any] = {"xytext": (-9.0 * side, 0), "textcoords": "offset points", "va": "center"}
-        text = f"at {number(float(middle[row]))}"
-        axis.annotate(text, (side * end, places[row]), ha="right" if side > 0 else "left", fontsize=8.0, **words)
     axis.set_xlabel("in standard deviations of the earlier range; shaded: about that range")
     axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-
-
-def _scaled(found: Identification, values: np.ndarray) -> np.ndarray:
-    """Values in standard deviations of their priors."""
-    scaled = []
-    for name, value in zip(found.fit.names, values.tolist(), strict=True):
-        prior = found.fit.priors[name]
-        scaled.append(prior.scaled(value))
-    return np.array(scaled)

@@ -1,33 +1,104 @@
-"""The tables of the page of an identification."""
+"""The numbers of an identification: for programs, and as tables of its page."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
 from hydro_agents.running.text import Table, listed, number
-from hydro_env.task.sensors import POSITION
+from hydro_env import __version__
+from hydro_env.task.sensors import POSITION, SENSORS
+from hydro_env.types import Floats
 from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, GAINS, LEAKAGE
+from hydro_rig.identification.fit import combinations
 from hydro_rig.identification.found_rig import TIMING, hull, path_of, share_in_words, shown
 from hydro_rig.identification.held_back import PRESSURES, HeldBack
 from hydro_rig.identification.identify import Identification
+from hydro_rig.identification.repeatability import share_inside
 
 MOST_COMBINATIONS = 6  # rows of the table of singular values, the least determined first
+
+
+def as_json(found: Identification, command: str) -> Any:
+    """The result for programs; SI units, leaks in l/min at 100 bar; ``None`` if there is no number."""
+    fit, sources = found.fit, [recording.source for recording in found.recordings]
+
+    def by_sensor(values: Floats, what: str = "") -> dict[str, float]:
+        return {f"{name}{what}": value for name, value in zip(SENSORS, values.tolist(), strict=True)}
+
+    unknowns, repeats = {}, {}
+    for one in fit.unknowns:
+        advice = found.advice.get(one.name)
+        unknowns[one.name] = {
+            "value": one.value,
+            "low": one.low,
+            "high": one.high,
+            "unit": "l/min at 100 bar" if one.name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI",
+            "remaining": one.remaining,
+            "determined": fit.knows(one),
+            "known_ends": {0: "both", 1: "low", -1: "high"}[one.side],
+            "widening": one.widening,
+            "motion_that_helps": advice.motion if advice is not None else None,
+        }
+    keys = ("value", "low", "high", "determined")
+    for repeat in found.repeats:
+        rows = zip(repeat.recordings, repeat.values, repeat.low, repeat.high, repeat.determined, strict=True)
+        repeats[repeat.name] = [
+            {"recording": sources[number], **dict(zip(keys, row, strict=True))} for number, *row in rows
+        ]
+    parts = [
+        {
+            "recording": sources[part.recording],
+            "from_s": part.begin,
+            "to_s": part.begin + float(part.time[-1]),
+            "share_of_variance": by_sensor(part.share),
+            **by_sensor(part.error, "_rms"),
+            "speed_rms": part.speed_error,
+            **dict(zip(("speed_out", "speed_in"), part.speed_ratios, strict=True)),
+        }
+        for part in found.held_back
+    ]
+    forecasts = [
+        {"over_s": over, "speed_rms": forecast.speed_error}
+        | by_sensor(forecast.share, "_share_of_variance")
+        | by_sensor(forecast.error, "_rms")
+        for over, forecast in found.tested.items()
+    ]
+    whole = {
+        "command": command,
+        "hydro_env": __version__,
+        "recordings": sources,
+        "rig": found.rig.source,
+        "describes": found.describes,
+        "verdict": found.verdict(),
+        "share_of_variance": by_sensor(found.tested[math.inf].share),
+        "forecasts": forecasts,
+        "held_back": {"why": found.parts.reason, "parts": parts},
+        "repeatability": repeats,
+        "repeats_inside_their_intervals": share_inside(found.repeats),
+        "windows": len(fit.misfit),
+        "windows_explained": int(fit.explained.sum()),
+        "another_minimum": dict(fit.second),
+        "unknowns": unknowns,
+        "singular_values": [one._asdict() for one in combinations(fit)],
+        "findings": [finding.line() for finding in found.findings],
+        "notes": found.noted,
+    }
+    return to_jsonable_python(whole, inf_nan_mode="null", fallback=lambda value: value.tolist())
 
 
 def unknowns_table(found: Identification) -> Table:
     """Each unknown: its range before, its value, its interval, and whether it is determined."""
     rows = []
-    fit, plant = found.fit, found.config.plant
-    for name, value, low, high, known, side in zip(
-        fit.names, fit.values, fit.low, fit.high, fit.determined, fit.side.tolist(), strict=True
-    ):
-        look, before = shown(name, plant), range_before(found, name)
-        width = look.value(float(value), float(high - low)), look.interval(float(low), float(high), side)
+    for one in found.fit.unknowns:
+        look, before = shown(one.name, found.config.plant), range_before(found, one.name)
         span = look.span(*before) if before is not None else "–"
-        rows.append((look.words, look.unit, span, *width, "yes" if known else "no"))
+        value, interval = look.value(one.value, one.high - one.low), look.interval(one.low, one.high, one.side)
+        rows.append((look.words, look.unit, span, value, interval, "yes" if found.fit.knows(one) else "no"))
     header = ("Unknown", "Unit", "Range before", "Found", "95 % interval", "Determined")
     return Table("", header, rows, style="words", folded=False)
 
@@ -46,14 +117,15 @@ def range_before(found: Identification, name: str) -> tuple[float, float] | None
 def open_table(found: Identification) -> Table | None:
     """The undetermined unknowns, each with a motion that would determine it; ``None`` if all are determined."""
     rows = []
-    for name, advice in found.advice.items():
-        before = f"{100 * found.fit.remaining[found.fit.names.index(name)]:.0f} %"
-        words = shown(name, found.config.plant).words
-        if advice is None:
-            rows.append((words, before, "none of the candidates", "–"))
-        else:
-            left = f"{100 * advice.remaining:.0f} %"
-            rows.append((words, before, advice.motion, left if advice.enough else f"{left}, not enough alone"))
+    for one in found.fit.unknowns:
+        if one.name in found.advice:
+            advice, words = found.advice[one.name], shown(one.name, found.config.plant).words
+            motion, left = (
+                ("none of the candidates", "–")
+                if advice is None
+                else (advice.motion, f"{100 * advice.remaining:.0f} %{'' if advice.enough else ', not enough alone'}")
+            )
+            rows.append((words, f"{100 * one.remaining:.0f} %", motion, left))
     header = ("Unknown", "Uncertainty left", "Most informative motion", "Left after 8 s of it")
     return Table("", header, rows, style="words") if rows else None
 
@@ -61,11 +133,12 @@ def open_table(found: Identification) -> Table | None:
 def combinations_table(found: Identification) -> Table:
     """The least determined combinations of unknowns."""
     rows = []
-    for one in found.combinations[:MOST_COMBINATIONS]:
+    for value, weights in combinations(found.fit)[:MOST_COMBINATIONS]:
         parts = [
-            f"{number(weight, 2, signed=True)} × {shown(name, found.config.plant).words}" for name, weight in one.parts
+            f"{number(weight, 2, signed=True)} × {shown(name, found.config.plant).words}"
+            for name, weight in weights.items()
         ]
-        rows.append((number(one.singular_value, digits=3), listed(parts) if parts else "many, none of them large"))
+        rows.append((number(value, digits=3), listed(parts) if parts else "many, none of them large"))
     return Table("", ("Singular value", "Combination"), rows, style="words")
 
 
@@ -108,32 +181,15 @@ def errors_table(found: Identification) -> Table:
     return Table("Root mean square errors; median of simulated over measured speed", header, rows, style="words")
 
 
-def repeats_tables(found: Identification) -> list[Table]:
-    """Spread of each unknown over the recordings, and all values."""
-    spreads, values = [], []
-    for one, common in zip(found.repeats, found.fit.values.tolist(), strict=True):
+def repeats_table(found: Identification) -> Table:
+    """Spread of each unknown over the recordings that determine it."""
+    rows = []
+    for one, common in zip(found.repeats, found.fit.own().values(), strict=True):
         look, known = shown(one.name, found.config.plant), one.determined
         if known.any():
-            own = one.values[known]
             width = float(np.median((one.high - one.low)[known]))
-            cells = [look.value(value, width) for value in (common, float(own.min()), float(own.max()), one.spread)]
+            values = (common, float(one.values[known].min()), float(one.values[known].max()), one.spread)
             holds = f"{int(one.inside[known].sum())} of {int(known.sum())}"
-            spreads.append((look.words, look.unit, *cells, holds))
-        for recording, value, low, high, sure in zip(one.recordings, one.values, one.low, one.high, known, strict=True):
-            name = Path(found.recordings[recording].source).name
-            interval = look.span(float(low), float(high))
-            row = (
-                look.words,
-                look.unit,
-                name,
-                look.value(float(value), float(high - low)),
-                interval,
-                "yes" if sure else "no",
-            )
-            values.append(row)
-    first = ("Unknown", "Unit", "All together", "Lowest", "Highest", "Standard deviation", "Intervals that hold it")
-    second = ("Unknown", "Unit", "Recording", "Value", "95 % interval", "Determined")
-    return [
-        Table("", first, spreads, style="words", folded=False),
-        Table("Every recording", second, values, style="words", folded=True),
-    ]
+            rows.append((look.words, look.unit, *(look.value(value, width) for value in values), holds))
+    header = ("Unknown", "Unit", "All together", "Lowest", "Highest", "Standard deviation", "Intervals that hold it")
+    return Table("", header, rows, style="words", folded=False)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from hydro_env.types import Floats
-from hydro_rig.identification.common_fit import Joint
 from hydro_rig.identification.fit import COVERAGE, DETERMINED, Fit
 
 BY_CHANCE = 0.05  # probability of a disagreement of sound recordings that counts
@@ -43,9 +42,9 @@ class _Alone(NamedTuple):
     disagreement: Floats  # (p,), standard deviation between the groups that their own uncertainty does not explain
 
 
-def _alone(fit: Fit, joint: Joint, group: NDArray[np.int64]) -> _Alone:
+def _alone(fit: Fit, group: NDArray[np.int64]) -> _Alone:
     """One Gauss–Newton step from the common values for each group; ``group``: its number of each used window."""
-    numbers, own = np.unique(group), np.eye(len(fit.names))
+    joint, numbers, own = fit.joint, np.unique(group), np.eye(len(fit.names))
     middle, deviation = np.empty((2, len(numbers), len(fit.names)))
     for row, number in enumerate(numbers):
         information = joint.information[group == number].sum(axis=0) + own
@@ -75,19 +74,20 @@ def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
         recording: number of the recording of each window, (B,).
     """
     group = recording[np.isfinite(fit.misfit)]
-    if fit.joint is None or len(group) < 2:
+    if len(group) < 2:
         return fit
     if len(np.unique(group)) < 2:
         group = np.arange(len(group)) * 2 // len(group)
-    low, high, remaining = fit.low.copy(), fit.high.copy(), fit.remaining.copy()
-    between = _alone(fit, fit.joint, group).disagreement
-    for place in np.flatnonzero((between > 0.0) & (fit.side == 0)).tolist():
-        prior, middle = fit.priors[fit.names[place]], fit.joint.common[place]
-        reach = np.minimum(np.hypot(COVERAGE * fit.remaining[place], COVERAGE * between[place]), COVERAGE)
-        ends = prior.value(np.array([middle - reach, middle + reach]))
-        low[place], high[place] = min(low[place], ends[0]), max(high[place], ends[1])
-        remaining[place] = reach / COVERAGE
-    return fit._replace(low=low, high=high, remaining=remaining)
+    unknowns = list(fit.unknowns)
+    between = _alone(fit, group).disagreement
+    for place, one in enumerate(unknowns):
+        if between[place] > 0.0 and not one.side:
+            middle = fit.joint.common[place]
+            reach = np.minimum(np.hypot(COVERAGE * one.remaining, COVERAGE * between[place]), COVERAGE)
+            low, high = one.prior.value(np.array([middle - reach, middle + reach])).tolist()
+            low, high = min(one.low, low), max(one.high, high)
+            unknowns[place] = one._replace(low=low, high=high, remaining=float(reach / COVERAGE))
+    return fit._replace(unknowns=tuple(unknowns))
 
 
 def repeats_of(fit: Fit, recording: NDArray[np.int64]) -> list[Repeat]:
@@ -98,21 +98,19 @@ def repeats_of(fit: Fit, recording: NDArray[np.int64]) -> list[Repeat]:
         recording: number of the recording of each window, (B,).
     """
     used = recording[np.isfinite(fit.misfit)]
-    if len(np.unique(used)) < 2 or fit.joint is None:
+    if len(np.unique(used)) < 2:
         return []
-    numbers, middle, deviation, between = _alone(fit, fit.joint, used)
+    numbers, middle, deviation, between = _alone(fit, used)
     reach = COVERAGE * np.minimum(np.hypot(deviation, between), 1.0)
+    inside = np.abs(middle - fit.joint.common) <= reach
     repeats = []
-    for place, name in enumerate(fit.names):
-        values, low, high = (
-            fit.priors[name].value(part[:, place]) for part in (middle, middle - reach, middle + reach)
-        )
-        inside = np.abs(middle[:, place] - fit.joint.common[place]) <= reach[:, place]
-        repeats.append(Repeat(name, numbers, values, low, high, deviation[:, place] <= DETERMINED, inside))
+    for place, one in enumerate(fit.unknowns):
+        ends = (one.prior.value(part[:, place]) for part in (middle, middle - reach, middle + reach))
+        repeats.append(Repeat(one.name, numbers, *ends, deviation[:, place] <= DETERMINED, inside[:, place]))
     return repeats
 
 
 def share_inside(repeats: list[Repeat]) -> float:
     """Share of the intervals of single recordings that hold the common value, where they determine it; NaN without."""
-    inside = [hold for one in repeats for hold, known in zip(one.inside, one.determined, strict=True) if known]
+    inside = [hold for one in repeats for hold in one.inside[one.determined].tolist()]
     return float(np.mean(inside)) if inside else float("nan")

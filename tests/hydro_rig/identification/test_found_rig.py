@@ -1,6 +1,7 @@
 """Fit of several windows, held-back parts, ranges of the rig that was found: known answers."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,7 +22,7 @@ from hydro_env.units import resistance_from_flow
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification import common_fit
 from hydro_rig.identification.common_fit import Joint
-from hydro_rig.identification.fit import Fit, combinations, unknowns_of
+from hydro_rig.identification.fit import Fit, Unknown, combinations, unknowns_of
 from hydro_rig.identification.found_rig import _line, _with_unit, found_values, narrowed
 from hydro_rig.identification.held_back import (
     HORIZONS,
@@ -75,11 +76,9 @@ RANGES = {
 
 def fit_of(values, remaining=None):
     """A fit with given values and ends of intervals by name: (value, low, high)."""
-    names = tuple(values)
-    value, low, high = np.array(list(values.values())).T
-    left = np.array([(remaining or {}).get(name, 0.1) for name in names])
-    priors = {name: Prior(1.0, 1.0) for name in names}
-    return Fit(names, priors, value, low, high, left, np.ones(len(names)), np.eye(len(names)), np.zeros(5))
+    left = remaining or {}
+    unknowns = [Unknown(name, Prior(1.0, 1.0), *three, left.get(name, 0.1), 1.0) for name, three in values.items()]
+    return Fit(tuple(unknowns), np.eye(len(values)), np.zeros(5), None)
 
 
 @pytest.mark.parametrize("misfit", [1.0, 9.0], ids=["explained", "not explained"])
@@ -89,15 +88,16 @@ def test_a_fit_that_explains_no_window_says_so_first(misfit):
     time, moving = np.linspace(0.0, 1.0, 101), np.tile(np.linspace(0.0, 0.1, 101), (4, 1))
     held = HeldBack(0, 0.0, time, moving, moving + 1e-5, np.ones(4))
     rig = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(8e-4, 2e-3))})
-    found = Identification([], [], rig, CONFIG, None, fit, PlantParameters(), [held], [], {}, [])
+    empty = dict.fromkeys(("recordings", "checked", "advice", "repeats", "parts"), ())
+    found = Identification(rig=rig, config=CONFIG, fit=fit, plant=PlantParameters(), held_back=[held], **empty)
     assert found.describes
     assert found.unexplained == (misfit > 4.0)
     assert found.verdict().startswith("no window is explained: " if misfit > 4.0 else "1 of 1 unknowns determined")
     other = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(4e-4, 6e-4))})
-    outside = found._replace(rig=other)
+    outside = replace(found, rig=other)
     assert outside.describes == (misfit < 4.0)  # a value outside its range, and no window explained: refused
-    assert any("rated pressure drop" in note for note in outside.noted)
-    assert not any("rated pressure drop" in note for note in found.noted)
+    assert any("rated flow" in note for note in outside.noted)
+    assert not any("rated flow" in note for note in found.noted)
 
 
 def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
@@ -110,14 +110,14 @@ def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
     for shift in (0.0, 0.004):
         moved = valve.model_copy(update={"null_shift": valve.null_shift + shift})
         wrong = config.plant.model_copy(update={"valve": moved})
-        held = simulate_held_back(part, config, wrong, np.zeros(4))
+        held = simulate_held_back(part, config, wrong, {})
         tested[shift] = {over: forecast_over([held], over) for over in HORIZONS} | {math.inf: whole_parts([held])}
     right, drifted = tested[0.0], tested[0.004]
     errors = [found.error[POSITION] for found in drifted.values()]
     assert errors == sorted(errors)
     assert drifted[math.inf].share[POSITION] < 0.9 < drifted[2.0].share[POSITION]
     assert right[2.0].share[POSITION] > 0.999
-    short = simulate_held_back(part._replace(signals=signals[0, :, :600]), config, config.plant, np.zeros(4))
+    short = simulate_held_back(part._replace(signals=signals[0, :, :600]), config, config.plant, {})
     assert forecast_over([short], 2.0) is None
     assert forecast_over([short], 0.5).error[POSITION] < 1e-3
 
@@ -178,12 +178,9 @@ def test_two_unknowns_that_compensate_each_other_are_named_as_one_combination():
     ridge = np.array([1.0, 1.0, 0.0])  # only their sum shows
     fit = fit._replace(information=100.0 * np.outer(ridge, ridge) + np.diag([0.0, 0.0, 4.0]))
     least, pressure, most = combinations(fit)
-    assert least.singular_value == pytest.approx(0.0, abs=1e-6)
-    parts = dict(least.parts)
-    assert parts["load.mass"] == pytest.approx(-parts["valve.underlap"])
-    assert pressure.singular_value == pytest.approx(2.0)
-    assert dict(pressure.parts) == pytest.approx({"supply.pressure": 1.0})
-    assert most.singular_value == pytest.approx(math.sqrt(200.0))
+    assert [least.value, pressure.value, most.value] == pytest.approx([0.0, 2.0, math.sqrt(200.0)], abs=1e-6)
+    assert least.parts["load.mass"] == pytest.approx(-least.parts["valve.underlap"])
+    assert pressure.parts == pytest.approx({"supply.pressure": 1.0})
 
 
 def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(monkeypatch):

@@ -13,8 +13,8 @@ from hydro_env.task.configuration import task_config
 from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification.common_fit import Joint
-from hydro_rig.identification.fit import Fit, fit_windows
-from hydro_rig.identification.found_rig import found_timing, found_values, narrowed, shown
+from hydro_rig.identification.fit import Fit, Unknown, fit_windows
+from hydro_rig.identification.found_rig import found_values, narrowed, shown
 from hydro_rig.identification.intervals import (
     _rises,
     beside_the_edge,
@@ -85,13 +85,13 @@ def test_intervals_are_as_wide_as_recordings_disagree(shift, before, after):
         rows = np.tile(found, (24, 1))
         joint = Joint(rows, np.arange(2), information, score, np.ones(24), none, np.zeros((24, 0, 0)), 0.0)
         spread = spread_of(joint)
-        ends = found - spread.reach, found + spread.reach
-        fit = Fit(names, dict.fromkeys(names, prior), found, *ends, spread.reach / 1.96, spread.widening,
-                  information.sum(axis=0), np.ones(24), joint)  # fmt: skip
+        columns = found, found - spread.reach, found + spread.reach, spread.reach / 1.96, spread.widening
+        unknowns = tuple(Unknown(name, prior, *row) for name, *row in zip(names, *columns, strict=True))
+        fit = Fit(unknowns, information.sum(axis=0), np.ones(24), joint)
         more = widened(fit, recording)
-        once += fit.low[0] <= 0.0 <= fit.high[0]
-        held += more.low[0] <= 0.0 <= more.high[0]
-        wider.append((more.high - more.low) / (fit.high - fit.low))
+        once += fit.unknowns[0].low <= 0.0 <= fit.unknowns[0].high
+        held += more.unknowns[0].low <= 0.0 <= more.unknowns[0].high
+        wider.append([(b.high - b.low) / (a.high - a.low) for a, b in zip(fit.unknowns, more.unknowns, strict=True)])
     assert once / 200 >= before
     assert held / 200 >= after
     assert np.median(wider, axis=0)[1] == 1.0  # of the unknown on which they agree
@@ -164,10 +164,10 @@ def test_the_intervals_of_unknowns_on_a_curve_hold_their_whole_valley(tmp_path):
     true = true_values(config, SEED, 0.3)
     place = fit.names.index("lines.wall_bulk_modulus")
     linear = np.sqrt(np.diag(np.linalg.inv(fit.joint.precision)))[place]
-    assert fit.remaining[place] > 2.0 * linear
-    for name in config.randomisation:
-        row = fit.names.index(name)
-        assert fit.low[row] <= true[name] <= fit.high[row], name
+    assert fit.unknowns[place].remaining > 2.0 * linear
+    for one in fit.unknowns:
+        if one.name in config.randomisation:
+            assert one.low <= true[one.name] <= one.high, one.name
 
 
 def test_the_value_of_an_open_interval_is_not_its_edge():
@@ -196,10 +196,10 @@ def test_a_rise_time_that_the_task_does_not_say_is_found(tmp_path):
     wrong = task_config(config, sensors={"pressure_rise_time": 4e-3})
     fit = fit_windows(Windows.of(signals[:, :800].reshape(5, 4, 200).transpose(1, 0, 2)), wrong, wrong.randomisation)
     assert fit.explained.all()
-    timing = found_timing(fit)
+    timing = fit.own()
     assert timing["pressure_rise_time"] == pytest.approx(config.sensors.pressure_rise_time, rel=0.1)
     assert timing["command_latency"] == pytest.approx(config.command_latency, abs=1e-4)
-    assert fit.low[0] <= 0.3 <= fit.high[0]
+    assert fit.unknowns[0].low <= 0.3 <= fit.unknowns[0].high
 
 
 def test_a_slew_limit_above_the_spools_speed_is_bounded_from_below(tmp_path):
@@ -210,15 +210,15 @@ def test_a_slew_limit_above_the_spools_speed_is_bounded_from_below(tmp_path):
     signals = read_recording(tmp_path / "a.csv").signals
     windows = signals[:, :800].reshape(5, 4, 200).transpose(1, 0, 2)
     fit = fit_windows(Windows.of(windows), config, config.randomisation)
-    place = fit.names.index("valve.slew_limit")
-    assert fit.side[place] == 1
-    assert not fit.determined[place]
-    assert fit.determined[fit.names.index("leakage_flow_lpm")]
+    limit = fit.unknowns[fit.names.index("valve.slew_limit")]
+    assert limit.side == 1
+    assert not fit.knows(limit)
+    assert fit.knows(fit.unknowns[fit.names.index("leakage_flow_lpm")])
     own = config.plant.valve.slew_limit
-    assert 0.05 * own < fit.low[place] < found_values(fit, config)["valve.slew_limit"] <= fit.high[place]
-    assert fit.high[place] == pytest.approx(2.0 * own)
+    assert 0.05 * own < limit.low < found_values(fit, config)["valve.slew_limit"] <= limit.high
+    assert limit.high == pytest.approx(2.0 * own)
     kept = narrowed(fit, config, config.randomisation)["valve.slew_limit"]["log_uniform"]
-    assert kept == pytest.approx([fit.low[place], fit.high[place]], rel=1e-4)
-    words = shown("valve.slew_limit", config.plant).interval(float(fit.low[place]), float(fit.high[place]), 1)
+    assert kept == pytest.approx([limit.low, limit.high], rel=1e-4)
+    words = shown("valve.slew_limit", config.plant).interval(limit.low, limit.high, 1)
     assert words.startswith("at least ")
-    assert math.isclose(float(words.split(" ")[-1]), fit.low[place], rel_tol=0.02)
+    assert math.isclose(float(words.split(" ")[-1]), limit.low, rel_tol=0.02)

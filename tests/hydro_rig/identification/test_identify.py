@@ -233,7 +233,7 @@ def test_without_pressures_the_motion_that_would_help_is_named(folder):
     signals[:, 0], signals[:, 4] = signals[:, 0, :1], 0.0
     signals[:, 0] += 30e-6 * np.random.default_rng(0).standard_normal(signals[:, 0].shape)
     fit = fit_windows(Windows.of(signals), config, config.randomisation)
-    assert not fit.determined[fit.names.index("load.mass")]
+    assert not fit.knows(fit.unknowns[fit.names.index("load.mass")])
     assert "pressure_a_bias" not in fit.names
     advice = advise(fit, config, config.plant)
     assert advice["valve.rated_flow"] is not None
