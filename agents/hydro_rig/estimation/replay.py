@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
-from hydro_env.compiling import SOURCES, compiled, named_tuple, tuple_writer
+from hydro_env.compiling import SOURCES, compiled, inline
 from hydro_env.plant.arrays import N_COEFFICIENTS, read_physical, read_state, write_coefficients
 from hydro_env.plant.equations import Coefficients, coefficients, derivatives
 from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.plant.states import State
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import lagged
 from hydro_env.types import Floats
@@ -30,6 +30,7 @@ RISE = math.log(9.0)  # 10–90 % rise time of a first-order lag over its time c
 MOST_STEPS = 500.0
 """Largest number of inner steps between two samples; a plant that needs more could not have moved as recorded."""
 
+SPOOL = SENSORS.index("spool_position")
 _CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = (
     State._fields.index(name) for name in ("coil_current", "gas_volume", "supply_pressure")
 )
@@ -39,9 +40,14 @@ _TANK, _RELIEF, _SUPPLY_DYNAMICS, _LINE_STIFFNESS = (
     for name in ("tank_pressure", "relief_pressure", "supply_dynamics", "line_stiffness")
 )
 
-Reading = named_tuple("Reading", SENSORS, __name__)  # what the sensors read at one instant
 
-_write_reading = tuple_writer(Reading)
+@inline
+def sense(s, sensed, reading):
+    """Write what the sensors read in the states ``s``; ``sensed``: the signals of the pressure transducers."""
+    reading[POSITION] = s.position
+    reading[PRESSURE_A] = sensed[0]
+    reading[PRESSURE_B] = sensed[1]
+    reading[SPOOL] = s.spool_position
 
 
 class Lag(NamedTuple):
@@ -176,13 +182,7 @@ def _build(sources: int) -> Any:
             true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
             sensed[row, 0] = s.pressure_a - time_constant * rate.pressure_a
             sensed[row, 1] = s.pressure_b - time_constant * rate.pressure_b
-            reading = Reading(
-                position=s.position,
-                pressure_a=sensed[row, 0],
-                pressure_b=sensed[row, 1],
-                spool_position=s.spool_position,
-            )
-            _write_reading(readings[first + row, :, 0], reading)
+            sense(s, sensed[row], readings[first + row, :, 0])
         for sample in range(1, samples):
             for row in range(rows):
                 source = window[first + row]
@@ -214,13 +214,7 @@ def _build(sources: int) -> Any:
                 sensed[row, 0] = lagged(sensed[row, 0], true[row, 0], s.pressure_a, lag)
                 sensed[row, 1] = lagged(sensed[row, 1], true[row, 1], s.pressure_b, lag)
                 true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
-                reading = Reading(
-                    position=s.position,
-                    pressure_a=sensed[row, 0],
-                    pressure_b=sensed[row, 1],
-                    spool_position=s.spool_position,
-                )
-                _write_reading(readings[first + row, :, sample], reading)
+                sense(s, sensed[row], readings[first + row, :, sample])
 
     return compiled(run)
 

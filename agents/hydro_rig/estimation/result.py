@@ -103,19 +103,18 @@ class Estimate:
         precision = np.linalg.inv(np.linalg.inv(self.precision)[:, :count, :count])
         return replace(self, names=names, **own, covariance=self.covariance[:, :count, :count], precision=precision)
 
-    def take(self, windows: Indices, by: Estimate, better: NDArray[np.bool_] | None = None) -> Indices:
+    def take(self, windows: Indices, by: Estimate, better: NDArray[np.bool_]) -> Indices:
         """Replace windows by those of another estimate; returns the replaced ones.
 
         Args:
             windows: of this estimate, (C,).
             by: the C windows of the other estimate; further unknowns behind those of this one are left unknown.
-            better: which of them to take, (C,); ``None``: all.
+            better: which of them to take, (C,).
         """
-        chosen = np.arange(len(windows)) if better is None else np.flatnonzero(better)
         by = by if by.names == self.names else by.among(self.names)
         for name in _PER_WINDOW:
-            getattr(self, name)[windows[chosen]] = getattr(by, name)[chosen]
-        return windows[chosen]
+            getattr(self, name)[windows[better]] = getattr(by, name)[better]
+        return windows[better]
 
     def _place(self, name: str) -> int:
         if name not in self.names:

@@ -121,7 +121,7 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
         again.holds[:] &= again.value(LEAKAGE) + SURE * again.deviation(LEAKAGE) >= 0.0
     again.spikes[:] = spikes.sum(axis=2) / np.maximum(readable.sum(axis=2), 1)
     again.unlikelihood[:] = unlikelihood
-    found.take(odd, again)
+    found.take(odd, again, np.ones(len(odd), np.bool_))
 
 
 def _row_of_the_command(problem: Problem, scaled: Floats) -> tuple[Floats, Indices]:

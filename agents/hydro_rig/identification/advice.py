@@ -67,10 +67,9 @@ def _commands(time: Floats, can: _Travel) -> dict[str, Floats]:
     }
 
 
-def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Advice | None]:
-    """For each undetermined unknown, the most informative motion of the identified plant; ``None`` if none helps."""
+def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Advice]:
+    """The most informative motion of the identified plant for each undetermined unknown that one helps to determine."""
     wanted = {place: one for place, one in enumerate(fit.unknowns) if not fit.knows(one)}
-    nothing: dict[str, Advice | None] = {one.name: None for one in wanted.values()}
     if not wanted:
         return {}
     try:
@@ -79,17 +78,17 @@ def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Ad
         state, voltage = equilibrium(plant, middle)
         speeds = speed_limits(plant, plant.load.external_force + plant.load.spring_stiffness * middle)
     except HydroError:
-        return nothing
+        return {}
     can = _Travel(high - low, speeds.extending, speeds.retracting, voltage / 10.0)
     if not min(can.reach, can.out, can.back) > 0.0:
-        return nothing
+        return {}
     time = config.control_period * np.arange(round(DURATION / config.control_period), dtype=np.float64)
     commands = _commands(time, can)
     information = _information(np.clip(list(commands.values()), -1.0, 1.0), fit, config, state)
     # The recording is weighted by its widened intervals.
     present = _widened(fit.information, fit) + np.eye(len(fit.names))
     after = np.sqrt(np.einsum("mii->mi", np.linalg.inv(present + _widened(information, fit))))
-    advice = nothing
+    advice = {}
     for place, one in wanted.items():
         best = int(after[:, place].argmin())
         left = float(after[best, place])

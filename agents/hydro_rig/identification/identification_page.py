@@ -80,7 +80,8 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
     if not found.describes:
         raise ConfigurationError(f"{found.source}: {found.verdict()}; see {folder / PAGE_FILE}")
     findings = [finding.line() for finding in found.findings]
-    left = [f"Not determined: {', '.join(found.undetermined)}"] if found.undetermined else []
+    names = ", ".join(one.name for one in found.undetermined)
+    left = [f"Not determined: {names}"] if names else []
     return [*findings, *found.noted, *left, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
 
 

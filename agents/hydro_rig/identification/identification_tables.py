@@ -16,10 +16,11 @@ from hydro_env.types import Floats
 from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, GAINS, LEAKAGE
 from hydro_rig.identification.fit import combinations
 from hydro_rig.identification.found_rig import TIMING, hull, path_of, share_in_words, shown
-from hydro_rig.identification.held_back import PRESSURES, HeldBack
+from hydro_rig.identification.held_back import PRESSURES, Forecast, HeldBack
 from hydro_rig.identification.identify import Identification
 from hydro_rig.identification.repeatability import share_inside
 
+ERRORS = ("Position, mm", "Speed, mm/s", "Pressure a, bar", "Pressure b, bar")
 MOST_COMBINATIONS = 6  # rows of the table of singular values, the least determined first
 
 
@@ -117,15 +118,12 @@ def range_before(found: Identification, name: str) -> tuple[float, float] | None
 def open_table(found: Identification) -> Table | None:
     """The undetermined unknowns, each with a motion that would determine it; ``None`` if all are determined."""
     rows = []
-    for one in found.fit.unknowns:
+    for one in found.undetermined:
+        motion, left = "none of the candidates", "–"
         if one.name in found.advice:
-            advice, words = found.advice[one.name], shown(one.name, found.config.plant).words
-            motion, left = (
-                ("none of the candidates", "–")
-                if advice is None
-                else (advice.motion, f"{100 * advice.remaining:.0f} %{'' if advice.enough else ', not enough alone'}")
-            )
-            rows.append((words, f"{100 * one.remaining:.0f} %", motion, left))
+            motion, after, enough = found.advice[one.name]
+            left = f"{100 * after:.0f} %{'' if enough else ', not enough alone'}"
+        rows.append((shown(one.name, found.config.plant).words, f"{100 * one.remaining:.0f} %", motion, left))
     header = ("Unknown", "Uncertainty left", "Most informative motion", "Left after 8 s of it")
     return Table("", header, rows, style="words") if rows else None
 
@@ -146,18 +144,12 @@ def forecasts_table(found: Identification) -> Table:
     """Errors and shares of variance over times from a measured state, and over the whole parts."""
     rows = []
     for over, forecast in found.tested.items():
-        sizes = (1e3 * forecast.error[POSITION], 1e3 * forecast.speed_error, *(1e-5 * forecast.error[list(PRESSURES)]))
         shares = ["–" if math.isnan(share) else share_in_words(share) for share in forecast.share.tolist()]
         name = f"{over:g} s" if math.isfinite(over) else "the whole part"
-        rows.append((name, *(number(float(size), digits=2) for size in sizes), *shares))
-    words = ("position", "pressure a", "pressure b", "spool")
-    errors = ("Position, mm", "Speed, mm/s", "Pressure a, bar", "Pressure b, bar")
-    return Table(
-        "How the error grows: root mean square error, and share of the variance explained",
-        ("Simulated for", *errors, *(f"Share: {word}" for word in words)),
-        rows,
-        style="words",
-    )
+        rows.append((name, *_sizes(forecast), *shares))
+    shares = [f"Share: {word}" for word in ("position", "pressure a", "pressure b", "spool")]
+    caption = "How the error grows: root mean square error, and share of the variance explained"
+    return Table(caption, ("Simulated for", *ERRORS, *shares), rows, style="words")
 
 
 def place_of_part(found: Identification, part: HeldBack) -> str:
@@ -170,15 +162,18 @@ def errors_table(found: Identification) -> Table:
     """Errors of each held-back part in mm, mm/s and bar."""
     rows = []
     for part in found.held_back:
-        out, back = (
-            f"{number(100 * ratio, 1, signed=True)} %" if ratio == ratio else "–" for ratio in part.speed_ratios
-        )
-        error = part.error
-        sizes = (1e3 * error[POSITION], 1e3 * part.speed_error, *(1e-5 * error[row] for row in PRESSURES))
-        position, speed, *pressures = (number(float(size), digits=2) for size in sizes)
+        ratios = [number(100 * ratio, 1, signed=True) for ratio in part.speed_ratios]
+        out, back = (ratio if ratio == "–" else f"{ratio} %" for ratio in ratios)
+        position, speed, *pressures = _sizes(part)
         rows.append((place_of_part(found, part), position, speed, out, back, *pressures))
-    header = ("Held back", "Position, mm", "Speed, mm/s", "Speed out", "Speed in", "Pressure a, bar", "Pressure b, bar")
+    header = ("Held back", *ERRORS[:2], "Speed out", "Speed in", *ERRORS[2:])
     return Table("Root mean square errors; median of simulated over measured speed", header, rows, style="words")
+
+
+def _sizes(errors: HeldBack | Forecast) -> list[str]:
+    """Errors in the units of :data:`ERRORS`."""
+    position, pressures = 1e3 * errors.error[POSITION], 1e-5 * errors.error[list(PRESSURES)]
+    return [number(float(size), digits=2) for size in (position, 1e3 * errors.speed_error, *pressures)]
 
 
 def repeats_table(found: Identification) -> Table:

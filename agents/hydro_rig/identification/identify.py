@@ -18,7 +18,7 @@ from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
 from hydro_rig.identification.advice import Advice, advise
 from hydro_rig.identification.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
-from hydro_rig.identification.fit import Fit, Progress, fit_windows
+from hydro_rig.identification.fit import Fit, Progress, Unknown, fit_windows
 from hydro_rig.identification.found_rig import (
     beyond_range,
     found_plant,
@@ -67,7 +67,7 @@ class Identification:
     fit: Fit
     plant: PlantParameters
     held_back: list[HeldBack]
-    advice: dict[str, Advice | None]
+    advice: dict[str, Advice]  # by undetermined unknown, where a motion helps
     repeats: list[Repeat]
 
     @cached_property
@@ -123,9 +123,9 @@ class Identification:
         return not self.fit.explained.any()
 
     @property
-    def undetermined(self) -> list[str]:
-        """Names of the unknowns that the recordings do not determine."""
-        return [one.name for one in self.fit.unknowns if not self.fit.knows(one)]
+    def undetermined(self) -> list[Unknown]:
+        """The unknowns that the recordings do not determine."""
+        return [one for one in self.fit.unknowns if not self.fit.knows(one)]
 
     @cached_property
     def beyond(self) -> list[str]:
