@@ -7,8 +7,7 @@ inverse variances of the noise and P those of the priors; no unbiased estimate o
 *Detection, Estimation, and Modulation Theory* I, 1968, section 2.4). Information adds up over sensors and samples; one
 Jacobian therefore serves every choice of sensors, every shorter window and every smaller set of unknowns.
 
-The bound assumes that the model has the true structure. It depends on what else is unknown: :func:`unknown_sets` gives
-sets from none to a worn valve, sensor gains and forces.
+The bound assumes that the model has the true structure. It depends on what else is unknown (:func:`unknown_sets`).
 """
 
 from __future__ import annotations
@@ -26,16 +25,7 @@ from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import usable_readings
 from hydro_rig.estimation.known_windows import KnownWindows
 from hydro_rig.estimation.model import Model
-from hydro_rig.estimation.unknowns import (
-    BIASES,
-    GAINS,
-    LEAKAGE,
-    STARTS,
-    Prior,
-    default_unknowns,
-    prior_of,
-    priors_of,
-)
+from hydro_rig.estimation.unknowns import BIASES, LEAKAGE, STARTS, Prior, default_unknowns
 
 TOLERANCE = 1e-8  # tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %
 
@@ -46,21 +36,8 @@ With smaller steps the integrator's error dominates; with larger ones the readin
 this step changes the bound by 0.01 %, a step ten times as large by up to 1 %.
 """
 
-WINDOWS_PER_BATCH = 16  # number of windows that are linearised together; more would only need more memory
-
-LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, EVERYTHING = (
-    "the leak alone",
-    "start and biases too",
-    "the plant too",
-    "a worn valve too",
-    "gains and forces too",
-)
-"""Names of the sets; each contains the previous one."""
-
-_WEAR = {"valve.null_shift": (0.01, False), "valve.underlap": (0.03, False), "valve.rated_flow": (0.2, True)}
-"""Standard deviation of a worn valve's parameters, of full stroke or (if true) of the logarithm."""
-
-_FURTHER = (*GAINS, "supply.tank_pressure", "load.external_force")
+LEAK_ALONE, PLANT_KNOWN, TASK = "the leak alone", "start and biases too", "the plant too"
+"""Names of sets of unknowns; each contains the previous one."""
 
 
 class Information(NamedTuple):
@@ -101,17 +78,12 @@ def information(
         if not period <= length <= whole * (1.0 + 1e-9):
             raise ConfigurationError(f"window = {length:g} s: must be within {period:g} to {whole:g} s")
     ends = [round(length / period) + 1 for length in given]
-    matrices, units = [], []
-    for first in range(0, windows.count, WINDOWS_PER_BATCH):
-        part = windows.part(first, first + WINDOWS_PER_BATCH)
-        model, scaled = true_model(config, part, priors, threads)
-        used = np.isfinite(usable_readings(part.signals, config, model))
-        jacobian = np.where(used[:, None], jacobian_at(model, scaled), 0.0)[:, :, :, : ends[-1]]
-        pieces = np.split(jacobian, ends[:-1], axis=3)
-        steps = [np.einsum("bpct,bqct->bcpq", piece, piece, optimize=True) for piece in pieces]
-        matrices.append(np.cumsum(np.stack(steps, axis=1), axis=1))
-        units.append(model.derivative(scaled))
-    return Information(tuple(priors), given, np.concatenate(matrices), np.concatenate(units))
+    model, scaled = true_model(config, windows, priors, threads)
+    used = np.isfinite(usable_readings(windows.signals, config, model))
+    jacobian = np.where(used[:, None], jacobian_at(model, scaled), 0.0)[:, :, :, : ends[-1]]
+    pieces = np.split(jacobian, ends[:-1], axis=3)
+    steps = [np.einsum("bpct,bqct->bcpq", piece, piece, optimize=True) for piece in pieces]
+    return Information(tuple(priors), given, np.cumsum(np.stack(steps, axis=1), axis=1), model.derivative(scaled))
 
 
 def true_model(
@@ -139,7 +111,7 @@ def jacobian_at(model: Model, scaled: Floats) -> Floats:
 def sigma(
     known: Information,
     name: str = LEAKAGE,
-    unknowns: Mapping[str, float] | Sequence[str] | None = None,
+    unknowns: Sequence[str] | None = None,
     sensors: Sequence[str] = SENSORS,
 ) -> Floats:
     """The bound of one unknown: its smallest standard deviation, (B, lengths), in its unit.
@@ -147,8 +119,7 @@ def sigma(
     Args:
         known: information of the readings.
         name: of the unknown.
-        unknowns: names of all unknowns, the others are known exactly; or factors on the standard deviations of their
-            priors, by name: ``inf`` means no prior. ``None``: all.
+        unknowns: names of all unknowns, the others are known exactly; ``None``: all.
         sensors: available sensors.
 
     Raises:
@@ -162,8 +133,7 @@ def sigma(
     places = [known.names.index(one) for one in names]
     rows = [SENSORS.index(sensor) for sensor in sensors]
     matrix = known.matrix[:, :, rows].sum(axis=2)[..., places, :][..., places]
-    width = np.array([unknowns[one] if isinstance(unknowns, Mapping) else 1.0 for one in names])
-    matrix = matrix + np.diag(1.0 / width**2)
+    matrix = matrix + np.eye(len(names))  # the priors
     # The unknowns have very different information; scaling each by its own keeps the inverse accurate.
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", matrix), 1e-300))
     inverse = np.linalg.inv(matrix * scale[..., :, None] * scale[..., None, :])
@@ -173,33 +143,8 @@ def sigma(
     return result
 
 
-def unknown_sets(config: TaskConfig) -> tuple[dict[str, Prior], dict[str, dict[str, float]]]:
-    """Priors of many unknowns; and sets of them by name, each with factors on the deviations of these priors."""
+def unknown_sets(config: TaskConfig) -> dict[str, tuple[str, ...]]:
+    """Sets of the unknowns of a task by name."""
     task = default_unknowns(config)
-    own = {name: prior_of(config, name) for name in _WEAR}
-    worn = {name: _widened(prior, *_WEAR[name]) for name, prior in own.items()}
-    as_drawn = {name: _linear(own[name], worn[name]) / worn[name].deviation for name in worn}
     start = [name for name in task if name in (*BIASES, *STARTS)]
-    with_wear = dict.fromkeys((*task, *worn), 1.0)
-    everything = with_wear | dict.fromkeys(_FURTHER, 1.0)
-    sets = {
-        LEAK_ALONE: {LEAKAGE: 1.0},
-        PLANT_KNOWN: dict.fromkeys((LEAKAGE, *start), 1.0),
-        TASK: {name: as_drawn.get(name, 1.0) for name in task},
-        WORN_VALVE: with_wear,
-        EVERYTHING: everything,
-    }
-    return priors_of(config, tuple(everything), worn), sets
-
-
-def _widened(prior: Prior, deviation: float, logarithmic: bool) -> Prior:
-    """The prior of a worn valve; a wider range of the task is kept."""
-    wide = Prior(prior.mean, deviation, logarithmic and prior.mean > 0.0)
-    return Prior(wide.mean, max(deviation, _linear(prior, wide)), wide.logarithmic)
-
-
-def _linear(prior: Prior, like: Prior) -> float:
-    """Standard deviation of a prior in the scale of another prior of the same unknown, to first order."""
-    if prior.logarithmic == like.logarithmic:
-        return prior.deviation
-    return prior.deviation * prior.mean if prior.logarithmic else prior.deviation / prior.mean
+    return {LEAK_ALONE: (LEAKAGE,), PLANT_KNOWN: (LEAKAGE, *start), TASK: task}

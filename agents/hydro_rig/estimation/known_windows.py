@@ -49,12 +49,8 @@ class KnownWindows:
 
     @property
     def count(self) -> int:
-        """Number of windows."""
+        """B."""
         return len(self.signals)
-
-    def part(self, first: int, last: int) -> KnownWindows:
-        """The windows from ``first`` to before ``last``."""
-        return KnownWindows(**{name: values[first:last] for name, values in vars(self).items()})
 
     def value(self, name: str) -> Floats:
         """True values (B,) of an unknown of :mod:`hydro_rig.estimation.unknowns`, in its unit."""

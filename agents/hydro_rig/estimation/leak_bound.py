@@ -136,11 +136,10 @@ def surveyed(
     Raises:
         ConfigurationError: an episode cannot begin.
     """
-    priors, sets = unknown_sets(config)
-    choices, task = sensor_choices(config), MOTIONS[motion](config)
+    sets, choices, task = unknown_sets(config), sensor_choices(config), MOTIONS[motion](config)
     cases = leak_cases(EVALUATION.take(plants), plants, leak)
     windows = known_windows(task, controller, cases, BEGIN, max(lengths))
-    known = information(task, windows, priors, lengths, threads=1)
+    known = information(task, windows, priors_of(config), lengths, threads=1)
     pairs = [(name, ALL_SENSORS) for name in sets] + [(TASK, name) for name in choices if name != ALL_SENSORS]
     frames = []
     for name, sensors in pairs:

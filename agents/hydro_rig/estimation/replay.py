@@ -17,7 +17,7 @@ from hydro_env.plant.equations import Coefficients, coefficients, derivatives
 from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.plant.states import State
-from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS
+from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS, SPOOL
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import lagged
 from hydro_env.types import Floats
@@ -30,7 +30,6 @@ RISE = math.log(9.0)  # 10–90 % rise time of a first-order lag over its time c
 MOST_STEPS = 500.0
 """Largest number of inner steps between two samples; a plant that needs more could not have moved as recorded."""
 
-SPOOL = SENSORS.index("spool_position")
 _CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = (
     State._fields.index(name) for name in ("coil_current", "gas_volume", "supply_pressure")
 )
@@ -42,7 +41,7 @@ _TANK, _RELIEF, _SUPPLY_DYNAMICS, _LINE_STIFFNESS = (
 
 
 @inline
-def sense(s, sensed, reading):
+def sense(s: Any, sensed: Floats, reading: Floats) -> None:
     """Write what the sensors read in the states ``s``; ``sensed``: the signals of the pressure transducers."""
     reading[POSITION] = s.position
     reading[PRESSURE_A] = sensed[0]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import SPOOL
 from hydro_env.types import Floats
 from hydro_rig.estimation.errors import Errors, errors_of, spikes_of
 from hydro_rig.estimation.model import LONG_STEP
@@ -127,11 +127,11 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
 def _row_of_the_command(problem: Problem, scaled: Floats) -> tuple[Floats, Indices]:
     """Scaled latency, (B,), and by how many rows the command is late, (B,): by the spool, which follows it."""
     model = problem.model
-    place, spool, rows = model.names.index(LATENCY), SENSORS.index("spool_position"), np.array([0, -1, 1])
+    place, rows = model.names.index(LATENCY), np.array([0, -1, 1])
     shifts = rows * model.config.control_period / timing_priors(model.config)[LATENCY].deviation
     tried = np.repeat(scaled[:, None], len(rows), axis=1)
     tried[:, :, place] += shifts
-    away = problem.residual(tried)[:, :, spool]
+    away = problem.residual(tried)[:, :, SPOOL]
     best = np.argmin((np.where(np.isfinite(away), away, 0.0) ** 2).sum(axis=2), axis=1)
     return scaled[:, place] + shifts[best], rows[best]
 

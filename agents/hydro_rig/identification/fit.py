@@ -162,7 +162,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
     shared = common.joint.shared
     names = tuple(common.model.names[place] for place in shared)
     priors = {name: common.model.priors[name] for name in names}
-    ends = range_ends(config, ranges, priors, names)
+    ends = range_ends(config, ranges, priors)
     joint, spread, sides = _beside_edges(common, config, ends)
     values = common.model.values(joint.scaled[0])[shared].tolist()
     reach = np.minimum(np.maximum(sides.reach, spread.reach[:, None]), COVERAGE) * np.array([-1.0, 1.0])

@@ -13,11 +13,12 @@ from hydro_agents.running.text import Table, listed, number
 from hydro_env import __version__
 from hydro_env.task.sensors import POSITION, SENSORS
 from hydro_env.types import Floats
-from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, GAINS, LEAKAGE
+from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, GAINS, LATENCY, LEAKAGE, RISE_TIME
 from hydro_rig.identification.fit import combinations
-from hydro_rig.identification.found_rig import TIMING, hull, path_of, share_in_words, shown
+from hydro_rig.identification.found_rig import path_of, share_in_words, shown
 from hydro_rig.identification.held_back import PRESSURES, Forecast, HeldBack
 from hydro_rig.identification.identify import Identification
+from hydro_rig.identification.intervals import hull
 from hydro_rig.identification.repeatability import share_inside
 
 ERRORS = ("Position, mm", "Speed, mm/s", "Pressure a, bar", "Pressure b, bar")
@@ -106,7 +107,7 @@ def unknowns_table(found: Identification) -> Table:
 
 def range_before(found: Identification, name: str) -> tuple[float, float] | None:
     """Range of an unknown before the recording, in its unit; ``None``: it has none of its own (leaks, timing)."""
-    if name in (LEAKAGE, EXTERNAL_LEAKAGE, *TIMING, *GAINS):
+    if name in (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, RISE_TIME, *GAINS):
         return None
     if name in BIASES:
         bias = getattr(found.config.sensors, name.removesuffix("_bias")).bias

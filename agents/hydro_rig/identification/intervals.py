@@ -154,18 +154,29 @@ def _rises(problem: Problem, joint: Joint, lengths: Floats) -> Floats:
     return np.where(lengths > LEAST_STEP * deviation, rise.reshape(count, 2) / np.maximum(expected, 1e-12), 1.0)
 
 
-def range_ends(
-    config: TaskConfig, ranges: Mapping[str, Distribution], priors: Mapping[str, Prior], names: tuple[str, ...]
-) -> Floats:
+def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
+    """Lowest and highest value that a range allows, SI, including the value without the range.
+
+    Args:
+        plant: the given rig; factors multiply its own value.
+        found: the identified rig; it gives the value of a parameter that multiplies the range (``times``).
+        path: of the parameter.
+        given: its range.
+    """
+    factor = 1.0 if given.times is None else own_value(found, given.times)
+    ends = [factor * end for end in given.bounds(own_value(plant, path))]
+    ends += [] if given.otherwise is None else [given.otherwise]
+    return min(ends), max(ends)
+
+
+def range_ends(config: TaskConfig, ranges: Mapping[str, Distribution], priors: Mapping[str, Prior]) -> Floats:
     """Ends of the ranges of some unknowns, (p, 2), scaled by their priors; infinite without a range of its own."""
-    ends = np.tile([-np.inf, np.inf], (len(names), 1))
-    for place, name in enumerate(names):
+    ends = np.tile([-np.inf, np.inf], (len(priors), 1))
+    for place, (name, prior) in enumerate(priors.items()):
         if name in ranges and ranges[name].otherwise is None:
-            given = ranges[name]
-            factor = 1.0 if given.times is None else own_value(config.plant, given.times)
-            low, high = (factor * end for end in given.bounds(own_value(config.plant, name)))
-            if low > 0.0 or not priors[name].logarithmic:
-                ends[place] = priors[name].scaled(low), priors[name].scaled(high)
+            low, high = hull(config.plant, config.plant, name, ranges[name])
+            if low > 0.0 or not prior.logarithmic:
+                ends[place] = prior.scaled(low), prior.scaled(high)
     return ends
 
 
