@@ -7,25 +7,30 @@ inverse variances of the noise and P those of the priors; no unbiased estimate o
 *Detection, Estimation, and Modulation Theory* I, 1968, section 2.4). Information adds up over sensors and samples; one
 Jacobian therefore serves every choice of sensors, every shorter window and every smaller set of unknowns.
 
-The bound assumes that the model has the true structure. It depends on what else is unknown (:func:`unknown_sets`).
+The bound assumes that the model has the true structure. It depends on what else is unknown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from hydro_agents.detection.operations import ACTING
+from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.leak_protocol import LeakProtocol
+from hydro_agents.running.cases import Cases
+from hydro_agents.running.jobs import Columns, Job
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.mistakes import one_of
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import usable_readings
-from hydro_rig.estimation.known_windows import KnownWindows
+from hydro_rig.estimation.known_windows import KnownWindows, known_windows
 from hydro_rig.estimation.model import Model
-from hydro_rig.estimation.unknowns import BIASES, LEAKAGE, STARTS, Prior, default_unknowns
+from hydro_rig.estimation.unknowns import LEAKAGE, Prior, priors_of
 
 TOLERANCE = 1e-8  # tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %
 
@@ -35,9 +40,6 @@ RESPONSE = 3.0
 With smaller steps the integrator's error dominates; with larger ones the readings do not change linearly. A tenth of
 this step changes the bound by 0.01 %, a step ten times as large by up to 1 %.
 """
-
-LEAK_ALONE, PLANT_KNOWN, TASK = "the leak alone", "start and biases too", "the plant too"
-"""Names of sets of unknowns; each contains the previous one."""
 
 
 class Information(NamedTuple):
@@ -143,8 +145,43 @@ def sigma(
     return result
 
 
-def unknown_sets(config: TaskConfig) -> dict[str, tuple[str, ...]]:
-    """Sets of the unknowns of a task by name."""
-    task = default_unknowns(config)
-    start = [name for name in task if name in (*BIASES, *STARTS)]
-    return {LEAK_ALONE: (LEAKAGE,), PLANT_KNOWN: (LEAKAGE, *start), TASK: task}
+def leak_bound(protocol: LeakProtocol, chosen: object) -> Iterator[Cell]:
+    """The part ``leak_bound``: the bound of some windows of the conditions that a protocol names."""
+    del chosen
+    for name in protocol.bound_conditions:
+        condition, config = protocol.conditions[name], protocol.task_in(name)
+        begin = 0.0 if condition.begins == "at rest" else condition.duration
+        times = (begin, condition.duration - config.control_period)
+        for level in protocol.levels_in(name):
+            if level >= 0.0:
+                cases = protocol.cases_in(name, level, protocol.bound_windows)
+                arguments = (config, protocol.known_task(name), condition.acting, *times, cases)
+                job = Job(bound_of_windows, None, arguments, digest="bound")
+                yield Cell("bound", name, {"condition": name, "level": level}, (job,))
+
+
+def bound_of_windows(
+    _: None, config: TaskConfig, known: TaskConfig, acting: str, begin: float, duration: float, cases: Cases
+) -> Columns:
+    """Smallest standard deviation of the leak, l/min at 100 bar; all quantities that the task draws are unknown.
+
+    Args:
+        config: task of the runs.
+        known: task that the priors follow from.
+        acting: controller of the axes.
+        begin: of the windows, s.
+        duration: of the windows, s.
+        cases: of the runs.
+
+    Raises:
+        ConfigurationError: the bound cannot be computed.
+    """
+    controller = ACTING[acting].make(config, len(cases), int(cases.seeds[0]))
+    try:
+        windows = known_windows(config, controller, cases, begin, duration)
+        gained = information(config, windows, priors_of(known), threads=1)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"the bound cannot be computed: {error}") from None
+    found = np.full(len(cases), np.nan)
+    found[windows.case] = sigma(gained)[:, -1]
+    return {"seed": cases.seeds.astype(np.float64), "sigma_lpm": found}

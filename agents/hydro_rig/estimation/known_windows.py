@@ -1,8 +1,8 @@
-"""Windows of simulated axes: the signals that a rig measures, the hidden true values, and motions to compare."""
+"""Windows of simulated axes: the signals that a rig measures, and the hidden true values."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.operations import at_rest
 from hydro_agents.running.cases import Cases, TrueStateController, run_cases
 from hydro_agents.running.tasks import steady
 from hydro_env import ConfigurationError, TaskConfig
@@ -30,8 +29,6 @@ from hydro_rig.estimation.unknowns import (
     LEAKAGE,
     STARTS,
 )
-
-SLOWER = 16.0  # factor of the slow motion
 
 
 @dataclass(frozen=True)
@@ -157,27 +154,3 @@ def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mappin
     levels = np.full(count, leakage_flow_lpm)
     every = {name: np.full(count, size) for name, size in (faults or {}).items()}
     return Cases(np.array(seeds[:count], dtype=np.int64), levels, faults=every or None)
-
-
-def slow(config: TaskConfig) -> TaskConfig:
-    """The task with smooth references that are 16 times slower."""
-    references = config.references
-    weights = {name: weight for name, weight in references.weights.items() if name not in ("step", "user")}
-    if not sum(weights.values()) > 0.0:
-        weights = {"point_to_point": 1.0}
-    return task_config(
-        config,
-        references={
-            "weights": weights,
-            "speed_share": references.speed_share / SLOWER,
-            "acceleration_limit": max(references.acceleration_limit / SLOWER**2, 0.01),
-            "frequency_range": tuple(one / SLOWER for one in references.frequency_range),
-        },
-    )
-
-
-MOTIONS: dict[str, Callable[[TaskConfig], TaskConfig]] = {
-    "ordinary motion": lambda config: config,
-    "slow motion": slow,
-    "at rest": at_rest,
-}
