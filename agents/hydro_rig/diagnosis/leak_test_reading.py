@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
+from hydro_agents.running.jobs import Report
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
@@ -28,13 +29,12 @@ from hydro_rig.diagnosis.verdict import Leak, Limits, Verdict
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.estimator import SURE, WEAR, healthy_range
 from hydro_rig.estimation.first_guess import first_values
+from hydro_rig.estimation.model import Indices
 from hydro_rig.estimation.unknowns import LEAKAGE, Prior
 from hydro_rig.identification.common_fit import (
     ROUGHLY,
     WELL_FITTED,
     Common,
-    Indices,
-    Report,
     common_fit,
     costs_of,
     descend,

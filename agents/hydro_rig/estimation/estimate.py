@@ -98,8 +98,9 @@ def checked_signals(signals: Any) -> Floats:
     windows = windows[None] if windows.ndim == 2 else windows
     if windows.ndim != 3 or windows.shape[1] != len(SENSORS) + 1 or windows.shape[2] < 2 or not len(windows):
         raise ConfigurationError(f"signals: shape {shape}: must be (windows, {len(SENSORS) + 1}, samples)")
-    if np.isinf(windows).any():
-        window, channel, sample = np.argwhere(np.isinf(windows))[0]
+    infinite = np.argwhere(np.isinf(windows))
+    if len(infinite):
+        window, channel, sample = infinite[0]
         name = [*SENSORS, "command"][channel]
         raise ConfigurationError(
             f"signals: {name} of window {window}, sample {sample} is infinite: must be finite, or "

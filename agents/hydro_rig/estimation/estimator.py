@@ -202,8 +202,8 @@ def _reading(
     """The reading of leaks with their standard deviations, (N,) each."""
     fits = worn.holds & (value + SURE * deviation >= 0.0)  # a negative leak: the model is wrong
     known = deviation <= DETERMINED * np.maximum(leak_scale(task), value)
-    causes = np.array([wear.cause for wear in WEAR.values()])
-    cause = np.where(excess.max(axis=1) > 0.0, causes[excess.argmax(axis=1)], Cause.NONE)
+    worst = np.array([wear.cause for wear in WEAR.values()])[excess.argmax(axis=1)]
+    cause = np.where(excess.max(axis=1) > 0.0, worst, Cause.NONE)
     bound = task.leakage.class_bounds[0]
     spread = np.hypot(deviation, LEAST_DEVIATION * bound)
     return Reading.of(
@@ -229,27 +229,27 @@ def wear_priors(task: TaskConfig) -> dict[str, Prior]:
         "supply.tank_pressure": Prior(tank, 3e5),
         EXTERNAL_LEAKAGE: Prior(0.0, 1.0),
     }
-    for channel in ("pressure_a", "pressure_b", "spool_position"):
-        wide[f"{channel}_bias"] = Prior(0.0, WIDE_BIAS * getattr(task.sensors, channel).bias)
-    return {name: prior for name, prior in wide.items() if prior.deviation > 0.0}
+    biases = {
+        channel: getattr(task.sensors, channel).bias for channel in ("pressure_a", "pressure_b", "spool_position")
+    }
+    return wide | {f"{channel}_bias": Prior(0.0, WIDE_BIAS * bias) for channel, bias in biases.items() if bias > 0.0}
 
 
 def healthy_range(task: TaskConfig, name: str) -> tuple[float, float]:
     """Lowest and highest value of an unknown on an axis without a fault, from the ranges of the task."""
-    if name == "valve.null_shift":
-        middle, reach = task.plant.valve.null_shift, LARGEST_NULL_SHIFT
-    elif name == "supply.tank_pressure":
-        middle, reach = task.plant.supply.tank_pressure, LARGEST_BACK_PRESSURE
-    elif name in BIASES:
-        middle, reach = 0.0, LARGEST_BIAS * getattr(task.sensors, name.removesuffix("_bias")).bias
-    else:
-        path = EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
-        own = own_value(task.plant, path)
-        bounds = task.randomisation[path].bounds(own) if path in task.randomisation else (own, own)
-        if name != EXTERNAL_LEAKAGE:
-            return bounds
-        middle, reach = 0.0, flow_from_resistance(min(bounds))
-    return middle - reach, middle + reach
+    if name in BIASES:
+        reach = LARGEST_BIAS * getattr(task.sensors, name.removesuffix("_bias")).bias
+        return -reach, reach
+    path = EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
+    own = own_value(task.plant, path)
+    reach = {"valve.null_shift": LARGEST_NULL_SHIFT, "supply.tank_pressure": LARGEST_BACK_PRESSURE}.get(name, 0.0)
+    if reach:
+        return own - reach, own + reach
+    low, high = task.randomisation[path].bounds(own) if path in task.randomisation else (own, own)
+    if name == EXTERNAL_LEAKAGE:
+        reach = flow_from_resistance(min(low, high))
+        return -reach, reach
+    return low, high
 
 
 def _excess(found: Estimate, task: TaskConfig) -> Floats:

@@ -49,7 +49,6 @@ class Information(NamedTuple):
     """
 
     names: tuple[str, ...]  # of the unknowns
-    lengths: tuple[float, ...]  # s, rising
     matrix: Floats  # (B, lengths, channels, P, P), of the readings from the start to that length
     unit: Floats  # (B, P), change of each unknown, in its unit, per scaled one
 
@@ -85,7 +84,7 @@ def information(
     jacobian = np.where(used[:, None], jacobian_at(model, scaled), 0.0)[:, :, :, : ends[-1]]
     pieces = np.split(jacobian, ends[:-1], axis=3)
     steps = [np.einsum("bpct,bqct->bcpq", piece, piece, optimize=True) for piece in pieces]
-    return Information(tuple(priors), given, np.cumsum(np.stack(steps, axis=1), axis=1), model.derivative(scaled))
+    return Information(tuple(priors), np.cumsum(np.stack(steps, axis=1), axis=1), model.derivative(scaled))
 
 
 def true_model(
@@ -93,8 +92,7 @@ def true_model(
 ) -> tuple[Model, Floats]:
     """The model of known windows with a strict integrator, and the true scaled unknowns (B, P)."""
     strict = task_config(config, tolerance=min(config.tolerance, TOLERANCE))
-    physical, start = windows.physical, windows.start
-    model = Model(strict, priors, windows.signals[:, -1], None, physical, start, threads)
+    model = Model(strict, priors, windows.signals[:, -1], None, windows.physical, windows.start, threads)
     return model, model.scaled(np.stack([windows.value(name) for name in priors], axis=1))
 
 
@@ -177,11 +175,7 @@ def bound_of_windows(
         ConfigurationError: the bound cannot be computed.
     """
     controller = ACTING[acting].make(config, len(cases), int(cases.seeds[0]))
-    try:
-        windows = known_windows(config, controller, cases, begin, duration)
-        gained = information(config, windows, priors_of(known), threads=1)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"the bound cannot be computed: {error}") from None
+    windows = known_windows(config, controller, cases, begin, duration)
     found = np.full(len(cases), np.nan)
-    found[windows.case] = sigma(gained)[:, -1]
+    found[windows.case] = sigma(information(config, windows, priors_of(known), threads=1))[:, -1]
     return {"seed": cases.seeds.astype(np.float64), "sigma_lpm": found}

@@ -82,10 +82,8 @@ def known_windows(
         ConfigurationError: the window is shorter than two control periods, or no case reaches its end.
     """
     first, periods = round(begin / config.control_period), round(length / config.control_period)
-    if periods < 2 or first < 0:
-        raise ConfigurationError(
-            f"window = {length:g} s from {begin:g} s: must last two control periods or more, from 0 s or later"
-        )
+    if periods < 2:
+        raise ConfigurationError(f"window = {length:g} s: must last two control periods or more")
     task = task_config(steady(config), episode_duration=(first + periods + 1) * config.control_period)
     watcher = _Watcher(controller, first, periods + 1)
     run = run_cases(task, watcher, cases, states=False, chunk=max(len(cases), 1))

@@ -14,7 +14,7 @@ from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
-from hydro_rig.estimation.replay import RISE, Commands, replay, time_constant
+from hydro_rig.estimation.replay import RISE, Commands, replay
 from hydro_rig.estimation.unknowns import (
     BIASES,
     COURSE,
@@ -101,8 +101,9 @@ class Model:
         self.config, self.threads, self.noise = config, threads, noise_of(config)
         command = np.array(commands, dtype=np.float64)
         count, samples = command.shape
-        if not (np.abs(command) <= 1.0).all():
-            window, sample = np.argwhere(~(np.abs(command) <= 1.0))[0]
+        wrong = np.argwhere(~(np.abs(command) <= 1.0))
+        if len(wrong):
+            window, sample = wrong[0]
             raise ConfigurationError(
                 f"commands: window {window}, sample {sample} = {command[window, sample]:g}: must be within -1 to 1"
             )
@@ -111,9 +112,9 @@ class Model:
             raise ConfigurationError(
                 f"durations: shape {steps.shape}: must be ({samples - 1},) or ({count}, {samples - 1})"
             )
-        if not ((steps > 0.0) & (steps <= LONGEST_INTERVAL)).all():
-            wrong = steps[~((steps > 0.0) & (steps <= LONGEST_INTERVAL))][0]
-            raise ConfigurationError(f"durations: {wrong:g} s: must be above 0 and at most {LONGEST_INTERVAL:g} s")
+        odd = steps[~((steps > 0.0) & (steps <= LONGEST_INTERVAL))]
+        if len(odd):
+            raise ConfigurationError(f"durations: {odd[0]:g} s: must be above 0 and at most {LONGEST_INTERVAL:g} s")
         if boundary is not None and np.shape(boundary) != (count, 2, samples):
             raise ConfigurationError(
                 f"boundary: shape {np.shape(boundary)}: must be ({count}, 2, {samples}), supply and tank"
@@ -191,7 +192,7 @@ class Model:
         window = np.repeat(np.arange(self.count), len(scaled) // self.count)
         physical, start = self._physical[window], self._start[window]
         latency = np.full(len(window), self.config.command_latency)
-        lag = np.full(len(window), time_constant(self.config))
+        lag: Floats | None = None
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         commands = self.commands.beginning(samples or self.samples)
         course: Floats | None = None

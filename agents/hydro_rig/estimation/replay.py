@@ -125,8 +125,7 @@ def replay(
         np.array(start, dtype=np.float64),
         readings,
     )
-    wanted = threads if threads is not None else (os.cpu_count() or 1)
-    parts = max(1, min(wanted, rows // ROWS_PER_THREAD))
+    parts = max(1, min(threads or os.cpu_count() or 1, rows // ROWS_PER_THREAD))
     ends = [rows * part // parts for part in range(parts + 1)]
     if parts == 1:
         _replay(*arguments, 0, rows)

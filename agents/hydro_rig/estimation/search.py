@@ -6,23 +6,21 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SPOOL
 from hydro_env.types import Floats
 from hydro_rig.estimation.errors import Errors, errors_of, spikes_of
-from hydro_rig.estimation.model import LONG_STEP
+from hydro_rig.estimation.model import LONG_STEP, Indices
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.solver import Problem, fit, misfit_of
 from hydro_rig.estimation.unknowns import LATENCY, LEAKAGE, RISE_TIME, STARTS, Prior, prior_of
-
-Indices = NDArray[np.int64]
 
 SHORTEST_FIT = 10  # samples; shorter fits carry no information
 RESTART = 0.7  # standard deviation of the random start of a further search, in standard deviations of the prior
 NEW_MINIMUM = 0.97  # a search with a larger chi2, over the lowest, ended in the same minimum or in a worse one
 SURE = 3.0  # standard deviations
+UNEVEN = 2.0  # white noise of a channel, over the median of all, beyond which a search perhaps ended too early
 UNKNOWN_COMMANDS = 2  # readings at an end of the window that are left out if its commands are a row late or early
 ROUNDS = 3  # of a fit and an estimate of the errors of its readings, one after the other
 WIDENING = 1.5
@@ -65,7 +63,8 @@ def search(problem: Problem, first: Floats, settings: EstimationSettings) -> Est
     between = {(a * b) ** 0.5 for a, b in pairwise(settings.horizons)}
     slowly = replace(settings, horizons=tuple(sorted({*settings.horizons, *between})))
     for attempt in range(settings.restarts):
-        again = np.flatnonzero(~best.holds | (best.uneven & (attempt == 0)))
+        uneven = best.white.max(axis=1) > UNEVEN * np.median(best.white, axis=1)
+        again = np.flatnonzero(~best.holds | (uneven & (attempt == 0)))
         if not len(again):
             break
         begin = first[again]
@@ -171,21 +170,17 @@ def assess(problem: Problem, scaled: Floats, directions: Floats, searches: int |
     """Uncertainty and goodness of fit at some values, (B, P) scaled; a slow error of the readings widens it."""
     model, linear = problem.model, problem.linearised(scaled, directions)
     errors = problem.errors or Errors.of_data_sheet(*linear.known.shape[:2])
-    precision = linear.jacobian @ linear.jacobian.transpose(0, 2, 1) + problem.belief.precision
-    covariance = np.linalg.inv(precision)
+    covariance = np.linalg.inv(linear.jacobian @ linear.jacobian.transpose(0, 2, 1) + problem.belief.precision)
     values = model.values(scaled)
-    usual = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
-    timing = {
-        name: values[:, model.names.index(name)] if name in model.names else np.full(len(scaled), value)
-        for name, value in usual.items()
-    }
+    timing = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
+    timing |= {name: values[:, model.names.index(name)] for name in timing if name in model.names}
     chi2 = (linear.residual**2).sum(axis=1)
     variance = np.einsum("bii->bi", covariance)
     # A search that ended far off may have a singular information matrix: such a window is unreliable.
     misfit = np.where(np.all(variance > 0.0, axis=1), misfit_of(linear, covariance), np.inf)
     scale = model.derivative(scaled)
     widening = np.where((errors.slow > 0.0).any(axis=1), WIDENING, 1.0)
-    precision, covariance = precision / widening[:, None, None] ** 2, covariance * widening[:, None, None] ** 2
+    covariance = covariance * widening[:, None, None] ** 2
     deviation = widening[:, None] * np.sqrt(np.where(variance > 0.0, variance, 1.0))
     return Estimate(
         names=model.names,
@@ -198,12 +193,11 @@ def assess(problem: Problem, scaled: Floats, directions: Floats, searches: int |
         holds=misfit < LARGEST_MISFIT,
         searches=np.array(np.broadcast_to(searches, len(scaled))),
         scaled=scaled,
-        precision=precision,
         white=errors.white,
         slow=errors.slow,
         memory=errors.memory,
         spikes=np.zeros_like(errors.white),
-        latency=timing[LATENCY],
-        rise_time=timing[RISE_TIME],
+        latency=np.array(np.broadcast_to(timing[LATENCY], len(scaled))),
+        rise_time=np.array(np.broadcast_to(timing[RISE_TIME], len(scaled))),
         unlikelihood=chi2,
     )

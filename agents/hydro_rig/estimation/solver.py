@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 
 from hydro_env.types import Floats
 from hydro_rig.estimation.errors import Errors, whitened
-from hydro_rig.estimation.model import SHORT_STEP, Model
+from hydro_rig.estimation.model import SHORT_STEP, Indices, Model
 from hydro_rig.estimation.unknowns import Prior
-
-Indices = NDArray[np.int64]
 
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])
 """Factors on the damping; the best of their steps is taken in each iteration."""
@@ -122,13 +120,7 @@ class Linearised(NamedTuple):
         pull = (precision @ (scaled - belief.mean)[:, :, None])[:, :, 0]
         gradient = (jacobian @ (self.weight * self.residual)[:, :, None])[:, :, 0] - pull
         own = np.delete(np.arange(len(curvature[0])), shared)
-        if not len(shared):
-            return Equations(curvature, gradient, np.zeros((len(curvature), 0, 0)), gradient[:, :0], shared, own)
-        across = curvature[:, shared[:, None], own]
-        inner = np.concatenate([across.transpose(0, 2, 1), gradient[:, own, None]], axis=2)
-        solved = np.linalg.solve(curvature[:, own[:, None], own], inner)
-        information = curvature[:, shared[:, None], shared] - across @ solved[:, :, :-1]
-        score = gradient[:, shared] - (across @ solved[:, :, -1:])[:, :, 0]
+        _, information, score = _eliminated(curvature[:, own[:, None], own], curvature, gradient, shared, own)
         return Equations(curvature, gradient, information, score, shared, own)
 
 
@@ -210,18 +202,35 @@ def fit(
     return scaled, directions
 
 
+def _eliminated(
+    inner: Floats, curvature: Floats, gradient: Floats, shared: Indices, own: Indices
+) -> tuple[Floats, Floats, Floats]:
+    """Solve windows for their own unknowns: solution (…, o, p + 1), information (…, p, p), score (…, p) of the shared.
+
+    Args:
+        inner: curvature of the own unknowns, damped or not, (…, o, o).
+        curvature: (…, P, P).
+        gradient: (…, P).
+        shared: indices, (p,).
+        own: indices, (o,).
+    """
+    across = curvature[..., shared[:, None], own]
+    right = np.concatenate([across.swapaxes(-1, -2), gradient[..., own, None]], axis=-1)
+    solved = np.linalg.solve(inner, np.broadcast_to(right, (*inner.shape[:-1], right.shape[-1])))
+    information = curvature[..., shared[:, None], shared] - across @ solved[..., :-1]
+    score = gradient[..., shared] - (across @ solved[..., -1:])[..., 0]
+    return solved, information, score
+
+
 def _damped_steps(equations: Equations, scaled: Floats, level: Floats) -> Floats:
     """Levenberg–Marquardt steps (B, dampings, P); each damping enlarges the diagonal."""
     curvature, gradient, _, _, shared, own = equations
     diagonal = np.einsum("bii->bi", curvature)
     factors = level[:, None] * DAMPINGS
-    across = curvature[:, None, shared[:, None], own]
-    inner = np.concatenate([across[:, 0].transpose(0, 2, 1), gradient[:, own, None]], axis=2)
     damped = curvature[:, None, own[:, None], own]
     damped = damped + factors[:, :, None, None] * (diagonal[:, None, own, None] * np.eye(len(own)))
-    solved = np.linalg.solve(damped, np.broadcast_to(inner[:, None], (*damped.shape[:3], inner.shape[2])))
-    left = (curvature[:, None, shared[:, None], shared] - across @ solved[..., :-1]).sum(axis=0)
-    right = (gradient[:, None, shared] - (across @ solved[..., -1:])[..., 0]).sum(axis=0) - scaled[0, shared]
+    solved, information, score = _eliminated(damped, curvature[:, None], gradient[:, None], shared, own)
+    left, right = information.sum(axis=0), score.sum(axis=0) - scaled[0, shared]
     left += np.eye(len(shared)) + factors[0, :, None, None] * np.diag(1.0 + diagonal[:, shared].sum(axis=0))
     common = np.linalg.solve(left, right[..., None])  # (dampings, p, 1)
     steps = np.empty((*damped.shape[:2], curvature.shape[1]))

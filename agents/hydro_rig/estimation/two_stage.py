@@ -32,7 +32,6 @@ class TwoStageDetector:
     """
 
     threshold: float | None = None
-    ration = RATION
 
     def __init__(self, head: HeadDetector, estimator: EstimatorDetector | None = None) -> None:
         self.head, self.estimator = head, estimator or EstimatorDetector()

@@ -16,17 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
+from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import estimate, usable_readings
-from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
+from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Indices, Model
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.search import LARGEST_MISFIT, UNKNOWN_COMMANDS, EstimationSettings, search, timing_priors
 from hydro_rig.estimation.solver import Problem, fit, misfit_of
 from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, RISE_TIME, Prior, prior_of
-
-Indices = NDArray[np.int64]
-Report = Callable[[str, int, int], None]
 
 WELL_FITTED = LARGEST_MISFIT  # of an explained window
 OUTLIER = 3.0
@@ -83,6 +81,11 @@ class Joint(NamedTuple):
         return total
 
     @property
+    def covariance(self) -> Floats:
+        """Of the shared unknowns, (p, p)."""
+        return np.linalg.inv(self.precision)
+
+    @property
     def common(self) -> Floats:
         """The shared values, (p,), scaled."""
         values: Floats = self.scaled[0, self.shared]
@@ -115,22 +118,16 @@ class Common(NamedTuple):
         return int((self.misfit < WELL_FITTED).sum())
 
 
-def fit_together(
-    problem: Problem,
-    first: Floats,
-    progress: Callable[[int, int], None] | None = None,
-    iterations: int = LAST_ITERATIONS,
-) -> Joint:
+def fit_together(problem: Problem, first: Floats, progress: Callable[[int, int], None] | None = None) -> Joint:
     """The most probable shared parameters and start states of several windows.
 
     Args:
         problem: of the B windows.
         first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
         progress: called with the number of iterations and its limit.
-        iterations: largest number.
     """
     shared, own = shared_and_own(problem.model)
-    scaled, directions = descend(problem, first, progress, TOLERANCE, SHORT_STEP, iterations)
+    scaled, directions = descend(problem, first, progress, TOLERANCE, SHORT_STEP, LAST_ITERATIONS)
     belief = problem.belief.without(shared)
     for _ in range(LINEARISATIONS):
         linear = problem.linearised(scaled, directions, central=True)
@@ -195,47 +192,41 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
             other = _alone(windows.part(again), config, priors, RANDOMLY)
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
             second = _common_fit(windows, config, priors, alone, report)
-            best = max(best, second, key=_quality)
+            best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
     if 2 * best.explained < len(windows) and config.sensors.enabled:
         timing = {name: prior for name, prior in timing_priors(config).items() if name not in best.model.names}
-        timed = _continued(windows, config, best, timing, "timing", report) if timing else best
+        timed = _continued(best, timing, "timing", report) if timing else best
         if timed.explained > best.explained:  # otherwise it would only take up another error of the model
             best = timed
     if 2 * best.explained < len(windows):
         drift = {NULL_DRIFT: prior_of(config, NULL_DRIFT)}
-        drifting = _continued(windows, config, best, drift, "null", report)
+        drifting = _continued(best, drift, "null", report)
         if np.median(drifting.misfit) < MUCH_BETTER * np.median(best.misfit):
             best = drifting
     report("common fit", 1, 1)
     return best
 
 
-def _quality(found: Common) -> tuple[int, float]:
-    return found.explained, -float(np.median(found.misfit))
-
-
-def _continued(
-    windows: Windows, config: TaskConfig, found: Common, more: Mapping[str, Prior], phase: str, report: Report
-) -> Common:
+def _continued(found: Common, more: Mapping[str, Prior], phase: str, report: Report) -> Common:
     """A fit continued with more unknowns.
 
     With a latency the command may stand a row early or late: the row at which the readings differ least begins.
     """
-    kept = np.flatnonzero(np.isfinite(found.misfit))
-    problem = replayed(windows.part(kept), config, {**found.model.priors, **more})
-    names, readings = problem.model.names, problem.measured
+    readings = found.problem.measured.copy()
+    problem = found.problem.with_more(more)._replace(measured=readings)
+    names, period = problem.model.names, problem.model.config.control_period
     if {LATENCY, RISE_TIME} & set(names):  # those of commands beyond the windows
         readings[:, :, :UNKNOWN_COMMANDS] = readings[:, :, -UNKNOWN_COMMANDS:] = np.nan
     trials = [np.pad(found.joint.scaled, ((0, 0), (0, len(more))))]
     if LATENCY in more:
         for rows in (-1.0, 1.0):
             moved = trials[0].copy()
-            moved[:, names.index(LATENCY)] = rows * config.control_period / more[LATENCY].deviation
+            moved[:, names.index(LATENCY)] = rows * period / more[LATENCY].deviation
             trials.append(moved)
     progress = partial(report, phase)
     rough = [descend(problem, trial, progress)[0] for trial in trials]
     joint = fit_together(problem, rough[int(np.argmin(costs_of(problem, rough)))], progress)
-    return Common.of(len(windows), kept, problem, joint)
+    return Common.of(len(found.misfit), np.flatnonzero(np.isfinite(found.misfit)), problem, joint)
 
 
 def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], settings: EstimationSettings) -> Estimate:

@@ -6,8 +6,7 @@ error of the model cannot grow, and gaps between windows do not matter.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
+from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.sensors import PRESSURE_A, SENSORS
@@ -41,8 +41,6 @@ from hydro_rig.identification.intervals import (
 )
 from hydro_rig.identification.profiles import pinned, ridge
 
-Progress = Callable[[str, int, int], None]
-
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 DETERMINED = 0.5
 """A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
@@ -65,7 +63,6 @@ class Fit(NamedTuple):
     """Result for the windows of a recording, with p unknowns: parameters, leaks and biases of sensors."""
 
     unknowns: tuple[Unknown, ...]  # (p,)
-    information: Floats  # (p, p), of the readings, for unknowns scaled by their ranges
     misfit: Floats  # (B,), of each window; infinite for a window that was left out
     joint: Joint  # the common fit of the other windows
     second: Mapping[str, float] = MappingProxyType({})  # values of another minimum that explains the readings as well
@@ -109,7 +106,7 @@ def fit_windows(
     windows: Windows,
     config: TaskConfig,
     ranges: Mapping[str, Distribution],
-    progress: Progress | None = None,
+    progress: Report | None = None,
 ) -> Fit:
     """Fit the unknowns to windows of one recording.
 
@@ -185,23 +182,4 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
         other = common.second.common
         away = np.flatnonzero((other < scaled[:, 0]) | (other > scaled[:, 1]))
         second = {names[row]: float(priors[names[row]].value(other[row])) for row in away.tolist()}
-    return Fit(tuple(unknowns), joint.information.sum(axis=0), misfit, joint, second)
-
-
-class Combination(NamedTuple):
-    """A combination of unknowns, and the information of the recording about it."""
-
-    value: float  # singular value of the readings' derivatives, scaled by ranges and noise; below 1 the range dominates
-    parts: dict[str, float]  # weights of the largest parts by name
-
-
-def combinations(fit: Fit) -> list[Combination]:
-    """The singular values of the scaled derivatives with their combinations, the least determined first."""
-    values, vectors = np.linalg.eigh(fit.information)
-    found = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        order = [place for place in np.argsort(-np.abs(vector)) if abs(vector[place]) > 0.3]
-        sign = math.copysign(1.0, vector[order[0]]) if order else 1.0
-        parts = {fit.names[place]: float(sign * vector[place]) for place in order}
-        found.append(Combination(math.sqrt(max(float(value), 0.0)), parts))
-    return found
+    return Fit(tuple(unknowns), misfit, joint, second)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import yaml
@@ -90,7 +91,9 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
         elif one.name == EXTERNAL_LEAKAGE:
             result[path] = _external(one.low, one.high, given)
         else:
-            low, high = _overlap((one.low, one.high), hull(config.plant, plant, path, given))
+            least, most = hull(config.plant, plant, path, given)
+            inside = max(one.low, least), min(one.high, most)  # the whole interval if it lies outside
+            low, high = inside if inside[0] <= inside[1] else (one.low, one.high)
             low, high = (within_bounds(plant, path, end) for end in (low, high))
             if given.times is None:
                 form = "log_uniform" if one.side and given.logarithmic else "uniform"
@@ -102,21 +105,11 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
     return result
 
 
-def _overlap(interval: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
-    """The part of an interval within the old range; the whole interval if it lies outside."""
-    low, high = max(interval[0], before[0]), min(interval[1], before[1])
-    return (low, high) if low <= high else interval
-
-
 def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> list[str]:
     """Names of the parameters whose whole interval lies outside the range of the rig file."""
-    plant, names = found_plant(fit, config), []
-    for one in fit.unknowns:
-        if one.name in ranges:
-            least, most = hull(config.plant, plant, one.name, ranges[one.name])
-            if one.high < least or one.low > most:
-                names.append(one.name)
-    return names
+    plant, given = found_plant(fit, config), [one for one in fit.unknowns if one.name in ranges]
+    hulls = [hull(config.plant, plant, one.name, ranges[one.name]) for one in given]
+    return [one.name for one, (low, high) in zip(given, hulls, strict=True) if one.high < low or one.low > high]
 
 
 def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dict[str, Any]:
@@ -157,7 +150,7 @@ def rig_yaml(
     rig: Mapping[str, Any], fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution], notes: list[str]
 ) -> str:
     """The given rig file with the identified values and the narrowed ranges; the notes stand at its top."""
-    values = {key: dict(group) if isinstance(group, Mapping) else group for key, group in rig.items()}
+    values = deepcopy(dict(rig))
     found = found_values(fit, config)
     for path, value in found.items():
         group, field = path.split(".")

@@ -11,7 +11,7 @@ import numpy as np
 from hydro_agents.running.text import number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parameters import to_vector
-from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
+from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.model import Model, noise_of
@@ -32,9 +32,6 @@ LEAST_MOTION = 20.0
 CERTAIN = 1e-7  # s, standard deviation of a timing that the fit has found
 SPEED_OVER = 0.05  # s, over which a speed is a difference of positions
 MOVING = 0.3  # of the largest speed: above, the axis moves, and its simulated speed is compared with the measured one
-PRESSURES = tuple(SENSORS.index(name) for name in ("pressure_a", "pressure_b"))
-
-
 NO_FORECASTS = np.empty((2, 0, len(SENSORS), 0))
 
 
@@ -70,7 +67,7 @@ class HeldBack(NamedTuple):
     def speed_error(self) -> float:
         """Root mean square of the error of the speed, m/s; NaN if the axis stood still or left the sensor's range."""
         measured, simulated = self._speeds()
-        return float(_root_mean_square((simulated - measured)[None])[0])
+        return _size([simulated - measured])
 
     @property
     def speed_ratios(self) -> tuple[float, float]:
@@ -247,13 +244,13 @@ def whole_parts(parts: Sequence[HeldBack]) -> Forecast:
     return Forecast(np.array(shares), errors, together(np.array([part.speed_error for part in parts])))
 
 
-def errors_in_words(found: Forecast) -> str:
+def sizes_of(errors: HeldBack | Forecast) -> list[float]:
+    """Errors of position (mm), speed (mm/s) and both pressures (bar); NaN: none."""
+    position, pressures = 1e3 * errors.error[POSITION], 1e-5 * errors.error[[PRESSURE_A, PRESSURE_B]]
+    return [float(position), 1e3 * errors.speed_error, *pressures.tolist()]
+
+
+def errors_in_words(errors: Forecast) -> str:
     """Errors in mm, mm/s and bar; empty without any."""
-    position, speed = float(found.error[POSITION]), found.speed_error
-    phrases = [] if math.isnan(position) else [f"{number(1e3 * position, digits=2)} mm"]
-    phrases += [] if math.isnan(speed) else [f"{number(1e3 * speed, digits=2)} mm/s"]
-    pressures = [float(found.error[row]) for row in PRESSURES]
-    if not all(map(math.isnan, pressures)):
-        words = [f"{number(1e-5 * p, digits=2)} bar ({n})" for n, p in zip("ab", pressures, strict=True) if p == p]
-        phrases.append(" and ".join(words))
-    return ", ".join(phrases)
+    sizes = zip(sizes_of(errors), ("mm", "mm/s", "bar (a)", "bar (b)"), strict=True)
+    return ", ".join(f"{number(size, digits=2)} {unit}" for size, unit in sizes if not math.isnan(size))

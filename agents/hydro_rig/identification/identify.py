@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hydro_agents.running.jobs import Report
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.rig import Rig
@@ -18,8 +19,9 @@ from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
 from hydro_rig.identification.advice import Advice, advise
 from hydro_rig.identification.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
-from hydro_rig.identification.fit import Fit, Progress, Unknown, fit_windows
+from hydro_rig.identification.fit import Fit, Unknown, fit_windows
 from hydro_rig.identification.found_rig import (
+    Shown,
     beyond_range,
     found_plant,
     share_in_words,
@@ -94,12 +96,6 @@ class Identification:
         return float(self.tested[self.judged_over].share[POSITION])
 
     @property
-    def source(self) -> str:
-        """The recordings in a few words."""
-        first = self.recordings[0].source
-        return first if len(self.recordings) == 1 else f"{first} and {len(self.recordings) - 1} more"
-
-    @property
     def findings(self) -> list[Finding]:
         """All findings; with several recordings each begins with the name of its file."""
         named = len(self.recordings) > 1
@@ -130,8 +126,11 @@ class Identification:
     @cached_property
     def beyond(self) -> list[str]:
         """Parameters with values outside their ranges, as text."""
-        names = beyond_range(self.fit, self.config, self.rig.randomisation)
-        return [shown(name, self.config.plant).words for name in names]
+        return [self.look(name).words for name in beyond_range(self.fit, self.config, self.rig.randomisation)]
+
+    def look(self, name: str) -> Shown:
+        """Display of an unknown."""
+        return shown(name, self.config.plant)
 
     @property
     def noted(self) -> list[str]:
@@ -150,10 +149,11 @@ class Identification:
         for name, (assumed, least) in usual.items():
             value = self.fit.own().get(name, assumed)
             if abs(value - assumed) > least:
-                words = shown(name, self.config.plant).words
-                notes.append(f"The {words} is {1e3 * value:.2g} ms, and not {1e3 * assumed:.2g} ms ({name}): used.")
+                notes.append(
+                    f"The {self.look(name).words} is {1e3 * value:.2g} ms, not {1e3 * assumed:.2g} ms ({name}): used."
+                )
         if self.fit.second:
-            looks = {shown(name, self.config.plant): value for name, value in self.fit.second.items()}
+            looks = {self.look(name): value for name, value in self.fit.second.items()}
             others = ", ".join(f"{look.words} {look.value(value, 0.01 * value)}" for look, value in looks.items())
             notes.append(f"Other values explain the recording as well: {others}. A richer motion decides.")
         if self.beyond:
@@ -206,7 +206,7 @@ def identify(
     config: TaskConfig,
     rig: Rig,
     columns: ColumnMap | Sequence[ColumnMap | None] | None = None,
-    progress: Progress | None = None,
+    progress: Report | None = None,
     hold_back: Sequence[str] = (),
 ) -> Identification:
     """Read recordings of one axis, check them, fit the unknowns of the rig file, and test the fit on held-back parts.
@@ -227,9 +227,9 @@ def identify(
     paths = [paths] if isinstance(paths, Path) else list(paths)
     maps = [columns] * len(paths) if columns is None or isinstance(columns, ColumnMap) else list(columns)
     sources = [str(path) for path in paths]
-    for source in sources:
-        if sources.count(source) > 1:
-            raise ConfigurationError(f"{source}: is given twice")
+    twice = [source for source in sources if sources.count(source) > 1]
+    if twice:
+        raise ConfigurationError(f"{twice[0]}: is given twice")
     whole = _matching(paths, hold_back)
     recordings = [read_recording(path, own) for path, own in zip(paths, maps, strict=True)]
     checked = _on_one_grid(recordings, config)
@@ -294,12 +294,9 @@ def _on_one_grid(recordings: Sequence[Recording], config: TaskConfig) -> list[Ch
     """The checked recordings with one sample time: the control period, or that of the logs where one lacks it."""
     checked = [check_recording(recording, config, None) for recording in recordings]
     if len({one.samples.period for one in checked}) > 1:
-        checked = [
-            one
-            if one.severe or one.samples.period != config.control_period
-            else check_recording(recording, config, True)
-            for recording, one in zip(recordings, checked, strict=True)
-        ]
+        for number, (recording, one) in enumerate(zip(recordings, checked, strict=True)):
+            if not one.severe and one.samples.period == config.control_period:
+                checked[number] = check_recording(recording, config, True)
     periods = {one.samples.period: recording.source for recording, one in zip(recordings, checked, strict=True)}
     if len(periods) > 1 and not any(one.severe for one in checked):
         (first, one), (second, other) = list(periods.items())[:2]

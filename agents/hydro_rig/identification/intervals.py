@@ -58,7 +58,7 @@ class Spread(NamedTuple):
 
 def spread_of(joint: Joint) -> Spread:
     """The moderated cluster-robust uncertainty of a common fit; the prior counts as known exactly."""
-    covariance = np.linalg.inv(joint.precision)
+    covariance = joint.covariance
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     shares, directions = np.linalg.eigh(root @ joint.information @ root)  # of each window, (B, p), (B, p, p)
@@ -103,7 +103,7 @@ def sides_of(problem: Problem, joint: Joint, spread: Spread, ends: Floats, follo
     near = _rises(problem, joint, np.minimum(STEP * spread.deviation[:, None], room))
     far = _rises(problem, joint, np.minimum(FAR_STEP * spread.deviation[:, None], np.minimum(room, FARTHEST)))
     reach = spread.reach[:, None] * np.clip(1.0 / np.sqrt(np.maximum(near, 1e-3)), 1.0, MOST_WIDER)
-    covariance = np.linalg.inv(joint.precision)
+    covariance = joint.covariance
     alike = np.abs(covariance) / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     limits = np.array([problem.model.names[place] in LIMITS for place in joint.shared])
     flat = bounded & (limits | (np.minimum(near, far) < FLAT).any(axis=1))
@@ -137,7 +137,7 @@ def _rises(problem: Problem, joint: Joint, lengths: Floats) -> Floats:
     The steps lead along the ridge of the linear model; one that the end of a range makes short shows nothing: 1.
     """
     count, middle = len(joint.shared), joint.common
-    covariance = np.linalg.inv(joint.precision)
+    covariance = joint.covariance
     ridge = covariance / np.diag(covariance)[:, None]  # row j: all unknowns, for a step of 1 of unknown j
     steps = lengths * np.array([-1.0, 1.0])
     offsets = (steps[:, :, None] * ridge[:, None]).reshape(-1, count)  # (2p, p)

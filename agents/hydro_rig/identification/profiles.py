@@ -40,15 +40,15 @@ def pinned(problem: Problem, values: dict[int, float]) -> Problem:
     model = problem.model
     priors = dict(model.priors)
     for place, value in values.items():
-        name, prior = model.names[place], model.priors[model.names[place]]
+        name = model.names[place]
+        prior = priors[name]
         priors[name] = Prior(float(prior.value(np.array(value))), PINNED * prior.deviation, prior.logarithmic)
     return problem._replace(model=model.with_priors(priors))
 
 
 def ridge(joint: Joint, unknown: int) -> Floats:
     """Change of all unknowns, (B, P) scaled, per change of one common unknown, by the linear model of a fit."""
-    covariance = np.linalg.inv(joint.precision)
-    tangent = covariance[unknown] / covariance[unknown, unknown]
+    tangent = joint.covariance[unknown] / joint.covariance[unknown, unknown]
     slope = np.zeros_like(joint.scaled)
     slope[:, joint.shared] = tangent
     slope[:, joint.own] = joint.response @ tangent

@@ -30,20 +30,16 @@ class Repeat(NamedTuple):
     def spread(self) -> float:
         """Standard deviation of the values of the recordings that determine it; NaN of fewer than two."""
         known = self.values[self.determined]
-        return float(known.std(ddof=1)) if len(known) > 1 else float("nan")
+        return float(known.std(ddof=1)) if len(known) > 1 else np.nan
 
 
-class _Alone(NamedTuple):
-    """What each of R groups of windows says alone about p unknowns, scaled."""
+def _alone(fit: Fit, group: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
+    """What each of R groups of windows says alone about p unknowns, scaled; ``group``: number of each used window.
 
-    numbers: NDArray[np.int64]  # (R,), of the groups
-    middle: Floats  # (R, p)
-    deviation: Floats  # (R, p), without the disagreement of the groups
-    disagreement: Floats  # (p,), standard deviation between the groups that their own uncertainty does not explain
-
-
-def _alone(fit: Fit, group: NDArray[np.int64]) -> _Alone:
-    """One Gauss–Newton step from the common values for each group; ``group``: its number of each used window."""
+    One Gauss–Newton step from the common values gives the values, (R, p), and their deviations without the disagreement
+    of the groups, (R, p). The third result, (p,), is this disagreement: the standard deviation between the groups that
+    their own uncertainty does not explain.
+    """
     joint, numbers, own = fit.joint, np.unique(group), np.eye(len(fit.names))
     middle, deviation = np.empty((2, len(numbers), len(fit.names)))
     for row, number in enumerate(numbers):
@@ -61,7 +57,7 @@ def _alone(fit: Fit, group: NDArray[np.int64]) -> _Alone:
         mean = np.average(values, weights=1.0 / variances)
         if np.sum((values - mean) ** 2 / variances) > stats.chi2.isf(BY_CHANCE, len(values) - 1):
             disagreement[place] = np.sqrt(max(values.var(ddof=1) - variances.mean(), 0.0))
-    return _Alone(numbers, middle, deviation, disagreement)
+    return middle, deviation, disagreement
 
 
 def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
@@ -79,7 +75,7 @@ def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
     if len(np.unique(group)) < 2:
         group = np.arange(len(group)) * 2 // len(group)
     unknowns = list(fit.unknowns)
-    between = _alone(fit, group).disagreement
+    *_, between = _alone(fit, group)
     for place, one in enumerate(unknowns):
         if between[place] > 0.0 and not one.side:
             middle = fit.joint.common[place]
@@ -98,9 +94,10 @@ def repeats_of(fit: Fit, recording: NDArray[np.int64]) -> list[Repeat]:
         recording: number of the recording of each window, (B,).
     """
     used = recording[np.isfinite(fit.misfit)]
-    if len(np.unique(used)) < 2:
+    numbers = np.unique(used)
+    if len(numbers) < 2:
         return []
-    numbers, middle, deviation, between = _alone(fit, used)
+    middle, deviation, between = _alone(fit, used)
     reach = COVERAGE * np.minimum(np.hypot(deviation, between), 1.0)
     inside = np.abs(middle - fit.joint.common) <= reach
     repeats = []
@@ -113,4 +110,4 @@ def repeats_of(fit: Fit, recording: NDArray[np.int64]) -> list[Repeat]:
 def share_inside(repeats: list[Repeat]) -> float:
     """Share of the intervals of single recordings that hold the common value, where they determine it; NaN without."""
     inside = [hold for one in repeats for hold in one.inside[one.determined].tolist()]
-    return float(np.mean(inside)) if inside else float("nan")
+    return float(np.mean(inside)) if inside else np.nan

@@ -15,7 +15,20 @@ from hydro_rig.estimation.known_windows import known_windows, leak_cases
 from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.replay import Commands, replay
 from hydro_rig.estimation.search import EstimationSettings
-from hydro_rig.estimation.unknowns import LEAKAGE, NAMES, Prior, default_unknowns, prior_of, priors_of
+from hydro_rig.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    GAINS,
+    LATENCY,
+    LEAKAGE,
+    OF_A_WINDOW,
+    PATHS,
+    RISE_TIME,
+    Prior,
+    default_unknowns,
+    prior_of,
+    priors_of,
+)  # fmt: skip
 
 QUICK = EstimationSettings(horizons=(0.2,), restarts=1)
 
@@ -213,7 +226,8 @@ def test_batches_threads_and_neighbours_change_nothing(moving, found):
 
 
 def test_every_name_has_a_prior_and_scales_there_and_back():
-    names = [name for name in NAMES if name != "lines.wall_bulk_modulus"]
+    paths = [path for path in PATHS if path != "lines.wall_bulk_modulus"]
+    names = [LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, RISE_TIME, *BIASES, *GAINS, *OF_A_WINDOW, *paths]
     priors = priors_of(CONFIG, names)
     model = Model(CONFIG, priors, np.zeros((1, 2)))
     scaled = np.linspace(-2.0, 2.0, len(names))[None]

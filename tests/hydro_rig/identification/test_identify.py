@@ -66,7 +66,7 @@ def test_the_hidden_rig_is_found(folder, done):
     assert answer.returncode == 0, answer.stderr
     assert re.search(
         r"of the position's variance explained on the held-back part; "
-        r"root mean square error there [\d.]+ mm, [\d.]+ mm/s, [\d.]+ bar \(a\) and [\d.]+ bar \(b\)$",
+        r"root mean square error there [\d.]+ mm, [\d.]+ mm/s, [\d.]+ bar \(a\), [\d.]+ bar \(b\)$",
         own_lines(answer.stdout)[-1],
     )
     assert {path.name for path in out.iterdir()} == {
