@@ -7,7 +7,6 @@ error of the model cannot grow, and gaps between windows do not matter.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +64,7 @@ class Fit(NamedTuple):
     unknowns: tuple[Unknown, ...]  # (p,)
     misfit: Floats  # (B,), of each window; infinite for a window that was left out
     joint: Joint  # the common fit of the other windows
-    second: Mapping[str, float] = MappingProxyType({})  # values of another minimum that explains the readings as well
+    second: dict[str, float]  # values of another minimum that explains the readings as well
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -172,12 +171,12 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
         low, high = prior.value(scaled[row]).tolist()
         if name in (LEAKAGE, EXTERNAL_LEAKAGE):
             high = truncated_end(values[row], low, high)
-        inside = (within_bounds(config.plant, name, value) for value in (values[row], low, high))
+        value, low, high = (within_bounds(config.plant, name, end) for end in (values[row], low, high))
         remaining = min(float(scaled[row, 1] - scaled[row, 0]) / (2.0 * COVERAGE), 1.0)
-        unknowns.append(Unknown(name, prior, *inside, remaining, float(spread.widening[row]), side))
+        unknowns.append(Unknown(name, prior, value, low, high, remaining, float(spread.widening[row]), side))
     misfit = common.misfit.copy()
     misfit[np.isfinite(misfit)] = joint.misfit
-    second = {}
+    second: dict[str, float] = {}
     if common.second is not None:
         other = common.second.common
         away = np.flatnonzero((other < scaled[:, 0]) | (other > scaled[:, 1]))

@@ -138,7 +138,7 @@ def as_json(found: Identification, command: str) -> Any:
         "repeats_inside_their_intervals": share_inside(found.repeats),
         "windows": len(fit.misfit),
         "windows_explained": int(fit.explained.sum()),
-        "another_minimum": dict(fit.second),
+        "another_minimum": fit.second,
         "unknowns": unknowns,
         "findings": [finding.line() for finding in found.findings],
         "notes": found.noted,

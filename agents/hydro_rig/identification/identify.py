@@ -299,9 +299,9 @@ def _on_one_grid(recordings: Sequence[Recording], config: TaskConfig) -> list[Ch
                 checked[number] = check_recording(recording, config, True)
     periods = {one.samples.period: recording.source for recording, one in zip(recordings, checked, strict=True)}
     if len(periods) > 1 and not any(one.severe for one in checked):
-        (first, one), (second, other) = list(periods.items())[:2]
+        (first, source), (second, other) = list(periods.items())[:2]
         raise ConfigurationError(
-            f"{other}: has one sample every {1e3 * second:.4g} ms, {one} every {1e3 * first:.4g} ms; "
+            f"{other}: has one sample every {1e3 * second:.4g} ms, {source} every {1e3 * first:.4g} ms; "
             "recordings that are identified together need the same sample time"
         )
     return checked

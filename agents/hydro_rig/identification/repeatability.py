@@ -102,8 +102,10 @@ def repeats_of(fit: Fit, recording: NDArray[np.int64]) -> list[Repeat]:
     inside = np.abs(middle - fit.joint.common) <= reach
     repeats = []
     for place, one in enumerate(fit.unknowns):
-        ends = (one.prior.value(part[:, place]) for part in (middle, middle - reach, middle + reach))
-        repeats.append(Repeat(one.name, numbers, *ends, deviation[:, place] <= DETERMINED, inside[:, place]))
+        values, low, high = (one.prior.value(part[:, place]) for part in (middle, middle - reach, middle + reach))
+        repeats.append(
+            Repeat(one.name, numbers, values, low, high, deviation[:, place] <= DETERMINED, inside[:, place])
+        )
     return repeats
 
 

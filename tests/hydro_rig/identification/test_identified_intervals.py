@@ -87,7 +87,7 @@ def test_intervals_are_as_wide_as_recordings_disagree(shift, before, after):
         spread = spread_of(joint)
         columns = found, found - spread.reach, found + spread.reach, spread.reach / 1.96, spread.widening
         unknowns = tuple(Unknown(name, prior, *row) for name, *row in zip(names, *columns, strict=True))
-        fit = Fit(unknowns, np.ones(24), joint)
+        fit = Fit(unknowns, np.ones(24), joint, {})
         more = widened(fit, recording)
         once += fit.unknowns[0].low <= 0.0 <= fit.unknowns[0].high
         held += more.unknowns[0].low <= 0.0 <= more.unknowns[0].high
