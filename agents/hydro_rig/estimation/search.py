@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -172,7 +173,7 @@ def assess(problem: Problem, scaled: Floats, directions: Floats, searches: int |
     errors = problem.errors or Errors.of_data_sheet(*linear.known.shape[:2])
     covariance = np.linalg.inv(linear.jacobian @ linear.jacobian.transpose(0, 2, 1) + problem.belief.precision)
     values = model.values(scaled)
-    timing = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
+    timing: dict[str, Any] = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
     timing |= {name: values[:, model.names.index(name)] for name in timing if name in model.names}
     chi2 = (linear.residual**2).sum(axis=1)
     variance = np.einsum("bii->bi", covariance)

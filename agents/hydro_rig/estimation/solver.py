@@ -10,7 +10,7 @@ which leaves a small problem of the shared unknowns.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -250,7 +250,7 @@ def _cost(weight: Floats, square: Floats, scaled: Floats, belief: Belief, shared
     return costs
 
 
-def misfit_of(linear: Linearised, covariance: Floats) -> Floats:
+def misfit_of(linear: Linearised, covariance: Any) -> Floats:
     """Excess of the residuals over their expectation from noise after a fit, in standard deviations, (B,).
 
     The excess is infinite if it is not a number. Two sums of squares are tested, and the larger excess counts: of all
@@ -277,7 +277,7 @@ def misfit_of(linear: Linearised, covariance: Floats) -> Floats:
     )
 
 
-def _excess(residual: Floats, jacobian: Floats, covariance: Floats, number: Indices) -> Floats:
+def _excess(residual: Floats, jacobian: Floats, covariance: Any, number: Indices) -> Floats:
     """Excess of one sum of squares of ``number`` residuals.
 
     The sum has a chi-square distribution, whose cube root is nearly normal (Wilson and Hilferty 1931).

@@ -83,7 +83,7 @@ class Joint(NamedTuple):
     @property
     def covariance(self) -> Floats:
         """Of the shared unknowns, (p, p)."""
-        return np.linalg.inv(self.precision)
+        return np.asarray(np.linalg.inv(self.precision), np.float64)
 
     @property
     def common(self) -> Floats:

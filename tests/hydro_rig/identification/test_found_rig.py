@@ -13,16 +13,16 @@ from hydro_agents.detection.detector import Windows, measured_run
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import PlantParameters, TaskConfig
-from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.task.configuration import task_config
-from hydro_env.task.randomisation import Distribution
+from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.rig import rig_from
 from hydro_env.task.sensors import POSITION
 from hydro_env.units import resistance_from_flow
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification import common_fit
 from hydro_rig.identification.common_fit import Joint
-from hydro_rig.identification.fit import Fit, Unknown, unknowns_of
+from hydro_rig.identification.fit import Fit, Unknown
 from hydro_rig.identification.found_rig import _line, _with_unit, found_values, narrowed
 from hydro_rig.identification.held_back import (
     HORIZONS,
@@ -156,19 +156,14 @@ def test_what_is_not_determined_keeps_its_range_in_si():
     assert found["load.spring_stiffness"]["otherwise_probability"] == 0.1
 
 
-def test_a_tight_rod_seal_stays_tight_and_a_leaking_one_gets_a_range():
+def test_leaks_and_springs_stay_within_their_bounds():
     path = "leakage.external_resistance"
     tight = fit_of({"external_leakage_flow_lpm": (0.0, -0.01, 0.01)})
     assert narrowed(tight, CONFIG, RANGES)[path]["otherwise"] == math.inf
-    leaking = fit_of({"external_leakage_flow_lpm": (0.2, 0.15, 0.25)})
-    low, high = narrowed(leaking, CONFIG, RANGES)[path]["log_uniform"]
-    assert low == pytest.approx(resistance_from_flow(0.25), rel=1e-5)
-    assert high == pytest.approx(resistance_from_flow(0.15), rel=1e-5)
-
-
-def test_values_stay_within_the_bounds_of_their_fields():
-    fit = fit_of({"leakage_flow_lpm": (-0.01, -0.02, 0.0), "load.spring_stiffness": (-5.0, -9.0, 1.0)})
-    values = found_values(fit, CONFIG)
+    leaking = narrowed(fit_of({"external_leakage_flow_lpm": (0.2, 0.15, 0.25)}), CONFIG, RANGES)[path]
+    assert leaking["log_uniform"] == pytest.approx([resistance_from_flow(flow) for flow in (0.25, 0.15)], rel=1e-5)
+    below = fit_of({"leakage_flow_lpm": (-0.01, -0.02, 0.0), "load.spring_stiffness": (-5.0, -9.0, 1.0)})
+    values = found_values(below, CONFIG)
     assert values["load.spring_stiffness"] == 0.0
     assert values["leakage.internal_resistance"] == math.inf
 
@@ -178,33 +173,21 @@ def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(mo
     misfits = {4: [1.0, 1.0, 1.0, 50.0], 3: [1.0, 1.0, 40.0]}
 
     def fitted(problem, first, progress):
-        count = len(problem)
-        nothing, none = np.zeros((count, 1)), np.empty(0, np.int64)
-        misfit = np.array(misfits[count])
-        own = np.zeros(1, np.int64)
-        return Joint(nothing, own, nothing[..., None], nothing, misfit, none, np.zeros((count, 0, 1)), 0.0)
+        misfit = np.array(misfits[len(problem)])
+        return Joint(None, np.zeros(1, np.int64), None, None, misfit, None, None, 0.0)
 
-    monkeypatch.setattr(common_fit, "replayed", lambda windows, config, priors: windows)
-    monkeypatch.setattr(common_fit, "_first_values", lambda *_: [None])
-    monkeypatch.setattr(common_fit, "descend", lambda *_, **__: (None, None))
-    monkeypatch.setattr(common_fit, "costs_of", lambda *_: [0.0])
-    monkeypatch.setattr(common_fit, "fit_together", fitted)
+    replaced = {"replayed": lambda windows, *_: windows, "_first_values": lambda *_: [None], "fit_together": fitted}
+    replaced |= {"descend": lambda *_: (None, None), "costs_of": lambda *_: [0.0]}
+    for name, function in replaced.items():
+        monkeypatch.setattr(common_fit, name, function)
     alone = SimpleNamespace(misfit=np.ones(4))
     found = common_fit._common_fit(Windows.of(np.zeros((4, 5, 10))), CONFIG, {}, alone, lambda *_: None)
     assert found.misfit.tolist() == [1.0, 1.0, 40.0, math.inf]
 
 
-def test_without_ranges_leak_biases_and_start_alone_are_unknown():
-    names = unknowns_of(CONFIG, {}, np.array([True, False, False, True]))
-    assert names[:3] == ["leakage_flow_lpm", "position_bias", "spool_position_bias"]
-    assert all(name.startswith("start.") for name in names[3:])
-    assert "external_leakage_flow_lpm" in unknowns_of(CONFIG, RANGES, np.ones(4, dtype=bool))
-
-
 def test_every_number_of_a_rig_is_read_back_from_its_text_with_unit():
     plant = PlantParameters()
-    values = {path: getattr(getattr(plant, path.split(".")[0]), path.split(".")[1]) for path in PARAMETER_PATHS}
-    values = {path: float(value) for path, value in values.items() if isinstance(value, int | float)}
+    values = {path: own_value(plant, path) for path in PARAMETER_PATHS if path not in MODEL_CODES}
     assert len(values) > 40
     groups: dict[str, list[str]] = {}
     for path, value in values.items():
@@ -214,6 +197,4 @@ def test_every_number_of_a_rig_is_read_back_from_its_text_with_unit():
     for unit in ("bar", "l/min", "Hz", "GPa", "cm³"):
         assert f" {unit}\n" in text
     read = rig_from(yaml.safe_load(text), "rig.yaml").plant
-    for path, value in values.items():
-        group, field = path.split(".")
-        assert math.isclose(getattr(getattr(read, group), field), value, rel_tol=1e-5), path
+    assert {path: own_value(read, path) for path in values} == pytest.approx(values, rel=1e-5)

@@ -28,6 +28,21 @@ from hydro_rig.recordings.recording import read_recording
 WINDOWS, UNKNOWNS, READINGS = 7, 6, 40
 
 
+def joint_of(found, information, score):
+    """The common fit of windows without unknowns of their own."""
+    count, places = len(score), np.arange(len(found))
+    nothing = np.empty(0, np.int64), np.zeros((count, 0, len(found)))
+    return Joint(np.tile(found, (count, 1)), places, information, score, np.ones(count), *nothing, 0.0)
+
+
+def fit_of(path, config, cut, task=None):
+    """The fit of ``cut``, (windows, samples), of a recording of the task, with another task if one is given."""
+    recorded_file(path, config, 0.3, family="multi_sine", duration=config.episode_duration)
+    count, samples = cut
+    signals = read_recording(path).signals[:, : count * samples].reshape(5, count, samples).transpose(1, 0, 2)
+    return fit_windows(Windows.of(signals), task or config, config.randomisation)
+
+
 def linear_fit(random, jacobian, disturbed=0.0):
     """A linear model of windows whose first unknown differs from window to window; its fit, and the truth."""
     true = random.standard_normal(UNKNOWNS)
@@ -36,13 +51,7 @@ def linear_fit(random, jacobian, disturbed=0.0):
     information = jacobian @ jacobian.transpose(0, 2, 1)
     towards = np.einsum("wpr,wr->wp", jacobian, readings)
     found = np.linalg.solve(information.sum(axis=0) + np.eye(UNKNOWNS), towards.sum(axis=0))
-    score = towards - information @ found
-    rows = np.tile(found, (WINDOWS, 1))
-    none = np.empty(0, np.int64)
-    joint = Joint(
-        rows, np.arange(UNKNOWNS), information, score, np.zeros(WINDOWS), none, np.zeros((WINDOWS, 0, 0)), 0.0
-    )
-    return joint, true
+    return joint_of(found, information, towards - information @ found), true
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +90,7 @@ def test_intervals_are_as_wide_as_recordings_disagree(shift, before, after):
         information = np.tile(400.0 * np.eye(2), (24, 1, 1))
         towards = np.einsum("wij,wj->wi", information, own) + 20.0 * random.standard_normal((24, 2))
         found = np.linalg.solve(information.sum(axis=0) + np.eye(2), towards.sum(axis=0))
-        score, none = towards - information @ found, np.empty(0, np.int64)
-        rows = np.tile(found, (24, 1))
-        joint = Joint(rows, np.arange(2), information, score, np.ones(24), none, np.zeros((24, 0, 0)), 0.0)
+        joint = joint_of(found, information, towards - information @ found)
         spread = spread_of(joint)
         columns = found, found - spread.reach, found + spread.reach, spread.reach / 1.96, spread.widening
         unknowns = tuple(Unknown(name, prior, *row) for name, *row in zip(names, *columns, strict=True))
@@ -126,11 +133,8 @@ def fit_at(model, limit):
     measured = model.readings(scaled)
     slope = 0.5 * (1.0 if limit < model.edge else 0.0) + 0.5 * (1.0 if limit <= model.edge else 0.0)
     jacobian = np.tile(20.0 * np.stack([slope * model.time, np.ones(READINGS)]), (WINDOWS, 1, 1))
-    score = np.zeros((WINDOWS, 2))
     information = jacobian @ jacobian.transpose(0, 2, 1)
-    rest = np.zeros(WINDOWS), np.empty(0, np.int64), np.zeros((WINDOWS, 0, 2)), 0.0
-    joint = Joint(scaled, np.arange(2), information, score, *rest)
-    return Problem(model, measured, None), joint
+    return Problem(model, measured, None), joint_of(scaled[0], information, np.zeros((WINDOWS, 2)))
 
 
 @pytest.mark.parametrize("step", [0.5, 2.0])
@@ -144,57 +148,41 @@ def test_a_limit_that_was_never_reached_leaves_the_cost_flat_on_one_side(step):
     assert rises == pytest.approx(1.0, abs=0.01)
 
 
-def hose():
-    """The task of an axis whose dead volume and hoses compensate each other."""
+def test_the_intervals_of_unknowns_on_a_curve_hold_their_whole_valley(tmp_path):
+    """The linear model says that a recording determines dead volume and wall; the readings allow far other pairs."""
     ranges = {
         "cylinder.dead_volume": {"log_factor": [0.25, 4.0]},
         "lines.wall_bulk_modulus": {"log_uniform": [1e8, 2e9]},
         "fluid.bulk_modulus": {"log_factor": [0.7, 1.3]},
     }
     plant = {"lines": {"volume_a": 5e-5, "volume_b": 5e-5, "wall_bulk_modulus": 4e8}}
-    return task_config(None, plant=plant, randomisation=ranges, episode_duration=4.0)
-
-
-def test_the_intervals_of_unknowns_on_a_curve_hold_their_whole_valley(tmp_path):
-    """The linear model says that a recording determines dead volume and wall; the readings allow far other pairs."""
-    config = hose()
-    recorded_file(tmp_path / "a.csv", config, 0.3, family="multi_sine", duration=4.0)
-    signals = read_recording(tmp_path / "a.csv").signals
-    fit = fit_windows(Windows.of(signals[:, :200].reshape(5, 2, 100).transpose(1, 0, 2)), config, config.randomisation)
+    config = task_config(None, plant=plant, randomisation=ranges, episode_duration=4.0)
+    fit = fit_of(tmp_path / "a.csv", config, (2, 100))
     true = true_values(config, SEED, 0.3)
     place = fit.names.index("lines.wall_bulk_modulus")
-    linear = np.sqrt(np.diag(np.linalg.inv(fit.joint.precision)))[place]
-    assert fit.unknowns[place].remaining > 2.0 * linear
+    assert fit.unknowns[place].remaining > 2.0 * np.sqrt(fit.joint.covariance[place, place])
     for one in fit.unknowns:
-        if one.name in config.randomisation:
+        if one.name in ranges:
             assert one.low <= true[one.name] <= one.high, one.name
 
 
-def test_the_value_of_an_open_interval_is_not_its_edge():
+def test_intervals_end_at_physical_bounds_and_values_not_at_an_open_edge():
     plant = PlantParameters()
-    prior = Prior(plant.valve.slew_limit, 0.4, True)
-    assert beside_the_edge("valve.slew_limit", prior, plant, -0.5, 1.7) == pytest.approx(0.0)  # the file's is possible
-    assert beside_the_edge("valve.slew_limit", prior, plant, 0.5, 1.7) == pytest.approx(1.1)
-
-
-def test_intervals_end_at_physical_bounds():
-    plant = PlantParameters()
-    assert within_bounds(plant, "leakage_flow_lpm", -0.2) == 0.0
-    assert within_bounds(plant, "pressure_a_bias", -2e5) == -2e5
-    assert within_bounds(plant, "load.viscous_damping", -3.0) == 0.0
-    assert within_bounds(plant, "load.mass", 50.0) == 50.0
+    bounded = {"leakage_flow_lpm": (-0.2, 0.0), "pressure_a_bias": (-2e5, -2e5), "load.viscous_damping": (-3.0, 0.0)}
+    for name, (value, expected) in (bounded | {"load.mass": (50.0, 50.0)}).items():
+        assert within_bounds(plant, name, value) == expected
     assert truncated_end(0.5, 0.3, 0.7) == 0.7
     assert 0.0 < truncated_end(-0.2, -0.4, 0.0) < 0.2  # a size below zero leaves a small one possible
+    prior = Prior(plant.valve.slew_limit, 0.4, True)
+    for limit, value in ((-0.5, 0.0), (0.5, 1.1)):  # that of the file if it is possible
+        assert beside_the_edge("valve.slew_limit", prior, plant, limit, 1.7) == pytest.approx(value)
 
 
 def test_a_rise_time_that_the_task_does_not_say_is_found(tmp_path):
     """With transducers of 4 ms in the task instead of 1.5 ms the model explains no window; then it finds their time."""
-    ranges = {"load.mass": {"factor": [0.8, 1.2]}}
-    config = task_config(None, randomisation=ranges, episode_duration=4.0)
-    recorded_file(tmp_path / "a.csv", {"randomisation": ranges}, 0.3, family="multi_sine", duration=4.0)
-    signals = read_recording(tmp_path / "a.csv").signals
+    config = task_config(None, randomisation={"load.mass": {"factor": [0.8, 1.2]}}, episode_duration=4.0)
     wrong = task_config(config, sensors={"pressure_rise_time": 4e-3})
-    fit = fit_windows(Windows.of(signals[:, :800].reshape(5, 4, 200).transpose(1, 0, 2)), wrong, wrong.randomisation)
+    fit = fit_of(tmp_path / "a.csv", config, (4, 200), wrong)
     assert fit.explained.all()
     timing = fit.own()
     assert timing["pressure_rise_time"] == pytest.approx(config.sensors.pressure_rise_time, rel=0.1)
@@ -206,10 +194,7 @@ def test_a_slew_limit_above_the_spools_speed_is_bounded_from_below(tmp_path):
     """In slow moves the spool stays far below its limit: only 'at least' is true, and the file keeps its value."""
     ranges = {"valve.slew_limit": {"log_factor": [0.05, 2.0]}}
     config = task_config(None, randomisation=ranges, episode_duration=5.0)
-    recorded_file(tmp_path / "a.csv", {"randomisation": ranges}, 0.3, family="multi_sine", duration=5.0)
-    signals = read_recording(tmp_path / "a.csv").signals
-    windows = signals[:, :800].reshape(5, 4, 200).transpose(1, 0, 2)
-    fit = fit_windows(Windows.of(windows), config, config.randomisation)
+    fit = fit_of(tmp_path / "a.csv", config, (4, 200))
     limit = fit.unknowns[fit.names.index("valve.slew_limit")]
     assert limit.side == 1
     assert not fit.knows(limit)
