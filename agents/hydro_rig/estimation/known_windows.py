@@ -44,11 +44,6 @@ class KnownWindows:
     bias: Floats  # (B, channels), SI; a fault's offset included
     case: NDArray[np.int64]  # (B,), index of the case; failed cases are left out
 
-    @property
-    def count(self) -> int:
-        """B."""
-        return len(self.signals)
-
     def value(self, name: str) -> Floats:
         """True values (B,) of an unknown of :mod:`hydro_rig.estimation.unknowns`, in its unit."""
         if name == LEAKAGE:

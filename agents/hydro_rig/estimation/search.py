@@ -198,7 +198,7 @@ def assess(problem: Problem, scaled: Floats, directions: Floats, searches: int |
         slow=errors.slow,
         memory=errors.memory,
         spikes=np.zeros_like(errors.white),
-        latency=np.array(np.broadcast_to(timing[LATENCY], len(scaled))),
-        rise_time=np.array(np.broadcast_to(timing[RISE_TIME], len(scaled))),
+        latency=np.full(len(scaled), timing[LATENCY]),
+        rise_time=np.full(len(scaled), timing[RISE_TIME]),
         unlikelihood=chi2,
     )

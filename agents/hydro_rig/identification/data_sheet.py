@@ -61,15 +61,12 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
         task: as the estimate assumed it.
     """
     end = "used" if found.holds.any() else "the model still does not hold"
-    usual = {LATENCY: task.command_latency, RISE_TIME: task.sensors.pressure_rise_time}
     findings = []
     for signal, kind, size in _odd(found, task):
-        if kind in usual:
-            ours, verb = (
-                f"{number(1e3 * usual[kind], 1)} ms",
-                "acts {} after its row" if kind == LATENCY else "rise within {}",
-            )
-            what = f"{verb.format(f'{number(1e3 * size, 1)} ms')}, and not {ours} ({kind}): {end}"
+        if kind == LATENCY:
+            what = f"acts {_ms(size)} after its row, and not {_ms(task.command_latency)} ({kind}): {end}"
+        elif kind == RISE_TIME:
+            what = f"rise within {_ms(size)}, and not {_ms(task.sensors.pressure_rise_time)} ({kind}): {end}"
         elif kind == "white":
             what = f"scatters {number(size, 1)} times its data sheet: {end}"
         elif kind == "slow":
@@ -119,6 +116,10 @@ def lines_to_paste(found: Estimate, task: TaskConfig) -> str:
             values.setdefault("sensors", {})[signal] = {"noise": _rounded(size * _noise(signal, task))}
     text: str = yaml.safe_dump(values, sort_keys=False) if values else ""
     return text + (f"# and in the map of the columns: command: {{rows_early: {rows}, …}}\n" if rows else "")
+
+
+def _ms(seconds: float) -> str:
+    return f"{number(1e3 * seconds, 1)} ms"
 
 
 def _rounded(value: float) -> float:
