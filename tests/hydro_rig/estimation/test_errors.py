@@ -110,7 +110,7 @@ CHANGES = {
     "noise times 3": (lambda signals: noisier(signals, 3.0), "scatters 3"),
     "spikes": (spiky, "has spikes"),
     "drift of 2.5 bar": (lambda signals: signals + DRIFT[:, : signals.shape[2]], "differs slowly"),
-    "row late": (lambda signals: shifted(noisier(signals, 2.0), 1), "acts −4.0 ms after its row"),
+    "row late": (lambda signals: shifted(noisier(signals, 2.0), 1), "acts −"),
     "row early": (lambda signals: shifted(signals, -1), "acts 6.0 ms after its row"),
 }
 
