@@ -50,13 +50,11 @@ def unknowns_of(seed: int, first: int, folder: Path) -> Iterator[dict[str, Any]]
     fit = found.fit
     row |= {"refused": not found.describes, "verdict": found.verdict(), "share": found.share}
     row |= {"seconds": time.monotonic() - began, "core_s": time.process_time() - cost}
-    for name, low, high, left, known, side in zip(
-        fit.names, fit.low, fit.high, fit.remaining, fit.determined, fit.side, strict=True
-    ):
-        value = hidden.true[name]
-        away = abs(value - 0.5 * (low + high)) / max((high - low) / 3.92, 1e-300)
-        judged = {"determined": bool(known), "side": int(side), "within": bool(low <= value <= high)}
-        yield row | {"unknown": name, **judged, "left": float(left), "away": float(away)}
+    for one in fit.unknowns:
+        value = hidden.true[one.name]
+        away = abs(value - 0.5 * (one.low + one.high)) / max((one.high - one.low) / 3.92, 1e-300)
+        judged = {"determined": fit.knows(one), "side": one.side, "within": bool(one.low <= value <= one.high)}
+        yield row | {"unknown": one.name, **judged, "left": one.remaining, "away": float(away)}
 
 
 def columns_of(rows: pd.DataFrame) -> list[str]:

@@ -80,12 +80,15 @@ def festo(folder: Path, samples: list[int], fitted: list[int]) -> None:
     apart = [f"*_{volts}V_*" for volts in others]
     with ProgressDisplay() as display:
         found = identify(list(names), task_config(None, rig=RIG), read_rig(RIG), maps, display.update, apart)
-    print(f"\n{found.verdict()}\n{len(names)} recordings; {len(found.fit.misfit)} windows\n")
+    print(f"
+{found.verdict()}
+{len(names)} recordings; {len(found.fit.misfit)} windows
+")
     fit, lines = found.fit, []
-    for name, value, low, high, known in zip(fit.names, fit.values, fit.low, fit.high, fit.determined, strict=True):
-        look = shown(name, found.config.plant)
-        cells = [look.value(float(value), float(high - low)), look.span(float(low), float(high))]
-        lines.append((look.words, look.unit, *cells, "yes" if known else "no"))
+    for one in fit.unknowns:
+        look = shown(one.name, found.config.plant)
+        cells = [look.value(one.value, one.high - one.low), look.span(one.low, one.high)]
+        lines.append((look.words, look.unit, *cells, "yes" if fit.knows(one) else "no"))
     print(markdown(("unknown", "unit", "found", "95 % interval", "determined"), lines))
     print(f"\nintervals of single recordings that hold the common value: {share_inside(found.repeats):.0%}\n")
     path_of, lines = list(names), []

@@ -64,7 +64,6 @@ GROUPS = {
         "leak-test": "hydro_rig.commands.leak_testing:leak_test",
         "trend": "hydro_rig.commands.diagnosing:trend",
         "alarms": "hydro_rig.commands.alarms:alarms",
-        "leak-bound": "hydro_rig.commands.leak_bound:leak_bound",
         "score": "hydro_rig.commands.datasets:score",
     },
     "The paper, and this machine": {

@@ -73,7 +73,7 @@ PARTS = {
     "pause": Part("pauses", "experiments:pause"),
     "take_over": Part("take_over", "experiments:take_over"),
     "windows": Part("windows", "leak_protocol:windows", ("leakage",)),
-    "leak_bound": Part("bound", "hydro_rig.estimation.leak_bound:leak_bound", ("leakage",)),
+    "leak_bound": Part("bound", "hydro_rig.estimation.information:leak_bound", ("leakage",)),
     "leak_price": Part("leak_price", "experiments:price"),
 }
 """Every part by its name. Its module is imported when a protocol has the part."""

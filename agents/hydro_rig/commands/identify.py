@@ -48,8 +48,7 @@ def identify(
 ) -> None:
     """Estimate the unknowns of a rig file: fit its ranges, the leak and the sensors' offsets to recordings.
 
-    Several recordings share the unknowns, each with the sensors that it has; the page then shows what each of them says
-    by itself.
+    Several recordings share the unknowns, each with the sensors that it has; the page then shows how far they agree.
 
     Writes `rig.yaml` (estimated values, ranges narrowed to their 95 % intervals; ready for `hydro check-rig` and `hydro
     study --rig`), a page (`identification.html`: measured and simulated signals, each interval, the unknowns that the

@@ -231,9 +231,9 @@ def _run(
 
 def _true_course(task: TaskConfig, windows: KnownWindows) -> tuple[Floats, Floats]:
     """Position (plants, T) and pressures (plants, 2, T) of simulated axes, without noise."""
-    count, samples = windows.count, windows.signals.shape[2]
+    count, _, samples = windows.signals.shape
     commands = Commands(windows.signals[:, COMMAND], np.full((count, samples - 1), task.control_period))
-    read, _ = replay(task, commands, np.arange(count), windows.physical, windows.start, windows.latency)
+    read = replay(task, commands, np.arange(count), windows.physical, windows.start, windows.latency)
     return read[:, POSITION], read[:, [PRESSURE_A, PRESSURE_B]]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
+from hydro_agents.running.jobs import Report
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
@@ -28,21 +29,19 @@ from hydro_rig.diagnosis.verdict import Leak, Limits, Verdict
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.estimator import SURE, WEAR, healthy_range
 from hydro_rig.estimation.first_guess import first_values
-from hydro_rig.estimation.model import LONG_STEP
+from hydro_rig.estimation.model import Indices
 from hydro_rig.estimation.unknowns import LEAKAGE, Prior
 from hydro_rig.identification.common_fit import (
-    ROUGH_TOLERANCE,
     ROUGHLY,
     WELL_FITTED,
     Common,
-    Indices,
-    Report,
     common_fit,
     costs_of,
     descend,
     fit_together,
     replayed,
     shared_and_own,
+    trials_of,
     without_outliers,
 )
 from hydro_rig.identification.fit import COVERAGE
@@ -94,7 +93,7 @@ class LeakFit(NamedTuple):
     def simulated(self) -> Floats:
         """What the sensors of the fitted model read in the windows that were used, (B, sensors, T), SI."""
         model = self.common.model
-        read: Floats = model.readings(self.common.joint.scaled, np.arange(model.count))[0] * model.noise[:, None]
+        read: Floats = model.readings(self.common.joint.scaled) * model.noise[:, None]
         return read
 
 
@@ -280,30 +279,24 @@ def quick_fit(
     few = windows.part(chosen)
     alone = estimate(few.signals, config, list(priors), settings=ROUGHLY, boundary=few.boundary)
     report("windows", len(chosen), len(chosen))
-    model, readings = replayed(windows, config, priors)
-    shared, _ = shared_and_own(model)
+    problem = replayed(windows, config, priors)
+    model, (shared, _) = problem.model, shared_and_own(problem.model)
     guess = model.scaled(first_values(windows.signals, model.commands.durations, config, priors))
-    trials = []
-    for values in alone.scaled[:, shared]:
-        tried = guess.copy()
-        tried[:, shared] = values
-        trials.append(tried)
+    trials = trials_of(guess, shared, alone.scaled[:, shared])
 
     def progress(done: int, total: int) -> None:
         report("common fit", done, total)
 
-    first = trials[int(np.argmin(costs_of(model, readings, trials)))]
-    rough, _ = descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)
-    joint = fit_together(model, readings, rough, progress)
+    first = trials[int(np.argmin(costs_of(problem, trials)))]
+    rough, _ = descend(problem, first, progress)
+    joint = fit_together(problem, rough, progress)
     kept = np.arange(len(windows))
     for _ in range(MOST_ROUNDS):  # without windows in a local minimum, as where the axis sticks and slips
         still = without_outliers(joint.misfit)
         if len(still) == len(kept):
             break
         kept = kept[still]
-        model, readings = replayed(windows.part(kept), config, priors)
-        joint = fit_together(model, readings, joint.scaled[still], progress)
+        problem = replayed(windows.part(kept), config, priors)
+        joint = fit_together(problem, joint.scaled[still], progress)
     report("common fit", 1, 1)
-    misfit = np.full(len(windows), np.inf)
-    misfit[kept] = joint.misfit
-    return Common(model, readings, joint, misfit, None)
+    return Common.of(len(windows), kept, problem, joint)

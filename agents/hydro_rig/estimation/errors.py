@@ -56,17 +56,13 @@ def errors_of(residual: Floats, known: Mask) -> tuple[Errors, Floats]:
         residual: readings minus model, over the noise of the data sheet.
         known: readings that exist, (B, channels, T).
     """
-    windows, channels, _ = residual.shape
-    errors = Errors.of_data_sheet(windows, channels)
-    likelihood = np.zeros(windows)
-    for window in range(windows):
-        for channel in range(channels):
-            if known[window, channel].any():
-                found = _most_likely(residual[window, channel], known[window, channel], MEMORIES, RATIOS)
-                white, slow, memory, cost = found
-                errors.white[window, channel] = max(white, LEAST_WHITE)
-                errors.slow[window, channel], errors.memory[window, channel] = slow, memory
-                likelihood[window] += cost
+    errors, likelihood = Errors.of_data_sheet(*residual.shape[:2]), np.zeros(len(residual))
+    for place in zip(*np.nonzero(known.any(axis=2)), strict=True):
+        white, errors.slow[place], errors.memory[place], cost = _most_likely(
+            residual[place], known[place], MEMORIES, RATIOS
+        )
+        errors.white[place] = max(white, LEAST_WHITE)
+        likelihood[place[0]] += cost
     return errors, likelihood
 
 

@@ -14,7 +14,7 @@ from hydro_rig.estimation.first_guess import first_values
 from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.estimation.search import EstimationSettings, search
-from hydro_rig.estimation.solver import prior_belief
+from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import Prior, priors_of
 
 SAMPLES_PER_BATCH = 25_600  # largest number of samples, over all windows, in one fit; more would only need more memory
@@ -67,30 +67,20 @@ def estimate(
         >>> np.round(found.value("leakage_flow_lpm"), 1)  # l/min at 100 bar
         array([1.])
     """
-    settings = settings or EstimationSettings()
     windows = checked_signals(signals)
     known = priors_of(config, unknowns, priors)
-    own = None if physical is None else np.broadcast_to(physical, (len(windows), np.shape(physical)[-1]))
-    begin = {name: np.broadcast_to(value, len(windows)) for name, value in (first or {}).items()}
-    parts = []
-    together = max(SAMPLES_PER_BATCH // windows.shape[2], 1)
-    for low in range(0, len(windows), together):
-        part = slice(low, low + together)
-        edge = None if boundary is None else boundary[part]
-        time = durations[part] if durations is not None and np.ndim(durations) == 2 else durations
-        model = Model(
-            config, known, windows[part, -1], time, own[part] if own is not None else None, None, threads, edge
-        )
-        guess = first_values(windows[part], model.commands.durations, config, known)
-        for name, value in begin.items():
-            if name not in known:
-                raise ConfigurationError(f"first: '{name}' is not among the unknowns")
-            guess[:, model.names.index(name)] = value[part]
-        measured = usable_readings(windows[part], config, model)
-        belief = prior_belief(model, model.count)
-        parts.append(search(model, measured, model.scaled(guess), belief, settings))
+    model = Model(config, known, windows[:, -1], durations, physical, None, threads, boundary)
+    guess = first_values(windows, model.commands.durations, config, known)
+    for name, values in (first or {}).items():
+        if name not in known:
+            raise ConfigurationError(f"first: '{name}' is not among the unknowns")
+        guess[:, model.names.index(name)] = values
+    problem, scaled = Problem.of(model, usable_readings(windows, config, model)), model.scaled(guess)
+    parts, together = [], max(SAMPLES_PER_BATCH // windows.shape[2], 1)
+    for rows in np.split(np.arange(len(windows)), range(together, len(windows), together)):
+        parts.append(search(problem.part(rows), scaled[rows], settings or EstimationSettings()))
         if progress is not None:
-            progress(min(low + together, len(windows)))
+            progress(int(rows[-1]) + 1)
     return join(parts)
 
 
@@ -108,8 +98,9 @@ def checked_signals(signals: Any) -> Floats:
     windows = windows[None] if windows.ndim == 2 else windows
     if windows.ndim != 3 or windows.shape[1] != len(SENSORS) + 1 or windows.shape[2] < 2 or not len(windows):
         raise ConfigurationError(f"signals: shape {shape}: must be (windows, {len(SENSORS) + 1}, samples)")
-    if np.isinf(windows).any():
-        window, channel, sample = np.argwhere(np.isinf(windows))[0]
+    infinite = np.argwhere(np.isinf(windows))
+    if len(infinite):
+        window, channel, sample = infinite[0]
         name = [*SENSORS, "command"][channel]
         raise ConfigurationError(
             f"signals: {name} of window {window}, sample {sample} is infinite: must be finite, or "

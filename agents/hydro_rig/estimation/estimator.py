@@ -9,6 +9,7 @@ A window at rest shows no signs of wear, whatever the valve is like, so that its
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -129,56 +130,51 @@ class EstimatorDetector:
         if not len(chosen):
             return Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS), None
         used, expected = windows.part(chosen), task_config(task, **self.changes)
-        worn = self._fit(used, expected, True, progress)
+        names, wear = (*default_unknowns(expected), *self.unknowns), wear_priors(expected)
+        worn = self._estimate(used, expected, (*names, *wear), wear, progress=progress)
         moves = self._with_moving_supply(used, expected, worn)
         excess = _excess(worn, task)
         value, deviation = worn.value(LEAKAGE).copy(), worn.deviation(LEAKAGE).copy()
-        still = self._at_rest(used, task)
+        position = used.signal("position")
+        travel = np.fmax.reduce(position, axis=1) - np.fmin.reduce(position, axis=1)
+        still = travel < LEAST_TRAVEL * task.sensors.position.noise  # it cannot show whether the valve is worn
         simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still & ~moves)
         if len(simple):
             again = None if progress is None else lambda done: progress(len(chosen) + done)
-            plain, rows = self._fit_again(used, simple, expected, worn, again)
-            better = plain.holds[rows]
-            value[simple[better]] = plain.value(LEAKAGE)[rows][better]
-            deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
-        reading = self._reading(worn, excess, value, deviation, still, task)
+            plain = self._estimate(used.part(simple), expected, names, {}, (worn, simple), again, horizons=())
+            better = np.flatnonzero(plain.holds)
+            value[simple[better]] = plain.value(LEAKAGE)[better]
+            deviation[simple[better]] = plain.deviation(LEAKAGE)[better]
+        reading = _reading(worn, excess, value, deviation, still, task)
         return reading.among(chosen, len(windows), Why.NO_COMMANDS), worn
-
-    def _at_rest(self, windows: Windows, task: TaskConfig) -> NDArray[np.bool_]:
-        """Windows (N,) that stand still and thus cannot show whether the valve is worn."""
-        position = windows.signal("position")
-        travel = np.fmax.reduce(position, axis=1) - np.fmin.reduce(position, axis=1)
-        return np.asarray(travel < LEAST_TRAVEL * task.sensors.position.noise)
-
-    def names(self, task: TaskConfig, worn: bool) -> tuple[str, ...]:
-        """Unknowns of a fit, with or without wear."""
-        own = (*default_unknowns(task), *self.unknowns, *(wear_priors(task) if worn else ()))
-        return tuple(dict.fromkeys(own))
-
-    def _fit(self, windows: Windows, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
-        names = windows.unrecorded(self.names(task, worn))
-        priors = {name: prior for name, prior in wear_priors(task).items() if worn and name in names}
-        return self._estimate(windows, task, names, self.settings, progress, priors=priors)
 
     def _estimate(
         self,
         windows: Windows,
         task: TaskConfig,
         names: tuple[str, ...],
-        settings: EstimationSettings,
+        priors: Mapping[str, Prior],
+        begin: tuple[Estimate, NDArray[np.int64]] | None = None,
         progress: Progress | None = None,
-        **known: Any,
+        **changes: Any,
     ) -> Estimate:
-        """Estimate the unknowns of windows; ``known``: priors or first values that differ from those of the task."""
+        """Estimate unknowns of windows, from rows of another estimate on; ``changes`` are those of the settings."""
+        names = windows.unrecorded(tuple(dict.fromkeys(names)))
+        first = {}
+        if begin is not None:
+            found, rows = begin
+            values = {name: found.value(name)[rows] for name in found.names if name in names}
+            first = {name: value for name, value in values.items() if np.isfinite(value).all()}
         return estimate(
             windows.signals,
             task,
             names,
-            settings=settings,
+            priors={name: prior for name, prior in priors.items() if name in names},
+            first=first,
+            settings=replace(self.settings, **changes),
             threads=self.threads,
             progress=progress,
             boundary=windows.boundary,
-            **known,
         )
 
     def _with_moving_supply(self, windows: Windows, task: TaskConfig, worn: Estimate) -> NDArray[np.bool_]:
@@ -191,62 +187,36 @@ class EstimatorDetector:
         recorded = bool(np.isfinite(windows.auxiliary_signal("supply_pressure")).any())
         if recorded or not len(odd):
             return moves
-        course = course_of((windows.samples - 1) * task.control_period)
-        first = {name: worn.value(name)[odd] for name in worn.names if np.isfinite(worn.value(name)[odd]).all()}
-        settings = self.settings.model_copy(update={"horizons": (), "restarts": 0})
-        names = (*worn.names, *course)
-        found = self._estimate(windows.part(odd), task, names, settings, priors=wear_priors(task), first=first)
+        course, part = course_of((windows.samples - 1) * task.control_period), windows.part(odd)
+        names, wear = (*worn.names, *course), wear_priors(task)
+        found = self._estimate(part, task, names, wear, (worn, odd), horizons=(), restarts=0)
         gain = worn.unlikelihood[odd] - found.unlikelihood
         better = found.holds & (~worn.holds[odd] | (gain > LEAST_GAIN * len(course)))
         moves[worn.take(odd, found, better)] = True
         return moves
 
-    def _fit_again(
-        self,
-        windows: Windows,
-        simple: NDArray[np.int64],
-        task: TaskConfig,
-        worn: Estimate,
-        progress: Progress | None,
-    ) -> tuple[Estimate, NDArray[np.int64]]:
-        """Fit the windows ``simple`` without wear; returns the estimate, and the row of each of these windows in it."""
-        names = windows.unrecorded(self.names(task, False))
-        first = {name: worn.value(name)[simple] for name in names if name in worn.names}
-        settings = self.settings.model_copy(update={"horizons": ()})
-        plain = self._estimate(windows.part(simple), task, names, settings, progress, first=first)
-        return plain, np.arange(len(simple))
 
-    def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:
-        """The score and its standard deviation, (N,) each."""
-        bound = task.leakage.class_bounds[0]
-        spread = np.hypot(deviation, LEAST_DEVIATION * bound)
-        return (value - bound) / spread, deviation / spread
-
-    def _reading(
-        self,
-        worn: Estimate,
-        excess: Floats,
-        value: Floats,
-        deviation: Floats,
-        still: NDArray[np.bool_],
-        task: TaskConfig,
-    ) -> Reading:
-        fits = worn.holds & (value + SURE * deviation >= 0.0)  # a negative leak: the model is wrong
-        known = deviation <= DETERMINED * np.maximum(leak_scale(task), value)
-        causes = np.array([wear.cause for wear in WEAR.values()])
-        cause = np.where(excess.max(axis=1) > 0.0, causes[excess.argmax(axis=1)], Cause.NONE)
-        score, sigma = self._score(value, deviation, task)
-        return Reading.of(
-            score,
-            np.where(~fits, Cause.UNKNOWN, np.where(known, cause, Cause.UNDETERMINED)),
-            sigma=sigma,
-            probability=ndtr((value - task.leakage.class_bounds[0]) / deviation),
-            flow_lpm=value,
-            low_lpm=value - HALF_WIDTH * deviation,
-            high_lpm=value + HALF_WIDTH * deviation,
-            fault=_in_words(worn, excess > 0.0),
-            why=np.select([~fits, known, still], [Why.MISFIT, Why.ANSWERED, Why.AT_REST], Why.UNDETERMINED),
-        )
+def _reading(
+    worn: Estimate, excess: Floats, value: Floats, deviation: Floats, still: NDArray[np.bool_], task: TaskConfig
+) -> Reading:
+    """The reading of leaks with their standard deviations, (N,) each."""
+    fits = worn.holds & (value + SURE * deviation >= 0.0)  # a negative leak: the model is wrong
+    known = deviation <= DETERMINED * np.maximum(leak_scale(task), value)
+    worst = np.array([wear.cause for wear in WEAR.values()])[excess.argmax(axis=1)]
+    cause = np.where(excess.max(axis=1) > 0.0, worst, Cause.NONE)
+    bound = task.leakage.class_bounds[0]
+    spread = np.hypot(deviation, LEAST_DEVIATION * bound)
+    return Reading.of(
+        (value - bound) / spread,
+        np.where(~fits, Cause.UNKNOWN, np.where(known, cause, Cause.UNDETERMINED)),
+        sigma=deviation / spread,
+        probability=ndtr((value - bound) / deviation),
+        flow_lpm=value,
+        low_lpm=value - HALF_WIDTH * deviation,
+        high_lpm=value + HALF_WIDTH * deviation,
+        fault=_in_words(worn, excess > 0.0),
+        why=np.select([~fits, known, still], [Why.MISFIT, Why.ANSWERED, Why.AT_REST], Why.UNDETERMINED),
+    )
 
 
 def wear_priors(task: TaskConfig) -> dict[str, Prior]:
@@ -259,27 +229,27 @@ def wear_priors(task: TaskConfig) -> dict[str, Prior]:
         "supply.tank_pressure": Prior(tank, 3e5),
         EXTERNAL_LEAKAGE: Prior(0.0, 1.0),
     }
-    for channel in ("pressure_a", "pressure_b", "spool_position"):
-        wide[f"{channel}_bias"] = Prior(0.0, WIDE_BIAS * getattr(task.sensors, channel).bias)
-    return {name: prior for name, prior in wide.items() if prior.deviation > 0.0}
+    biases = {
+        channel: getattr(task.sensors, channel).bias for channel in ("pressure_a", "pressure_b", "spool_position")
+    }
+    return wide | {f"{channel}_bias": Prior(0.0, WIDE_BIAS * bias) for channel, bias in biases.items() if bias > 0.0}
 
 
 def healthy_range(task: TaskConfig, name: str) -> tuple[float, float]:
     """Lowest and highest value of an unknown on an axis without a fault, from the ranges of the task."""
-    if name == "valve.null_shift":
-        middle, reach = task.plant.valve.null_shift, LARGEST_NULL_SHIFT
-    elif name == "supply.tank_pressure":
-        middle, reach = task.plant.supply.tank_pressure, LARGEST_BACK_PRESSURE
-    elif name in BIASES:
-        middle, reach = 0.0, LARGEST_BIAS * getattr(task.sensors, name.removesuffix("_bias")).bias
-    else:
-        path = EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
-        own = own_value(task.plant, path)
-        bounds = task.randomisation[path].bounds(own) if path in task.randomisation else (own, own)
-        if name != EXTERNAL_LEAKAGE:
-            return bounds
-        middle, reach = 0.0, flow_from_resistance(min(bounds))
-    return middle - reach, middle + reach
+    if name in BIASES:
+        reach = LARGEST_BIAS * getattr(task.sensors, name.removesuffix("_bias")).bias
+        return -reach, reach
+    path = EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
+    own = own_value(task.plant, path)
+    reach = {"valve.null_shift": LARGEST_NULL_SHIFT, "supply.tank_pressure": LARGEST_BACK_PRESSURE}.get(name, 0.0)
+    if reach:
+        return own - reach, own + reach
+    low, high = task.randomisation[path].bounds(own) if path in task.randomisation else (own, own)
+    if name == EXTERNAL_LEAKAGE:
+        reach = flow_from_resistance(min(low, high))
+        return -reach, reach
+    return low, high
 
 
 def _excess(found: Estimate, task: TaskConfig) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
+from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS, SPOOL
 from hydro_env.types import Floats
 from hydro_rig.estimation.unknowns import STARTS, Prior
 
@@ -26,24 +26,18 @@ def first_values(signals: Floats, durations: Floats, config: TaskConfig, priors:
     """
     if config.sensors.differential_pressure:
         signals = _two_pressures(signals, config)
-    first = np.tile([prior.mean for prior in priors.values()], (len(signals), 1))
-    places = {name: place for place, name in enumerate(priors)}
     value, slope = _starts(signals[:, : len(SENSORS)], durations)
     seen = {f"start.{channel}": value[:, row] for row, channel in enumerate(SENSORS)}
-    seen["start.velocity"] = slope[:, SENSORS.index("position")]
-    command = signals[:, -1, 0]  # without a spool sensor, the spool equals its command
-    seen["start.spool_position"] = np.where(
-        np.isnan(seen["start.spool_position"]), command, seen["start.spool_position"]
-    )
-    supply = supply_pressure(signals, config)
-    seen["supply.pressure"] = seen["start.supply_pressure"] = supply
-    stiffness, force = _spring_and_force(signals, durations, config, "load.external_force" in places)
+    seen["start.velocity"] = slope[:, POSITION]
+    spool = value[:, SPOOL]  # without a spool sensor, the spool equals its command
+    seen["start.spool_position"] = np.where(np.isnan(spool), signals[:, -1, 0], spool)
+    seen["supply.pressure"] = seen["start.supply_pressure"] = supply_pressure(signals, config)
+    stiffness, force = _spring_and_force(signals, durations, config, "load.external_force" in priors)
     seen["load.spring_stiffness"], seen["load.external_force"] = stiffness, force
-    for name, values in seen.items():
-        if name in places:
-            prior = priors[name]
-            near = values if name in STARTS else _near(values, prior)
-            column = first[:, places[name]]
+    first = np.tile([prior.mean for prior in priors.values()], (len(signals), 1))
+    for column, (name, prior) in zip(first.T, priors.items(), strict=True):
+        if name in seen:
+            near = seen[name] if name in STARTS else _near(seen[name], prior)
             column[:] = np.where(np.isfinite(near), near, column)
     return first
 
@@ -80,8 +74,7 @@ def _starts(signals: Floats, durations: Floats) -> tuple[Floats, Floats]:
 
 def supply_pressure(signals: Floats, config: TaskConfig) -> Floats:
     """Supply pressure (B,), Pa: with equal edges and without flow through the valve, it equals p_a + p_b − p_T."""
-    sums = signals[:, SENSORS.index("pressure_a")] + signals[:, SENSORS.index("pressure_b")]
-    opening = np.abs(signals[:, SENSORS.index("spool_position")])
+    sums, opening = signals[:, PRESSURE_A] + signals[:, PRESSURE_B], np.abs(signals[:, SPOOL])
     opening = np.where(np.isfinite(opening), opening, np.abs(signals[:, -1]))
     result = np.full(len(signals), np.nan)
     for window, (total, width) in enumerate(zip(sums, opening, strict=True)):

@@ -7,35 +7,30 @@ inverse variances of the noise and P those of the priors; no unbiased estimate o
 *Detection, Estimation, and Modulation Theory* I, 1968, section 2.4). Information adds up over sensors and samples; one
 Jacobian therefore serves every choice of sensors, every shorter window and every smaller set of unknowns.
 
-The bound assumes that the model has the true structure. It depends on what else is unknown: :func:`unknown_sets` gives
-sets from none to a worn valve, sensor gains and forces.
+The bound assumes that the model has the true structure. It depends on what else is unknown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from hydro_agents.detection.operations import ACTING
+from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.leak_protocol import LeakProtocol
+from hydro_agents.running.cases import Cases
+from hydro_agents.running.jobs import Columns, Job
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.mistakes import one_of
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import usable_readings
-from hydro_rig.estimation.known_windows import KnownWindows
+from hydro_rig.estimation.known_windows import KnownWindows, known_windows
 from hydro_rig.estimation.model import Model
-from hydro_rig.estimation.unknowns import (
-    BIASES,
-    GAINS,
-    LEAKAGE,
-    STARTS,
-    Prior,
-    default_unknowns,
-    prior_of,
-    priors_of,
-)
+from hydro_rig.estimation.unknowns import LEAKAGE, Prior, priors_of
 
 TOLERANCE = 1e-8  # tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %
 
@@ -46,22 +41,6 @@ With smaller steps the integrator's error dominates; with larger ones the readin
 this step changes the bound by 0.01 %, a step ten times as large by up to 1 %.
 """
 
-WINDOWS_PER_BATCH = 16  # number of windows that are linearised together; more would only need more memory
-
-LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, EVERYTHING = (
-    "the leak alone",
-    "start and biases too",
-    "the plant too",
-    "a worn valve too",
-    "gains and forces too",
-)
-"""Names of the sets; each contains the previous one."""
-
-_WEAR = {"valve.null_shift": (0.01, False), "valve.underlap": (0.03, False), "valve.rated_flow": (0.2, True)}
-"""Standard deviation of a worn valve's parameters, of full stroke or (if true) of the logarithm."""
-
-_FURTHER = (*GAINS, "supply.tank_pressure", "load.external_force")
-
 
 class Information(NamedTuple):
     """Information of B windows about P unknowns, by length of the window and by sensor, for scaled unknowns.
@@ -70,7 +49,6 @@ class Information(NamedTuple):
     """
 
     names: tuple[str, ...]  # of the unknowns
-    lengths: tuple[float, ...]  # s, rising
     matrix: Floats  # (B, lengths, channels, P, P), of the readings from the start to that length
     unit: Floats  # (B, P), change of each unknown, in its unit, per scaled one
 
@@ -101,17 +79,12 @@ def information(
         if not period <= length <= whole * (1.0 + 1e-9):
             raise ConfigurationError(f"window = {length:g} s: must be within {period:g} to {whole:g} s")
     ends = [round(length / period) + 1 for length in given]
-    matrices, units = [], []
-    for first in range(0, windows.count, WINDOWS_PER_BATCH):
-        part = windows.part(first, first + WINDOWS_PER_BATCH)
-        model, scaled = true_model(config, part, priors, threads)
-        used = np.isfinite(usable_readings(part.signals, config, model))
-        jacobian = np.where(used[:, None], jacobian_at(model, scaled), 0.0)[:, :, :, : ends[-1]]
-        pieces = np.split(jacobian, ends[:-1], axis=3)
-        steps = [np.einsum("bpct,bqct->bcpq", piece, piece, optimize=True) for piece in pieces]
-        matrices.append(np.cumsum(np.stack(steps, axis=1), axis=1))
-        units.append(model.derivative(scaled))
-    return Information(tuple(priors), given, np.concatenate(matrices), np.concatenate(units))
+    model, scaled = true_model(config, windows, priors, threads)
+    used = np.isfinite(usable_readings(windows.signals, config, model))
+    jacobian = np.where(used[:, None], jacobian_at(model, scaled), 0.0)[:, :, :, : ends[-1]]
+    pieces = np.split(jacobian, ends[:-1], axis=3)
+    steps = [np.einsum("bpct,bqct->bcpq", piece, piece, optimize=True) for piece in pieces]
+    return Information(tuple(priors), np.cumsum(np.stack(steps, axis=1), axis=1), model.derivative(scaled))
 
 
 def true_model(
@@ -119,8 +92,7 @@ def true_model(
 ) -> tuple[Model, Floats]:
     """The model of known windows with a strict integrator, and the true scaled unknowns (B, P)."""
     strict = task_config(config, tolerance=min(config.tolerance, TOLERANCE))
-    physical, start = windows.physical, windows.start
-    model = Model(strict, priors, windows.signals[:, -1], None, physical, start, threads)
+    model = Model(strict, priors, windows.signals[:, -1], None, windows.physical, windows.start, threads)
     return model, model.scaled(np.stack([windows.value(name) for name in priors], axis=1))
 
 
@@ -129,46 +101,11 @@ def jacobian_at(model: Model, scaled: Floats) -> Floats:
 
     A first, coarse derivative gives the steps: each changes the readings by about :data:`RESPONSE`.
     """
-    coarse = model.linearise(scaled).jacobian[:, model.simulated]
+    coarse = model.linearise(scaled)[1][:, model.simulated]
     steps = np.clip(RESPONSE / np.sqrt(1.0 + (coarse**2).sum(axis=(2, 3))), 1e-7, 0.1)
     directions = steps[:, :, None] * np.eye(len(model.simulated))
-    above, below = (model.linearise(scaled, directions=sign * directions).jacobian for sign in (1.0, -1.0))
+    above, below = (model.linearise(scaled, sign * directions)[1] for sign in (1.0, -1.0))
     return 0.5 * (above + below)
-
-
-def covariance(
-    known: Information,
-    unknowns: Sequence[str] | None = None,
-    sensors: Sequence[str] = SENSORS,
-    widths: Mapping[str, float] | None = None,
-) -> Floats:
-    """Smallest covariance of some unknowns, (B, lengths, p, p), each in its unit; the others are known exactly.
-
-    Args:
-        known: information of the readings.
-        unknowns: names; ``None``: all.
-        sensors: available sensors.
-        widths: factors on the standard deviations of priors, by name; ``inf`` means no prior.
-
-    Raises:
-        ConfigurationError: an unknown or a sensor is not in ``known``.
-    """
-    names = known.names if unknowns is None else tuple(unknowns)
-    for what, choice, allowed in (("unknowns", names, known.names), ("sensors", sensors, SENSORS)):
-        for name in choice:
-            if name not in allowed:
-                raise ConfigurationError(f"{what}: '{name}': {one_of(name, allowed)}")
-    place = [known.names.index(name) for name in names]
-    rows = [SENSORS.index(sensor) for sensor in sensors]
-    matrix = known.matrix[:, :, rows].sum(axis=2)[..., place, :][..., place]
-    width = np.array([(widths or {}).get(name, 1.0) for name in names])
-    matrix = matrix + np.diag(1.0 / width**2)
-    # The unknowns have very different information; scaling each by its own keeps the inverse accurate.
-    scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", matrix), 1e-300))
-    inverse = np.linalg.inv(matrix * scale[..., :, None] * scale[..., None, :])
-    unit = known.unit[:, None, place] * scale
-    result: Floats = inverse * unit[..., :, None] * unit[..., None, :]
-    return result
 
 
 def sigma(
@@ -176,68 +113,69 @@ def sigma(
     name: str = LEAKAGE,
     unknowns: Sequence[str] | None = None,
     sensors: Sequence[str] = SENSORS,
-    widths: Mapping[str, float] | None = None,
 ) -> Floats:
-    """The bound of one unknown: its smallest standard deviation, (B, lengths), in its unit; see :func:`covariance`."""
+    """The bound of one unknown: its smallest standard deviation, (B, lengths), in its unit.
+
+    Args:
+        known: information of the readings.
+        name: of the unknown.
+        unknowns: names of all unknowns, the others are known exactly; ``None``: all.
+        sensors: available sensors.
+
+    Raises:
+        ConfigurationError: an unknown or a sensor is not in ``known``.
+    """
     names = known.names if unknowns is None else tuple(unknowns)
-    spread = covariance(known, names, sensors, widths)
+    for what, choice, allowed in (("unknowns", names, known.names), ("sensors", sensors, SENSORS)):
+        for one in choice:
+            if one not in allowed:
+                raise ConfigurationError(f"{what}: '{one}': {one_of(one, allowed)}")
+    places = [known.names.index(one) for one in names]
+    rows = [SENSORS.index(sensor) for sensor in sensors]
+    matrix = known.matrix[:, :, rows].sum(axis=2)[..., places, :][..., places]
+    matrix = matrix + np.eye(len(names))  # the priors
+    # The unknowns have very different information; scaling each by its own keeps the inverse accurate.
+    scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", matrix), 1e-300))
+    inverse = np.linalg.inv(matrix * scale[..., :, None] * scale[..., None, :])
     place = names.index(name)
-    result: Floats = np.sqrt(spread[..., place, place])
+    unit = (known.unit[:, None, places] * scale)[..., place]
+    result: Floats = np.sqrt(inverse[..., place, place] * unit * unit)
     return result
 
 
-class UnknownSet(NamedTuple):
-    """Some unknowns, and factors on the standard deviations of their priors."""
+def leak_bound(protocol: LeakProtocol, chosen: object) -> Iterator[Cell]:
+    """The part ``leak_bound``: the bound of some windows of the conditions that a protocol names."""
+    del chosen
+    for name in protocol.bound_conditions:
+        condition, config = protocol.conditions[name], protocol.task_in(name)
+        begin = 0.0 if condition.begins == "at rest" else condition.duration
+        times = (begin, condition.duration - config.control_period)
+        for level in protocol.levels_in(name):
+            if level >= 0.0:
+                cases = protocol.cases_in(name, level, protocol.bound_windows)
+                arguments = (config, protocol.known_task(name), condition.acting, *times, cases)
+                job = Job(bound_of_windows, None, arguments, digest="bound")
+                yield Cell("bound", name, {"condition": name, "level": level}, (job,))
 
-    unknowns: tuple[str, ...]
-    widths: Mapping[str, float]
 
+def bound_of_windows(
+    _: None, config: TaskConfig, known: TaskConfig, acting: str, begin: float, duration: float, cases: Cases
+) -> Columns:
+    """Smallest standard deviation of the leak, l/min at 100 bar; all quantities that the task draws are unknown.
 
-class UnknownSets(NamedTuple):
-    """Sets of unknowns by name, and the priors of all their unknowns."""
-
-    sets: Mapping[str, UnknownSet]
-    priors: Mapping[str, Prior]
-
-
-def unknown_sets(config: TaskConfig, more: Sequence[str] = ()) -> UnknownSets:
-    """The sets for a task; ``more`` adds a set with these unknowns in addition to the task's.
+    Args:
+        config: task of the runs.
+        known: task that the priors follow from.
+        acting: controller of the axes.
+        begin: of the windows, s.
+        duration: of the windows, s.
+        cases: of the runs.
 
     Raises:
-        ConfigurationError: an unknown of ``more`` does not exist, occurs twice, or is already an unknown of the task.
+        ConfigurationError: the bound cannot be computed.
     """
-    task = default_unknowns(config)
-    for name in more:
-        prior_of(config, name)
-        if name in task or list(more).count(name) > 1:
-            what = "is among the unknowns of the task" if name in task else "is given twice"
-            raise ConfigurationError(f"unknown '{name}': {what}")
-    own = {name: prior_of(config, name) for name in _WEAR}
-    worn = {name: _widened(prior, *_WEAR[name]) for name, prior in own.items()}
-    names = tuple(dict.fromkeys((*task, *worn, *_FURTHER, *more)))
-    priors = priors_of(config, names, worn)
-    as_drawn = {name: _linear(own[name], worn[name]) / worn[name].deviation for name in worn}
-    start = tuple(name for name in task if name in (*BIASES, *STARTS))
-    sets = {
-        LEAK_ALONE: UnknownSet((LEAKAGE,), {}),
-        PLANT_KNOWN: UnknownSet((LEAKAGE, *start), {}),
-        TASK: UnknownSet(task, as_drawn),
-        WORN_VALVE: UnknownSet(tuple(dict.fromkeys((*task, *worn))), {}),
-        EVERYTHING: UnknownSet(tuple(dict.fromkeys((*task, *worn, *_FURTHER))), {}),
-    }
-    if more:
-        sets[f"the plant and {', '.join(more)} too"] = UnknownSet((*task, *more), as_drawn)
-    return UnknownSets(sets, priors)
-
-
-def _widened(prior: Prior, deviation: float, logarithmic: bool) -> Prior:
-    """The prior of a worn valve; a wider range of the task is kept."""
-    wide = Prior(prior.mean, deviation, logarithmic and prior.mean > 0.0)
-    return Prior(wide.mean, max(deviation, _linear(prior, wide)), wide.logarithmic)
-
-
-def _linear(prior: Prior, like: Prior) -> float:
-    """Standard deviation of a prior in the scale of another prior of the same unknown, to first order."""
-    if prior.logarithmic == like.logarithmic:
-        return prior.deviation
-    return prior.deviation * prior.mean if prior.logarithmic else prior.deviation / prior.mean
+    controller = ACTING[acting].make(config, len(cases), int(cases.seeds[0]))
+    windows = known_windows(config, controller, cases, begin, duration)
+    found = np.full(len(cases), np.nan)
+    found[windows.case] = sigma(information(config, windows, priors_of(known), threads=1))[:, -1]
+    return {"seed": cases.seeds.astype(np.float64), "sigma_lpm": found}

@@ -1,8 +1,8 @@
-"""Windows of simulated axes: the signals that a rig measures, the hidden true values, and motions to compare."""
+"""Windows of simulated axes: the signals that a rig measures, and the hidden true values."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.operations import at_rest
 from hydro_agents.running.cases import Cases, TrueStateController, run_cases
 from hydro_agents.running.tasks import steady
 from hydro_env import ConfigurationError, TaskConfig
@@ -31,8 +30,6 @@ from hydro_rig.estimation.unknowns import (
     STARTS,
 )
 
-SLOWER = 16.0  # factor of the slow motion
-
 
 @dataclass(frozen=True)
 class KnownWindows:
@@ -47,15 +44,6 @@ class KnownWindows:
     bias: Floats  # (B, channels), SI; a fault's offset included
     case: NDArray[np.int64]  # (B,), index of the case; failed cases are left out
 
-    @property
-    def count(self) -> int:
-        """Number of windows."""
-        return len(self.signals)
-
-    def part(self, first: int, last: int) -> KnownWindows:
-        """The windows from ``first`` to before ``last``."""
-        return KnownWindows(**{name: values[first:last] for name, values in vars(self).items()})
-
     def value(self, name: str) -> Floats:
         """True values (B,) of an unknown of :mod:`hydro_rig.estimation.unknowns`, in its unit."""
         if name == LEAKAGE:
@@ -65,12 +53,9 @@ class KnownWindows:
             return flow
         if name == LATENCY:
             return self.latency
-        if name in BIASES:
-            return self.bias[:, BIASES.index(name)]
-        if name in GAINS:
-            return self.gain[:, GAINS.index(name)]
-        if name in STARTS:
-            return self.start[:, STARTS.index(name)]
+        for names, values in ((BIASES, self.bias), (GAINS, self.gain), (STARTS, self.start)):
+            if name in names:
+                return values[:, names.index(name)]
         return self.physical[:, PARAMETER_PATHS.index(name)]
 
 
@@ -92,10 +77,8 @@ def known_windows(
         ConfigurationError: the window is shorter than two control periods, or no case reaches its end.
     """
     first, periods = round(begin / config.control_period), round(length / config.control_period)
-    if periods < 2 or first < 0:
-        raise ConfigurationError(
-            f"window = {length:g} s from {begin:g} s: must last two control periods or more, from 0 s or later"
-        )
+    if periods < 2:
+        raise ConfigurationError(f"window = {length:g} s: must last two control periods or more")
     task = task_config(steady(config), episode_duration=(first + periods + 1) * config.control_period)
     watcher = _Watcher(controller, first, periods + 1)
     run = run_cases(task, watcher, cases, states=False, chunk=max(len(cases), 1))
@@ -164,27 +147,3 @@ def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mappin
     levels = np.full(count, leakage_flow_lpm)
     every = {name: np.full(count, size) for name, size in (faults or {}).items()}
     return Cases(np.array(seeds[:count], dtype=np.int64), levels, faults=every or None)
-
-
-def slow(config: TaskConfig) -> TaskConfig:
-    """The task with smooth references that are 16 times slower."""
-    references = config.references
-    weights = {name: weight for name, weight in references.weights.items() if name not in ("step", "user")}
-    if not sum(weights.values()) > 0.0:
-        weights = {"point_to_point": 1.0}
-    return task_config(
-        config,
-        references={
-            "weights": weights,
-            "speed_share": references.speed_share / SLOWER,
-            "acceleration_limit": max(references.acceleration_limit / SLOWER**2, 0.01),
-            "frequency_range": tuple(one / SLOWER for one in references.frequency_range),
-        },
-    )
-
-
-MOTIONS: dict[str, Callable[[TaskConfig], TaskConfig]] = {
-    "ordinary motion": lambda config: config,
-    "slow motion": slow,
-    "at rest": at_rest,
-}

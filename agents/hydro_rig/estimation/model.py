@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
-from hydro_rig.estimation.replay import RISE, Commands, replay, time_constant
+from hydro_rig.estimation.replay import RISE, Commands, replay
 from hydro_rig.estimation.unknowns import (
     BIASES,
     COURSE,
@@ -52,15 +52,6 @@ _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volum
 _SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
 _NULL = PARAMETER_PATHS.index("valve.null_shift")
 _EXTERNAL = PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)
-
-
-class Linearised(NamedTuple):
-    """Readings of B windows and their derivatives, both over the noise of each channel."""
-
-    readings: Floats  # (B, channels, T)
-    jacobian: Floats  # (B, P, channels, T), per standard deviation of each unknown's prior
-    last_state: Floats  # (B, N_STATES), at the last sample
-    last_jacobian: Floats  # (B, P, N_STATES), per standard deviation of each unknown's prior
 
 
 def noise_of(config: TaskConfig) -> Floats:
@@ -107,39 +98,38 @@ class Model:
         threads: int | None = None,
         boundary: Floats | None = None,
     ) -> None:
-        self.config, self.names, self.threads = config, tuple(priors), threads
-        self.noise = noise_of(config)
+        self.config, self.threads, self.noise = config, threads, noise_of(config)
         command = np.array(commands, dtype=np.float64)
-        if command.ndim != 2 or command.shape[1] < 2:
-            raise ConfigurationError(f"commands: shape {command.shape}: must be (windows, samples), at least 2 samples")
-        self.count, self.samples = command.shape
-        if not (np.abs(command) <= 1.0).all():
-            window, sample = np.argwhere(~(np.abs(command) <= 1.0))[0]
+        count, samples = command.shape
+        wrong = np.argwhere(~(np.abs(command) <= 1.0))
+        if len(wrong):
+            window, sample = wrong[0]
             raise ConfigurationError(
                 f"commands: window {window}, sample {sample} = {command[window, sample]:g}: must be within -1 to 1"
             )
-        steps = np.full(self.samples - 1, config.control_period) if durations is None else np.asarray(durations, float)
-        if steps.shape not in ((self.samples - 1,), (self.count, self.samples - 1)):
+        steps = np.full(samples - 1, config.control_period) if durations is None else np.asarray(durations, float)
+        if steps.shape not in ((samples - 1,), (count, samples - 1)):
             raise ConfigurationError(
-                f"durations: shape {steps.shape}: must be ({self.samples - 1},) or ({self.count}, {self.samples - 1})"
+                f"durations: shape {steps.shape}: must be ({samples - 1},) or ({count}, {samples - 1})"
             )
-        if not ((steps > 0.0) & (steps <= LONGEST_INTERVAL)).all():
-            wrong = steps[~((steps > 0.0) & (steps <= LONGEST_INTERVAL))][0]
-            raise ConfigurationError(f"durations: {wrong:g} s: must be above 0 and at most {LONGEST_INTERVAL:g} s")
-        if boundary is not None and np.shape(boundary) != (self.count, 2, self.samples):
+        odd = steps[~((steps > 0.0) & (steps <= LONGEST_INTERVAL))]
+        if len(odd):
+            raise ConfigurationError(f"durations: {odd[0]:g} s: must be above 0 and at most {LONGEST_INTERVAL:g} s")
+        if boundary is not None and np.shape(boundary) != (count, 2, samples):
             raise ConfigurationError(
-                f"boundary: shape {np.shape(boundary)}: must be ({self.count}, 2, {self.samples}), supply and tank"
+                f"boundary: shape {np.shape(boundary)}: must be ({count}, 2, {samples}), supply and tank"
             )
-        self.commands = Commands(command, np.array(np.broadcast_to(steps, (self.count, self.samples - 1))), boundary)
-
+        self.commands = Commands(command, np.array(np.broadcast_to(steps, (count, samples - 1))), boundary)
         own = to_vector(config.plant) if physical is None else np.asarray(physical, dtype=np.float64)
-        self._physical = np.array(np.broadcast_to(own, (self.count, len(PARAMETER_PATHS))))
+        self._physical = np.array(np.broadcast_to(own, (count, len(PARAMETER_PATHS))))
         resting = np.zeros(N_STATES)
         resting[State._fields.index("supply_pressure")] = config.plant.supply.pressure
         resting[_UNFOLLOWED] = np.nan
-        self._start = np.array(np.broadcast_to(resting if start is None else start, (self.count, N_STATES)))
+        self._start = np.array(np.broadcast_to(resting if start is None else start, (count, N_STATES)))
+        self._set_priors(priors)
 
-        self.priors = dict(priors)
+    def _set_priors(self, priors: Mapping[str, Prior]) -> None:
+        self.priors, self.names = dict(priors), tuple(priors)
         self._mean = np.array([prior.mean for prior in priors.values()])
         self._deviation = np.array([prior.deviation for prior in priors.values()])
         self._logarithmic = np.array([prior.logarithmic for prior in priors.values()], dtype=np.bool_)
@@ -150,18 +140,28 @@ class Model:
             [FIRST_START_STEP if self.names[place] in STARTS else FIRST_STEP for place in self.simulated]
         )
 
-    def with_more(self, priors: Mapping[str, Prior], window: Indices) -> Model:
-        """The same model of some of the windows, with more unknowns behind its own."""
-        return Model(
-            self.config,
-            self.priors | dict(priors),
-            self.commands.command[window],
-            self.commands.durations[window],
-            self._physical[window],
-            self._start[window],
-            self.threads,
-            None if self.commands.boundary is None else self.commands.boundary[window],
-        )
+    @property
+    def count(self) -> int:
+        """B."""
+        return len(self.commands.command)
+
+    @property
+    def samples(self) -> int:
+        """T."""
+        return int(self.commands.command.shape[1])
+
+    def part(self, windows: Indices) -> Model:
+        """The same model of some of the windows."""
+        other = copy(self)
+        other.commands = self.commands.part(windows)
+        other._physical, other._start = self._physical[windows], self._start[windows]
+        return other
+
+    def with_priors(self, priors: Mapping[str, Prior]) -> Model:
+        """The model of the same windows with other unknowns, or other priors."""
+        other = copy(self)
+        other._set_priors(priors)
+        return other
 
     def values(self, scaled: Floats) -> Floats:
         """Scaled values to values in their units, both (…, P)."""
@@ -182,17 +182,17 @@ class Model:
         slope: Floats = np.where(self._logarithmic, self.values(scaled), 1.0) * self._deviation
         return slope
 
-    def readings(self, scaled: Floats, window: Indices, samples: int | None = None) -> tuple[Floats, Floats]:
-        """Readings over their noise (R, channels, T) and last states (R, N_STATES) of R rows.
+    def readings(self, scaled: Floats, samples: int | None = None) -> Floats:
+        """Readings over their noise of R rows, (R, channels, T).
 
         Args:
-            scaled: the unknowns of each row, (R, P).
-            window: index of the window that each row replays, (R,).
+            scaled: the unknowns of each row, (R, P): first all rows of the first window, then as many of the next.
             samples: number of first samples to replay; ``None``: all.
         """
+        window = np.repeat(np.arange(self.count), len(scaled) // self.count)
         physical, start = self._physical[window], self._start[window]
         latency = np.full(len(window), self.config.command_latency)
-        lag = np.full(len(window), time_constant(self.config))
+        lag: Floats | None = None
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         commands = self.commands.beginning(samples or self.samples)
         course: Floats | None = None
@@ -212,46 +212,39 @@ class Model:
                 latency = np.clip(value, -reach, reach)
             elif name == RISE_TIME:
                 lag = np.maximum(value, 0.0) / RISE
-            elif name in BIASES:
-                bias[:, BIASES.index(name)] = value
-            elif name in GAINS:
-                gain[:, GAINS.index(name)] = value
             elif name == NULL_DRIFT:
                 drift = value
-            elif name in STARTS:
-                start[:, STARTS.index(name)] = value
-            else:
-                physical[:, PARAMETER_PATHS.index(name)] = value
+            for names, values in ((BIASES, bias), (GAINS, gain), (STARTS, start), (PARAMETER_PATHS, physical)):
+                if name in names:
+                    values[:, names.index(name)] = value
         physical[:, _NULL] += drift
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
-        read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course)
+        read = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course)
         if self.config.sensors.differential_pressure:
             read[:, PRESSURE_A] -= read[:, PRESSURE_B]
         read *= (gain / self.noise)[:, :, None]
         read += (bias / self.noise)[:, :, None]
-        return read, last
+        return read
 
     def linearise(
         self,
         scaled: Floats,
-        window: Indices | None = None,
         directions: Floats | None = None,
         samples: int | None = None,
         central: bool = False,
-    ) -> Linearised:
-        """Readings and their derivatives by finite differences, all plants in one batch.
+    ) -> tuple[Floats, Floats]:
+        """Readings (B, channels, T) and their derivatives (B, P, channels, T), both over the noise of each channel.
+
+        The derivatives are finite differences, all plants in one batch, per standard deviation of each unknown's prior.
 
         Args:
             scaled: the unknowns of each window, (B, P).
-            window: index of each window, (B,); ``None``: all in order.
             directions: steps of the differences (:meth:`directions`); ``None``: a small step for each unknown.
             samples: number of first samples to replay; ``None``: all.
             central: steps to both sides instead of forward steps. A long forward step measures the slope beside the
                 point, so that a search with it ends beside the minimum of a curved valley.
         """
-        if window is None:
-            window = np.arange(self.count)
         if directions is None:
             directions = np.tile(np.diag(self._first_steps), (len(scaled), 1, 1))
         count, unknowns = scaled.shape
@@ -261,28 +254,19 @@ class Model:
             steps = np.concatenate([steps, -steps], axis=1)
         rows = np.repeat(scaled[:, None], steps.shape[1] + 1, axis=1)
         rows[:, 1:, self.simulated] += steps
-        read, last = self.readings(rows.reshape(-1, unknowns), np.repeat(window, rows.shape[1]), samples)
-        read, last = read.reshape(count, rows.shape[1], len(SENSORS), -1), last.reshape(count, -1, N_STATES)
-
-        def change(values: Floats) -> Floats:
-            """Change by each step, (B, S, …); 0 without a derivative: one of the plants of the difference failed."""
-            with np.errstate(invalid="ignore", over="ignore"):
-                if central:
-                    difference = 0.5 * (values[:, 1 : moved + 1] - values[:, moved + 1 :])
-                else:
-                    difference = values[:, 1:] - values[:, :1]
-            return np.nan_to_num(difference, posinf=0.0, neginf=0.0)
-
-        moves, last_moves = change(read), change(last)
+        read = self.readings(rows.reshape(-1, unknowns), samples).reshape(count, rows.shape[1], len(SENSORS), -1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            other, share = (read[:, moved + 1 :], 0.5) if central else (read[:, :1], 1.0)
+            moves = share * (read[:, 1 : moved + 1] - other)
+        # No derivative where one of the plants of the difference failed.
+        moves = np.nan_to_num(moves, posinf=0.0, neginf=0.0)
         moves[np.abs(moves).max(axis=(2, 3)) > LARGEST_CHANGE] = 0.0
         back = np.linalg.inv(directions).transpose(0, 2, 1)
         jacobian = np.zeros((count, unknowns, len(SENSORS), read.shape[-1]))
         jacobian[:, self.simulated] = (back @ moves.reshape(count, moved, -1)).reshape(moves.shape)
-        last_jacobian = np.zeros((count, unknowns, N_STATES))
-        last_jacobian[:, self.simulated] = back @ last_moves
         for place, channel in self._added.items():
             jacobian[:, place, channel] = self._deviation[place] / self.noise[channel]
-        return Linearised(read[:, 0], jacobian, last[:, 0], last_jacobian)
+        return read[:, 0], jacobian
 
     def directions(self, precision: Floats, length: float) -> Floats:
         """Steps (B, S, S), one per column, along the axes of the uncertainty with this precision (B, P, P).

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
-from hydro_env.compiling import SOURCES, compiled, named_tuple, tuple_writer
+from hydro_env.compiling import SOURCES, compiled, inline
 from hydro_env.plant.arrays import N_COEFFICIENTS, read_physical, read_state, write_coefficients
 from hydro_env.plant.equations import Coefficients, coefficients, derivatives
 from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.plant.states import State
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS, SPOOL
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import lagged
 from hydro_env.types import Floats
@@ -39,9 +39,14 @@ _TANK, _RELIEF, _SUPPLY_DYNAMICS, _LINE_STIFFNESS = (
     for name in ("tank_pressure", "relief_pressure", "supply_dynamics", "line_stiffness")
 )
 
-Reading = named_tuple("Reading", SENSORS, __name__)  # what the sensors read at one instant
 
-_write_reading = tuple_writer(Reading)
+@inline
+def sense(s: Any, sensed: Floats, reading: Floats) -> None:
+    """Write what the sensors read in the states ``s``; ``sensed``: the signals of the pressure transducers."""
+    reading[POSITION] = s.position
+    reading[PRESSURE_A] = sensed[0]
+    reading[PRESSURE_B] = sensed[1]
+    reading[SPOOL] = s.spool_position
 
 
 class Lag(NamedTuple):
@@ -63,6 +68,11 @@ class Commands(NamedTuple):
         boundary = None if self.boundary is None else self.boundary[:, :, :samples]
         return Commands(self.command[:, :samples], self.durations[:, : samples - 1], boundary)
 
+    def part(self, windows: NDArray[np.int64]) -> Commands:
+        """Some of the windows."""
+        boundary = None if self.boundary is None else self.boundary[windows]
+        return Commands(self.command[windows], self.durations[windows], boundary)
+
 
 def time_constant(config: TaskConfig) -> float:
     """Time constant in s of the pressure transducers; 0 for exact sensors."""
@@ -80,8 +90,10 @@ def replay(
     threads: int | None = None,
     lag: Floats | None = None,
     course: Floats | None = None,
-) -> tuple[Floats, Floats]:
-    """Readings of R plants, without noise and bias, and their states at the last sample.
+) -> Floats:
+    """Readings of R plants, without noise and bias, (R, sensors, T), in the order of ``SENSORS``.
+
+    They are NaN after a failure of the integration.
 
     Args:
         config: the task; it sets the integrator's accuracy and the transducers' lag.
@@ -95,14 +107,9 @@ def replay(
         threads: worker threads; ``None`` takes one per core.
         lag: time constant of the pressure transducers of each row, (R,), s; ``None``: that of the task.
         course: added to the setting of each row's supply, and to its pressure, (R, T), Pa; ``None``: 0.
-
-    Returns:
-        Readings (R, sensors, T) in the order of ``SENSORS``, and states (R, N_STATES). They are NaN after a failure
-        of the integration.
     """
     rows, samples = len(window), commands.command.shape[1]
     readings = np.full((rows, len(SENSORS), samples), np.nan)
-    state = np.array(start, dtype=np.float64)
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
     boundary = commands.boundary
     arguments: tuple[Any, ...] = (
@@ -115,21 +122,17 @@ def replay(
         np.full(rows, time_constant(config)) if lag is None else np.asarray(lag, dtype=np.float64),
         np.zeros((rows, samples)) if course is None else course,
         accuracy,
-        state,
+        np.array(start, dtype=np.float64),
         readings,
     )
-    wanted = threads if threads is not None else (os.cpu_count() or 1)
-    parts = max(1, min(wanted, rows // ROWS_PER_THREAD))
+    parts = max(1, min(threads or os.cpu_count() or 1, rows // ROWS_PER_THREAD))
+    ends = [rows * part // parts for part in range(parts + 1)]
     if parts == 1:
         _replay(*arguments, 0, rows)
-        return readings, state
-
-    def run(part: int) -> None:
-        _replay(*arguments, rows * part // parts, rows * (part + 1) // parts)
-
+        return readings
     with ThreadPoolExecutor(parts, thread_name_prefix="estimation") as pool:
-        list(pool.map(run, range(parts)))
-    return readings, state
+        list(pool.map(lambda first, last: _replay(*arguments, first, last), ends[:-1], ends[1:]))
+    return readings
 
 
 def _build(sources: int) -> Any:
@@ -177,13 +180,7 @@ def _build(sources: int) -> Any:
             true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
             sensed[row, 0] = s.pressure_a - time_constant * rate.pressure_a
             sensed[row, 1] = s.pressure_b - time_constant * rate.pressure_b
-            reading = Reading(
-                position=s.position,
-                pressure_a=sensed[row, 0],
-                pressure_b=sensed[row, 1],
-                spool_position=s.spool_position,
-            )
-            _write_reading(readings[first + row, :, 0], reading)
+            sense(s, sensed[row], readings[first + row, :, 0])
         for sample in range(1, samples):
             for row in range(rows):
                 source = window[first + row]
@@ -215,13 +212,7 @@ def _build(sources: int) -> Any:
                 sensed[row, 0] = lagged(sensed[row, 0], true[row, 0], s.pressure_a, lag)
                 sensed[row, 1] = lagged(sensed[row, 1], true[row, 1], s.pressure_b, lag)
                 true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
-                reading = Reading(
-                    position=s.position,
-                    pressure_a=sensed[row, 0],
-                    pressure_b=sensed[row, 1],
-                    spool_position=s.spool_position,
-                )
-                _write_reading(readings[first + row, :, sample], reading)
+                sense(s, sensed[row], readings[first + row, :, sample])
 
     return compiled(run)
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from statistics import NormalDist
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
@@ -16,7 +16,6 @@ Indices = NDArray[np.int64]
 
 UNLIKELY = 4.0  # standard deviations of the prior beyond which a value contradicts it
 UNDETERMINED = 0.7  # an unknown is undetermined if its standard deviation remains above this share of the prior's
-UNEVEN = 2.0  # largest white noise of a channel, over the median of all, that raises no doubt
 
 
 @dataclass(frozen=True)
@@ -38,10 +37,8 @@ class Estimate:
     chi2_per_sample: Floats  # (B,), about 1 if readings and model differ only by noise
     misfit: Floats  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
     holds: NDArray[np.bool_]  # (B,), whether the model explains the readings
-    iterations: Indices  # (B,), of the last fit
     searches: Indices  # (B,), 1 if the first search gave the result
     scaled: Floats  # (B, P), the values in standard deviations of the prior from its mean
-    precision: Floats  # (B, P, P), inverse covariance of the scaled unknowns
     white: Floats  # (B, channels), standard deviation of the white noise, over that of the data sheet
     slow: Floats  # (B, channels), the same of the slow error of the model and the sensors
     memory: Floats  # (B, channels), correlation time of the slow error, samples
@@ -63,32 +60,24 @@ class Estimate:
 
     def interval(self, name: str, coverage: float = 0.9) -> tuple[Floats, Floats]:
         """Lower and upper end, (B,) each, of the interval that covers the true value with probability ``coverage``."""
-        reach = NormalDist().inv_cdf(0.5 + 0.5 * coverage) * self.deviation(name)
+        reach = ndtri(0.5 + 0.5 * coverage) * self.deviation(name)
         return self.value(name) - reach, self.value(name) + reach
 
     def probability_above(self, name: str, limit: float) -> Floats:
         """Probability, (B,), that an unknown is above a limit."""
-        normal = NormalDist()
-        return np.array([normal.cdf(x) for x in (self.value(name) - limit) / self.deviation(name)])
+        return np.asarray(ndtr((self.value(name) - limit) / self.deviation(name)))
 
     def undetermined(self, window: int) -> tuple[str, ...]:
         """Unknowns that a window hardly determines: their standard deviation stays above 0.7 of the prior's."""
-        return tuple(n for n, left in zip(self.names, self.remaining[window], strict=True) if left > UNDETERMINED)
+        return tuple(np.array(self.names)[self.remaining[window] > UNDETERMINED].tolist())
 
     def unlikely(self, window: int) -> tuple[str, ...]:
         """Unknowns whose value lies more than 4 standard deviations from the prior's mean."""
-        far = np.abs(self.scaled[window]) > UNLIKELY
-        return tuple(name for name, is_far in zip(self.names, far, strict=True) if is_far)
-
-    @property
-    def uneven(self) -> NDArray[np.bool_]:
-        """Windows (B,) where one channel scatters far more than the others: perhaps the search ended too early."""
-        return np.asarray(self.white.max(axis=1) > UNEVEN * np.median(self.white, axis=1))
+        return tuple(np.array(self.names)[np.abs(self.scaled[window]) > UNLIKELY].tolist())
 
     def widen(self, scaled: Floats, scale: Floats) -> None:
         """Add a difference of scaled values, (B, P), to the uncertainty; ``scale``: value per scaled value, (B, P)."""
         square = scaled[:, :, None] * scaled[:, None]
-        self.precision[:] = np.linalg.inv(np.linalg.inv(self.precision) + square)
         self.covariance[:] += square * scale[:, :, None] * scale[:, None]
         self.deviations[:] = np.hypot(self.deviations, scaled * scale)
         self.remaining[:] = np.hypot(self.remaining, scaled)
@@ -97,26 +86,18 @@ class Estimate:
         """Some of the windows."""
         return Estimate(names=self.names, **{name: getattr(self, name)[windows] for name in _PER_WINDOW})
 
-    def among(self, names: tuple[str, ...]) -> Estimate:
-        """The same estimate of some of the unknowns, the first ones; the others are left unknown."""
-        count = len(names)
-        own = {name: getattr(self, name)[:, :count] for name in ("values", "deviations", "remaining", "scaled")}
-        precision = np.linalg.inv(np.linalg.inv(self.precision)[:, :count, :count])
-        return replace(self, names=names, **own, covariance=self.covariance[:, :count, :count], precision=precision)
-
-    def take(self, windows: Indices, by: Estimate, better: NDArray[np.bool_] | None = None) -> Indices:
+    def take(self, windows: Indices, by: Estimate, better: NDArray[np.bool_]) -> Indices:
         """Replace windows by those of another estimate; returns the replaced ones.
 
         Args:
             windows: of this estimate, (C,).
             by: the C windows of the other estimate; further unknowns behind those of this one are left unknown.
-            better: which of them to take, (C,); ``None``: all.
+            better: which of them to take, (C,).
         """
-        chosen = np.arange(len(windows)) if better is None else np.flatnonzero(better)
-        by = by if by.names == self.names else by.among(self.names)
         for name in _PER_WINDOW:
-            getattr(self, name)[windows[chosen]] = getattr(by, name)[chosen]
-        return windows[chosen]
+            own, other = getattr(self, name), getattr(by, name)[better]
+            own[windows[better]] = other[(slice(None), *map(slice, own.shape[1:]))]
+        return windows[better]
 
     def _place(self, name: str) -> int:
         if name not in self.names:

@@ -9,7 +9,7 @@ which leaves a small problem of the shared unknowns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from hydro_env.types import Floats
 from hydro_rig.estimation.errors import Errors, whitened
-from hydro_rig.estimation.model import LONG_STEP, Linearised, Model
-
-Indices = NDArray[np.int64]
+from hydro_rig.estimation.model import SHORT_STEP, Indices, Model
+from hydro_rig.estimation.unknowns import Prior
 
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])
 """Factors on the damping; the best of their steps is taken in each iteration."""
@@ -36,13 +35,93 @@ class Belief(NamedTuple):
     mean: Floats  # (B, P)
     precision: Floats  # (B, P, P), the inverse of the covariance
 
+    @classmethod
+    def of_priors(cls, model: Model) -> Belief:
+        """The priors: scaled unknowns are independent, with mean 0 and standard deviation 1."""
+        count, unknowns = model.count, len(model.names)
+        return cls(np.zeros((count, unknowns)), np.tile(np.eye(unknowns), (count, 1, 1)))
 
-class Fit(NamedTuple):
-    """Result of the search in B windows."""
+    def without(self, shared: Indices) -> Belief:
+        """The belief with precision 0 of the shared unknowns: they have one prior, not one per window."""
+        own = self.precision.copy()
+        own[:, shared] = own[:, :, shared] = 0.0
+        return Belief(self.mean, own)
 
-    scaled: Floats  # (B, P)
-    iterations: Indices  # (B,)
-    directions: Floats  # (B, S, S), steps along the axes of the uncertainty
+
+class Problem(NamedTuple):
+    """B windows whose readings a model shall explain."""
+
+    model: Model
+    measured: Floats  # readings over their noise, (B, channels, T); NaN is left out
+    belief: Belief  # what is known about the scaled unknowns without the readings
+    errors: Errors | None = None  # of the readings; None: white noise as in the data sheet
+
+    @classmethod
+    def of(cls, model: Model, measured: Floats) -> Problem:
+        """The problem without further knowledge than the priors."""
+        return cls(model, measured, Belief.of_priors(model))
+
+    def part(self, windows: Indices) -> Problem:
+        """Some of the windows."""
+        belief = Belief(*(values[windows] for values in self.belief))
+        errors = None if self.errors is None else self.errors.part(windows)
+        return Problem(self.model.part(windows), self.measured[windows], belief, errors)
+
+    def with_more(self, priors: Mapping[str, Prior]) -> Problem:
+        """The same windows with more unknowns behind the others."""
+        model, own = self.model.with_priors(self.model.priors | dict(priors)), len(self.model.names)
+        belief = Belief.of_priors(model)
+        belief.mean[:, :own], belief.precision[:, :own, :own] = self.belief
+        return Problem(model, self.measured, belief, self.errors)
+
+    def residual(self, scaled: Floats, samples: int | None = None) -> Floats:
+        """Readings minus model, (B, R, channels, T), whitened, for scaled unknowns (B, R, P); 0: no reading."""
+        measured = self.measured[:, None, :, :samples]
+        read = self.model.readings(scaled.reshape(-1, scaled.shape[2]), samples)
+        missed = np.where(np.isfinite(measured), measured - read.reshape(*scaled.shape[:2], *measured.shape[2:]), 0.0)
+        return missed if self.errors is None else whitened(missed, np.isfinite(measured[:, 0]), self.errors)
+
+    def linearised(
+        self, scaled: Floats, directions: Floats | None = None, samples: int | None = None, central: bool = False
+    ) -> Linearised:
+        """Residuals and derivatives at scaled unknowns (B, P); arguments as of :meth:`Model.linearise`."""
+        measured = self.measured[:, :, :samples]
+        known = np.isfinite(measured)
+        read, slopes = self.model.linearise(scaled, directions, samples, central)
+        residual, jacobian = np.where(known, measured - read, 0.0), np.where(known[:, None], slopes, 0.0)
+        if self.errors is not None:
+            residual, jacobian = (whitened(values, known, self.errors) for values in (residual, jacobian))
+        square = (residual**2).sum(axis=2) / np.maximum(known.sum(axis=2), 1)
+        weight = np.repeat(np.nan_to_num(1.0 / np.maximum(square, 1.0))[:, :, None], known.shape[2], axis=2)
+        count, unknowns = scaled.shape
+        return Linearised(
+            residual.reshape(count, -1), jacobian.reshape(count, unknowns, -1), weight.reshape(count, -1), known
+        )
+
+
+class Linearised(NamedTuple):
+    """Readings of B windows and their derivatives, whitened; 0 where a reading is missing."""
+
+    residual: Floats  # (B, readings)
+    jacobian: Floats  # (B, P, readings), per standard deviation of each unknown's prior
+    weight: Floats  # (B, readings), 1 over the mean square of its channel's residuals, at most 1
+    known: NDArray[np.bool_]  # (B, channels, T), readings that exist
+
+    def equations(self, scaled: Floats, belief: Belief, shared: Indices) -> Equations:
+        """Normal equations of each window, and those of the shared unknowns after its others are eliminated.
+
+        Args:
+            scaled: unknowns, (B, P).
+            belief: about them, from :meth:`Belief.without`.
+            shared: indices of the shared unknowns, (p,).
+        """
+        weighted, jacobian, precision = self.weight[:, None] * self.jacobian, self.jacobian, belief.precision
+        curvature = jacobian @ weighted.transpose(0, 2, 1) + precision
+        pull = (precision @ (scaled - belief.mean)[:, :, None])[:, :, 0]
+        gradient = (jacobian @ (self.weight * self.residual)[:, :, None])[:, :, 0] - pull
+        own = np.delete(np.arange(len(curvature[0])), shared)
+        _, information, score = _eliminated(curvature[:, own[:, None], own], curvature, gradient, shared, own)
+        return Equations(curvature, gradient, information, score, shared, own)
 
 
 class Equations(NamedTuple):
@@ -64,127 +143,83 @@ class Equations(NamedTuple):
         return precision
 
 
-def prior_belief(model: Model, count: int) -> Belief:
-    """The priors: scaled unknowns are independent, with mean 0 and standard deviation 1."""
-    unknowns = len(model.names)
-    return Belief(np.zeros((count, unknowns)), np.tile(np.eye(unknowns), (count, 1, 1)))
-
-
-def without(precision: Floats, shared: Indices) -> Floats:
-    """The precision of a prior, (B, P, P), with 0 for the shared unknowns: they have one prior, not one per window."""
-    own = precision.copy()
-    own[:, shared] = own[:, :, shared] = 0.0
-    return own
-
-
 def fit(
-    model: Model,
-    measured: Floats,
-    window: Indices,
+    problem: Problem,
     first: Floats,
-    belief: Belief,
-    samples: int,
     iterations: int,
     tolerance: float,
-    directions: Floats | None = None,
+    *,
+    samples: int | None = None,
+    step: float = SHORT_STEP,
     thorough: bool = True,
-    step: float = LONG_STEP,
     give_up: float = 1e4,
     shared: Indices = NONE_SHARED,
     progress: Callable[[int, int], None] | None = None,
-    errors: Errors | None = None,
-    central: bool = False,
-) -> Fit:
-    """Improve the unknowns of some windows until convergence.
+) -> tuple[Floats, Floats]:
+    """Improve the unknowns of windows until convergence: scaled unknowns, (B, P), and directions, (B, S, S).
 
     While a fit is bad, its residuals are weighted by their own mean square: the prior then keeps the unknowns in a
     plausible range until the model explains the readings.
 
     Args:
-        model: the model of all windows.
-        measured: readings over their noise, (windows of the model, channels, T); NaN is left out.
-        window: index of the windows to fit, (B,).
+        problem: B windows; shared unknowns have their prior once for all, and not the belief of the problem.
         first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
-        belief: prior of each window; shared unknowns have the prior of :func:`prior_belief` instead, once for all.
-        samples: number of first samples that are used.
         iterations: largest number of iterations.
         tolerance: stop a window when an iteration lowers its cost by less; of all windows together if they share.
-        directions: steps of the first differences, (B, S, S).
-        thorough: stop only after a step with little damping; a small gain with a damped step does not end the search.
+        samples: number of first samples that are used; ``None``: all.
         step: of the differences after the first, standard deviations.
+        thorough: stop only after a step with little damping; a small gain with a damped step does not end the search.
         give_up: largest damping; a window that no step with more improves is finished.
         shared: indices of the unknowns that all windows have in common.
         progress: called with the number of iterations and its limit.
-        errors: of the readings of each window, (B, channels); ``None``: white noise as in the data sheet.
-        central: take differences to both sides (:meth:`~hydro_rig.estimation.model.Model.linearise`).
     """
-    scaled = first.copy()
-    used = measured[window, :, :samples]
-    known = np.isfinite(used)
-    prior = without(belief.precision, shared)
-    steps_known = directions is not None
-    directions = np.empty((len(first), *[len(model.simulated)] * 2)) if directions is None else directions.copy()
-    level, done = np.full(len(first), 1e-2), np.zeros(len(first), dtype=np.int64)
-    active = np.arange(len(first))
+    problem = problem._replace(belief=problem.belief.without(shared))
+    scaled, level, active = first.copy(), np.full(len(first), 1e-2), np.arange(len(first))
+    directions = np.empty((len(first), *[len(problem.model.simulated)] * 2))
     for iteration in range(iterations):
         if progress is not None:
             progress(iteration, iterations)
-        here, data, mask = scaled[active], used[active], known[active]
-        linear = model.linearise(here, window[active], directions[active] if steps_known else None, samples, central)
-        own = None if errors is None else errors.part(active)
-        residual, jacobian = masked(linear, data, mask, own)
-        weight = channel_weights(residual, mask)
-        mean, precision = belief.mean[active], prior[active]
-        equations = equations_of(residual, jacobian, weight, here - mean, precision, shared)
-        directions[active], steps_known = model.directions(equations.precision, step), True
-        cost = _cost(weight, residual**2, here, mean, precision, shared)
+        here, part = scaled[active], problem.part(active)
+        linear = part.linearised(here, directions[active] if iteration else None, samples)
+        equations = linear.equations(here, part.belief, shared)
+        directions[active] = part.model.directions(equations.precision, step)
+        cost = _cost(linear.weight, linear.residual**2, here, part.belief, shared)
 
         trials = here[:, None] + _damped_steps(equations, here, level[active])  # (B, dampings, P)
-        row, tried = np.arange(len(active)), len(DAMPINGS)
-        read, _ = model.readings(trials.reshape(-1, trials.shape[2]), np.repeat(window[active], tried), samples)
-        missed = np.where(mask[:, None], data[:, None] - read.reshape(len(active), tried, *data.shape[1:]), 0.0)
-        missed = missed if own is None else whitened(missed, mask, own)
-        square = missed.reshape(len(active), tried, -1) ** 2
-        costs = _cost(weight[:, None], square, trials, mean[:, None], precision, shared)
+        square = part.residual(trials, samples).reshape(*trials.shape[:2], -1) ** 2
+        costs = _cost(linear.weight[:, None], square, trials, part.belief, shared)
         costs = np.where(np.isfinite(costs), costs, np.inf)
-        best = costs.argmin(axis=1)
+        row, best = np.arange(len(active)), costs.argmin(axis=1)
         better = costs[row, best] < cost
         scaled[active] = np.where(better[:, None], trials[row, best], here)
         level[active] = np.clip(level[active] * np.where(better, DAMPINGS[best], 1e3), 1e-8, 1e8)
-        done[active] += 1
         gain = np.where(better, cost - costs[row, best], 0.0)
         lost = ~better & (level[active] > give_up)
         damped = (level[active] > SMALL_DAMPING) & thorough
         active = active[~lost & ((gain > tolerance) | ~better | damped)]
         if not len(active):
             break
-    return Fit(scaled, done, directions)
+    return scaled, directions
 
 
-def equations_of(
-    residual: Floats, jacobian: Floats, weight: Floats, away: Floats, precision: Floats, shared: Indices
-) -> Equations:
-    """Normal equations of each window, and those of the shared unknowns after its others are eliminated.
+def _eliminated(
+    inner: Floats, curvature: Floats, gradient: Floats, shared: Indices, own: Indices
+) -> tuple[Floats, Floats, Floats]:
+    """Solve windows for their own unknowns: solution (…, o, p + 1), information (…, p, p), score (…, p) of the shared.
 
     Args:
-        residual: over the noise, (B, readings).
-        jacobian: derivatives of the readings, (B, P, readings).
-        weight: of each reading, (B, readings).
-        away: scaled unknowns minus the mean of their prior, (B, P).
-        precision: of the prior, (B, P, P), from :func:`without`.
-        shared: their indices, (p,).
+        inner: curvature of the own unknowns, damped or not, (…, o, o).
+        curvature: (…, P, P).
+        gradient: (…, P).
+        shared: indices, (p,).
+        own: indices, (o,).
     """
-    curvature = jacobian @ (weight[:, None] * jacobian).transpose(0, 2, 1) + precision
-    gradient = (jacobian @ (weight * residual)[:, :, None])[:, :, 0] - (precision @ away[:, :, None])[:, :, 0]
-    own = np.delete(np.arange(len(curvature[0])), shared)
-    if not len(shared):
-        return Equations(curvature, gradient, np.zeros((len(curvature), 0, 0)), gradient[:, :0], shared, own)
-    across = curvature[:, shared[:, None], own]
-    inner = np.concatenate([across.transpose(0, 2, 1), gradient[:, own, None]], axis=2)
-    solved = np.linalg.solve(curvature[:, own[:, None], own], inner)
-    information = curvature[:, shared[:, None], shared] - across @ solved[:, :, :-1]
-    score = gradient[:, shared] - (across @ solved[:, :, -1:])[:, :, 0]
-    return Equations(curvature, gradient, information, score, shared, own)
+    across = curvature[..., shared[:, None], own]
+    right = np.concatenate([across.swapaxes(-1, -2), gradient[..., own, None]], axis=-1)
+    solved = np.linalg.solve(inner, np.broadcast_to(right, (*inner.shape[:-1], right.shape[-1])))
+    information = curvature[..., shared[:, None], shared] - across @ solved[..., :-1]
+    score = gradient[..., shared] - (across @ solved[..., -1:])[..., 0]
+    return solved, information, score
 
 
 def _damped_steps(equations: Equations, scaled: Floats, level: Floats) -> Floats:
@@ -192,13 +227,10 @@ def _damped_steps(equations: Equations, scaled: Floats, level: Floats) -> Floats
     curvature, gradient, _, _, shared, own = equations
     diagonal = np.einsum("bii->bi", curvature)
     factors = level[:, None] * DAMPINGS
-    across = curvature[:, None, shared[:, None], own]
-    inner = np.concatenate([across[:, 0].transpose(0, 2, 1), gradient[:, own, None]], axis=2)
     damped = curvature[:, None, own[:, None], own]
     damped = damped + factors[:, :, None, None] * (diagonal[:, None, own, None] * np.eye(len(own)))
-    solved = np.linalg.solve(damped, np.broadcast_to(inner[:, None], (*damped.shape[:3], inner.shape[2])))
-    left = (curvature[:, None, shared[:, None], shared] - across @ solved[..., :-1]).sum(axis=0)
-    right = (gradient[:, None, shared] - (across @ solved[..., -1:])[..., 0]).sum(axis=0) - scaled[0, shared]
+    solved, information, score = _eliminated(damped, curvature[:, None], gradient[:, None], shared, own)
+    left, right = information.sum(axis=0), score.sum(axis=0) - scaled[0, shared]
     left += np.eye(len(shared)) + factors[0, :, None, None] * np.diag(1.0 + diagonal[:, shared].sum(axis=0))
     common = np.linalg.solve(left, right[..., None])  # (dampings, p, 1)
     steps = np.empty((*damped.shape[:2], curvature.shape[1]))
@@ -207,9 +239,10 @@ def _damped_steps(equations: Equations, scaled: Floats, level: Floats) -> Floats
     return steps
 
 
-def _cost(weight: Floats, square: Floats, scaled: Floats, mean: Floats, precision: Floats, shared: Indices) -> Floats:
+def _cost(weight: Floats, square: Floats, scaled: Floats, belief: Belief, shared: Indices) -> Floats:
     """Cost of each window and trial, (B, …): weighted squares and prior; the sum of all windows if they share."""
-    away = scaled - mean
+    mean, precision = belief
+    away = scaled - mean if scaled.ndim == 2 else scaled - mean[:, None]
     pull = (precision @ away[:, :, None])[:, :, 0] if away.ndim == 2 else away @ precision
     costs: Floats = (weight * square).sum(axis=-1) + (away * pull).sum(axis=-1)
     if len(shared):
@@ -217,29 +250,7 @@ def _cost(weight: Floats, square: Floats, scaled: Floats, mean: Floats, precisio
     return costs
 
 
-def channel_weights(residual: Floats, known: NDArray[np.bool_]) -> Floats:
-    """Weight of each reading, (B, readings): 1 over the mean square of its channel's residuals, at most 1."""
-    shape = known.shape
-    square = (residual.reshape(shape) ** 2).sum(axis=2) / np.maximum(known.sum(axis=2), 1)
-    weight = 1.0 / np.maximum(square, 1.0)
-    return np.repeat(np.nan_to_num(weight)[:, :, None], shape[2], axis=2).reshape(len(residual), -1)
-
-
-def masked(
-    linear: Linearised, data: Floats, known: NDArray[np.bool_], errors: Errors | None = None
-) -> tuple[Floats, Floats]:
-    """Residuals (B, readings) and their derivatives (B, P, readings); 0 where a reading is missing.
-
-    With ``errors`` of the readings, both are whitened.
-    """
-    residual = np.where(known, data - linear.readings, 0.0)
-    jacobian = np.where(known[:, None], linear.jacobian, 0.0)
-    if errors is not None:
-        residual, jacobian = whitened(residual, known, errors), whitened(jacobian, known, errors)
-    return residual.reshape(len(data), -1), jacobian.reshape(len(data), jacobian.shape[1], -1)
-
-
-def misfit_of(residual: Any, jacobian: Any, covariance: Any, known: NDArray[np.bool_]) -> Floats:
+def misfit_of(linear: Linearised, covariance: Any) -> Floats:
     """Excess of the residuals over their expectation from noise after a fit, in standard deviations, (B,).
 
     The excess is infinite if it is not a number. Two sums of squares are tested, and the larger excess counts: of all
@@ -247,19 +258,18 @@ def misfit_of(residual: Any, jacobian: Any, covariance: Any, known: NDArray[np.b
     of single samples, but not in that of block means.
 
     Args:
-        residual: over the noise, (B, channels · T), 0 where a reading is missing.
-        jacobian: derivatives of the same readings, (B, P, channels · T), 0 where a reading is missing.
+        linear: readings and their derivatives at the result.
         covariance: of the unknowns, (B, P, P).
-        known: readings that exist, (B, channels, T).
     """
+    residual, jacobian, _, known = linear
     windows, channels, samples = known.shape
     starts = np.arange(0, samples, BLOCK)
     number = np.add.reduceat(known, starts, axis=2, dtype=np.int64).reshape(windows, -1)
     root = np.sqrt(np.maximum(number, 1))
 
-    def sums(values: Any) -> Any:
+    def sums(values: Floats) -> Floats:
         blocks = np.add.reduceat(values.reshape(*values.shape[:-1], channels, samples), starts, axis=-1)
-        return blocks.reshape(*values.shape[:-1], -1)
+        return np.asarray(blocks.reshape(*values.shape[:-1], -1))
 
     return np.maximum(
         _excess(residual, jacobian, covariance, known.sum(axis=(1, 2))),
@@ -267,7 +277,7 @@ def misfit_of(residual: Any, jacobian: Any, covariance: Any, known: NDArray[np.b
     )
 
 
-def _excess(residual: Any, jacobian: Any, covariance: Any, number: NDArray[np.int64]) -> Floats:
+def _excess(residual: Floats, jacobian: Floats, covariance: Any, number: Indices) -> Floats:
     """Excess of one sum of squares of ``number`` residuals.
 
     The sum has a chi-square distribution, whose cube root is nearly normal (Wilson and Hilferty 1931).

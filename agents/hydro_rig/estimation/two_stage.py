@@ -32,7 +32,6 @@ class TwoStageDetector:
     """
 
     threshold: float | None = None
-    ration = RATION
 
     def __init__(self, head: HeadDetector, estimator: EstimatorDetector | None = None) -> None:
         self.head, self.estimator = head, estimator or EstimatorDetector()
@@ -49,8 +48,7 @@ class TwoStageDetector:
         count = len(windows)
         if len(self._asked) != count or (windows.end < self._asked).any():  # other axes
             self._asked, self._named = np.full(count, -np.inf), np.zeros(count, dtype=np.int8)
-        since = windows.end - self._asked
-        free = ~(since < RATION)  # NaN: unknown times
+        free = ~(windows.end - self._asked < RATION)  # NaN: unknown times
         self._named[free] = Cause.NONE
         first = self.head.read(windows, task)
         moving = activity_of(windows.signals, task.control_period) == Activity.MOVING
@@ -58,18 +56,16 @@ class TwoStageDetector:
         doubtful = ~(moving & first.answers) | (first.cause != Cause.NONE) | seen
         first = first._replace(score=np.where(first.answers, first.flow_lpm, np.nan))
         rows, still = np.flatnonzero(free & doubtful), np.flatnonzero(~moving)
-        unread = Reading.of(np.full(len(still), np.nan), why=Why.NOT_ASKED)
-        result = first.replaced(still, unread)
+        result = first.replaced(still, Reading.of(np.full(len(still), np.nan), why=Why.NOT_ASKED))
         if len(rows):
             second = self.estimator.read(windows.part(rows), task)
-            named = np.where(second.answers, second.cause, Cause.NONE)
+            self._asked[rows] = windows.end[rows]
+            self._named[rows] = np.where(second.answers, second.cause, Cause.NONE)
             # A wide answer says little, but says it: its standard deviation weighs it.
             cause = np.where(second.cause == Cause.UNDETERMINED, Cause.NONE, second.cause).astype(np.int8)
             deviation = 0.5 * (second.high_lpm - second.low_lpm) / HALF_WIDTH
             second = second._replace(score=second.flow_lpm, sigma=deviation, cause=cause)
             better = np.flatnonzero(second.answers | ~moving[rows])
             result = result.replaced(rows[better], second.part(better))
-            self._asked[rows] = windows.end[rows]
-            self._named[rows] = named
         known = (self._named != Cause.NONE) & result.answers
         return result._replace(cause=np.where(known, self._named, result.cause).astype(np.int8))

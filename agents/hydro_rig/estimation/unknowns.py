@@ -51,13 +51,6 @@ PATHS = tuple(path for path in PARAMETER_PATHS if path not in (*MODEL_CODES, *LE
 OF_A_WINDOW = (*STARTS, NULL_DRIFT)
 """Unknowns that windows of one axis do not share."""
 
-NAMES = (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, RISE_TIME, *BIASES, *GAINS, *OF_A_WINDOW, *PATHS)
-
-
-START = tuple(
-    f"start.{name}" for name in ("position", "velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
-)
-
 RISE_TIME_UNKNOWN = 2e-3  # s, standard deviation of the transducers' rise time where the data sheet does not hold
 _SHARE_UNKNOWN = 0.1  # relative standard deviation of a parameter that the task does not draw
 
@@ -110,12 +103,10 @@ class Prior:
 
 def starts_of(config: TaskConfig) -> list[str]:
     """Names of the unknown start states of a window."""
-    start = [*START]
-    if config.plant.supply.model != "constant":
-        start.append("start.supply_pressure")
-    if config.plant.friction.model == "lugre":
-        start.append("start.bristle_deflection")
-    return start
+    names = ["position", "velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity"]
+    names += ["supply_pressure"] if config.plant.supply.model != "constant" else []
+    names += ["bristle_deflection"] if config.plant.friction.model == "lugre" else []
+    return [f"start.{name}" for name in names]
 
 
 def course_of(duration: float) -> tuple[str, ...]:
@@ -147,14 +138,11 @@ def priors_of(
     Raises:
         ConfigurationError: a name is unknown or occurs twice.
     """
-    names = default_unknowns(config) if unknowns is None else tuple(unknowns)
-    for name in names:
-        if names.count(name) > 1:
-            raise ConfigurationError(f"unknowns: '{name}' occurs twice")
-    for name in priors or {}:
-        if name not in names:
-            raise ConfigurationError(f"priors: '{name}' is not among the unknowns")
-    own = priors or {}
+    names, own = default_unknowns(config) if unknowns is None else tuple(unknowns), priors or {}
+    for name in (*names, *own):
+        if names.count(name) != 1:
+            what = "occurs twice" if name in names else "is not among the unknowns"
+            raise ConfigurationError(f"unknowns and priors: '{name}' {what}")
     return {name: own[name] if name in own else prior_of(config, name) for name in names}
 
 
@@ -185,15 +173,18 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
     if name in STARTS:
         return _start(config, name.removeprefix("start."))
     if name in BIASES:
-        sensor = getattr(config.sensors, SENSORS[BIASES.index(name)])
-        bias = _with_fault(config, name, _range(-sensor.bias, sensor.bias), sensor.high - sensor.low)
-        return Prior(bias.mean, max(math.sqrt(bias.variance), 1e-9 * (sensor.high - sensor.low)))
+        sensor = getattr(config.sensors, name.removesuffix("_bias"))
+        span = sensor.high - sensor.low
+        bias = _with_fault(config, name, _range(-sensor.bias, sensor.bias), span)
+        return Prior(bias.mean, max(math.sqrt(bias.variance), 1e-9 * span))
     if name in GAINS:
-        gain = _with_fault(config, name, _Moments(1.0, _gain_unknown(config) ** 2), 1.0)
+        # The scale of a difference is often known from its amplifier alone.
+        deviation = 0.1 if config.sensors.differential_pressure else 0.01
+        gain = _with_fault(config, name, _Moments(1.0, deviation**2), 1.0)
         return Prior(gain.mean, math.sqrt(gain.variance))
     if name == EXTERNAL_LEAKAGE or name in PATHS:
-        moments = _of_plant(config, name)
-        if moments.mean > 0.0 and _stays_positive(config, name):
+        moments, drawn = _of_plant(config, name), config.randomisation.get(name)
+        if moments.mean > 0.0 and name not in _NOT_DRAWN and (drawn is None or drawn.otherwise is None):
             spread = math.log1p(moments.variance / moments.mean**2)
             return Prior(moments.mean * math.exp(-0.5 * spread), math.sqrt(spread), True)
         return Prior(moments.mean, math.sqrt(moments.variance))
@@ -201,11 +192,6 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
         f"unknowns: '{name}': unknown name; known: {LEAKAGE}, {EXTERNAL_LEAKAGE}, {LATENCY}, paths of the plant, "
         "start.<state>, <sensor>_bias and <sensor>_gain"
     )
-
-
-def _gain_unknown(config: TaskConfig) -> float:
-    """Standard deviation of a sensor's gain; the scale of a difference is often known from its amplifier alone."""
-    return 0.1 if config.sensors.differential_pressure else 0.01
 
 
 def _of_plant(config: TaskConfig, name: str) -> _Moments:
@@ -236,19 +222,13 @@ def _of_plant(config: TaskConfig, name: str) -> _Moments:
     return _with_fault(config, name, result, value if name == "valve.rated_flow" else 1.0)
 
 
-def _stays_positive(config: TaskConfig, name: str) -> bool:
-    drawn = config.randomisation.get(name)
-    return name not in _NOT_DRAWN and (drawn is None or drawn.otherwise is None)
-
-
 def _with_fault(config: TaskConfig, name: str, healthy: _Moments, unit: float) -> _Moments:
     """Moments of a quantity including the task's fault of this kind, if any; ``unit``: effect of a magnitude of 1."""
-    kind = _FAULT_OF.get(name)
-    fault = getattr(config.faults, kind) if kind is not None else None
-    if kind is None or fault is None or fault.probability == 0.0:
+    kind = _FAULT_OF.get(name, "")
+    fault = getattr(config.faults, kind, None)
+    if fault is None or fault.probability == 0.0:
         return healthy
-    sensors = getattr(fault, "sensors", None)
-    share = fault.probability
+    sensors, share = getattr(fault, "sensors", None), fault.probability
     if sensors is not None:
         share *= (name.rpartition("_")[0] in sensors) / len(sensors)
     size = _range(*fault.range)
@@ -283,13 +263,11 @@ def _mixture(share: float, first: _Moments, second: _Moments) -> _Moments:
 
 def _start(config: TaskConfig, state: str) -> Prior:
     """A wide prior over the range of a state on the rig; the search begins at the measured value, if there is one."""
-    plant = config.plant
-    pressure = plant.supply.pressure
+    pressure = config.plant.supply.pressure
     known = {
-        "position": Prior(0.0, 0.3 * plant.cylinder.stroke),
+        "position": Prior(0.0, 0.3 * config.plant.cylinder.stroke),
         "velocity": Prior(0.0, 0.5),
-        "pressure_a": Prior(0.5 * pressure, 0.3 * pressure),
-        "pressure_b": Prior(0.5 * pressure, 0.3 * pressure),
+        **dict.fromkeys(("pressure_a", "pressure_b"), Prior(0.5 * pressure, 0.3 * pressure)),
         "spool_position": Prior(0.0, 0.3),
         "spool_velocity": Prior(0.0, 5.0),
         "supply_pressure": Prior(pressure, 0.2 * pressure),

@@ -16,9 +16,10 @@ from hydro_env.plant.analysis import reachable_range, speed_limits
 from hydro_env.plant.arrays import equilibrium
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
+from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.estimation.estimate import usable_readings
 from hydro_rig.estimation.model import LONG_STEP, Model
-from hydro_rig.estimation.solver import equations_of, prior_belief, without
+from hydro_rig.estimation.solver import Belief, Linearised
 from hydro_rig.estimation.unknowns import priors_of, starts_of
 from hydro_rig.identification.fit import DETERMINED, Fit
 
@@ -36,40 +37,39 @@ class Advice(NamedTuple):
     enough: bool  # whether the unknown is then determined
 
 
-class _Travel(NamedTuple):
-    """Limits of the axis."""
+def _commands(time: Floats, reach: float, out: float, back: float, hold: float) -> dict[str, Floats]:
+    """Commands (T,) of each candidate by name; each returns to its start.
 
-    reach: float  # m, from end to end
-    out: float  # m/s at full opening
-    back: float  # m/s
-    hold: float  # command that holds the middle position
-
-
-def _commands(time: Floats, can: _Travel) -> dict[str, Floats]:
-    """Commands (T,) of each candidate by name; each returns to its start."""
+    Args:
+        time: (T,), s.
+        reach: of the axis from end to end, m.
+        out: speed at full opening, m/s.
+        back: the same, retracting.
+        hold: command that holds the middle position.
+    """
 
     def moves(share: float, travel: float, rest: float) -> Floats:
         """Out and back at a share of the speed, with a rest at either end."""
-        slowest = min(can.out, can.back)
-        duration = travel * can.reach / (share * slowest)
+        slowest = min(out, back)
+        duration = travel * reach / (share * slowest)
         phase = np.mod(time, 2.0 * (duration + rest))
-        out, back = phase < duration, (phase >= duration + rest) & (phase < 2.0 * duration + rest)
-        return np.asarray(can.hold + share * slowest * (out / can.out - back / can.back))
+        leaves, returns = phase < duration, (phase >= duration + rest) & (phase < 2.0 * duration + rest)
+        return np.asarray(hold + share * slowest * (leaves / out - returns / back))
 
     sweep = np.sin(2.0 * math.pi * (0.5 * time + 0.5 * (15.0 - 0.5) / time[-1] * time**2))
     return {
-        "standing still": np.full_like(time, can.hold),
+        "standing still": np.full_like(time, hold),
         "slow moves with reversals (5 % of full speed)": moves(0.05, 0.02, 0.0),
         "moves at half speed with rests of 0.5 s": moves(0.5, 0.2, 0.5),
         "fast moves with reversals (80 % of full speed)": moves(0.8, 0.2, 0.0),
         "full stroke out and back": moves(0.4, 0.7, 0.3),
-        "a sine from 0.5 to 15 Hz at 20 % of full command": can.hold + 0.2 * sweep,
+        "a sine from 0.5 to 15 Hz at 20 % of full command": hold + 0.2 * sweep,
     }
 
 
-def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Advice | None]:
-    """For each undetermined unknown, the most informative motion of the identified plant; ``None`` if none helps."""
-    wanted = [name for name, known in zip(fit.names, fit.determined, strict=True) if not known]
+def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Advice]:
+    """The most informative motion of the identified plant for each undetermined unknown that one helps to determine."""
+    wanted = {place: one for place, one in enumerate(fit.unknowns) if not fit.knows(one)}
     if not wanted:
         return {}
     try:
@@ -78,49 +78,46 @@ def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Ad
         state, voltage = equilibrium(plant, middle)
         speeds = speed_limits(plant, plant.load.external_force + plant.load.spring_stiffness * middle)
     except HydroError:
-        return dict.fromkeys(wanted)
-    can = _Travel(high - low, speeds.extending, speeds.retracting, voltage / 10.0)
-    if not min(can.reach, can.out, can.back) > 0.0:
-        return dict.fromkeys(wanted)
+        return {}
+    if not min(high - low, speeds.extending, speeds.retracting) > 0.0:
+        return {}
     time = config.control_period * np.arange(round(DURATION / config.control_period), dtype=np.float64)
-    commands = _commands(time, can)
-    information = _information(np.clip(list(commands.values()), -1.0, 1.0), fit, config, state)
+    commands = _commands(time, high - low, speeds.extending, speeds.retracting, voltage / FULL_VOLTAGE)
     # The recording is weighted by its widened intervals.
-    present = _widened(fit.information, fit) + np.eye(len(fit.names))
-    after = np.sqrt(np.einsum("mii->mi", np.linalg.inv(present + _widened(information, fit))))
-    advice: dict[str, Advice | None] = {}
-    for name in wanted:
-        place = fit.names.index(name)
+    widening = fit.widening[:, None] * fit.widening
+    present = fit.joint.information.sum(axis=0) / widening
+    more = _information(np.clip(list(commands.values()), -1.0, 1.0), fit, config, state, present) / widening
+    after = np.sqrt(np.einsum("mii->mi", np.linalg.inv(present + np.eye(len(fit.names)) + more)))
+    advice = {}
+    for place, one in wanted.items():
         best = int(after[:, place].argmin())
         left = float(after[best, place])
-        helps = left < LEAST_GAIN * fit.remaining[place]
-        advice[name] = Advice(list(commands)[best], left, left <= DETERMINED) if helps else None
+        if left < LEAST_GAIN * one.remaining:
+            advice[one.name] = Advice(list(commands)[best], left, left <= DETERMINED)
     return advice
 
 
-def _widened(information: Floats, fit: Fit) -> Floats:
-    """Information, (…, p, p), less by the widening of the intervals."""
-    return np.asarray(information / (fit.widening[:, None] * fit.widening))
+def _information(commands: Floats, fit: Fit, config: TaskConfig, state: dict[str, float], present: Floats) -> Floats:
+    """Information of each candidate about the unknowns, (motions, p, p), with an unknown start.
 
-
-def _information(commands: Floats, fit: Fit, config: TaskConfig, state: dict[str, float]) -> Floats:
-    """Information of each candidate about the unknowns, (motions, p, p), with an unknown start."""
+    ``present`` is that of the recording, (p, p): it sets the steps of the differences.
+    """
     starts = starts_of(config)
-    priors = fit.priors | priors_of(config, starts)
+    priors = {one.name: one.prior for one in fit.unknowns} | priors_of(config, starts)
     model = Model(config, priors, commands)
-    values = [*fit.values, *(state[name.removeprefix("start.")] for name in starts)]
+    values = [*fit.own().values(), *(state[name.removeprefix("start.")] for name in starts)]
     scaled = model.scaled(np.tile(values, (len(commands), 1)))
     shared = np.arange(len(fit.names))
     precision = np.tile(np.eye(len(priors)), (len(commands), 1, 1))
-    precision[:, shared[:, None], shared] += _widened(fit.information, fit)
-    linear = model.linearise(scaled, None, model.directions(precision, LONG_STEP))
-    measured = linear.readings * model.noise[:, None]
+    precision[:, shared[:, None], shared] += present
+    read, slopes = model.linearise(scaled, model.directions(precision, LONG_STEP))
+    measured = read * model.noise[:, None]
     for row, channel in enumerate(SENSORS):  # absent sensors give no information
         if f"{channel}_bias" not in fit.names and config.sensors.enabled:
             measured[:, row] = np.nan
     signals = np.concatenate([measured, commands[:, None]], axis=1)
     known = np.isfinite(usable_readings(signals, config, model))
-    jacobian = np.where(known[:, None], linear.jacobian, 0.0).reshape(len(commands), len(priors), -1)
+    jacobian = np.where(known[:, None], slopes, 0.0).reshape(len(commands), len(priors), -1)
     ones = np.ones((len(commands), jacobian.shape[2]))
-    prior = without(prior_belief(model, model.count).precision, shared)
-    return equations_of(0.0 * ones, jacobian, ones, scaled, prior, shared).information
+    belief = Belief.of_priors(model).without(shared)
+    return Linearised(0.0 * ones, jacobian, ones, known).equations(scaled, belief, shared).information

@@ -8,34 +8,25 @@ fitted again from them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
+from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import estimate, usable_readings
-from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
+from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Indices, Model
 from hydro_rig.estimation.result import Estimate
-from hydro_rig.estimation.search import UNKNOWN_COMMANDS, EstimationSettings, search, timing_priors
-from hydro_rig.estimation.solver import (
-    Belief,
-    channel_weights,
-    equations_of,
-    fit,
-    masked,
-    misfit_of,
-    prior_belief,
-    without,
-)
+from hydro_rig.estimation.search import LARGEST_MISFIT, UNKNOWN_COMMANDS, EstimationSettings, search, timing_priors
+from hydro_rig.estimation.solver import Problem, fit, misfit_of
 from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, RISE_TIME, Prior, prior_of
 
-Indices = NDArray[np.int64]
-Report = Callable[[str, int, int], None]
-
-WELL_FITTED = EstimationSettings().largest_misfit  # of an explained window
+WELL_FITTED = LARGEST_MISFIT  # of an explained window
 OUTLIER = 3.0
 """Unexplained windows whose misfit is larger than this factor times the median are left out: the search ended in a
 local minimum, or there was a disturbance."""
@@ -43,7 +34,7 @@ local minimum, or there was a disturbance."""
 ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2, errors=False)
 """Search settings of the single windows; the common fit continues from their results."""
 
-RANDOMLY, FEW = ROUGHLY.model_copy(update={"restarts": 3}), 2
+RANDOMLY, FEW = replace(ROUGHLY, restarts=3), 2
 """The same for the few best windows, where no common values explain most of all."""
 
 LOOSENED = 4.0  # factor on the variance of the common values, as the prior of a window that they do not explain
@@ -90,6 +81,11 @@ class Joint(NamedTuple):
         return total
 
     @property
+    def covariance(self) -> Floats:
+        """Of the shared unknowns, (p, p)."""
+        return np.asarray(np.linalg.inv(self.precision), np.float64)
+
+    @property
     def common(self) -> Floats:
         """The shared values, (p,), scaled."""
         values: Floats = self.scaled[0, self.shared]
@@ -99,11 +95,22 @@ class Joint(NamedTuple):
 class Common(NamedTuple):
     """The best common fit of the windows of a recording."""
 
-    model: Model  # of the windows that were used
-    readings: Floats  # of these, over their noise
+    problem: Problem  # of the windows that were used
     joint: Joint
     misfit: Floats  # (B,), of all windows; infinite for one that was left out
-    second: Joint | None  # another minimum that explains the readings as well
+    second: Joint | None = None  # another minimum that explains the readings as well
+
+    @classmethod
+    def of(cls, count: int, kept: Indices, problem: Problem, joint: Joint, second: Joint | None = None) -> Common:
+        """The fit of the windows ``kept`` of ``count`` ones."""
+        misfit = np.full(count, np.inf)
+        misfit[kept] = joint.misfit
+        return cls(problem, joint, misfit, second)
+
+    @property
+    def model(self) -> Model:
+        """Of the windows that were used."""
+        return self.problem.model
 
     @property
     def explained(self) -> int:
@@ -111,35 +118,25 @@ class Common(NamedTuple):
         return int((self.misfit < WELL_FITTED).sum())
 
 
-def fit_together(
-    model: Model,
-    measured: Floats,
-    first: Floats,
-    progress: Callable[[int, int], None] | None = None,
-    iterations: int = LAST_ITERATIONS,
-) -> Joint:
+def fit_together(problem: Problem, first: Floats, progress: Callable[[int, int], None] | None = None) -> Joint:
     """The most probable shared parameters and start states of several windows.
 
     Args:
-        model: of the B windows.
-        measured: readings over their noise, (B, channels, T); NaN is left out.
+        problem: of the B windows.
         first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
         progress: called with the number of iterations and its limit.
-        iterations: largest number.
     """
-    shared, own = shared_and_own(model)
-    scaled, directions = descend(model, measured, first, shared, progress, TOLERANCE, SHORT_STEP, iterations)
-    known = np.isfinite(measured)
-    prior = without(prior_belief(model, model.count).precision, shared)
+    shared, own = shared_and_own(problem.model)
+    scaled, directions = descend(problem, first, progress, TOLERANCE, SHORT_STEP, LAST_ITERATIONS)
+    belief = problem.belief.without(shared)
     for _ in range(LINEARISATIONS):
-        linear = model.linearise(scaled, None, directions, central=True)
-        residual, jacobian = masked(linear, np.where(known, measured, 0.0), known)
-        equations = equations_of(residual, jacobian, channel_weights(residual, known), scaled, prior, shared)
-        directions = model.directions(equations.precision, LONG_STEP)
-    misfit = misfit_of(residual, jacobian, np.linalg.inv(equations.precision), known)
+        linear = problem.linearised(scaled, directions, central=True)
+        equations = linear.equations(scaled, belief, shared)
+        directions = problem.model.directions(equations.precision, LONG_STEP)
+    misfit = misfit_of(linear, np.linalg.inv(equations.precision))
     curvature = equations.curvature[:, own]
     response = np.asarray(-np.linalg.solve(curvature[:, :, own], curvature[:, :, shared]), np.float64)
-    cost = _cost(residual.reshape(known.shape), known, scaled, shared, own)
+    cost = _cost(linear.residual.reshape(linear.known.shape), linear.known, scaled, shared, own)
     return Joint(scaled, shared, equations.information, equations.score, misfit, own, response, cost)
 
 
@@ -150,32 +147,16 @@ def shared_and_own(model: Model) -> tuple[Indices, Indices]:
 
 
 def descend(
-    model: Model,
-    measured: Floats,
+    problem: Problem,
     first: Floats,
-    shared: Indices,
     progress: Callable[[int, int], None] | None,
-    tolerance: float,
-    step: float,
+    tolerance: float = ROUGH_TOLERANCE,
+    step: float = LONG_STEP,
     iterations: int = ITERATIONS,
 ) -> tuple[Floats, Floats]:
     """Unknowns at the end of a search, (B, P) scaled, and the directions of its differences."""
-    belief = prior_belief(model, model.count)
-    found = fit(
-        model,
-        measured,
-        np.arange(model.count),
-        first,
-        belief,
-        model.samples,
-        iterations,
-        tolerance,
-        step=step,
-        give_up=MOST_DAMPING,
-        shared=shared,
-        progress=progress,
-    )
-    return found.scaled, found.directions
+    shared, _ = shared_and_own(problem.model)
+    return fit(problem, first, iterations, tolerance, step=step, give_up=MOST_DAMPING, shared=shared, progress=progress)
 
 
 def _cost(residual: Floats, known: NDArray[np.bool_], scaled: Floats, shared: Indices, own: Indices) -> float:
@@ -211,62 +192,41 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
             other = _alone(windows.part(again), config, priors, RANDOMLY)
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
             second = _common_fit(windows, config, priors, alone, report)
-            best = max(best, second, key=_quality)
+            best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
     if 2 * best.explained < len(windows) and config.sensors.enabled:
-        timed = _with_timing(windows, config, best, report)
+        timing = {name: prior for name, prior in timing_priors(config).items() if name not in best.model.names}
+        timed = _continued(best, timing, "timing", report) if timing else best
         if timed.explained > best.explained:  # otherwise it would only take up another error of the model
             best = timed
     if 2 * best.explained < len(windows):
-        drifting = _with_drift(windows, config, best, report)
+        drift = {NULL_DRIFT: prior_of(config, NULL_DRIFT)}
+        drifting = _continued(best, drift, "null", report)
         if np.median(drifting.misfit) < MUCH_BETTER * np.median(best.misfit):
             best = drifting
     report("common fit", 1, 1)
     return best
 
 
-def _quality(found: Common) -> tuple[int, float]:
-    return found.explained, -float(np.median(found.misfit))
-
-
-def _with_timing(windows: Windows, config: TaskConfig, found: Common, report: Report) -> Common:
-    """The fit continued with latency of the command and rise time of the transducers as further common unknowns."""
-    more = {name: prior for name, prior in timing_priors(config).items() if name not in found.model.names}
-    return _continued(windows, config, found, more, "timing", report) if more else found
-
-
-def _with_drift(windows: Windows, config: TaskConfig, found: Common, report: Report) -> Common:
-    """The fit continued with a null of the valve that wanders from window to window."""
-    return _continued(windows, config, found, {NULL_DRIFT: prior_of(config, NULL_DRIFT)}, "null", report)
-
-
-def _continued(
-    windows: Windows, config: TaskConfig, found: Common, more: Mapping[str, Prior], phase: str, report: Report
-) -> Common:
+def _continued(found: Common, more: Mapping[str, Prior], phase: str, report: Report) -> Common:
     """A fit continued with more unknowns.
 
     With a latency the command may stand a row early or late: the row at which the readings differ least begins.
     """
-    kept = np.flatnonzero(np.isfinite(found.misfit))
-    model, readings = replayed(windows.part(kept), config, {**found.model.priors, **more})
-    if {LATENCY, RISE_TIME} & set(model.names):  # those of commands beyond the windows
+    readings = found.problem.measured.copy()
+    problem = found.problem.with_more(more)._replace(measured=readings)
+    names, period = problem.model.names, problem.model.config.control_period
+    if {LATENCY, RISE_TIME} & set(names):  # those of commands beyond the windows
         readings[:, :, :UNKNOWN_COMMANDS] = readings[:, :, -UNKNOWN_COMMANDS:] = np.nan
-    first = np.concatenate([found.joint.scaled, np.zeros((len(kept), len(more)))], axis=1)
-    trials = [first]
+    trials = [np.pad(found.joint.scaled, ((0, 0), (0, len(more))))]
     if LATENCY in more:
         for rows in (-1.0, 1.0):
-            moved = first.copy()
-            moved[:, model.names.index(LATENCY)] = rows * config.control_period / more[LATENCY].deviation
+            moved = trials[0].copy()
+            moved[:, names.index(LATENCY)] = rows * period / more[LATENCY].deviation
             trials.append(moved)
-
-    def progress(done: int, total: int) -> None:
-        report(phase, done, total)
-
-    rough = [descend(model, readings, trial, shared_and_own(model)[0], progress, ROUGH_TOLERANCE, LONG_STEP)[0]
-             for trial in trials]  # fmt: skip
-    joint = fit_together(model, readings, rough[int(np.argmin(costs_of(model, readings, rough)))], progress)
-    misfit = np.full(len(windows), np.inf)
-    misfit[kept] = joint.misfit
-    return Common(model, readings, joint, misfit, None)
+    progress = partial(report, phase)
+    rough = [descend(problem, trial, progress)[0] for trial in trials]
+    joint = fit_together(problem, rough[int(np.argmin(costs_of(problem, rough)))], progress)
+    return Common.of(len(found.misfit), np.flatnonzero(np.isfinite(found.misfit)), problem, joint)
 
 
 def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], settings: EstimationSettings) -> Estimate:
@@ -274,57 +234,45 @@ def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], se
     return estimate(windows.signals, config, list(priors), settings=settings, boundary=windows.boundary)
 
 
-def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> tuple[Model, Floats]:
-    """The model of some windows, and their readings over their noise."""
+def replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> Problem:
+    """Some windows, and the model of them."""
     model = Model(config, priors, windows.signals[:, -1], boundary=windows.boundary)
-    return model, usable_readings(windows.signals, config, model)
+    return Problem.of(model, usable_readings(windows.signals, config, model))
 
 
 def _nearby(windows: Windows, config: TaskConfig, found: Common, first: Floats) -> Estimate:
     """Windows that common values do not explain, fitted near these values; ``first``: where they ended, scaled."""
-    joint, (model, measured) = found.joint, replayed(windows, config, found.model.priors)
-    unknowns = len(model.names)
-    mean, precision = np.zeros((len(windows), unknowns)), np.tile(np.eye(unknowns), (len(windows), 1, 1))
-    mean[:, joint.shared] = joint.common
-    precision[:, joint.shared[:, None], joint.shared] = joint.precision / LOOSENED
+    joint, problem = found.joint, replayed(windows, config, found.model.priors)
+    problem.belief.mean[:, joint.shared] = joint.common
+    problem.belief.precision[:, joint.shared[:, None], joint.shared] = joint.precision / LOOSENED
     first = first.copy()
     first[:, joint.shared] = joint.common
-    return search(model, measured, first, Belief(mean, precision), ROUGHLY)
+    return search(problem, first, ROUGHLY)
 
 
 def _common_fit(
     windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], alone: Estimate, report: Report
 ) -> Common:
     """The best common fit of the consistent windows from several starting values."""
-
-    def progress(done: int, total: int) -> None:
-        report("common fit", done, total)
-
-    kept = without_outliers(alone.misfit)
+    kept, progress = without_outliers(alone.misfit), partial(report, "common fit")
     for again in (False, True):  # the second time without the outliers of the first
-        model, readings = replayed(windows.part(kept), config, priors)
-        shared = shared_and_own(model)[0]
-        rough = [
-            descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)[0]
-            for first in _first_values(model, readings, alone, kept)
-        ]
-        costs = costs_of(model, readings, rough)
+        problem = replayed(windows.part(kept), config, priors)
+        rough = [descend(problem, first, progress)[0] for first in _first_values(problem, alone, kept)]
+        costs = costs_of(problem, rough)
         order = np.argsort(costs)
-        joint = fit_together(model, readings, rough[order[0]], progress)
+        joint = fit_together(problem, rough[order[0]], progress)
         still = without_outliers(joint.misfit)
         if again or len(still) == len(kept):
             break
         kept = kept[still]
     second = None
     for place in order[1:]:
-        if costs[place] < costs[order[0]] + PROMISING and _far(rough[place][0, shared], joint):
-            other = fit_together(model, readings, rough[place], progress)
+        if costs[place] < costs[order[0]] + PROMISING and _far(rough[place][0, joint.shared], joint):
+            other = fit_together(problem, rough[place], progress)
             joint, other = (joint, other) if joint.cost <= other.cost else (other, joint)
             if other.cost < joint.cost + AS_GOOD and _far(other.common, joint):
                 second = other
-    misfit = np.full(len(windows), np.inf)
-    misfit[kept] = joint.misfit
-    return Common(model, readings, joint, misfit, second)
+    return Common.of(len(windows), kept, problem, joint, second)
 
 
 def _far(common: Floats, joint: Joint) -> bool:
@@ -333,13 +281,10 @@ def _far(common: Floats, joint: Joint) -> bool:
     return float(away @ joint.precision @ away) > APART**2 + len(away)
 
 
-def costs_of(model: Model, readings: Floats, trials: list[Floats]) -> list[float]:
+def costs_of(problem: Problem, trials: list[Floats]) -> list[float]:
     """The cost of each trial, (B, P) scaled."""
-    known, window = np.isfinite(readings), np.arange(model.count)
-    return [
-        _cost(np.where(known, readings - model.readings(one, window)[0], 0.0), known, one, *shared_and_own(model))
-        for one in trials
-    ]
+    known, places = np.isfinite(problem.measured), shared_and_own(problem.model)
+    return [_cost(problem.residual(one[:, None])[:, 0], known, one, *places) for one in trials]
 
 
 def without_outliers(misfit: Floats) -> Indices:
@@ -348,15 +293,16 @@ def without_outliers(misfit: Floats) -> Indices:
     return np.flatnonzero(finite <= max(WELL_FITTED, OUTLIER * float(np.median(finite))))
 
 
-def _first_values(model: Model, readings: Floats, alone: Estimate, kept: Indices) -> list[Floats]:
+def trials_of(scaled: Floats, shared: Indices, candidates: Floats) -> list[Floats]:
+    """Unknowns of the windows, (B, P) scaled, with each row of shared values, (K, p), in turn."""
+    trials = np.repeat(scaled[None], len(candidates), axis=0)
+    trials[:, :, shared] = candidates[:, None]
+    return list(trials)
+
+
+def _first_values(problem: Problem, alone: Estimate, kept: Indices) -> list[Floats]:
     """Starts of the common fit, each (B, P) scaled: shared values of one window, or their median; own start states."""
-    shared = shared_and_own(model)[0]
-    scaled = alone.scaled[kept]
+    shared, scaled = shared_and_own(problem.model)[0], alone.scaled[kept]
     candidates = np.concatenate([scaled[:, shared], np.median(scaled[:, shared], axis=0, keepdims=True)])
-    trials = []
-    for candidate in candidates:
-        tried = scaled.copy()
-        tried[:, shared] = candidate
-        trials.append(tried)
-    order = np.argsort(costs_of(model, readings, trials))
-    return [trials[place] for place in order[:STARTING_VALUES]]
+    trials = trials_of(scaled, shared, candidates)
+    return [trials[place] for place in np.argsort(costs_of(problem, trials))[:STARTING_VALUES]]

@@ -7,7 +7,7 @@ explain.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -17,6 +17,7 @@ from hydro_env import TaskConfig
 from hydro_env.task.sensors import SENSORS
 from hydro_rig.estimation.model import noise_of
 from hydro_rig.estimation.result import Estimate
+from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
 from hydro_rig.identification.found_rig import shown
 from hydro_rig.recordings.findings import Finding, Weight
 
@@ -27,32 +28,29 @@ SLOW = 1.0  # slow error that is worth a line, in standard deviations of the dat
 SPIKES = 0.002  # share of spikes that is worth a line
 
 
-class _Contradicted(NamedTuple):
-    """What the recording says that the data sheet does not; ``None``, or no entry: they agree."""
+class _Odd(NamedTuple):
+    """One value of a recording that the data sheet contradicts."""
 
-    latency: float | None  # s
-    rise_time: float | None  # s
-    white: dict[str, float]  # by sensor, over the noise of the data sheet
-    slow: dict[str, float]
-    spikes: dict[str, float]  # share of the readings
+    signal: str
+    kind: str  # command_latency or pressure_rise_time (s); white, slow (over the data sheet's noise), spikes (share)
+    size: float
 
-    @classmethod
-    def of(cls, used: Estimate, task: TaskConfig) -> _Contradicted:
-        """The medians over some windows, where they are worth a line."""
-        latency, rise = float(np.median(used.latency)), float(np.median(used.rise_time))
-        late = abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period
-        slower = abs(rise - task.sensors.pressure_rise_time) > RISE_TIME_CHANGE
-        white, slow, spikes = (
-            dict(zip(SENSORS, np.median(part, axis=0).tolist(), strict=True))
-            for part in (used.white, used.slow, used.spikes)
-        )
-        return cls(
-            latency if late else None,
-            max(rise, 0.0) if slower else None,
-            {name: size for name, size in white.items() if not LESS <= size <= MORE},
-            {name: size for name, size in slow.items() if size > SLOW},
-            {name: share for name, share in spikes.items() if share > SPIKES},
-        )
+
+def _odd(found: Estimate, task: TaskConfig) -> list[_Odd]:
+    """The medians over the windows with an answer, or over all if there is none, where they are worth a line."""
+    used = found.part(np.flatnonzero(found.holds)) if found.holds.any() else found
+    latency, rise = float(np.median(used.latency)), float(np.median(used.rise_time))
+    odd = []
+    if abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period:
+        odd.append(_Odd("command", LATENCY, latency))
+    if abs(rise - task.sensors.pressure_rise_time) > RISE_TIME_CHANGE:
+        odd.append(_Odd("pressures", RISE_TIME, max(rise, 0.0)))
+    for channel, name in enumerate(SENSORS):
+        white, slow, spikes = (float(np.median(part[:, channel])) for part in (used.white, used.slow, used.spikes))
+        odd += [_Odd(name, "white", white)] if not LESS <= white <= MORE else []
+        odd += [_Odd(name, "slow", slow)] if slow > SLOW else []
+        odd += [_Odd(name, "spikes", spikes)] if spikes > SPIKES else []
+    return odd
 
 
 def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
@@ -62,26 +60,20 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
         found: the windows of a recording; those with an answer count, or all if there is none.
         task: as the estimate assumed it.
     """
-    used = found.part(np.flatnonzero(found.holds)) if found.holds.any() else found
     end = "used" if found.holds.any() else "the model still does not hold"
-    odd, findings = _Contradicted.of(used, task), []
-    if odd.latency is not None:
-        ours = f"{number(1e3 * task.command_latency, 1)} ms"
-        what = f"acts {number(1e3 * odd.latency, 1)} ms after its row, and not {ours} (command_latency): {end}"
-        findings.append(Finding("command", what, Weight.NOTE))
-    if odd.rise_time is not None:
-        usual = f"{number(1e3 * task.sensors.pressure_rise_time, 1)} ms"
-        what = f"rise within {number(1e3 * odd.rise_time, 1)} ms, and not {usual} (pressure_rise_time): {end}"
-        findings.append(Finding("pressures", what, Weight.NOTE))
-    for name in SENSORS:
-        if name in odd.white:
-            what = f"scatters {number(odd.white[name], 1)} times its data sheet: {end}"
-            findings.append(Finding(name, what, Weight.NOTE))
-        if name in odd.slow:
-            what = f"differs slowly from the model, by {_size(name, odd.slow[name], task)}: {end}"
-            findings.append(Finding(name, what, Weight.NOTE))
-        if name in odd.spikes:
-            findings.append(Finding(name, "has spikes: left out", Weight.NOTE, share=odd.spikes[name]))
+    findings = []
+    for signal, kind, size in _odd(found, task):
+        if kind == LATENCY:
+            what = f"acts {_ms(size)} after its row, and not {_ms(task.command_latency)} ({kind}): {end}"
+        elif kind == RISE_TIME:
+            what = f"rise within {_ms(size)}, and not {_ms(task.sensors.pressure_rise_time)} ({kind}): {end}"
+        elif kind == "white":
+            what = f"scatters {number(size, 1)} times its data sheet: {end}"
+        elif kind == "slow":
+            what = f"differs slowly from the model, by {_size(signal, size, task)}: {end}"
+        else:
+            what = "has spikes: left out"
+        findings.append(Finding(signal, what, Weight.NOTE, share=size if kind == "spikes" else math.nan))
     return findings
 
 
@@ -112,19 +104,22 @@ def lines_to_paste(found: Estimate, task: TaskConfig) -> str:
     """The contradictions as lines of a task's file; empty if there are none."""
     if not found.holds.any():
         return ""
-    odd = _Contradicted.of(found.part(np.flatnonzero(found.holds)), task)
-    rows, values = 0, {}
-    sensors: dict[str, object] = {}
-    if odd.latency is not None:
-        rows = math.floor(odd.latency / task.control_period)
-        values["command_latency"] = _rounded(odd.latency - rows * task.control_period)
-    if odd.rise_time is not None:
-        sensors["pressure_rise_time"] = _rounded(odd.rise_time)
-    for name, white in odd.white.items():
-        sensors[name] = {"noise": _rounded(white * _noise(name, task))}
-    whole: dict[str, object] = values | ({"sensors": sensors} if sensors else {})
-    text: str = yaml.safe_dump(whole, sort_keys=False) if whole else ""
+    rows = 0
+    values: dict[str, Any] = {}
+    for signal, kind, size in _odd(found, task):
+        if kind == LATENCY:
+            rows = math.floor(size / task.control_period)
+            values[LATENCY] = _rounded(size - rows * task.control_period)
+        elif kind == RISE_TIME:
+            values.setdefault("sensors", {})[RISE_TIME] = _rounded(size)
+        elif kind == "white":
+            values.setdefault("sensors", {})[signal] = {"noise": _rounded(size * _noise(signal, task))}
+    text: str = yaml.safe_dump(values, sort_keys=False) if values else ""
     return text + (f"# and in the map of the columns: command: {{rows_early: {rows}, …}}\n" if rows else "")
+
+
+def _ms(seconds: float) -> str:
+    return f"{number(1e3 * seconds, 1)} ms"
 
 
 def _rounded(value: float) -> float:

@@ -6,15 +6,14 @@ error of the model cannot grow, and gaps between windows do not matter.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
+from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.sensors import PRESSURE_A, SENSORS
@@ -41,54 +40,57 @@ from hydro_rig.identification.intervals import (
 )
 from hydro_rig.identification.profiles import pinned, ridge
 
-Progress = Callable[[str, int, int], None]
-
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 DETERMINED = 0.5
 """A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
 
 
+class Unknown(NamedTuple):
+    """An unknown that the windows share, after the fit; values in its unit."""
+
+    name: str
+    prior: Prior
+    value: float  # most probable
+    low: float  # ends of the 95 % interval
+    high: float
+    remaining: float  # standard deviation as a share of that of the range
+    widening: float  # factor on the standard deviation of a fit to white noise
+    side: int = 0  # 1: only the lower end is known, −1: only the upper one, 0: both
+
+
 class Fit(NamedTuple):
-    """Result for the windows of a recording. p unknowns: parameters, leaks and biases of sensors."""
+    """Result for the windows of a recording, with p unknowns: parameters, leaks and biases of sensors."""
 
-    names: tuple[str, ...]  # (p,)
-    priors: dict[str, Prior]  # of these
-    values: Floats  # (p,), most probable
-    low: Floats  # (p,), ends of the 95 % interval, in the unknown's unit
-    high: Floats  # (p,)
-    remaining: Floats  # (p,), standard deviation as a share of that of the range
-    widening: Floats  # (p,), factor on the standard deviations of a fit to white noise
-    information: Floats  # (p, p), of the readings, for unknowns scaled by their ranges
+    unknowns: tuple[Unknown, ...]  # (p,)
     misfit: Floats  # (B,), of each window; infinite for a window that was left out
-    joint: Joint | None = None  # the common fit of the other windows
-    open: NDArray[np.int64] | None = None  # (p,), 1: only the lower end is known, −1: only the upper one; None: both
-    second: Mapping[str, float] = MappingProxyType({})  # values of another minimum that explains the readings as well
+    joint: Joint  # the common fit of the other windows
+    second: dict[str, float]  # values of another minimum that explains the readings as well
 
     @property
-    def determined(self) -> NDArray[np.bool_]:
-        """Whether the recording determines each unknown, (p,); an interval with one known end does not.
-
-        A model that explains no window determines nothing: its intervals tell how the model is wrong.
-        """
-        return np.asarray((self.remaining <= DETERMINED) & (self.side == 0) & self.explained.any())
-
-    @property
-    def side(self) -> NDArray[np.int64]:
-        """1 where only the lower end of an interval is known, −1 where only the upper one, (p,)."""
-        return np.zeros(len(self.names), np.int64) if self.open is None else self.open
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns."""
+        return tuple(one.name for one in self.unknowns)
 
     @property
     def explained(self) -> NDArray[np.bool_]:
         """Whether the model explains the readings of each window within the sensors' noise, (B,)."""
         return np.asarray(self.misfit < WELL_FITTED)
 
-    def value(self, name: str) -> float:
-        """Most probable value of one unknown."""
-        return float(self.values[self.names.index(name)])
+    @property
+    def widening(self) -> Floats:
+        """Of each unknown, (p,)."""
+        return np.array([one.widening for one in self.unknowns])
+
+    def knows(self, unknown: Unknown) -> bool:
+        """Whether the recording determines an unknown; an interval with one known end does not.
+
+        A model that explains no window determines nothing: its intervals tell how the model is wrong.
+        """
+        return unknown.remaining <= DETERMINED and not unknown.side and bool(self.explained.any())
 
     def own(self) -> dict[str, float]:
         """All values by name."""
-        return dict(zip(self.names, self.values.tolist(), strict=True))
+        return {one.name: one.value for one in self.unknowns}
 
 
 def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured: NDArray[np.bool_]) -> list[str]:
@@ -103,7 +105,7 @@ def fit_windows(
     windows: Windows,
     config: TaskConfig,
     ranges: Mapping[str, Distribution],
-    progress: Progress | None = None,
+    progress: Report | None = None,
 ) -> Fit:
     """Fit the unknowns to windows of one recording.
 
@@ -115,13 +117,9 @@ def fit_windows(
         ranges: ranges that the rig file gives.
         progress: called with phase, done, total.
     """
-
-    def report(phase: str, done: int, total: int) -> None:
-        if progress is not None:
-            progress(phase, done, total)
-
     measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
+    report = progress or (lambda phase, done, total: None)
     return _summary(common_fit(windows, config, priors, report), config, ranges)
 
 
@@ -129,7 +127,7 @@ def _beside_edges(common: Common, config: TaskConfig, ends: Floats) -> tuple[Joi
     """Interval ends on one side only: their unknowns move away from the found edge, and the others are fitted again."""
     joint, model = common.joint, common.model
     spread = spread_of(joint)
-    sides = sides_of(model, common.readings, joint, spread, ends, common.explained > 0)
+    sides = sides_of(common.problem, joint, spread, ends, common.explained > 0)
     edges = np.flatnonzero(sides.open)
     if not len(edges):
         return joint, spread, sides
@@ -141,7 +139,7 @@ def _beside_edges(common: Common, config: TaskConfig, ends: Floats) -> tuple[Joi
         moved[place] = beside_the_edge(name, model.priors[name], config.plant, limit, float(end))
         scaled += ridge(joint, edge) * (moved[place] - joint.scaled[0, place])
     scaled[:, places] = 0.0
-    again = fit_together(pinned(model, moved), common.readings, scaled)
+    again = fit_together(pinned(common.problem, moved), scaled)
     for place, value in moved.items():
         again.scaled[:, place] = value
     # The readings say nothing about them here.
@@ -160,58 +158,27 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
     shared = common.joint.shared
     names = tuple(common.model.names[place] for place in shared)
     priors = {name: common.model.priors[name] for name in names}
-    ends = range_ends(config, ranges, priors, names)
+    ends = range_ends(config, ranges, priors)
     joint, spread, sides = _beside_edges(common, config, ends)
-    values = common.model.values(joint.scaled[0])[shared]
+    values = common.model.values(joint.scaled[0])[shared].tolist()
     reach = np.minimum(np.maximum(sides.reach, spread.reach[:, None]), COVERAGE) * np.array([-1.0, 1.0])
     scaled, known = joint.common[:, None] + reach, _known_end(common.joint.common, sides)
-    for row in np.flatnonzero(sides.open).tolist():
-        scaled[row] = (known[row], ends[row, 1]) if sides.open[row] > 0 else (ends[row, 0], known[row])
-    intervals = np.array([priors[name].value(row) for name, row in zip(names, scaled, strict=True)])
-    for row, name in enumerate(names):
-        low, high = intervals[row]
+    unknowns = []
+    for row, (name, prior) in enumerate(priors.items()):
+        side = int(sides.open[row])
+        if side:
+            scaled[row] = (known[row], ends[row, 1]) if side > 0 else (ends[row, 0], known[row])
+        low, high = prior.value(scaled[row]).tolist()
         if name in (LEAKAGE, EXTERNAL_LEAKAGE):
-            high = truncated_end(float(values[row]), low, high)
-        intervals[row] = [within_bounds(config.plant, name, float(end)) for end in (low, high)]
+            high = truncated_end(values[row], low, high)
+        value, low, high = (within_bounds(config.plant, name, end) for end in (values[row], low, high))
+        remaining = min(float(scaled[row, 1] - scaled[row, 0]) / (2.0 * COVERAGE), 1.0)
+        unknowns.append(Unknown(name, prior, value, low, high, remaining, float(spread.widening[row]), side))
     misfit = common.misfit.copy()
     misfit[np.isfinite(misfit)] = joint.misfit
-    second = {} if common.second is None else _apart(names, priors, common.second.common, scaled)
-    return Fit(
-        names=names,
-        priors=priors,
-        values=np.array([within_bounds(config.plant, *pair) for pair in zip(names, values.tolist(), strict=True)]),
-        low=intervals[:, 0],
-        high=intervals[:, 1],
-        remaining=np.minimum(np.diff(scaled, axis=1)[:, 0] / (2.0 * COVERAGE), 1.0),
-        widening=spread.widening,
-        information=joint.information.sum(axis=0),
-        misfit=misfit,
-        joint=joint,
-        open=sides.open,
-        second=second,
-    )
-
-
-def _apart(names: tuple[str, ...], priors: Mapping[str, Prior], other: Floats, scaled: Floats) -> dict[str, float]:
-    """Values of another minimum that lie outside the intervals, (p, 2) scaled."""
-    away = (other < scaled[:, 0]) | (other > scaled[:, 1])
-    return {names[row]: float(priors[names[row]].value(other[row])) for row in np.flatnonzero(away).tolist()}
-
-
-class Combination(NamedTuple):
-    """A combination of unknowns, and the information of the recording about it."""
-
-    singular_value: float  # of the readings' derivatives, scaled by ranges and noise; below 1 the range dominates
-    parts: tuple[tuple[str, float], ...]  # names and weights of the largest parts
-
-
-def combinations(fit: Fit) -> list[Combination]:
-    """The singular values of the scaled derivatives with their combinations, the least determined first."""
-    values, vectors = np.linalg.eigh(fit.information)
-    found = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        order = [place for place in np.argsort(-np.abs(vector)) if abs(vector[place]) > 0.3]
-        sign = math.copysign(1.0, vector[order[0]]) if order else 1.0
-        parts = tuple((fit.names[place], float(sign * vector[place])) for place in order)
-        found.append(Combination(math.sqrt(max(float(value), 0.0)), parts))
-    return found
+    second: dict[str, float] = {}
+    if common.second is not None:
+        other = common.second.common
+        away = np.flatnonzero((other < scaled[:, 0]) | (other > scaled[:, 1]))
+        second = {names[row]: float(priors[names[row]].value(other[row])) for row in away.tolist()}
+    return Fit(tuple(unknowns), misfit, joint, second)

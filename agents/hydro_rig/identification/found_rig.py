@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from copy import deepcopy
 from typing import Any, NamedTuple
 
-import numpy as np
 import yaml
 
 from hydro_agents.running.text import decimals_for, number
@@ -25,7 +25,7 @@ from hydro_rig.estimation.unknowns import (
     RISE_TIME,
 )
 from hydro_rig.identification.fit import Fit
-from hydro_rig.identification.intervals import within_bounds
+from hydro_rig.identification.intervals import hull, within_bounds
 
 DIGITS = 6  # significant, of the numbers in the file
 
@@ -34,9 +34,6 @@ READ_IN = {"Pa": "bar", "m³/s": "l/min", "m": "mm", "m³": "cm³", "rad/s": "Hz
 
 SHARES = ("overlap", "underlap", "null_shift", "air_fraction")
 """Fields without a unit that data sheets give in per cent."""
-
-TIMING = {LATENCY: "latency of the command", RISE_TIME: "rise time of the pressure transducers"}
-"""Unknowns of the recording, and not of the rig, by name."""
 
 _BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
 
@@ -76,39 +73,6 @@ def found_plant(fit: Fit, config: TaskConfig) -> PlantParameters:
     return config.plant.replace(**groups)
 
 
-def found_biases(fit: Fit) -> list[float]:
-    """Bias of each channel, SI; 0 where it was not fitted."""
-    own = fit.own()
-    return [own.get(name, 0.0) for name in BIASES]
-
-
-def found_timing(fit: Fit) -> dict[str, float]:
-    """Latency of the command and rise time of the transducers, s, where the task's did not hold."""
-    own = fit.own()
-    return {name: own[name] for name in TIMING if name in own}
-
-
-def found_gains(fit: Fit) -> dict[str, float]:
-    """Gain of each sensor that has an unknown one, by name."""
-    own = fit.own()
-    return {name: own[name] for name in GAINS if name in own}
-
-
-def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
-    """Lowest and highest value that a range allows, SI, including the value without the range.
-
-    Args:
-        plant: the given rig; factors multiply its own value.
-        found: the identified rig; it gives the value of a parameter that multiplies the range (``times``).
-        path: of the parameter.
-        given: its range.
-    """
-    factor = 1.0 if given.times is None else own_value(found, given.times)
-    ends = [factor * end for end in given.bounds(own_value(plant, path))]
-    ends += [] if given.otherwise is None else [given.otherwise]
-    return min(ends), max(ends)
-
-
 def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> dict[str, dict[str, Any]]:
     """The range of each parameter in the new rig file: its 95 % interval, within the given range.
 
@@ -117,43 +81,35 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
     """
     result: dict[str, dict[str, Any]] = {}
     plant = found_plant(fit, config)
-    for name, low, high, determined, side in zip(fit.names, fit.low, fit.high, fit.determined, fit.side, strict=True):
-        path = path_of(name)
+    for one in fit.unknowns:
+        path = path_of(one.name)
         if path not in ranges:
             continue
         given = ranges[path]
-        if not (determined or side):
+        if not (fit.knows(one) or one.side):
             result[path] = _undetermined(config.plant, path, given)
-        elif name == EXTERNAL_LEAKAGE:
-            result[path] = _external(low, high, given)
+        elif one.name == EXTERNAL_LEAKAGE:
+            result[path] = _external(one.low, one.high, given)
         else:
-            ends = _overlap((low, high), hull(config.plant, plant, path, given))
-            ends = (within_bounds(plant, path, ends[0]), within_bounds(plant, path, ends[1]))
+            least, most = hull(config.plant, plant, path, given)
+            inside = max(one.low, least), min(one.high, most)  # the whole interval if it lies outside
+            low, high = inside if inside[0] <= inside[1] else (one.low, one.high)
+            low, high = (within_bounds(plant, path, end) for end in (low, high))
             if given.times is None:
-                form = "log_uniform" if side and given.logarithmic else "uniform"
-                result[path] = {form: _rounded(ends)}
+                form = "log_uniform" if one.side and given.logarithmic else "uniform"
+                result[path] = {form: _rounded((low, high))}
             else:  # a ratio is never below the old one: breakaway stays above Coulomb friction
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
-                ratios = (max(ends[0] / factor, least), max(ends[1] / factor, least))
-                result[path] = {"uniform": _rounded(ratios), "times": given.times}
+                ratios = _rounded((max(low / factor, least), max(high / factor, least)))
+                result[path] = {"uniform": ratios, "times": given.times}
     return result
-
-
-def _overlap(interval: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
-    """The part of an interval within the old range; the whole interval if it lies outside."""
-    low, high = max(interval[0], before[0]), min(interval[1], before[1])
-    return (low, high) if low <= high else interval
 
 
 def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> list[str]:
     """Names of the parameters whose whole interval lies outside the range of the rig file."""
-    plant, names = found_plant(fit, config), []
-    for name, low, high in zip(fit.names, fit.low, fit.high, strict=True):
-        if name in ranges:
-            least, most = hull(config.plant, plant, name, ranges[name])
-            if high < least or low > most:
-                names.append(name)
-    return names
+    plant, given = found_plant(fit, config), [one for one in fit.unknowns if one.name in ranges]
+    hulls = [hull(config.plant, plant, one.name, ranges[one.name]) for one in given]
+    return [one.name for one, (low, high) in zip(given, hulls, strict=True) if one.high < low or one.low > high]
 
 
 def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dict[str, Any]:
@@ -174,36 +130,27 @@ def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
         resistances = (resistance_from_flow(high), resistance_from_flow(low))
     if high <= 0.0 or not math.isfinite(resistances[1]) or resistances[0] > most:
         return {"log_uniform": _rounded((least, most)), "otherwise": math.inf, "otherwise_probability": 1.0}
-    if low <= 0.0 and given.otherwise is not None:
-        return {
-            "log_uniform": _rounded(resistances),
-            "otherwise": given.otherwise,
-            "otherwise_probability": given.otherwise_probability,
-        }
-    return {"log_uniform": _rounded(resistances)}
+    tight = {"otherwise": given.otherwise, "otherwise_probability": given.otherwise_probability}
+    return {"log_uniform": _rounded(resistances)} | (tight if low <= 0.0 and given.otherwise is not None else {})
 
 
 def _rounded(ends: tuple[float, float]) -> list[float]:
     """Both ends with DIGITS significant digits, rounded outwards."""
-    nearly = 1e-6  # of a digit: a number without further digits stays unchanged
-    return [
-        _outwards(ends[0], lambda digits: math.floor(digits + nearly)),
-        _outwards(ends[1], lambda digits: math.ceil(digits - nearly)),
-    ]
-
-
-def _outwards(value: float, rounding: Callable[[float], int]) -> float:
-    if value == 0.0 or not math.isfinite(value):
-        return value
-    unit = 10.0 ** (math.floor(math.log10(abs(value))) - DIGITS + 1)
-    return float(f"{rounding(value / unit) * unit:.{DIGITS}g}")
+    rounded = []
+    for value, outwards in zip(ends, (math.floor, math.ceil), strict=True):
+        if value != 0.0 and math.isfinite(value):
+            unit = 10.0 ** (math.floor(math.log10(abs(value))) - DIGITS + 1)
+            nearly = 1e-6 if outwards is math.floor else -1e-6  # of a digit: without further digits it stays unchanged
+            value = float(f"{outwards(value / unit + nearly) * unit:.{DIGITS}g}")
+        rounded.append(value)
+    return rounded
 
 
 def rig_yaml(
     rig: Mapping[str, Any], fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution], notes: list[str]
 ) -> str:
     """The given rig file with the identified values and the narrowed ranges; the notes stand at its top."""
-    values = {key: dict(group) if isinstance(group, Mapping) else group for key, group in rig.items()}
+    values = deepcopy(dict(rig))
     found = found_values(fit, config)
     for path, value in found.items():
         group, field = path.split(".")
@@ -257,12 +204,9 @@ class Shown(NamedTuple):
     unit: str
 
     def span(self, low: float, high: float) -> str:
-        """Two values with enough digits to distinguish them."""
-        low, high = self.factor * low, self.factor * high
-        # Two digits of their difference; a range of zero width gets four digits of its value.
-        difference = abs(high - low)
-        decimals = decimals_for(difference, 2) if difference > 0.0 and np.isfinite(difference) else None
-        return f"{number(low, decimals, 4)} to {number(high, decimals, 4)}"
+        """Two values with enough digits to distinguish them: two of their difference, or four of a single value."""
+        decimals = self._decimals(high - low)
+        return f"{number(self.factor * low, decimals, 4)} to {number(self.factor * high, decimals, 4)}"
 
     def interval(self, low: float, high: float, side: int) -> str:
         """A 95 % interval; with ``side`` 1 or −1 only its lower or upper end is known."""
@@ -272,9 +216,11 @@ class Shown(NamedTuple):
 
     def value(self, value: float, uncertainty: float) -> str:
         """A value with the digits that its uncertainty allows; both in the unknown's unit."""
-        size = self.factor * uncertainty
-        decimals = decimals_for(size, 2) if size > 0.0 and np.isfinite(size) else None
-        return number(self.factor * value, decimals, 4)
+        return number(self.factor * value, self._decimals(uncertainty), 4)
+
+    def _decimals(self, uncertainty: float) -> int | None:
+        size = abs(self.factor * uncertainty)
+        return decimals_for(size, 2) if 0.0 < size < math.inf else None
 
 
 def reading_unit(path: str, plant: PlantParameters) -> tuple[float, str]:
@@ -288,21 +234,23 @@ def reading_unit(path: str, plant: PlantParameters) -> tuple[float, str]:
 
 def shown(name: str, plant: PlantParameters) -> Shown:
     """Display of an unknown of :mod:`hydro_rig.estimation.unknowns`."""
-    if name == LEAKAGE:
-        return Shown("leak past the piston", 1.0, "l/min at 100 bar")
-    if name == EXTERNAL_LEAKAGE:
-        return Shown("leak past the rod seal", 1.0, "l/min at 100 bar")
-    if name in TIMING:
-        return Shown(TIMING[name], 1e3, "ms")
+    if name in _SHOWN:
+        return _SHOWN[name]
+    channel = name.rpartition("_")[0]
     if name in BIASES:
-        channel = name.removesuffix("_bias")
-        factor, unit = _BIAS_UNITS.get(channel, (1e-5, "bar"))
-        return Shown(f"offset of the sensor: {channel.replace('_', ' ')}", factor, unit)
+        return Shown(f"offset of the sensor: {channel.replace('_', ' ')}", *_BIAS_UNITS.get(channel, (1e-5, "bar")))
     if name in GAINS:
-        return Shown(f"gain of the sensor: {name.removesuffix('_gain').replace('_', ' ')}", 1.0, "1")
-    group, field = name.split(".")
+        return Shown(f"gain of the sensor: {channel.replace('_', ' ')}", 1.0, "1")
     size, unit = reading_unit(name, plant)
-    return Shown(f"{group}: {field.replace('_', ' ')}", 1.0 / size, unit)
+    return Shown(name.replace(".", ": ").replace("_", " "), 1.0 / size, unit)
+
+
+_SHOWN = {
+    LEAKAGE: Shown("leak past the piston", 1.0, "l/min at 100 bar"),
+    EXTERNAL_LEAKAGE: Shown("leak past the rod seal", 1.0, "l/min at 100 bar"),
+    LATENCY: Shown("latency of the command", 1e3, "ms"),
+    RISE_TIME: Shown("rise time of the pressure transducers", 1e3, "ms"),
+}
 
 
 def share_in_words(share: float) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +11,11 @@ import numpy as np
 from hydro_agents.running.text import number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parameters import to_vector
-from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
+from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.model import Model, noise_of
-from hydro_rig.estimation.unknowns import NULL_DRIFT, Prior, priors_of, starts_of
+from hydro_rig.estimation.unknowns import BIASES, GAINS, LATENCY, NULL_DRIFT, RISE_TIME, Prior, priors_of, starts_of
 from hydro_rig.recordings.parts import Stretch
 
 HORIZONS = (0.5, 2.0, 10.0)
@@ -33,9 +32,6 @@ LEAST_MOTION = 20.0
 CERTAIN = 1e-7  # s, standard deviation of a timing that the fit has found
 SPEED_OVER = 0.05  # s, over which a speed is a difference of positions
 MOVING = 0.3  # of the largest speed: above, the axis moves, and its simulated speed is compared with the measured one
-PRESSURES = tuple(SENSORS.index(name) for name in ("pressure_a", "pressure_b"))
-
-
 NO_FORECASTS = np.empty((2, 0, len(SENSORS), 0))
 
 
@@ -58,6 +54,10 @@ class HeldBack(NamedTuple):
     share: Floats  # (channels,), share of variance explained; NaN for an absent channel, or one without motion
     forecasts: Floats = NO_FORECASTS  # (2, N, channels, T'), measured and simulated from N measured states, SI
 
+    def moved(self, row: int) -> bool:
+        """Whether a channel moved so far that its share of variance has a meaning."""
+        return not math.isnan(self.share[row])
+
     @property
     def error(self) -> Floats:
         """Root mean square of simulated minus measured readings, SI, (channels,); NaN for an absent channel."""
@@ -67,7 +67,7 @@ class HeldBack(NamedTuple):
     def speed_error(self) -> float:
         """Root mean square of the error of the speed, m/s; NaN if the axis stood still or left the sensor's range."""
         measured, simulated = self._speeds()
-        return float(_root_mean_square((simulated - measured)[None])[0])
+        return _size([simulated - measured])
 
     @property
     def speed_ratios(self) -> tuple[float, float]:
@@ -80,10 +80,9 @@ class HeldBack(NamedTuple):
             ratios.append(float(np.median(simulated[both] / measured[both])) - 1.0 if both.any() else math.nan)
         return ratios[0], ratios[1]
 
-    def _speeds(self) -> tuple[Floats, Floats]:
+    def _speeds(self) -> list[Floats]:
         """Measured and simulated speed, m/s, (T − k,)."""
-        measured, simulated = (_speed(values[POSITION], self.period) for values in (self.measured, self.simulated))
-        return measured, simulated
+        return [_speed(values[POSITION], self.period) for values in (self.measured, self.simulated)]
 
     @property
     def period(self) -> float:
@@ -107,11 +106,7 @@ def _root_mean_square(errors: Floats) -> Floats:
 
 
 def simulate_held_back(
-    part: Stretch,
-    config: TaskConfig,
-    plant: PlantParameters,
-    biases: Sequence[float],
-    timing: Mapping[str, float] = MappingProxyType({}),
+    part: Stretch, config: TaskConfig, plant: PlantParameters, known: Mapping[str, float]
 ) -> HeldBack:
     """Simulate a plant on a held-back part; only the initial state comes from its readings, in the first 0.2 s.
 
@@ -121,95 +116,88 @@ def simulate_held_back(
         part: of a recording.
         config: the task.
         plant: the identified plant.
-        biases: of each channel, SI.
-        timing: found latency, rise time (s) and gains of sensors by name, where those of the task do not hold.
+        known: found biases and gains of the sensors, latency and rise time, by name; others count here for nothing.
     """
+    timing = {name: Prior(known[name], CERTAIN) for name in (LATENCY, RISE_TIME, *GAINS) if name in known}
+    bias = np.array([known.get(name, 0.0) for name in BIASES])[:, None]
+    rig = _Rig(config, to_vector(plant), bias, timing)
     period, count = config.control_period, max(round(START_FROM / config.control_period), 10)
     first = _first_known(part.signals[POSITION], count)
     signals = part.signals[:, first:]
-    bias = np.asarray(biases)[:, None]
+    edge = None if part.boundary is None else part.boundary[:, first:]
     measured = signals[: len(SENSORS)]
-    physical = to_vector(plant)
-    names, fixed = (*starts_of(config), *timing), {name: Prior(value, CERTAIN) for name, value in timing.items()}
-    edge = None if part.boundary is None else part.boundary[None, :, first:]
-    (simulated,) = _simulated(signals[None], edge, count, config, physical, bias, names, fixed)
+    (simulated,) = rig.simulated(signals[None], None if edge is None else edge[None], count)
     time = period * np.arange(signals.shape[1], dtype=np.float64)
     motion = np.array([np.nanstd(row) if np.isfinite(row).any() else 0.0 for row in measured])
     share = np.array([_share([pair]) for pair in zip(measured, simulated, strict=True)])
     share[motion < LEAST_MOTION * noise_of(config)] = np.nan
-    forecasts = _forecasts(signals, edge, config, physical, bias, (*names, NULL_DRIFT), fixed)
+    forecasts = rig.forecasts(signals, edge)
     return HeldBack(part.recording, part.begin + first * period, time, measured, simulated, share, forecasts)
 
 
-def _forecasts(
-    signals: Floats,
-    edge: Floats | None,
-    config: TaskConfig,
-    physical: Floats,
-    bias: Floats,
-    names: Sequence[str],
-    fixed: Mapping[str, Prior],
-) -> Floats:
-    """Measured and simulated readings of forecasts from states along a part, (2, N, channels, T).
+class _Rig(NamedTuple):
+    """An identified rig, to be simulated."""
 
-    What lies beyond the end of the part is NaN.
-    """
-    period, total = config.control_period, signals.shape[1]
-    count = round(FORECAST_FROM / period)
-    length = min(count + round(HORIZONS[-1] / period), total)
-    known = np.isfinite(signals[POSITION])
-    last = total - count - round(HORIZONS[0] / period)
-    starts = [k for k in range(0, last, round(FORECAST_EVERY / period)) if known[k : k + count].mean() > 0.5]
-    if not starts:
-        return NO_FORECASTS
-    places = np.array(starts)[:, None] + np.arange(length)
-    inside = np.minimum(places, total - 1)
-    windows = np.moveaxis(signals[:, inside], 0, 1)
-    measured = np.where((places < total)[:, None], windows[:, : len(SENSORS)], np.nan)
-    boundary = None if edge is None else np.moveaxis(edge[0][:, inside], 0, 1)
-    read = _simulated(windows, boundary, count, config, physical, bias, names, fixed)
-    return np.stack([measured, np.where(np.isfinite(measured), read, np.nan)])[..., count:]
+    config: TaskConfig
+    physical: Floats  # parameters of its plant
+    bias: Floats  # (channels, 1), SI
+    timing: Mapping[str, Prior]  # found timing and gains, where those of the task do not hold
 
+    def forecasts(self, signals: Floats, edge: Floats | None) -> Floats:
+        """Measured and simulated readings of forecasts from states along a part, (2, N, channels, T).
 
-def _simulated(
-    windows: Floats,
-    boundary: Floats | None,
-    count: int,
-    config: TaskConfig,
-    physical: Floats,
-    bias: Floats,
-    names: Sequence[str],
-    fixed: Mapping[str, Prior],
-) -> Floats:
-    """Readings (N, channels, T) of windows (N, 5, T), simulated from what their first ``count`` periods say."""
-    unbiased = np.concatenate([windows[:, : len(SENSORS)] - bias, windows[:, COMMAND, None]], axis=1)
-    plants = np.tile(physical, (len(windows), 1))
-    early = None if boundary is None else boundary[:, :, : count + 1]
-    found = estimate(unbiased[:, :, : count + 1], config, names, priors=fixed, physical=plants, boundary=early)
-    model = Model(config, priors_of(config, names, fixed), windows[:, COMMAND], physical=plants, boundary=boundary)
-    read, _ = model.readings(found.scaled, np.arange(len(windows)))
-    readings: Floats = read * model.noise[:, None] + bias
-    return readings
+        What lies beyond the end of the part is NaN.
+        """
+        period, total = self.config.control_period, signals.shape[1]
+        count = round(FORECAST_FROM / period)
+        known = np.isfinite(signals[POSITION])
+        last = total - count - round(HORIZONS[0] / period)
+        starts = [k for k in range(0, last, round(FORECAST_EVERY / period)) if known[k : k + count].mean() > 0.5]
+        if not starts:
+            return NO_FORECASTS
+        places = np.array(starts)[:, None] + np.arange(min(count + round(HORIZONS[-1] / period), total))
+        inside = np.minimum(places, total - 1)
+        windows = np.moveaxis(signals[:, inside], 0, 1)
+        boundary = None if edge is None else np.moveaxis(edge[:, inside], 0, 1)
+        measured = np.where((places < total)[:, None], windows[:, : len(SENSORS)], np.nan)
+        read = self.simulated(windows, boundary, count, NULL_DRIFT)
+        return np.stack([measured, np.where(np.isfinite(measured), read, np.nan)])[..., count:]
+
+    def simulated(self, windows: Floats, boundary: Floats | None, count: int, *more: str) -> Floats:
+        """Readings (N, channels, T) of windows (N, 5, T), simulated from what their first ``count`` periods say.
+
+        That is their start, and ``more`` unknowns.
+        """
+        config, names = self.config, (*starts_of(self.config), *self.timing, *more)
+        unbiased = np.concatenate([windows[:, : len(SENSORS)] - self.bias, windows[:, COMMAND, None]], axis=1)
+        plants = np.tile(self.physical, (len(windows), 1))
+        early = None if boundary is None else boundary[:, :, : count + 1]
+        first = unbiased[:, :, : count + 1]
+        found = estimate(first, config, names, priors=self.timing, physical=plants, boundary=early)
+        priors = priors_of(config, names, self.timing)
+        model = Model(config, priors, windows[:, COMMAND], physical=plants, boundary=boundary)
+        readings: Floats = model.readings(found.scaled) * model.noise[:, None] + self.bias
+        return readings
 
 
 def forecast_over(parts: Sequence[HeldBack], seconds: float) -> Forecast | None:
     """All forecasts over ``seconds`` together; ``None``: no part is so long."""
-    pieces = [(part, part.forecasts[..., : round(seconds / part.period)]) for part in parts]
-    pieces = [(part, piece) for part, piece in pieces if piece.shape[3] >= round(seconds / part.period)]
+    counts = [round(seconds / part.period) for part in parts]
+    pieces = [
+        (part, part.forecasts[..., :count])
+        for part, count in zip(parts, counts, strict=True)
+        if part.forecasts.shape[3] >= count
+    ]
     if not pieces:
         return None
-    shares, errors = np.full(len(SENSORS), np.nan), np.full(len(SENSORS), np.nan)
-    for row in range(len(SENSORS)):
-        pairs = [pair for part, piece in pieces if part.share[row] == part.share[row] for pair in _pairs(piece, row)]
-        shares[row] = _share(pairs) if pairs else math.nan
-        errors[row] = _size([both[1, :, row] - both[0, :, row] for _, both in pieces])
+    rows = range(len(SENSORS))
+    shares = [
+        _share([pair for part, piece in pieces if part.moved(row) for pair in zip(*piece[:, :, row], strict=True)])
+        for row in rows
+    ]
+    errors = [_size([both[1, :, row] - both[0, :, row] for _, both in pieces]) for row in rows]
     speed = _size([np.subtract(*_speed(both[:, :, POSITION], part.period)) for part, both in pieces])
-    return Forecast(shares, errors, speed)
-
-
-def _pairs(piece: Floats, row: int) -> list[tuple[Floats, Floats]]:
-    """Measured and simulated signal of each forecast."""
-    return list(zip(piece[0, :, row], piece[1, :, row], strict=True))
+    return Forecast(np.array(shares), np.array(errors), speed)
 
 
 def _size(errors: Sequence[Floats]) -> float:
@@ -223,31 +211,20 @@ def _first_known(position: Floats, count: int) -> int:
     return int(known.argmax())
 
 
-def share_of_all(parts: Sequence[HeldBack]) -> Floats:
-    """Share of the variance explained in all held-back parts together, (channels,); NaN: absent, or without motion."""
-    shares = np.full(len(SENSORS), np.nan)
-    for row in range(len(SENSORS)):
-        moved = [part for part in parts if not math.isnan(part.share[row])]
-        if moved:
-            shares[row] = _share([(part.measured[row], part.simulated[row]) for part in moved])
-    return shares
-
-
 def _share(pairs: Sequence[tuple[Floats, Floats]]) -> float:
     """Share of the variance of measured signals that their simulations explain: 1 − sum of square errors over squares.
 
     The squares are those of the measured signal about its mean in each part; −∞ after a failure, NaN without a reading.
     """
     square = variance = 0.0
-    known_any = False
-    for measured, simulated in pairs:
-        known = np.isfinite(measured)
-        if known.any():
-            known_any = True
-            square += float(np.sum((measured[known] - simulated[known]) ** 2))
-            variance += float(known.sum() * measured[known].var())
-    share = 1.0 - square / max(variance, 1e-300) if known_any else float("nan")
-    return share if np.isfinite(share) or not known_any else float("-inf")
+    pieces = [
+        (measured[known], simulated[known]) for measured, simulated in pairs if (known := np.isfinite(measured)).any()
+    ]
+    for measured, simulated in pieces:
+        square += float(np.sum((measured - simulated) ** 2))
+        variance += float(len(measured) * measured.var())
+    share = 1.0 - square / max(variance, 1e-300) if pieces else math.nan
+    return share if math.isfinite(share) or not pieces else -math.inf
 
 
 def whole_parts(parts: Sequence[HeldBack]) -> Forecast:
@@ -260,16 +237,20 @@ def whole_parts(parts: Sequence[HeldBack]) -> Forecast:
 
     found = np.array([part.error for part in parts]).reshape(-1, len(SENSORS))
     errors = np.array([together(column) for column in found.T])
-    return Forecast(share_of_all(parts), errors, together(np.array([part.speed_error for part in parts])))
+    shares = [
+        _share([(part.measured[row], part.simulated[row]) for part in parts if part.moved(row)])
+        for row in range(len(SENSORS))
+    ]
+    return Forecast(np.array(shares), errors, together(np.array([part.speed_error for part in parts])))
 
 
-def errors_in_words(found: Forecast) -> str:
+def sizes_of(errors: HeldBack | Forecast) -> list[float]:
+    """Errors of position (mm), speed (mm/s) and both pressures (bar); NaN: none."""
+    position, pressures = 1e3 * errors.error[POSITION], 1e-5 * errors.error[[PRESSURE_A, PRESSURE_B]]
+    return [float(position), 1e3 * errors.speed_error, *pressures.tolist()]
+
+
+def errors_in_words(errors: Forecast) -> str:
     """Errors in mm, mm/s and bar; empty without any."""
-    position, speed = float(found.error[POSITION]), found.speed_error
-    phrases = [] if math.isnan(position) else [f"{number(1e3 * position, digits=2)} mm"]
-    phrases += [] if math.isnan(speed) else [f"{number(1e3 * speed, digits=2)} mm/s"]
-    pressures = [float(found.error[row]) for row in PRESSURES]
-    if not all(map(math.isnan, pressures)):
-        words = [f"{number(1e-5 * p, digits=2)} bar ({n})" for n, p in zip("ab", pressures, strict=True) if p == p]
-        phrases.append(" and ".join(words))
-    return ", ".join(phrases)
+    sizes = zip(sizes_of(errors), ("mm", "mm/s", "bar (a)", "bar (b)"), strict=True)
+    return ", ".join(f"{number(size, digits=2)} {unit}" for size, unit in sizes if not math.isnan(size))

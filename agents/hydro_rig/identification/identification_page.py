@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from pydantic_core import to_jsonable_python
 
-from hydro_agents.report.canvas import GREY, WIDE, make_plot, row_axis, thinned
+from hydro_agents.report.canvas import GREY, WIDE, make_plot, thinned
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import COLOURS
@@ -20,37 +21,28 @@ from hydro_agents.report.recorded import findings_frame
 from hydro_agents.report.sections import Block, Text, render_page, section
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import capitalised, listed, number
+from hydro_agents.running.text import Table, capitalised, listed, number
 from hydro_env import ConfigurationError, __version__
 from hydro_env.files import read_yaml, write_text
 from hydro_env.folders import page
-from hydro_env.task.sensors import POSITION
-from hydro_rig.identification.found_rig import rig_yaml, shown
-from hydro_rig.identification.held_back import HeldBack
-from hydro_rig.identification.identification_tables import (
-    combinations_table,
-    errors_table,
-    forecasts_table,
-    open_table,
-    place_of_part,
-    repeats_tables,
-    unknowns_table,
-)
-from hydro_rig.identification.identify import Identification, as_json
+from hydro_env.task.sensors import POSITION, SENSORS
+from hydro_env.types import Floats
+from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, GAINS, LATENCY, LEAKAGE, RISE_TIME
+from hydro_rig.identification.found_rig import path_of, rig_yaml, share_in_words
+from hydro_rig.identification.held_back import HeldBack, sizes_of
+from hydro_rig.identification.identify import Identification
+from hydro_rig.identification.intervals import hull
 from hydro_rig.identification.repeatability import share_inside
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
 FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
 JOB = "identify"
 
-IDENTIFICATION = (
-    "identified",
-    "held_back",
-    "unknowns",
-    "repeatability",
-    "undetermined",
-    "recording",
-)  # sections of the page, in order
+ERRORS = ("Position, mm", "Speed, mm/s", "Pressure a, bar", "Pressure b, bar")
+
+IDENTIFICATION = ("identified", "held_back", "unknowns", "repeatability", "undetermined", "recording")
+"""Sections of the page, in order."""
+
 SOURCES = Markup(
     "All numbers: <code>identification.json</code> beside this page. How it works: <code>{}</code>."
 ).format(page("identify.md"))
@@ -78,31 +70,96 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
             text = rig_yaml(read_yaml(found.rig.source), found.fit, found.config, found.rig.randomisation, notes)
             write_text(folder / RIG_FILE, text)
     if not found.describes:
-        raise ConfigurationError(f"{found.source}: {found.verdict()}; see {folder / PAGE_FILE}")
+        first, *others = (recording.source for recording in found.recordings)
+        more = f" and {len(others)} more" if others else ""
+        raise ConfigurationError(f"{first}{more}: {found.verdict()}; see {folder / PAGE_FILE}")
     findings = [finding.line() for finding in found.findings]
-    open_ones = [name for name, known in zip(found.fit.names, found.fit.determined, strict=True) if not known]
-    lines = [*findings, *found.noted]
-    if open_ones:
-        lines.append(f"Not determined: {', '.join(open_ones)}")
-    return [*lines, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
+    names = ", ".join(one.name for one in found.undetermined)
+    left = [f"Not determined: {names}"] if names else []
+    return [*findings, *found.noted, *left, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
+
+
+def as_json(found: Identification, command: str) -> Any:
+    """The result for programs; SI units, leaks in l/min at 100 bar; ``None`` if there is no number."""
+    fit, sources = found.fit, [recording.source for recording in found.recordings]
+
+    def by_sensor(values: Floats, what: str = "") -> dict[str, float]:
+        return {f"{name}{what}": value for name, value in zip(SENSORS, values.tolist(), strict=True)}
+
+    unknowns, repeats = {}, {}
+    for one in fit.unknowns:
+        advice = found.advice.get(one.name)
+        unknowns[one.name] = {
+            "value": one.value,
+            "low": one.low,
+            "high": one.high,
+            "unit": "l/min at 100 bar" if one.name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI",
+            "remaining": one.remaining,
+            "determined": fit.knows(one),
+            "known_ends": {0: "both", 1: "low", -1: "high"}[one.side],
+            "widening": one.widening,
+            "motion_that_helps": advice.motion if advice is not None else None,
+        }
+    for repeat in found.repeats:
+        columns = repeat.recordings, repeat.values, repeat.low, repeat.high, repeat.determined
+        repeats[repeat.name] = [
+            {"recording": sources[recording], "value": value, "low": low, "high": high, "determined": known}
+            for recording, value, low, high, known in zip(*columns, strict=True)
+        ]
+    parts = [
+        {
+            "recording": sources[part.recording],
+            "from_s": part.begin,
+            "to_s": part.begin + float(part.time[-1]),
+            "share_of_variance": by_sensor(part.share),
+            **by_sensor(part.error, "_rms"),
+            "speed_rms": part.speed_error,
+            **dict(zip(("speed_out", "speed_in"), part.speed_ratios, strict=True)),
+        }
+        for part in found.held_back
+    ]
+    forecasts = [
+        {"over_s": over, "speed_rms": forecast.speed_error}
+        | by_sensor(forecast.share, "_share_of_variance")
+        | by_sensor(forecast.error, "_rms")
+        for over, forecast in found.tested.items()
+    ]
+    whole = {
+        "command": command,
+        "hydro_env": __version__,
+        "recordings": sources,
+        "rig": found.rig.source,
+        "describes": found.describes,
+        "verdict": found.verdict(),
+        "share_of_variance": by_sensor(found.tested[math.inf].share),
+        "forecasts": forecasts,
+        "held_back": {"why": found.parts.reason, "parts": parts},
+        "repeatability": repeats,
+        "repeats_inside_their_intervals": share_inside(found.repeats),
+        "windows": len(fit.misfit),
+        "windows_explained": int(fit.explained.sum()),
+        "another_minimum": fit.second,
+        "unknowns": unknowns,
+        "findings": [finding.line() for finding in found.findings],
+        "notes": found.noted,
+    }
+    return to_jsonable_python(whole, inf_nan_mode="null", fallback=lambda value: value.tolist())
 
 
 def render_identification(found: Identification, origin: Origin) -> Page:
     """The page."""
-    parts, windows = found.parts, found.parts.fitted
+    windows = found.parts.fitted
     length = float(round(windows.end[0] - windows.begin[0], 6))
-    used = [found.recordings[number].source for number in dict.fromkeys(parts.recording.tolist())]
     rows = sum(len(recording.time) for recording in found.recordings)
     duration = sum(float(recording.time[-1]) for recording in found.recordings)
     facts = {
         "Recordings": listed([recording.source for recording in found.recordings]),
         "Duration": f"{number(duration, 2)} s, {rows} rows",
         "Rig file": found.rig.source,
-        "Fitted to": f"{len(windows)} windows of {length:g} s"
-        + (f" of {len(used)} recordings" if len(used) > 1 else ""),
+        "Fitted to": f"{len(windows)} windows of {length:g} s, of recordings: {len(np.unique(found.parts.recording))}",
         "Explained": f"{int(found.fit.explained.sum())} windows to within the sensors' noise",
+        "Left out, far worse than the others": f"{int(np.isinf(found.fit.misfit).sum())} windows",
         "Held back": "; ".join(place_of_part(found, part) for part in found.held_back) or "nothing",
-        "Standard deviations": f"widened by {found.fit.widening.min():.3g} to {found.fit.widening.max():.3g}",
     }
     tables = {
         "protocol": pd.DataFrame(facts.items(), columns=["key", "value"]),
@@ -116,7 +173,6 @@ def render_identification(found: Identification, origin: Origin) -> Page:
 def identified(content: Content) -> list[Block]:
     """The verdict, what to do next, and notes."""
     found = content.part("identification", Identification)
-    verdict = found.verdict()
     following = Markup(
         "<code>rig.yaml</code> beside this page holds the identified rig. Continue with "
         "<code>hydro check-rig --rig rig.yaml</code> and <code>hydro study --rig rig.yaml</code>."
@@ -126,8 +182,8 @@ def identified(content: Content) -> list[Block]:
             "No rig was written. Check wiring, units and signs of the recording, and the values in the rig file that "
             "have no range."
         )
-    style = f"verdict {('doubtful' if found.unexplained else 'good') if found.describes else 'worse'}"
-    return [Text(capitalised(verdict), style), Text(following), *map(Text, found.noted)]
+    style = "worse" if not found.describes else "doubtful" if found.unexplained else "good"
+    return [Text(capitalised(found.verdict()), f"verdict {style}"), Text(following), *map(Text, found.noted)]
 
 
 @section("Measured and simulated", needs=("identification",))
@@ -158,59 +214,107 @@ def held_back(content: Content) -> list[Block]:
 
 @section("Identified values", needs=("identification",))
 def unknowns(content: Content) -> list[Block]:
-    """Each unknown with its interval."""
+    """Each unknown: its range before, its value, its interval, and whether it is determined."""
     found = content.part("identification", Identification)
-    plot = make_plot(
-        "intervals",
-        "Intervals beside their ranges",
-        "Dots with 95 % intervals, each relative to its earlier range; the shade is that range.",
-        "Ranges of the rig file and identified intervals; the table holds the numbers.",
-        lambda figure: paint_intervals(figure, found),
-        1.0 + 0.27 * len(found.fit.names),
-        WIDE,
-    )
     note = (
         "An unknown is determined if its uncertainty is at most half of that of its range. The ranges come from the "
         "rig file and from the sensors' data sheets."
     )
-    return [Text(note), unknowns_table(found), plot]
+    rows = []
+    for one in found.fit.unknowns:
+        look, before = found.look(one.name), range_before(found, one.name)
+        span = look.span(*before) if before is not None else "–"
+        value, interval = look.value(one.value, one.high - one.low), look.interval(one.low, one.high, one.side)
+        rows.append((look.words, look.unit, span, value, interval, "yes" if found.fit.knows(one) else "no"))
+    header = ("Unknown", "Unit", "Range before", "Found", "95 % interval", "Determined")
+    return [Text(note), Table("", header, rows, style="words", folded=False)]
+
+
+def range_before(found: Identification, name: str) -> tuple[float, float] | None:
+    """Range of an unknown before the recording, in its unit; ``None``: it has none of its own (leaks, timing)."""
+    if name in (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, RISE_TIME, *GAINS):
+        return None
+    if name in BIASES:
+        bias = getattr(found.config.sensors, name.removesuffix("_bias")).bias
+        return -bias, bias
+    path = path_of(name)
+    return hull(found.config.plant, found.plant, path, found.rig.randomisation[path])
 
 
 @section("Repeatability", needs=("identification",))
 def repeatability(content: Content) -> list[Block]:
-    """What each recording says by itself about each unknown; nothing for a single recording."""
+    """Spread of each unknown over the recordings that determine it; nothing for a single recording."""
     found = content.part("identification", Identification)
     if not found.repeats:
         return []
-    inside = share_inside(found.repeats)
+    rows = []
+    for one, common in zip(found.repeats, found.fit.own().values(), strict=True):
+        look, known = found.look(one.name), one.determined
+        if known.any():
+            width = float(np.median((one.high - one.low)[known]))
+            values = (common, float(one.values[known].min()), float(one.values[known].max()), one.spread)
+            holds = f"{int(one.inside[known].sum())} of {int(known.sum())}"
+            rows.append((look.words, look.unit, *(look.value(value, width) for value in values), holds))
     note = (
         "Each recording by itself: one step of the fit from the common values with its own windows and the ranges of "
         "the rig file. Values count where the recording alone determines them."
     )
-    if not math.isnan(inside):
-        note += f" {100 * inside:.0f} % of their 95 % intervals hold the common value."
-    return [Text(note), *repeats_tables(found)]
+    header = ("Unknown", "Unit", "All together", "Lowest", "Highest", "Standard deviation", "Intervals that hold it")
+    return [Text(note), Table("", header, rows, style="words", folded=False)]
 
 
 @section("What this recording cannot determine", needs=("identification",))
 def undetermined(content: Content) -> list[Block]:
-    """Undetermined unknowns, motions that would help, and combinations that compensate each other."""
-    found = content.part("identification", Identification)
-    left = open_table(found)
+    """The undetermined unknowns, each with a motion that would determine it."""
+    found, rows = content.part("identification", Identification), []
+    if not found.undetermined:
+        return [Text("Every unknown is determined.")]
+    for one in found.undetermined:
+        motion, left = "none of the candidates", "–"
+        if one.name in found.advice:
+            motion, after, enough = found.advice[one.name]
+            left = f"{100 * after:.0f} %{'' if enough else ', not enough alone'}"
+        rows.append((found.look(one.name).words, f"{100 * one.remaining:.0f} %", motion, left))
     note = (
         "“Uncertainty left” is the standard deviation as a share of that of the range. The motions were simulated on "
         "the identified rig, from rest."
     )
-    combined = (
-        "Some unknowns compensate each other: only their combination is visible. The singular values of the scaled "
-        "derivatives show how well each combination is determined; below 1 the range gives more information than the "
-        "recording. The least determined combinations:"
-    )
-    first = [Text("Every unknown is determined.")] if left is None else [Text(note), left]
-    return [*first, Text(combined), combinations_table(found)]
+    header = ("Unknown", "Uncertainty left", "Most informative motion", "Left after 8 s of it")
+    return [Text(note), Table("", header, rows, style="words")]
 
 
-# Figures ------------------------------------------------------------------------------------------------------------
+# Errors --------------------------------------------------------------------------------------------------------------
+
+
+def forecasts_table(found: Identification) -> Table:
+    """Errors and shares of variance over times from a measured state, and over the whole parts."""
+    rows = []
+    for over, forecast in found.tested.items():
+        shares = ["–" if math.isnan(share) else share_in_words(share) for share in forecast.share.tolist()]
+        name = f"{over:g} s" if math.isfinite(over) else "the whole part"
+        rows.append((name, *(number(size, digits=2) for size in sizes_of(forecast)), *shares))
+    shares = [f"Share: {word}" for word in ("position", "pressure a", "pressure b", "spool")]
+    caption = "How the error grows: root mean square error, and share of the variance explained"
+    return Table(caption, ("Simulated for", *ERRORS, *shares), rows, style="words")
+
+
+def place_of_part(found: Identification, part: HeldBack) -> str:
+    """Recording and time of a held-back part."""
+    name = f"{Path(found.recordings[part.recording].source).name}, " if len(found.recordings) > 1 else ""
+    return f"{name}{part.begin:g} to {part.begin + float(part.time[-1]):.4g} s"
+
+
+def errors_table(found: Identification) -> Table:
+    """Errors of each held-back part in mm, mm/s and bar."""
+    rows = []
+    for part in found.held_back:
+        out, back = (
+            "–" if math.isnan(ratio) else f"{number(100 * ratio, 1, signed=True)} %" for ratio in part.speed_ratios
+        )
+        position, speed, *pressures = (number(size, digits=2) for size in sizes_of(part))
+        rows.append((place_of_part(found, part), position, speed, out, back, *pressures))
+    header = ("Held back", *ERRORS[:2], "Speed out", "Speed in", *ERRORS[2:])
+    return Table("Root mean square errors; median of simulated over measured speed", header, rows, style="words")
 
 
 def paint_held_back(figure: Figure, part: HeldBack) -> None:
@@ -230,39 +334,3 @@ def paint_held_back(figure: Figure, part: HeldBack) -> None:
     axes[1].set_ylabel("simulated −\nmeasured, mm")
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
     axes[-1].set_xlabel("time, s")
-
-
-def paint_intervals(figure: Figure, found: Identification) -> None:
-    """Draw each unknown's 95 % interval, in standard deviations of its range; 0 is the middle of the range."""
-    fit = found.fit
-    axis = figure.subplots()
-    names = [shown(name, found.config.plant).words for name in fit.names]
-    low, middle, high = (_scaled(found, values) for values in (fit.low, fit.values, fit.high))
-    places = np.arange(len(names))
-    axis.axvspan(-1.7, 1.7, color=GREY, alpha=0.12, linewidth=0)
-    for known, colour, label in ((True, COLOURS["blue"], "determined"), (False, COLOURS["orange"], "not determined")):
-        rows = fit.determined == known
-        if rows.any():
-            reach = np.array([middle - low, high - middle])[:, rows]
-            axis.errorbar(middle[rows], places[rows], xerr=np.maximum(reach, 0.0), fmt="o", color=colour, label=label)
-    row_axis(axis, names)
-    limit = max(2.6, float(np.nanmax(np.abs([low, high]))) * 1.05)
-    end = min(limit, 6.0)
-    axis.set_xlim(-end, end)
-    for row in np.flatnonzero(np.abs(middle) > end):  # an arrow at the edge instead of a point beyond it
-        side, colour = np.sign(middle[row]), COLOURS["blue" if fit.determined[row] else "orange"]
-        axis.plot(side * end, places[row], ">" if side > 0 else "<", color=colour, markersize=7.0, clip_on=False)
-        words: dict[str, Any] = {"xytext": (-9.0 * side, 0), "textcoords": "offset points", "va": "center"}
-        text = f"at {number(float(middle[row]))}"
-        axis.annotate(text, (side * end, places[row]), ha="right" if side > 0 else "left", fontsize=8.0, **words)
-    axis.set_xlabel("in standard deviations of the earlier range; shaded: about that range")
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-
-
-def _scaled(found: Identification, values: np.ndarray) -> np.ndarray:
-    """Values in standard deviations of their priors."""
-    scaled = []
-    for name, value in zip(found.fit.names, values.tolist(), strict=True):
-        prior = found.fit.priors[name]
-        scaled.append(prior.scaled(value))
-    return np.array(scaled)

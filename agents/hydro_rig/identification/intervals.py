@@ -26,7 +26,7 @@ from scipy import stats
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.types import Floats
-from hydro_rig.estimation.model import Model
+from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE, PATHS, Prior
 from hydro_rig.identification.common_fit import Joint
 from hydro_rig.identification.profiles import ALIKE, FARTHEST, MOST_PROFILES, follow
@@ -58,7 +58,7 @@ class Spread(NamedTuple):
 
 def spread_of(joint: Joint) -> Spread:
     """The moderated cluster-robust uncertainty of a common fit; the prior counts as known exactly."""
-    covariance = np.linalg.inv(joint.precision)
+    covariance = joint.covariance
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     shares, directions = np.linalg.eigh(root @ joint.information @ root)  # of each window, (B, p), (B, p, p)
@@ -86,12 +86,11 @@ class Sides(NamedTuple):
     open: NDArray[np.int64]  # (p,), 1: only a lower end is known, −1: only an upper one, 0: both or none
 
 
-def sides_of(model: Model, readings: Floats, joint: Joint, spread: Spread, ends: Floats, follows: bool) -> Sides:
+def sides_of(problem: Problem, joint: Joint, spread: Spread, ends: Floats, follows: bool) -> Sides:
     """Intervals below and above each value; where the cost rises otherwise than expected, from a profile.
 
     Args:
-        model: of the windows of the fit.
-        readings: over their noise, (B, channels, T).
+        problem: of the windows of the fit.
         joint: the fit.
         spread: of the fit.
         ends: of the ranges, (p, 2), scaled; infinite for unknowns that no limit describes.
@@ -101,12 +100,12 @@ def sides_of(model: Model, readings: Floats, joint: Joint, spread: Spread, ends:
     middle, count = joint.common, len(joint.shared)
     bounded = (ends[:, 0] < middle) & (middle < ends[:, 1]) & np.isfinite(ends).all(axis=1)
     room = np.where(bounded[:, None], np.abs(ends - middle[:, None]), np.inf)
-    near = _rises(model, readings, joint, np.minimum(STEP * spread.deviation[:, None], room))
-    far = _rises(model, readings, joint, np.minimum(FAR_STEP * spread.deviation[:, None], np.minimum(room, FARTHEST)))
+    near = _rises(problem, joint, np.minimum(STEP * spread.deviation[:, None], room))
+    far = _rises(problem, joint, np.minimum(FAR_STEP * spread.deviation[:, None], np.minimum(room, FARTHEST)))
     reach = spread.reach[:, None] * np.clip(1.0 / np.sqrt(np.maximum(near, 1e-3)), 1.0, MOST_WIDER)
-    covariance = np.linalg.inv(joint.precision)
+    covariance = joint.covariance
     alike = np.abs(covariance) / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
-    limits = np.array([model.names[place] in LIMITS for place in joint.shared])
+    limits = np.array([problem.model.names[place] in LIMITS for place in joint.shared])
     flat = bounded & (limits | (np.minimum(near, far) < FLAT).any(axis=1))
     odd = flat | (near > STEEP).any(axis=1) | (near < FLAT).any(axis=1)
     found, done = np.zeros(count, np.int64), np.zeros(count, np.bool_)
@@ -118,7 +117,7 @@ def sides_of(model: Model, readings: Floats, joint: Joint, spread: Spread, ends:
         target = max(target, (SURE * spread.widening[place]) ** 2) if flat[place] else target
         lengths = (-spread.reach[place], spread.reach[place])
         paths = [
-            follow(model, readings, joint, place, length, target, float(end))
+            follow(problem, joint, place, length, target, float(end))
             for length, end in zip(lengths, ends[place] if bounded[place] else (-np.inf, np.inf), strict=True)
         ]
         for path in paths:
@@ -132,23 +131,21 @@ def sides_of(model: Model, readings: Floats, joint: Joint, spread: Spread, ends:
     return Sides(reach, found)
 
 
-def _rises(model: Model, readings: Floats, joint: Joint, lengths: Floats) -> Floats:
+def _rises(problem: Problem, joint: Joint, lengths: Floats) -> Floats:
     """Rise of the cost over that of the linear model after steps of these lengths below and above each value, (p, 2).
 
     The steps lead along the ridge of the linear model; one that the end of a range makes short shows nothing: 1.
     """
     count, middle = len(joint.shared), joint.common
-    covariance = np.linalg.inv(joint.precision)
+    covariance = joint.covariance
     ridge = covariance / np.diag(covariance)[:, None]  # row j: all unknowns, for a step of 1 of unknown j
     steps = lengths * np.array([-1.0, 1.0])
     offsets = (steps[:, :, None] * ridge[:, None]).reshape(-1, count)  # (2p, p)
-    rows = np.repeat(joint.scaled[None], len(offsets) + 1, axis=0)
-    rows[1:, :, joint.shared] += offsets[:, None]
-    rows[1:, :, joint.own] += np.einsum("bop,kp->kbo", joint.response, offsets)
-    window, known = np.tile(np.arange(model.count), len(rows)), np.isfinite(readings)
-    read, _ = model.readings(rows.reshape(len(window), -1), window)
-    missed = np.where(known[window], np.nan_to_num(readings)[window] - read, 0.0).reshape(len(rows), *readings.shape)
-    square = (missed**2).sum(axis=3)
+    rows = np.repeat(joint.scaled[:, None], len(offsets) + 1, axis=1)
+    rows[:, 1:, joint.shared] += offsets
+    rows[:, 1:, joint.own] += np.einsum("bop,kp->bko", joint.response, offsets)
+    known = np.isfinite(problem.measured)
+    square = np.ascontiguousarray((problem.residual(rows) ** 2).sum(axis=3).swapaxes(0, 1))  # (2p + 1, B, channels)
     weight = 1.0 / np.maximum(square[0] / np.maximum(known.sum(axis=2), 1), 1.0)  # as in the fit
     cost = np.nan_to_num((weight * square).sum(axis=(1, 2)), nan=np.inf, posinf=np.inf)
     rise = cost[1:] - cost[0] + 2.0 * offsets @ middle + (offsets**2).sum(axis=1)
@@ -157,18 +154,29 @@ def _rises(model: Model, readings: Floats, joint: Joint, lengths: Floats) -> Flo
     return np.where(lengths > LEAST_STEP * deviation, rise.reshape(count, 2) / np.maximum(expected, 1e-12), 1.0)
 
 
-def range_ends(
-    config: TaskConfig, ranges: Mapping[str, Distribution], priors: Mapping[str, Prior], names: tuple[str, ...]
-) -> Floats:
+def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
+    """Lowest and highest value that a range allows, SI, including the value without the range.
+
+    Args:
+        plant: the given rig; factors multiply its own value.
+        found: the identified rig; it gives the value of a parameter that multiplies the range (``times``).
+        path: of the parameter.
+        given: its range.
+    """
+    factor = 1.0 if given.times is None else own_value(found, given.times)
+    ends = [factor * end for end in given.bounds(own_value(plant, path))]
+    ends += [] if given.otherwise is None else [given.otherwise]
+    return min(ends), max(ends)
+
+
+def range_ends(config: TaskConfig, ranges: Mapping[str, Distribution], priors: Mapping[str, Prior]) -> Floats:
     """Ends of the ranges of some unknowns, (p, 2), scaled by their priors; infinite without a range of its own."""
-    ends = np.tile([-np.inf, np.inf], (len(names), 1))
-    for place, name in enumerate(names):
+    ends = np.tile([-np.inf, np.inf], (len(priors), 1))
+    for place, (name, prior) in enumerate(priors.items()):
         if name in ranges and ranges[name].otherwise is None:
-            given = ranges[name]
-            factor = 1.0 if given.times is None else own_value(config.plant, given.times)
-            low, high = (factor * end for end in given.bounds(own_value(config.plant, name)))
-            if low > 0.0 or not priors[name].logarithmic:
-                ends[place] = priors[name].scaled(low), priors[name].scaled(high)
+            low, high = hull(config.plant, config.plant, name, ranges[name])
+            if low > 0.0 or not prior.logarithmic:
+                ends[place] = prior.scaled(low), prior.scaled(high)
     return ends
 
 

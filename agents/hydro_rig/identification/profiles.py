@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_env.types import Floats
-from hydro_rig.estimation.model import SHORT_STEP, Model
-from hydro_rig.estimation.solver import fit, prior_belief
+from hydro_rig.estimation.solver import Problem, fit
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification.common_fit import MOST_DAMPING, Joint, costs_of
 
@@ -36,32 +35,31 @@ class Path(NamedTuple):
     endless: bool  # whether the cost had not risen enough where the range of the unknown ends
 
 
-def pinned(model: Model, values: dict[int, float]) -> Model:
-    """The model with some unknowns, by their places, kept at scaled values; their scaled values are 0 there."""
+def pinned(problem: Problem, values: dict[int, float]) -> Problem:
+    """The problem with some unknowns, by their places, kept at scaled values; their scaled values are 0 there."""
+    model = problem.model
     priors = dict(model.priors)
     for place, value in values.items():
-        name, prior = model.names[place], model.priors[model.names[place]]
+        name = model.names[place]
+        prior = priors[name]
         priors[name] = Prior(float(prior.value(np.array(value))), PINNED * prior.deviation, prior.logarithmic)
-    commands = model.commands
-    return Model(model.config, priors, commands.command, commands.durations, boundary=commands.boundary)
+    return problem._replace(model=model.with_priors(priors))
 
 
 def ridge(joint: Joint, unknown: int) -> Floats:
     """Change of all unknowns, (B, P) scaled, per change of one common unknown, by the linear model of a fit."""
-    covariance = np.linalg.inv(joint.precision)
-    tangent = covariance[unknown] / covariance[unknown, unknown]
+    tangent = joint.covariance[unknown] / joint.covariance[unknown, unknown]
     slope = np.zeros_like(joint.scaled)
     slope[:, joint.shared] = tangent
     slope[:, joint.own] = joint.response @ tangent
     return slope
 
 
-def follow(model: Model, readings: Floats, joint: Joint, unknown: int, reach: float, target: float, end: float) -> Path:
+def follow(problem: Problem, joint: Joint, unknown: int, reach: float, target: float, end: float) -> Path:
     """Move one common unknown from a fit, and fit the others again, until the cost has risen by ``target``.
 
     Args:
-        model: of the windows of the fit.
-        readings: over their noise, (B, channels, T).
+        problem: of the windows of the fit.
         joint: the fit.
         unknown: its number among the common ones.
         reach: end of its interval by the linear model, scaled, from the fit; its sign gives the side.
@@ -69,8 +67,8 @@ def follow(model: Model, readings: Floats, joint: Joint, unknown: int, reach: fl
         end: of the unknown's range on this side, scaled; infinite: none.
     """
     slope = ridge(joint, unknown)
-    place, window = int(joint.shared[unknown]), np.arange(model.count)
-    begin = costs_of(model, readings, [joint.scaled])[0]
+    place = int(joint.shared[unknown])
+    begin = costs_of(problem, [joint.scaled])[0]
     path, rises, away, step = [joint.scaled], [0.0], [0.0], FIRST * reach
     most = min(abs(end - joint.scaled[0, place]), FARTHEST) * float(np.sign(reach))
     for _ in range(MOST_PLACES):
@@ -79,23 +77,11 @@ def follow(model: Model, readings: Floats, joint: Joint, unknown: int, reach: fl
         moved = away[-1] + step if abs(away[-1] + step) < abs(most) else most
         step = moved - away[-1]
         first = path[-1] + slope * step
-        here = pinned(model, {place: float(joint.scaled[0, place] + moved)})
+        here = pinned(problem, {place: float(joint.scaled[0, place] + moved)})
         first[:, place] = 0.0
-        found = fit(
-            here,
-            readings,
-            window,
-            first,
-            prior_belief(here, here.count),
-            here.samples,
-            MOST_ITERATIONS,
-            0.1 * target,
-            step=SHORT_STEP,
-            give_up=MOST_DAMPING,
-            shared=joint.shared,
-        ).scaled
+        found, _ = fit(here, first, MOST_ITERATIONS, 0.1 * target, give_up=MOST_DAMPING, shared=joint.shared)
         found[:, place] = joint.scaled[0, place] + moved
-        rise = costs_of(model, readings, [found])[0] - begin
+        rise = costs_of(problem, [found])[0] - begin
         slope = (found - path[-1]) / step
         path.append(found)
         rises.append(max(rise, 0.0))

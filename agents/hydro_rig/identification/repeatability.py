@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from hydro_env.types import Floats
-from hydro_rig.identification.common_fit import Joint
 from hydro_rig.identification.fit import COVERAGE, DETERMINED, Fit
 
 BY_CHANCE = 0.05  # probability of a disagreement of sound recordings that counts
@@ -31,21 +30,17 @@ class Repeat(NamedTuple):
     def spread(self) -> float:
         """Standard deviation of the values of the recordings that determine it; NaN of fewer than two."""
         known = self.values[self.determined]
-        return float(known.std(ddof=1)) if len(known) > 1 else float("nan")
+        return float(known.std(ddof=1)) if len(known) > 1 else np.nan
 
 
-class _Alone(NamedTuple):
-    """What each of R groups of windows says alone about p unknowns, scaled."""
+def _alone(fit: Fit, group: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
+    """What each of R groups of windows says alone about p unknowns, scaled; ``group``: number of each used window.
 
-    numbers: NDArray[np.int64]  # (R,), of the groups
-    middle: Floats  # (R, p)
-    deviation: Floats  # (R, p), without the disagreement of the groups
-    disagreement: Floats  # (p,), standard deviation between the groups that their own uncertainty does not explain
-
-
-def _alone(fit: Fit, joint: Joint, group: NDArray[np.int64]) -> _Alone:
-    """One Gauss–Newton step from the common values for each group; ``group``: its number of each used window."""
-    numbers, own = np.unique(group), np.eye(len(fit.names))
+    One Gauss–Newton step from the common values gives the values, (R, p), and their deviations without the disagreement
+    of the groups, (R, p). The third result, (p,), is this disagreement: the standard deviation between the groups that
+    their own uncertainty does not explain.
+    """
+    joint, numbers, own = fit.joint, np.unique(group), np.eye(len(fit.names))
     middle, deviation = np.empty((2, len(numbers), len(fit.names)))
     for row, number in enumerate(numbers):
         information = joint.information[group == number].sum(axis=0) + own
@@ -62,7 +57,7 @@ def _alone(fit: Fit, joint: Joint, group: NDArray[np.int64]) -> _Alone:
         mean = np.average(values, weights=1.0 / variances)
         if np.sum((values - mean) ** 2 / variances) > stats.chi2.isf(BY_CHANCE, len(values) - 1):
             disagreement[place] = np.sqrt(max(values.var(ddof=1) - variances.mean(), 0.0))
-    return _Alone(numbers, middle, deviation, disagreement)
+    return middle, deviation, disagreement
 
 
 def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
@@ -75,19 +70,20 @@ def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
         recording: number of the recording of each window, (B,).
     """
     group = recording[np.isfinite(fit.misfit)]
-    if fit.joint is None or len(group) < 2:
+    if len(group) < 2:
         return fit
     if len(np.unique(group)) < 2:
         group = np.arange(len(group)) * 2 // len(group)
-    low, high, remaining = fit.low.copy(), fit.high.copy(), fit.remaining.copy()
-    between = _alone(fit, fit.joint, group).disagreement
-    for place in np.flatnonzero((between > 0.0) & (fit.side == 0)).tolist():
-        prior, middle = fit.priors[fit.names[place]], fit.joint.common[place]
-        reach = np.minimum(np.hypot(COVERAGE * fit.remaining[place], COVERAGE * between[place]), COVERAGE)
-        ends = prior.value(np.array([middle - reach, middle + reach]))
-        low[place], high[place] = min(low[place], ends[0]), max(high[place], ends[1])
-        remaining[place] = reach / COVERAGE
-    return fit._replace(low=low, high=high, remaining=remaining)
+    unknowns = list(fit.unknowns)
+    *_, between = _alone(fit, group)
+    for place, one in enumerate(unknowns):
+        if between[place] > 0.0 and not one.side:
+            middle = fit.joint.common[place]
+            reach = np.minimum(np.hypot(COVERAGE * one.remaining, COVERAGE * between[place]), COVERAGE)
+            low, high = one.prior.value(np.array([middle - reach, middle + reach])).tolist()
+            low, high = min(one.low, low), max(one.high, high)
+            unknowns[place] = one._replace(low=low, high=high, remaining=float(reach / COVERAGE))
+    return fit._replace(unknowns=tuple(unknowns))
 
 
 def repeats_of(fit: Fit, recording: NDArray[np.int64]) -> list[Repeat]:
@@ -98,21 +94,22 @@ def repeats_of(fit: Fit, recording: NDArray[np.int64]) -> list[Repeat]:
         recording: number of the recording of each window, (B,).
     """
     used = recording[np.isfinite(fit.misfit)]
-    if len(np.unique(used)) < 2 or fit.joint is None:
+    numbers = np.unique(used)
+    if len(numbers) < 2:
         return []
-    numbers, middle, deviation, between = _alone(fit, fit.joint, used)
+    middle, deviation, between = _alone(fit, used)
     reach = COVERAGE * np.minimum(np.hypot(deviation, between), 1.0)
+    inside = np.abs(middle - fit.joint.common) <= reach
     repeats = []
-    for place, name in enumerate(fit.names):
-        values, low, high = (
-            fit.priors[name].value(part[:, place]) for part in (middle, middle - reach, middle + reach)
+    for place, one in enumerate(fit.unknowns):
+        values, low, high = (one.prior.value(part[:, place]) for part in (middle, middle - reach, middle + reach))
+        repeats.append(
+            Repeat(one.name, numbers, values, low, high, deviation[:, place] <= DETERMINED, inside[:, place])
         )
-        inside = np.abs(middle[:, place] - fit.joint.common[place]) <= reach[:, place]
-        repeats.append(Repeat(name, numbers, values, low, high, deviation[:, place] <= DETERMINED, inside))
     return repeats
 
 
 def share_inside(repeats: list[Repeat]) -> float:
     """Share of the intervals of single recordings that hold the common value, where they determine it; NaN without."""
-    inside = [hold for one in repeats for hold, known in zip(one.inside, one.determined, strict=True) if known]
-    return float(np.mean(inside)) if inside else float("nan")
+    inside = [hold for one in repeats for hold in one.inside[one.determined].tolist()]
+    return float(np.mean(inside)) if inside else np.nan

@@ -6,7 +6,7 @@ import pytest
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Plan, Windows, draw_faults
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
-from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation, slow
+from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation, at_rest, slow
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.seeds import TRAINING_SEEDS
@@ -14,7 +14,6 @@ from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS, SIGNED_KINDS
 from hydro_env.task.law import RigLaw
-from hydro_rig.estimation.known_windows import at_rest
 
 CONFIG = TaskConfig(episode_duration=0.4)
 CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)

@@ -4,23 +4,26 @@ import numpy as np
 import pytest
 from driven_axes import CONFIG, FEW, PLANT, driven
 
+from hydro_agents.detection.operations import at_rest
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.plant.states import N_STATES, State
+from hydro_env.plant.states import State
+from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
+from hydro_rig.estimation import unknowns
 from hydro_rig.estimation.estimate import estimate
-from hydro_rig.estimation.known_windows import at_rest, known_windows, leak_cases
-from hydro_rig.estimation.model import Model
+from hydro_rig.estimation.known_windows import known_windows, leak_cases
+from hydro_rig.estimation.model import Model, noise_of
 from hydro_rig.estimation.replay import Commands, replay
 from hydro_rig.estimation.search import EstimationSettings
-from hydro_rig.estimation.unknowns import LEAKAGE, NAMES, Prior, default_unknowns, prior_of, priors_of
+from hydro_rig.estimation.unknowns import LEAKAGE, Prior, default_unknowns, prior_of, priors_of
 
 QUICK = EstimationSettings(horizons=(0.2,), restarts=1)
 
 
 def replayed(config, command, durations, physical, start, latency=(1e-3,)):
-    """Readings and last states of axes, each with its own window of commands (N, T)."""
+    """Readings of axes, each with its own window of commands (N, T)."""
     durations = np.broadcast_to(durations, (len(command), command.shape[1] - 1)).astype(float)
     return replay(config, Commands(command, durations), np.arange(len(command)), physical, start, np.array(latency))
 
@@ -45,33 +48,26 @@ def found(moving):
 
 def exact(config=CONFIG):
     """The task with exact sensors: no lag, no noise."""
-    return config.model_copy(update={"sensors": config.sensors.model_copy(update={"enabled": False})})
-
-
-def quiet():
-    """The task with sensors that lag, but have neither noise nor bias nor steps."""
-    silent = {name: {"noise": 0, "bias": 0, "resolution": 0} for name in SENSORS}
-    return CONFIG.model_copy(update={"sensors": type(CONFIG.sensors).model_validate(silent)})
+    return task_config(config, sensors={"enabled": False})
 
 
 def test_the_replay_is_what_the_environment_does():
     config = exact(TaskConfig(episode_duration=1.0, command_latency_range=(0.0, 4e-3)))
-    random, seen = np.random.default_rng(0), []
+    random, latency = np.random.default_rng(0), []
 
     def command(axes, time):
-        seen[:] = axes.column("latency").copy(), axes.state.copy()  # at the last sample in the end
+        latency[:] = axes.column("latency")
         return random.uniform(-0.4, 0.4, 3)
 
     signals, physical, start = driven(config, [2.0] * 3, [1, 2, 3], 41, command)
-    readings, last = replayed(config, signals[:, -1], config.control_period, physical, start, seen[0])
+    readings = replayed(config, signals[:, -1], config.control_period, physical, start, latency)
     np.testing.assert_allclose(readings, signals[:, :-1], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(last, seen[1], rtol=1e-9)
 
 
 def test_the_sensors_lag_as_those_of_the_environment():
-    config = quiet()
+    config = task_config(CONFIG, sensors={name: {"noise": 0, "bias": 0, "resolution": 0} for name in SENSORS})
     signals, physical, start = driven(config, [0.3], [7])
-    readings, _ = replayed(config, signals[:, -1], config.control_period, physical, start, [config.command_latency])
+    readings = replayed(config, signals[:, -1], config.control_period, physical, start, [config.command_latency])
     inside = (signals[:, 1] > 0.0) & (signals[:, 1] < 100e5)
     np.testing.assert_allclose(readings[:, 1][inside], signals[:, 1][inside], rtol=1e-9)
     np.testing.assert_allclose(readings[:, 0], signals[:, 0], atol=1e-12)
@@ -80,11 +76,9 @@ def test_the_sensors_lag_as_those_of_the_environment():
 def test_a_plant_that_cannot_be_integrated_gives_nan():
     physical = driven(CONFIG, [0.3], [7], 3)[1]
     physical[:, PLANT("leakage.internal_resistance")] = -1.0  # the chambers would drive each other
-    start = np.zeros((1, N_STATES))
-    start[:, [State._fields.index(name) for name in ("pressure_a", "pressure_b")]] = 2e6, 3e6
-    start[:, State._fields.index("supply_pressure")], start[:, State._fields.index("gas_volume")] = 7e6, np.nan
-    readings, last = replayed(CONFIG, np.zeros((1, 9)), 5e-3, physical, start)
-    assert np.isnan(last).all()
+    values = {"pressure_a": 2e6, "pressure_b": 3e6, "supply_pressure": 7e6, "gas_volume": np.nan}
+    start = np.array([[values.get(name, 0.0) for name in State._fields]])
+    readings = replayed(CONFIG, np.zeros((1, 9)), 5e-3, physical, start)
     assert np.isnan(readings[:, :, -1]).all()
 
 
@@ -120,12 +114,10 @@ def test_interval_and_probability_follow_from_value_and_deviation(found):
 
 def test_a_narrow_prior_is_respected_and_a_wide_one_overruled(moving):
     leak, signals, physical, _ = moving
-    narrow = {LEAKAGE: Prior(0.2, 1e-5)}
-    held = estimate(signals[:1], CONFIG, FEW, priors=narrow, physical=physical[:1], settings=QUICK)
-    assert held.value(LEAKAGE)[0] == pytest.approx(0.2, abs=1e-3)
-    wide = {LEAKAGE: Prior(0.2, 5.0)}
-    free = estimate(signals[2:3], CONFIG, FEW, priors=wide, physical=physical[2:3], settings=QUICK)
-    assert abs(free.value(LEAKAGE)[0] - leak[2]) < 0.05
+    for deviation, expected in ((1e-5, 0.2), (5.0, leak[2])):
+        given = {"priors": {LEAKAGE: Prior(0.2, deviation)}, "physical": physical[2:3], "settings": QUICK}
+        found = estimate(signals[2:3], CONFIG, FEW, **given)
+        assert found.value(LEAKAGE)[0] == pytest.approx(expected, abs=1e-3 if deviation < 1.0 else 0.05)
 
 
 def test_what_a_window_at_rest_cannot_tell_is_named():
@@ -153,11 +145,9 @@ def test_missing_readings_are_left_out(moving):
 
 def test_saturated_readings_are_left_out(moving):
     leak, signals, *_ = moving
-    limited = CONFIG.sensors.pressure_b.model_copy(update={"high": float(np.quantile(signals[2, 2], 0.8))})
-    config = CONFIG.model_copy(update={"sensors": CONFIG.sensors.model_copy(update={"pressure_b": limited})})
-    cut = signals[2:3].copy()
-    cut[:, 2] = np.minimum(cut[:, 2], limited.high)
-    answer = estimate(cut, config)
+    cut, high = signals[2:3].copy(), float(np.quantile(signals[2, 2], 0.8))
+    cut[:, 2] = np.minimum(cut[:, 2], high)
+    answer = estimate(cut, task_config(CONFIG, sensors={"pressure_b": {"high": high}}))
     assert answer.holds.all()
     assert_within(answer, LEAKAGE, leak[2])
 
@@ -165,27 +155,21 @@ def test_saturated_readings_are_left_out(moving):
 def test_own_time_stamps_are_followed():
     """A control period of 10 ms for some samples, of 5 ms for others, as a recording with gaps has them."""
     signals, physical, start = driven(exact(), [0.4], [31], 60)
-    rng = np.random.default_rng(5)
+    rng, command = np.random.default_rng(5), np.repeat(signals[:, -1], 2, axis=1)
     durations = rng.choice([3e-3, 5e-3, 9e-3], 119)
-    command = np.repeat(signals[:, -1], 2, axis=1)
-    readings, _ = replayed(CONFIG, command, durations, physical, start, [CONFIG.command_latency])
-    noise = np.array([getattr(CONFIG.sensors, name).noise for name in SENSORS])[:, None]
-    window = np.concatenate([readings + noise * rng.standard_normal(readings.shape), command[:, None]], axis=1)
-    unknowns = [name for name in FEW if "bias" not in name]
-    right = estimate(window, CONFIG, unknowns, durations=durations, physical=physical, settings=QUICK)
-    wrong = estimate(window, CONFIG, unknowns, physical=physical, settings=QUICK)
+    readings = replayed(CONFIG, command, durations, physical, start, [CONFIG.command_latency])
+    readings += noise_of(CONFIG)[:, None] * rng.standard_normal(readings.shape)
+    window = np.concatenate([readings, command[:, None]], axis=1)
+    given = {"unknowns": [name for name in FEW if "bias" not in name], "physical": physical, "settings": QUICK}
+    right, wrong = estimate(window, CONFIG, durations=durations, **given), estimate(window, CONFIG, **given)
     assert right.holds[0]
-    assert_within(right, LEAKAGE, 0.4)
     assert not wrong.holds[0]
+    assert_within(right, LEAKAGE, 0.4)
 
 
-@pytest.mark.parametrize(
-    "faults",
-    [{"valve_null_shift": 0.02}, {"pressure_b_freeze": 1.0}, {"valve_hysteresis": 0.04}],
-    ids=["null shift", "frozen sensor", "hysteresis"],
-)
-def test_a_structure_that_the_model_lacks_is_flagged(faults):
-    signals, *_ = driven(CONFIG, [0.02, 0.02], [41, 42], faults=faults)
+@pytest.mark.parametrize("fault", [("valve_null_shift", 0.02), ("pressure_b_freeze", 1.0), ("valve_hysteresis", 0.04)])
+def test_a_structure_that_the_model_lacks_is_flagged(fault):
+    signals, *_ = driven(CONFIG, [0.02, 0.02], [41, 42], faults=dict([fault]))
     wrong = estimate(signals, CONFIG, settings=EstimationSettings(restarts=0))
     assert not wrong.holds.any()
 
@@ -214,7 +198,9 @@ def test_batches_threads_and_neighbours_change_nothing(moving, found):
 
 
 def test_every_name_has_a_prior_and_scales_there_and_back():
-    names = [name for name in NAMES if name != "lines.wall_bulk_modulus"]
+    of_sensors = unknowns.LATENCY, unknowns.RISE_TIME, *unknowns.BIASES, *unknowns.GAINS
+    names = [LEAKAGE, unknowns.EXTERNAL_LEAKAGE, *of_sensors, *unknowns.OF_A_WINDOW, *unknowns.PATHS]
+    names.remove("lines.wall_bulk_modulus")  # infinite
     priors = priors_of(CONFIG, names)
     model = Model(CONFIG, priors, np.zeros((1, 2)))
     scaled = np.linspace(-2.0, 2.0, len(names))[None]
@@ -274,10 +260,6 @@ def test_at_rest_the_search_ends_at_the_lowest_point():
     assert np.sqrt(np.mean(away**2)) < 2.0, "long differences reach across the valley: 3 to 4 then"
     truth = {name: windows.value(name) for name in read.names}
     from_truth = estimate(windows.signals, task, first=truth, settings=EstimationSettings(horizons=(), restarts=0))
-    np.testing.assert_array_less(-4.0, _cost(from_truth) - _cost(read), "no better explanation near the truth")
-
-
-def _cost(found):
-    """Squared residuals and squared distances from the priors' means, of windows without lost readings."""
-    readings = 4 * 401 - 2
-    return found.chi2_per_sample * readings + (found.scaled**2).sum(axis=1)
+    readings = 4 * 401 - 2  # of windows without lost ones
+    costs = [one.chi2_per_sample * readings + (one.scaled**2).sum(axis=1) for one in (read, from_truth)]
+    np.testing.assert_array_less(-4.0, costs[1] - costs[0], "no better explanation near the truth")

@@ -7,32 +7,30 @@ from scipy.optimize import least_squares
 
 from hydro_rig.estimation.estimate import usable_readings
 from hydro_rig.estimation.first_guess import first_values
-from hydro_rig.estimation.model import SHORT_STEP, Model
-from hydro_rig.estimation.solver import channel_weights, equations_of, fit, masked, prior_belief, without
+from hydro_rig.estimation.model import Model
+from hydro_rig.estimation.solver import NONE_SHARED, Belief, Linearised, Problem, fit
 from hydro_rig.estimation.unknowns import STARTS, priors_of
 from hydro_rig.identification.common_fit import fit_together
 
 
-def problem(leak, seeds, unknowns=None):
-    """Model, readings and first guess of windows in motion; what is not among the unknowns is known."""
+def problem_of(leak, seeds, unknowns=None):
+    """Windows in motion and a first guess; what is not among the unknowns is known."""
     signals, physical, _ = driven(CONFIG, leak, seeds, start_moving=True)
     priors = priors_of(CONFIG, unknowns)
     model = Model(CONFIG, priors, signals[:, -1], physical=physical)
     guess = model.scaled(first_values(signals, model.commands.durations, CONFIG, priors))
-    return model, usable_readings(signals, CONFIG, model), guess
+    return Problem.of(model, usable_readings(signals, CONFIG, model)), guess
 
 
-def by_scipy(model, measured, windows, roots, places, start):
+def by_scipy(problem, roots, places, start):
     """Scipy's minimum of readings and priors; ``places`` (B, P): index of each unknown in the vector."""
-    known = np.isfinite(measured[windows])
-    data = np.where(known, measured[windows], 0.0)
 
     def residual(vector):
-        read, _ = model.readings(vector[places], windows)
-        return np.concatenate([(roots * np.where(known, read - data, 0.0).reshape(len(windows), -1)).ravel(), vector])
+        missed = problem.residual(vector[places][:, None]).reshape(len(places), -1)
+        return np.concatenate([-(roots * missed).ravel(), vector])
 
     def jacobian(vector):
-        _, slopes = masked(model.linearise(vector[places], windows), data, known)
+        slopes = problem.linearised(vector[places]).jacobian
         rows = block_diag(*(roots[:, None] * slopes).transpose(0, 2, 1))
         whole = np.zeros((len(rows), len(vector)))
         np.add.at(whole.T, places.ravel(), rows.T)
@@ -41,28 +39,23 @@ def by_scipy(model, measured, windows, roots, places, start):
     return least_squares(residual, start, jacobian, max_nfev=200)
 
 
-def final_equations(model, measured, windows, scaled, shared):
+def final_equations(problem, scaled, shared):
     """Normal equations and roots of the weights at the end of a fit."""
-    known = np.isfinite(measured[windows])
-    linear = model.linearise(scaled, windows)
-    residual, jacobian = masked(linear, np.where(known, measured[windows], 0.0), known)
-    weight = channel_weights(residual, known)
-    prior = without(prior_belief(model, len(windows)).precision, shared)
-    return equations_of(residual, jacobian, weight, scaled, prior, shared), weight**0.5
+    linear = problem.linearised(scaled)
+    return linear.equations(scaled, problem.belief.without(shared), shared), linear.weight**0.5
 
 
 def test_ten_windows_end_in_the_minimum_that_scipy_finds():
-    model, measured, guess = problem(np.linspace(0.02, 1.0, 10), range(1_300_100, 1_300_110))
-    windows, places = np.arange(10), np.arange(guess.shape[1])[None]
-    found = fit(model, measured, windows, guess, prior_belief(model, 10), 161, 200, 1e-3, step=SHORT_STEP)
+    problem, guess = problem_of(np.linspace(0.02, 1.0, 10), range(1_300_100, 1_300_110))
+    places = np.arange(guess.shape[1])[None]
+    found, _ = fit(problem, guess, 200, 1e-3)
     away = np.zeros((2, 10))  # largest distance in standard deviations, of scipy from the first guess and from here
-    for window in windows:
-        one = np.array([window])
-        equations, roots = final_equations(model, measured, one, found.scaled[one], np.empty(0, np.int64))
+    for window in range(10):
+        one = problem.part(np.array([window]))
+        equations, roots = final_equations(one, found[window : window + 1], NONE_SHARED)
         deviation = np.sqrt(np.diag(np.linalg.inv(equations.precision[0])))
-        starts = (guess[window], found.scaled[window])
-        runs = [by_scipy(model, measured, one, roots, places, start) for start in starts]
-        away[:, window] = [np.abs((run.x - found.scaled[window]) / deviation).max() for run in runs]
+        runs = [by_scipy(one, roots, places, start) for start in (guess[window], found[window])]
+        away[:, window] = [np.abs((run.x - found[window]) / deviation).max() for run in runs]
         # Sticking friction roughens the valley: where scipy's way from the first guess ends early, it ends higher.
         assert away[0, window] < 0.1 or runs[0].cost > runs[1].cost
     assert (away[1] < 0.1).all()
@@ -71,27 +64,23 @@ def test_ten_windows_end_in_the_minimum_that_scipy_finds():
 
 def test_windows_with_common_parameters_end_in_the_minimum_that_scipy_finds():
     unknowns = (*FEW[:4], *(name for name in FEW if name in STARTS))
-    seeds = [1_300_200] * 3
-    model, measured, guess = problem([0.3] * 3, seeds, unknowns)
-    measured = measured.copy()
-    measured[1, :, 80:], measured[2, :, :80] = np.nan, np.nan
+    problem, guess = problem_of([0.3] * 3, [1_300_200] * 3, unknowns)
+    problem.measured[1, :, 80:], problem.measured[2, :, :80] = np.nan, np.nan
     shared = np.arange(4)
     guess[:, shared] = guess[0, shared]
-    windows, belief = np.arange(3), prior_belief(model, 3)
-    found = fit(model, measured, windows, guess, belief, 161, 200, 1e-3, step=SHORT_STEP, shared=shared)
+    found, _ = fit(problem, guess, 200, 1e-3, shared=shared)
     own = guess.shape[1] - 4
     places = np.array([[*shared, *(4 + own * window + np.arange(own))] for window in range(3)])
-    equations, roots = final_equations(model, measured, windows, found.scaled, shared)
+    equations, roots = final_equations(problem, found, shared)
     start = np.concatenate([guess[0, :4], guess[:, 4:].ravel()])
-    best = by_scipy(model, measured, windows, roots, places, start).x
-    apart = found.scaled.copy()  # from where the search of hydro identify comes back
+    best = by_scipy(problem, roots, places, start).x
+    apart = found.copy()  # from where the search of hydro identify comes back
     apart[:, shared] += 3.0 * np.sqrt(np.diag(np.linalg.inv(equations.precision[0])))[shared]
-    identified = fit_together(model, measured, apart).scaled
-    for window in windows:
-        deviation = np.sqrt(np.diag(np.linalg.inv(equations.precision[window])))
-        assert (np.abs(best[places[window]] - found.scaled[window]) < 0.1 * deviation).all()
-        assert (np.abs(best[places[window]] - identified[window]) < 0.1 * deviation).all()
-        assert (found.scaled[window, shared] == found.scaled[0, shared]).all()
+    identified = fit_together(problem, apart).scaled
+    deviation = np.sqrt(np.einsum("bii->bi", np.linalg.inv(equations.precision)))
+    assert (np.abs(best[places] - found) < 0.1 * deviation).all()
+    assert (np.abs(best[places] - identified) < 0.1 * deviation).all()
+    assert (found[:, shared] == found[0, shared]).all()
 
 
 def test_eliminating_the_starts_leaves_the_information_of_the_whole_problem():
@@ -101,8 +90,8 @@ def test_eliminating_the_starts_leaves_the_information_of_the_whole_problem():
     jacobian = random.standard_normal((windows, 5, readings))
     residual = random.standard_normal((windows, readings))
     weight = random.uniform(0.2, 1.0, (windows, readings))
-    prior = without(np.tile(np.eye(5), (windows, 1, 1)), shared)
-    reduced = equations_of(residual, jacobian, weight, np.zeros((windows, 5)), prior, shared)
+    belief = Belief(np.zeros((windows, 5)), np.tile(np.eye(5), (windows, 1, 1))).without(shared)
+    reduced = Linearised(residual, jacobian, weight, None).equations(np.zeros((windows, 5)), belief, shared)
     dense = np.zeros((3 + 2 * windows, 3 + 2 * windows))
     right = np.zeros(len(dense))
     for window in range(windows):
@@ -123,10 +112,9 @@ def test_eliminating_the_starts_leaves_the_information_of_the_whole_problem():
 
 
 def test_a_direction_that_the_readings_seem_to_fix_beyond_rounding_keeps_a_step():
-    model, _, guess = problem(np.array([0.3]), range(1_300_130, 1_300_131))
-    precision = np.diag(np.full(guess.shape[1], 1e24))[None]
-    steps = np.linalg.norm(model.directions(precision, 1.0), axis=1)
-    np.testing.assert_allclose(steps, 1e-6)
-    jacobian = model.linearise(guess, directions=model.directions(precision, 1.0), central=True).jacobian
-    exact = model.linearise(guess, central=True).jacobian
+    problem, guess = problem_of(np.array([0.3]), range(1_300_130, 1_300_131))
+    directions = problem.model.directions(np.diag(np.full(guess.shape[1], 1e24))[None], 1.0)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1e-6)
+    jacobian = problem.model.linearise(guess, directions, central=True)[1]
+    exact = problem.model.linearise(guess, central=True)[1]
     np.testing.assert_allclose(jacobian, exact, atol=0.05 * np.abs(exact).max())

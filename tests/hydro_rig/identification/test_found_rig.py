@@ -1,6 +1,7 @@
 """Fit of several windows, held-back parts, ranges of the rig that was found: known answers."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,16 +13,16 @@ from hydro_agents.detection.detector import Windows, measured_run
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import PlantParameters, TaskConfig
-from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.task.configuration import task_config
-from hydro_env.task.randomisation import Distribution
+from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.rig import rig_from
 from hydro_env.task.sensors import POSITION
 from hydro_env.units import resistance_from_flow
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification import common_fit
 from hydro_rig.identification.common_fit import Joint
-from hydro_rig.identification.fit import Fit, combinations, unknowns_of
+from hydro_rig.identification.fit import Fit, Unknown
 from hydro_rig.identification.found_rig import _line, _with_unit, found_values, narrowed
 from hydro_rig.identification.held_back import (
     HORIZONS,
@@ -75,11 +76,9 @@ RANGES = {
 
 def fit_of(values, remaining=None):
     """A fit with given values and ends of intervals by name: (value, low, high)."""
-    names = tuple(values)
-    value, low, high = np.array(list(values.values())).T
-    left = np.array([(remaining or {}).get(name, 0.1) for name in names])
-    priors = {name: Prior(1.0, 1.0) for name in names}
-    return Fit(names, priors, value, low, high, left, np.ones(len(names)), np.eye(len(names)), np.zeros(5))
+    left = remaining or {}
+    unknowns = [Unknown(name, Prior(1.0, 1.0), *three, left.get(name, 0.1), 1.0) for name, three in values.items()]
+    return Fit(tuple(unknowns), np.zeros(5), None, {})
 
 
 @pytest.mark.parametrize("misfit", [1.0, 9.0], ids=["explained", "not explained"])
@@ -89,15 +88,16 @@ def test_a_fit_that_explains_no_window_says_so_first(misfit):
     time, moving = np.linspace(0.0, 1.0, 101), np.tile(np.linspace(0.0, 0.1, 101), (4, 1))
     held = HeldBack(0, 0.0, time, moving, moving + 1e-5, np.ones(4))
     rig = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(8e-4, 2e-3))})
-    found = Identification([], [], rig, CONFIG, None, fit, PlantParameters(), [held], [], {}, [])
+    empty = dict.fromkeys(("recordings", "checked", "advice", "repeats", "parts"), ())
+    found = Identification(rig=rig, config=CONFIG, fit=fit, plant=PlantParameters(), held_back=[held], **empty)
     assert found.describes
     assert found.unexplained == (misfit > 4.0)
     assert found.verdict().startswith("no window is explained: " if misfit > 4.0 else "1 of 1 unknowns determined")
     other = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(4e-4, 6e-4))})
-    outside = found._replace(rig=other)
+    outside = replace(found, rig=other)
     assert outside.describes == (misfit < 4.0)  # a value outside its range, and no window explained: refused
-    assert any("rated pressure drop" in note for note in outside.noted)
-    assert not any("rated pressure drop" in note for note in found.noted)
+    assert any("rated flow" in note for note in outside.noted)
+    assert not any("rated flow" in note for note in found.noted)
 
 
 def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
@@ -110,14 +110,14 @@ def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
     for shift in (0.0, 0.004):
         moved = valve.model_copy(update={"null_shift": valve.null_shift + shift})
         wrong = config.plant.model_copy(update={"valve": moved})
-        held = simulate_held_back(part, config, wrong, np.zeros(4))
+        held = simulate_held_back(part, config, wrong, {})
         tested[shift] = {over: forecast_over([held], over) for over in HORIZONS} | {math.inf: whole_parts([held])}
     right, drifted = tested[0.0], tested[0.004]
     errors = [found.error[POSITION] for found in drifted.values()]
     assert errors == sorted(errors)
     assert drifted[math.inf].share[POSITION] < 0.9 < drifted[2.0].share[POSITION]
     assert right[2.0].share[POSITION] > 0.999
-    short = simulate_held_back(part._replace(signals=signals[0, :, :600]), config, config.plant, np.zeros(4))
+    short = simulate_held_back(part._replace(signals=signals[0, :, :600]), config, config.plant, {})
     assert forecast_over([short], 2.0) is None
     assert forecast_over([short], 0.5).error[POSITION] < 1e-3
 
@@ -156,70 +156,38 @@ def test_what_is_not_determined_keeps_its_range_in_si():
     assert found["load.spring_stiffness"]["otherwise_probability"] == 0.1
 
 
-def test_a_tight_rod_seal_stays_tight_and_a_leaking_one_gets_a_range():
+def test_leaks_and_springs_stay_within_their_bounds():
     path = "leakage.external_resistance"
     tight = fit_of({"external_leakage_flow_lpm": (0.0, -0.01, 0.01)})
     assert narrowed(tight, CONFIG, RANGES)[path]["otherwise"] == math.inf
-    leaking = fit_of({"external_leakage_flow_lpm": (0.2, 0.15, 0.25)})
-    low, high = narrowed(leaking, CONFIG, RANGES)[path]["log_uniform"]
-    assert low == pytest.approx(resistance_from_flow(0.25), rel=1e-5)
-    assert high == pytest.approx(resistance_from_flow(0.15), rel=1e-5)
-
-
-def test_values_stay_within_the_bounds_of_their_fields():
-    fit = fit_of({"leakage_flow_lpm": (-0.01, -0.02, 0.0), "load.spring_stiffness": (-5.0, -9.0, 1.0)})
-    values = found_values(fit, CONFIG)
+    leaking = narrowed(fit_of({"external_leakage_flow_lpm": (0.2, 0.15, 0.25)}), CONFIG, RANGES)[path]
+    assert leaking["log_uniform"] == pytest.approx([resistance_from_flow(flow) for flow in (0.25, 0.15)], rel=1e-5)
+    below = fit_of({"leakage_flow_lpm": (-0.01, -0.02, 0.0), "load.spring_stiffness": (-5.0, -9.0, 1.0)})
+    values = found_values(below, CONFIG)
     assert values["load.spring_stiffness"] == 0.0
     assert values["leakage.internal_resistance"] == math.inf
-
-
-def test_two_unknowns_that_compensate_each_other_are_named_as_one_combination():
-    fit = fit_of({"load.mass": (1.0, 1.0, 1.0), "valve.underlap": (1.0, 1.0, 1.0), "supply.pressure": (1.0, 1.0, 1.0)})
-    ridge = np.array([1.0, 1.0, 0.0])  # only their sum shows
-    fit = fit._replace(information=100.0 * np.outer(ridge, ridge) + np.diag([0.0, 0.0, 4.0]))
-    least, pressure, most = combinations(fit)
-    assert least.singular_value == pytest.approx(0.0, abs=1e-6)
-    parts = dict(least.parts)
-    assert parts["load.mass"] == pytest.approx(-parts["valve.underlap"])
-    assert pressure.singular_value == pytest.approx(2.0)
-    assert dict(pressure.parts) == pytest.approx({"supply.pressure": 1.0})
-    assert most.singular_value == pytest.approx(math.sqrt(200.0))
 
 
 def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(monkeypatch):
     """The first common fit leaves out one window; the second would leave out another: its result is of all it had."""
     misfits = {4: [1.0, 1.0, 1.0, 50.0], 3: [1.0, 1.0, 40.0]}
 
-    def fitted(model, readings, first, progress):
-        count = len(readings)
-        nothing, none = np.zeros((count, 1)), np.empty(0, np.int64)
-        misfit = np.array(misfits[count])
-        own = np.zeros(1, np.int64)
-        return Joint(nothing, own, nothing[..., None], nothing, misfit, none, np.zeros((count, 0, 1)), 0.0)
+    def fitted(problem, first, progress):
+        misfit = np.array(misfits[len(problem)])
+        return Joint(None, np.zeros(1, np.int64), None, None, misfit, None, None, 0.0)
 
-    monkeypatch.setattr(common_fit, "Model", lambda config, priors, commands, boundary: None)
-    monkeypatch.setattr(common_fit, "usable_readings", lambda signals, config, model: signals)
-    monkeypatch.setattr(common_fit, "shared_and_own", lambda model: (np.zeros(1, np.int64), np.empty(0, np.int64)))
-    monkeypatch.setattr(common_fit, "_first_values", lambda *_: [None])
-    monkeypatch.setattr(common_fit, "descend", lambda *_, **__: (None, None))
-    monkeypatch.setattr(common_fit, "costs_of", lambda *_: [0.0])
-    monkeypatch.setattr(common_fit, "fit_together", fitted)
+    replaced = {"replayed": lambda windows, *_: windows, "_first_values": lambda *_: [None], "fit_together": fitted}
+    replaced |= {"descend": lambda *_: (None, None), "costs_of": lambda *_: [0.0]}
+    for name, function in replaced.items():
+        monkeypatch.setattr(common_fit, name, function)
     alone = SimpleNamespace(misfit=np.ones(4))
     found = common_fit._common_fit(Windows.of(np.zeros((4, 5, 10))), CONFIG, {}, alone, lambda *_: None)
     assert found.misfit.tolist() == [1.0, 1.0, 40.0, math.inf]
 
 
-def test_without_ranges_leak_biases_and_start_alone_are_unknown():
-    names = unknowns_of(CONFIG, {}, np.array([True, False, False, True]))
-    assert names[:3] == ["leakage_flow_lpm", "position_bias", "spool_position_bias"]
-    assert all(name.startswith("start.") for name in names[3:])
-    assert "external_leakage_flow_lpm" in unknowns_of(CONFIG, RANGES, np.ones(4, dtype=bool))
-
-
 def test_every_number_of_a_rig_is_read_back_from_its_text_with_unit():
     plant = PlantParameters()
-    values = {path: getattr(getattr(plant, path.split(".")[0]), path.split(".")[1]) for path in PARAMETER_PATHS}
-    values = {path: float(value) for path, value in values.items() if isinstance(value, int | float)}
+    values = {path: own_value(plant, path) for path in PARAMETER_PATHS if path not in MODEL_CODES}
     assert len(values) > 40
     groups: dict[str, list[str]] = {}
     for path, value in values.items():
@@ -229,6 +197,4 @@ def test_every_number_of_a_rig_is_read_back_from_its_text_with_unit():
     for unit in ("bar", "l/min", "Hz", "GPa", "cm³"):
         assert f" {unit}\n" in text
     read = rig_from(yaml.safe_load(text), "rig.yaml").plant
-    for path, value in values.items():
-        group, field = path.split(".")
-        assert math.isclose(getattr(getattr(read, group), field), value, rel_tol=1e-5), path
+    assert {path: own_value(read, path) for path in values} == pytest.approx(values, rel=1e-5)

@@ -10,10 +10,11 @@ from benchmarks.hidden_rigs import true_values
 from hydro_agents.detection.detector import Windows
 from hydro_env import PlantParameters
 from hydro_env.task.configuration import task_config
+from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification.common_fit import Joint
-from hydro_rig.identification.fit import Fit, fit_windows
-from hydro_rig.identification.found_rig import found_timing, found_values, narrowed, shown
+from hydro_rig.identification.fit import Fit, Unknown, fit_windows
+from hydro_rig.identification.found_rig import found_values, narrowed, shown
 from hydro_rig.identification.intervals import (
     _rises,
     beside_the_edge,
@@ -27,6 +28,21 @@ from hydro_rig.recordings.recording import read_recording
 WINDOWS, UNKNOWNS, READINGS = 7, 6, 40
 
 
+def joint_of(found, information, score):
+    """The common fit of windows without unknowns of their own."""
+    count, places = len(score), np.arange(len(found))
+    nothing = np.empty(0, np.int64), np.zeros((count, 0, len(found)))
+    return Joint(np.tile(found, (count, 1)), places, information, score, np.ones(count), *nothing, 0.0)
+
+
+def fit_of(path, config, cut, task=None):
+    """The fit of ``cut``, (windows, samples), of a recording of the task, with another task if one is given."""
+    recorded_file(path, config, 0.3, family="multi_sine", duration=config.episode_duration)
+    count, samples = cut
+    signals = read_recording(path).signals[:, : count * samples].reshape(5, count, samples).transpose(1, 0, 2)
+    return fit_windows(Windows.of(signals), task or config, config.randomisation)
+
+
 def linear_fit(random, jacobian, disturbed=0.0):
     """A linear model of windows whose first unknown differs from window to window; its fit, and the truth."""
     true = random.standard_normal(UNKNOWNS)
@@ -35,13 +51,7 @@ def linear_fit(random, jacobian, disturbed=0.0):
     information = jacobian @ jacobian.transpose(0, 2, 1)
     towards = np.einsum("wpr,wr->wp", jacobian, readings)
     found = np.linalg.solve(information.sum(axis=0) + np.eye(UNKNOWNS), towards.sum(axis=0))
-    score = towards - information @ found
-    rows = np.tile(found, (WINDOWS, 1))
-    none = np.empty(0, np.int64)
-    joint = Joint(
-        rows, np.arange(UNKNOWNS), information, score, np.zeros(WINDOWS), none, np.zeros((WINDOWS, 0, 0)), 0.0
-    )
-    return joint, true
+    return joint_of(found, information, towards - information @ found), true
 
 
 @pytest.fixture(scope="module")
@@ -80,17 +90,15 @@ def test_intervals_are_as_wide_as_recordings_disagree(shift, before, after):
         information = np.tile(400.0 * np.eye(2), (24, 1, 1))
         towards = np.einsum("wij,wj->wi", information, own) + 20.0 * random.standard_normal((24, 2))
         found = np.linalg.solve(information.sum(axis=0) + np.eye(2), towards.sum(axis=0))
-        score, none = towards - information @ found, np.empty(0, np.int64)
-        rows = np.tile(found, (24, 1))
-        joint = Joint(rows, np.arange(2), information, score, np.ones(24), none, np.zeros((24, 0, 0)), 0.0)
+        joint = joint_of(found, information, towards - information @ found)
         spread = spread_of(joint)
-        ends = found - spread.reach, found + spread.reach
-        fit = Fit(names, dict.fromkeys(names, prior), found, *ends, spread.reach / 1.96, spread.widening,
-                  information.sum(axis=0), np.ones(24), joint)  # fmt: skip
+        columns = found, found - spread.reach, found + spread.reach, spread.reach / 1.96, spread.widening
+        unknowns = tuple(Unknown(name, prior, *row) for name, *row in zip(names, *columns, strict=True))
+        fit = Fit(unknowns, np.ones(24), joint, {})
         more = widened(fit, recording)
-        once += fit.low[0] <= 0.0 <= fit.high[0]
-        held += more.low[0] <= 0.0 <= more.high[0]
-        wider.append((more.high - more.low) / (fit.high - fit.low))
+        once += fit.unknowns[0].low <= 0.0 <= fit.unknowns[0].high
+        held += more.unknowns[0].low <= 0.0 <= more.unknowns[0].high
+        wider.append([(b.high - b.low) / (a.high - a.low) for a, b in zip(fit.unknowns, more.unknowns, strict=True)])
     assert once / 200 >= before
     assert held / 200 >= after
     assert np.median(wider, axis=0)[1] == 1.0  # of the unknown on which they agree
@@ -114,28 +122,25 @@ class Saturating:
         self.edge = edge
         self.time = np.linspace(-1.0, 1.0, READINGS)
 
-    def readings(self, scaled, window):
+    def readings(self, scaled, samples=None):
         limit, gain = np.minimum(scaled[:, 0], self.edge), scaled[:, 1]
-        return (20.0 * limit[:, None] * self.time + 20.0 * gain[:, None])[:, None], None
+        return (20.0 * limit[:, None] * self.time + 20.0 * gain[:, None])[:, None]
 
 
 def fit_at(model, limit):
     """The fit at a value of the limit; its slope is that of differences to both sides."""
     scaled = np.tile([limit, 0.3], (WINDOWS, 1))
-    measured, _ = model.readings(scaled, np.arange(WINDOWS))
+    measured = model.readings(scaled)
     slope = 0.5 * (1.0 if limit < model.edge else 0.0) + 0.5 * (1.0 if limit <= model.edge else 0.0)
     jacobian = np.tile(20.0 * np.stack([slope * model.time, np.ones(READINGS)]), (WINDOWS, 1, 1))
-    score = np.zeros((WINDOWS, 2))
     information = jacobian @ jacobian.transpose(0, 2, 1)
-    rest = np.zeros(WINDOWS), np.empty(0, np.int64), np.zeros((WINDOWS, 0, 2)), 0.0
-    joint = Joint(scaled, np.arange(2), information, score, *rest)
-    return model, measured, joint
+    return Problem(model, measured, None), joint_of(scaled[0], information, np.zeros((WINDOWS, 2)))
 
 
 @pytest.mark.parametrize("step", [0.5, 2.0])
 def test_a_limit_that_was_never_reached_leaves_the_cost_flat_on_one_side(step):
     fitted = fit_at(Saturating(), 0.5)
-    deviation = np.sqrt(np.diag(np.linalg.inv(fitted[2].precision)))
+    deviation = np.sqrt(np.diag(np.linalg.inv(fitted[1].precision)))
     rises = _rises(*fitted, step * np.tile(deviation[:, None], 2))
     assert rises[0, 1] < 0.25 < rises[0, 0]
     # Where the limit acts, the rise is that of the linear model, also along its ridge.
@@ -143,81 +148,62 @@ def test_a_limit_that_was_never_reached_leaves_the_cost_flat_on_one_side(step):
     assert rises == pytest.approx(1.0, abs=0.01)
 
 
-def hose():
-    """The task of an axis whose dead volume and hoses compensate each other."""
+def test_the_intervals_of_unknowns_on_a_curve_hold_their_whole_valley(tmp_path):
+    """The linear model says that a recording determines dead volume and wall; the readings allow far other pairs."""
     ranges = {
         "cylinder.dead_volume": {"log_factor": [0.25, 4.0]},
         "lines.wall_bulk_modulus": {"log_uniform": [1e8, 2e9]},
         "fluid.bulk_modulus": {"log_factor": [0.7, 1.3]},
     }
     plant = {"lines": {"volume_a": 5e-5, "volume_b": 5e-5, "wall_bulk_modulus": 4e8}}
-    return task_config(None, plant=plant, randomisation=ranges, episode_duration=4.0)
-
-
-def test_the_intervals_of_unknowns_on_a_curve_hold_their_whole_valley(tmp_path):
-    """The linear model says that a recording determines dead volume and wall; the readings allow far other pairs."""
-    config = hose()
-    recorded_file(tmp_path / "a.csv", config, 0.3, family="multi_sine", duration=4.0)
-    signals = read_recording(tmp_path / "a.csv").signals
-    fit = fit_windows(Windows.of(signals[:, :200].reshape(5, 2, 100).transpose(1, 0, 2)), config, config.randomisation)
+    config = task_config(None, plant=plant, randomisation=ranges, episode_duration=4.0)
+    fit = fit_of(tmp_path / "a.csv", config, (2, 100))
     true = true_values(config, SEED, 0.3)
     place = fit.names.index("lines.wall_bulk_modulus")
-    linear = np.sqrt(np.diag(np.linalg.inv(fit.joint.precision)))[place]
-    assert fit.remaining[place] > 2.0 * linear
-    for name in config.randomisation:
-        row = fit.names.index(name)
-        assert fit.low[row] <= true[name] <= fit.high[row], name
+    assert fit.unknowns[place].remaining > 2.0 * np.sqrt(fit.joint.covariance[place, place])
+    for one in fit.unknowns:
+        if one.name in ranges:
+            assert one.low <= true[one.name] <= one.high, one.name
 
 
-def test_the_value_of_an_open_interval_is_not_its_edge():
+def test_intervals_end_at_physical_bounds_and_values_not_at_an_open_edge():
     plant = PlantParameters()
-    prior = Prior(plant.valve.slew_limit, 0.4, True)
-    assert beside_the_edge("valve.slew_limit", prior, plant, -0.5, 1.7) == pytest.approx(0.0)  # the file's is possible
-    assert beside_the_edge("valve.slew_limit", prior, plant, 0.5, 1.7) == pytest.approx(1.1)
-
-
-def test_intervals_end_at_physical_bounds():
-    plant = PlantParameters()
-    assert within_bounds(plant, "leakage_flow_lpm", -0.2) == 0.0
-    assert within_bounds(plant, "pressure_a_bias", -2e5) == -2e5
-    assert within_bounds(plant, "load.viscous_damping", -3.0) == 0.0
-    assert within_bounds(plant, "load.mass", 50.0) == 50.0
+    bounded = {"leakage_flow_lpm": (-0.2, 0.0), "pressure_a_bias": (-2e5, -2e5), "load.viscous_damping": (-3.0, 0.0)}
+    for name, (value, expected) in (bounded | {"load.mass": (50.0, 50.0)}).items():
+        assert within_bounds(plant, name, value) == expected
     assert truncated_end(0.5, 0.3, 0.7) == 0.7
     assert 0.0 < truncated_end(-0.2, -0.4, 0.0) < 0.2  # a size below zero leaves a small one possible
+    prior = Prior(plant.valve.slew_limit, 0.4, True)
+    for limit, value in ((-0.5, 0.0), (0.5, 1.1)):  # that of the file if it is possible
+        assert beside_the_edge("valve.slew_limit", prior, plant, limit, 1.7) == pytest.approx(value)
 
 
 def test_a_rise_time_that_the_task_does_not_say_is_found(tmp_path):
     """With transducers of 4 ms in the task instead of 1.5 ms the model explains no window; then it finds their time."""
-    ranges = {"load.mass": {"factor": [0.8, 1.2]}}
-    config = task_config(None, randomisation=ranges, episode_duration=4.0)
-    recorded_file(tmp_path / "a.csv", {"randomisation": ranges}, 0.3, family="multi_sine", duration=4.0)
-    signals = read_recording(tmp_path / "a.csv").signals
+    config = task_config(None, randomisation={"load.mass": {"factor": [0.8, 1.2]}}, episode_duration=4.0)
     wrong = task_config(config, sensors={"pressure_rise_time": 4e-3})
-    fit = fit_windows(Windows.of(signals[:, :800].reshape(5, 4, 200).transpose(1, 0, 2)), wrong, wrong.randomisation)
+    fit = fit_of(tmp_path / "a.csv", config, (4, 200), wrong)
     assert fit.explained.all()
-    timing = found_timing(fit)
+    timing = fit.own()
     assert timing["pressure_rise_time"] == pytest.approx(config.sensors.pressure_rise_time, rel=0.1)
     assert timing["command_latency"] == pytest.approx(config.command_latency, abs=1e-4)
-    assert fit.low[0] <= 0.3 <= fit.high[0]
+    assert fit.unknowns[0].low <= 0.3 <= fit.unknowns[0].high
 
 
 def test_a_slew_limit_above_the_spools_speed_is_bounded_from_below(tmp_path):
     """In slow moves the spool stays far below its limit: only 'at least' is true, and the file keeps its value."""
     ranges = {"valve.slew_limit": {"log_factor": [0.05, 2.0]}}
     config = task_config(None, randomisation=ranges, episode_duration=5.0)
-    recorded_file(tmp_path / "a.csv", {"randomisation": ranges}, 0.3, family="multi_sine", duration=5.0)
-    signals = read_recording(tmp_path / "a.csv").signals
-    windows = signals[:, :800].reshape(5, 4, 200).transpose(1, 0, 2)
-    fit = fit_windows(Windows.of(windows), config, config.randomisation)
-    place = fit.names.index("valve.slew_limit")
-    assert fit.side[place] == 1
-    assert not fit.determined[place]
-    assert fit.determined[fit.names.index("leakage_flow_lpm")]
+    fit = fit_of(tmp_path / "a.csv", config, (4, 200))
+    limit = fit.unknowns[fit.names.index("valve.slew_limit")]
+    assert limit.side == 1
+    assert not fit.knows(limit)
+    assert fit.knows(fit.unknowns[fit.names.index("leakage_flow_lpm")])
     own = config.plant.valve.slew_limit
-    assert 0.05 * own < fit.low[place] < found_values(fit, config)["valve.slew_limit"] <= fit.high[place]
-    assert fit.high[place] == pytest.approx(2.0 * own)
+    assert 0.05 * own < limit.low < found_values(fit, config)["valve.slew_limit"] <= limit.high
+    assert limit.high == pytest.approx(2.0 * own)
     kept = narrowed(fit, config, config.randomisation)["valve.slew_limit"]["log_uniform"]
-    assert kept == pytest.approx([fit.low[place], fit.high[place]], rel=1e-4)
-    words = shown("valve.slew_limit", config.plant).interval(float(fit.low[place]), float(fit.high[place]), 1)
+    assert kept == pytest.approx([limit.low, limit.high], rel=1e-4)
+    words = shown("valve.slew_limit", config.plant).interval(limit.low, limit.high, 1)
     assert words.startswith("at least ")
-    assert math.isclose(float(words.split(" ")[-1]), fit.low[place], rel_tol=0.02)
+    assert math.isclose(float(words.split(" ")[-1]), limit.low, rel_tol=0.02)
