@@ -48,7 +48,7 @@ from hydro_rig.recordings.sampling import on_grid
 
 LEAST_SHARE = 0.9  # smallest share of the position's variance on the held-back part of a model that describes the axis
 
-KNEE_OPENING = "valve.knee_opening"
+RATED_FLOW, KNEE_OPENING = "valve.rated_flow", "valve.knee_opening"
 BENDS_FROM = 3  # amplitudes of the command
 BEND = (0.7, 1.4)  # range of the opening at the knee, relative to that of a straight valve
 UNEXPLAINED = (
@@ -158,6 +158,11 @@ class Identification:
             notes.append(f"Other values explain the recording as well: {others}. A richer motion decides.")
         if self.beyond:
             notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
+        if self.beyond == [shown(RATED_FLOW, self.config.plant).words]:
+            notes.append(
+                "Only the rated flow over the root of the rated pressure drop acts: a wrong drop in the file gives "
+                "another flow, and no other value changes. Check both against the valve's data sheet."
+            )
         if explained < 0.5 * count:
             notes.append(
                 f"The model explains {explained} of {count} windows to within the sensors' noise. The intervals are "
