@@ -80,10 +80,7 @@ def festo(folder: Path, samples: list[int], fitted: list[int]) -> None:
     apart = [f"*_{volts}V_*" for volts in others]
     with ProgressDisplay() as display:
         found = identify(list(names), task_config(None, rig=RIG), read_rig(RIG), maps, display.update, apart)
-    print(f"
-{found.verdict()}
-{len(names)} recordings; {len(found.fit.misfit)} windows
-")
+    print(f"\n{found.verdict()}\n{len(names)} recordings; {len(found.fit.misfit)} windows\n")
     fit, lines = found.fit, []
     for one in fit.unknowns:
         look = shown(one.name, found.config.plant)
