@@ -83,10 +83,10 @@ def alarms(
     watching = make_detector(choice)
     window_of(watching, config)  # refuses a task that it cannot read
     name = detector if detector not in ("head", "two_stage") else f"{detector} {Path(head or HEAD_FILE).name}"
-    controllers = {kind: shipped(kind, config) for kind in ("pid", "flow_linearising")}
+    controllers = [shipped(kind, config) for kind in ("pid", "flow_linearising")]
 
     def work(display: ProgressDisplay) -> Written:
-        settings, tables = run_job(Bench(config, controllers, watching, name, output, 4, display.update), job)
+        settings, tables = run_job(Bench(config, controllers, watching, name, output, display.update), job)
         settings.save(output / "alarm.yaml")
         files = {f"{title}.csv": table.to_csv(index=False) for title, table in tables.items()}
         shown = [

@@ -10,24 +10,20 @@ threshold is the lowest at which their rate is a tenth of the wanted one, at the
 drawn hours do not show that the errors of a long stay at one place are correlated. Intervals come from resampled axes,
 because alarms cluster on a few of them.
 
-One look adds at most the clip of the alarm. What is beyond the looks that were measured therefore counts little; the
-generalised Pareto distribution that is fitted to the highest z-scores (Pickands, *Statistical inference using extreme
-order statistics*, Annals of Statistics 3, 1975) says how heavy their tail is. Its shape is at least 0 (exponential).
+One look adds at most the clip of the alarm. What is beyond the looks that were measured therefore counts little.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import chi2, genpareto, norm
+from scipy.stats import norm
 
 from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm, Scale
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_agents.running.statistics import CONFIDENCE, Interval, mean_interval
+from hydro_agents.running.statistics import Interval, mean_interval
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 
@@ -37,22 +33,7 @@ IN_MOTION = 0.25  # share of a shift
 SAFETY = 10.0  # wanted rate over that of the drawn hours
 BLOCK = 60.0  # s; length of the blocks of looks that are drawn
 COPIES = 25  # of each axis: shifts that are drawn from its looks
-LEAST_WINDOWS = 20  # for a tail
 SPREAD_WINDOWS = 8  # fewest windows of the upper tail that gives the spread
-TAIL_SHARE = 0.05  # highest z-scores to which a tail is fitted
-
-
-def poisson_interval(count: int, exposure: float) -> Interval:
-    """Rate of events per unit of exposure, with its exact interval (Garwood, Biometrika 28, 1936).
-
-    Raises:
-        ConfigurationError: the exposure is not positive, or the count negative.
-    """
-    if not exposure > 0.0 or count < 0:
-        raise ConfigurationError(f"rate: {count} events in {exposure:g}: exposure must be positive, count not negative")
-    outside = 0.5 * (1.0 - CONFIDENCE)
-    low = 0.5 * float(chi2.ppf(outside, 2 * count)) if count else 0.0
-    return Interval(count / exposure, low / exposure, 0.5 * float(chi2.ppf(1.0 - outside, 2 * count + 2)) / exposure)
 
 
 def peaks(total: NDArray[Any]) -> list[Floats]:
@@ -64,40 +45,6 @@ def peaks(total: NDArray[Any]) -> list[Floats]:
         starts, ends = edges[::2], edges[1::2]
         result.append(np.array([row[first:last].max() for first, last in zip(starts, ends, strict=True)]))
     return result
-
-
-@dataclass(frozen=True)
-class Tail:
-    """Generalised Pareto tail of values above ``start``."""
-
-    start: float
-    rate: float  # values above the start per hour
-    scale: float
-    shape: float  # 0: exponential
-
-    def threshold_at(self, rate: float) -> float:
-        """Threshold that values exceed ``rate`` times per hour; at least ``start``."""
-        return self.start + float(genpareto.isf(min(rate / self.rate, 1.0), self.shape, scale=self.scale))
-
-
-def fit_tail(values: Floats, hours: float, highest: int = 100) -> Tail:
-    """Tail of the ``highest`` values (all, if there are fewer) in ``hours``, by maximum likelihood.
-
-    Raises:
-        ConfigurationError: fewer than 10 values.
-    """
-    ordered = np.sort(np.asarray(values, dtype=np.float64))[::-1]
-    if len(ordered) < 10:
-        raise ConfigurationError(
-            f"alarms: {len(ordered)} peaks of evidence are too few for a tail: must be at least 10; simulate more axes"
-        )
-    kept = min(highest, len(ordered) - 1)
-    start = float(ordered[kept])
-    excess = ordered[:kept] - start
-    shape, _, scale = genpareto.fit(excess, floc=0.0)
-    if shape < 0.0:
-        shape, scale = 0.0, max(float(excess.mean()), 1e-12)
-    return Tail(start, kept / hours, float(scale), float(shape))
 
 
 class Axes(NamedTuple):
@@ -217,43 +164,6 @@ def _spread(residual: Floats, sigma: Floats) -> float:
         wide = np.quantile(size / np.fmax(given, middle), below) > norm.ppf(below)
         low, high = (middle, high) if wide else (low, middle)
     return high
-
-
-def z_table(settings: AlarmSettings, healthy: Axes) -> pd.DataFrame:
-    """By activity: number of windows, scale, tail of the z-scores, and the time over which looks are correlated."""
-    rows = []
-    for activity in Activity:
-        scale = settings.scales[activity.name.lower()]
-        z = healthy.residuals(activity) / np.fmax(healthy.looks.sigma, scale.spread)
-        known = z[np.isfinite(z)]
-        if len(known) < LEAST_WINDOWS:
-            continue
-        highest = max(round(TAIL_SHARE * len(known)), 10)
-        tail = fit_tail(known, 1.0, highest)
-        rows.append(
-            {"activity": activity.name.lower(), "axes": int(np.isfinite(z).any(axis=1).sum()), "windows": len(known)}
-            | scale.model_dump()
-            | {"design_in_sigma": scale.shift / scale.spread, "z_99": float(np.quantile(known, 0.99))}
-            | {"tail_shape": tail.shape, "once_in_10000": tail.threshold_at(1e-4 * len(known))}
-            | {"correlation_s": correlation_time(z, healthy.interval) if activity == Activity.MOVING else np.nan}
-        )
-    return pd.DataFrame(rows)
-
-
-def correlation_time(z: Floats, interval: float) -> float:
-    """Time in s over which looks at an axis are correlated: 0 if each look is independent of those before it.
-
-    Twice the sum of the autocorrelations up to the first that is not above its standard error, times the interval.
-    """
-    total, variance = 0.0, float(np.nanmean(z**2))
-    for lag in range(1, z.shape[1]):
-        product = z[:, :-lag] * z[:, lag:]
-        count = np.isfinite(product).sum()
-        correlation = float(np.nanmean(product)) / variance if count else 0.0
-        if correlation <= 1.0 / np.sqrt(max(count, 1)):
-            break
-        total += correlation
-    return float(2.0 * total * interval)
 
 
 def totals(alarm: LeakAlarm, looks: Looks, state: AlarmState | None = None) -> tuple[NDArray[np.float32], AlarmState]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,7 @@ from pydantic import Field
 from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_agents.running.seeds import ALARM_CALIBRATION, ALARM_GROWTH, ALARMS, SeedRange
+from hydro_agents.running.seeds import ALARM_CALIBRATION, ALARMS, SeedRange
 from hydro_agents.running.statistics import Interval, mean_interval, share_interval
 from hydro_env.files import Group
 from hydro_rig.monitoring.alarm_calibration import (
@@ -24,10 +24,8 @@ from hydro_rig.monitoring.alarm_calibration import (
     healthy_peaks,
     rate_per_100_h,
     totals,
-    z_table,
 )
-from hydro_rig.monitoring.alarm_simulation import Bench, Onset, OnsetLooks, Work
-from hydro_rig.monitoring.growth import growth
+from hydro_rig.monitoring.alarm_simulation import Bench, Onset, Work
 
 LEVELS = (0.05, 0.1, 0.3)  # leaks, l/min at 100 bar
 
@@ -62,8 +60,6 @@ FAULTS = (
 )
 """Other faults that begin in motion, and their magnitudes."""
 
-LIMIT_LPM, GROWING = 1.0, 300.0  # the size to which growing leaks are extrapolated; s in which they grow
-
 REST_MINUTES, PAST, NAMING = 20.0, 30.0, 124.0
 """Minutes at rest; s of work before such a rest or a fault; s in motion after which the alarm should name the fault."""
 
@@ -80,19 +76,15 @@ class AlarmJob(Group):
     learning: int = Field(60, ge=1, le=10_000, description="looks in motion until an axis's own baseline is known")
 
 
-class Result(NamedTuple):
-    """Settings, and the tables of the test by name."""
-
-    settings: AlarmSettings
-    tables: dict[str, pd.DataFrame]
-
-
-def run_job(bench: Bench, job: AlarmJob) -> Result:
+def run_job(bench: Bench, job: AlarmJob) -> tuple[AlarmSettings, dict[str, pd.DataFrame]]:
     """Calibrate an alarm and test it.
 
     Args:
         bench: task, controllers, detector and folder.
         job: sizes.
+
+    Returns:
+        The settings, and the tables of the test by name.
 
     Raises:
         ConfigurationError: too few looks, or a score that does not rise with the leak.
@@ -100,15 +92,15 @@ def run_job(bench: Bench, job: AlarmJob) -> Result:
     """
     ration = float(getattr(bench.detector, "ration", 0.0))
 
-    def work(seeds: SeedRange, levels: tuple[float, ...]) -> Work:
+    def work(seeds: SeedRange, levels: Sequence[float]) -> Work:
         onsets = tuple(Onset(level) for level in levels)
-        return Work(seeds.take(job.axes).start, job.axes, job.seconds, job.interval, after=job.leaking, onsets=onsets)
+        return Work(seeds.take(job.axes).start, job.axes, job.seconds, job.interval, job.leaking, onsets)
 
-    def brief(onsets: tuple[Onset, ...], after: float) -> Work:
+    def brief(onsets: Iterable[Onset], after: float) -> Work:
         count = min(job.fault_axes, job.axes)
-        return Work(ALARMS.take(count).start, count, PAST, job.interval, after=after, onsets=onsets)
+        return Work(ALARMS.take(count).start, count, PAST, job.interval, after, tuple(onsets))
 
-    designs = tuple(sorted(set(DESIGN.values())))
+    designs = sorted(set(DESIGN.values()))
     validation = bench.looks({"validation": work(ALARM_CALIBRATION, designs)})["validation"]
     healthy, *leaking = (Axes(looks, ration) for looks in validation)
     by_size = dict(zip(designs, leaking, strict=True))
@@ -116,30 +108,23 @@ def run_job(bench: Bench, job: AlarmJob) -> Result:
     bound = bench.config.leakage.class_bounds[0]
     settings = calibrate(healthy, chosen, job.rate, job.learning, bench.detector_name, bound)
 
-    in_motion = tuple(Onset(then=Activity.MOVING, fault=fault) for fault in (None, *FAULTS))
-    growing = Work(
-        ALARM_GROWTH.first, job.fault_axes, PAST, 0.5, after=GROWING, onsets=(Onset(3.0, Activity.MOVING, grows=True),)
-    )
+    in_motion = (Onset(then=Activity.MOVING, fault=fault) for fault in (None, *FAULTS))
     found = bench.looks(
         {
-            "growth": growing,
             "work": work(ALARMS, LEVELS),
-            "rest": brief(tuple(AT_REST.values()), max(NAMING, 3.0 * ration + job.interval)),
+            "rest": brief(AT_REST.values(), max(NAMING, 3.0 * ration + job.interval)),
             "faults": brief(in_motion, NAMING),
         }
     )
     fresh, *leaks = (Axes(looks, ration) for looks in found["work"])
     few = fresh.among(np.arange(len(found["rest"][0].score)))
     resting = {name: Axes(looks, ration) for name, looks in zip(AT_REST, found["rest"][1:], strict=True)}
-    tables = {
-        "z_scores": z_table(settings, healthy),
+    return settings, {
         "false_alarms": false_alarms(settings, fresh),
         "shift": shift_table(settings, fresh, dict(zip(LEVELS, leaks, strict=True))),
         "at_rest": rest_table(settings, few, resting),
         "causes": cause_table(settings, few, found["faults"][1:]),
-        "growth": growth_summary(growth_table(growing.found(found["growth"])[0], LIMIT_LPM)),
     }
-    return Result(settings, tables)
 
 
 def false_alarms(settings: AlarmSettings, healthy: Axes) -> pd.DataFrame:
@@ -229,28 +214,3 @@ def cause_table(settings: AlarmSettings, healthy: Axes, looks: list[Looks]) -> p
     total |= share_interval(hits, count).columns("named_rightly")
     total |= {name: float(faulty[name].mean()) for name in ("named_wrongly", "leak_alarm")}
     return pd.concat([table, pd.DataFrame([total])], ignore_index=True)
-
-
-def growth_table(found: OnsetLooks, limit_lpm: float) -> pd.DataFrame:
-    """Predictions for growing leaks at half of a limit: does the 90 % interval contain the true time to the limit?
-
-    Args:
-        found: looks at axes whose leaks grow beyond the limit.
-        limit_lpm: the limit, l/min at 100 bar.
-    """
-    rows, hours = [], found.after.time / 3600.0
-    for truth, flow in zip(found.after.true_flow_lpm, found.after.flow_lpm, strict=True):
-        half, full = (int(np.argmax(truth >= share * limit_lpm)) for share in (0.5, 1.0))
-        expected, left = growth(hours[: half + 1], flow[: half + 1], limit_lpm).ahead, float(hours[full] - hours[half])
-        row = {"hours_left": left, **expected.columns("expected_hours")}
-        rows.append(row | {"holds": float(expected.low <= left <= expected.high)})
-    return pd.DataFrame(rows)
-
-
-def growth_summary(table: pd.DataFrame) -> pd.DataFrame:
-    """One row: axes with a trend, medians, and the share of intervals that contain the true time."""
-    known = table.dropna()  # NaN: too few looks at a readable size
-    holds = share_interval(int(known["holds"].sum()), len(known))
-    row = {"axes": len(table), "with_trend": len(known), "median_hours_left": float(table["hours_left"].median())}
-    row |= {f"median_{name}": float(known[name].median()) for name in ("expected_hours", "low", "high")}
-    return pd.DataFrame([row | holds.named("holds")])

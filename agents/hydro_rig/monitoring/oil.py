@@ -84,11 +84,6 @@ class Oil(NamedTuple):
         """What a leak measured at temperatures in °C is multiplied by to be that at the reference."""
         return self.viscosity(temperature) / self.viscosity(REFERENCE)
 
-    def text(self) -> str:
-        """``ISO VG 46 (46 and 6.76 mm²/s at 40 and 100 °C)``."""
-        grade = f"ISO VG {self.at_40:g}" if GRADES.get(int(self.at_40)) == self.at_100 else "oil"
-        return f"{grade} ({self.at_40:g} and {self.at_100:g} mm²/s at 40 and 100 °C)"
-
 
 def common_error(oil: Oil, temperature: float, between: tuple[float, float]) -> float:
     """Standard deviation, in decades, of the error that all sizes at the reference share: of the thermometer.

@@ -46,8 +46,6 @@ class MadeUp:
             cause[:] = Cause.NONE if onset.fault is None else CAUSE_OF_FAULT[onset.fault[0]]
             if onset.then is not None:
                 activity[:] = onset.then
-            if onset.grows:
-                flow[:] = 0.01 * (onset.leak_lpm / 0.01) ** np.linspace(0.0, 1.0, len(time))
         score = generator.normal(0.0, 1.0, shape) + self.rise * flow / 0.1 * (activity == Activity.MOVING)
         seen = flow * 10.0 ** generator.normal(0.0, 0.02, shape)
         return Looks(time, score, np.full(shape, np.nan), seen, cause, activity, flow)
@@ -70,7 +68,6 @@ def test_the_job_finds_settings_and_tests_them():
     assert len(causes) == len(FAULTS) + 2
     assert causes.loc["all faults", "named_rightly"] == 1.0
     assert (causes["named_wrongly"] == 0.0).all()
-    assert tables["growth"].loc[0, "with_trend"] == JOB.fault_axes
 
 
 def test_a_detector_that_sees_nothing_is_refused():

@@ -114,7 +114,7 @@ def test_recorded_looks_equal_those_of_the_running_axes():
 def test_finished_looks_are_read_again_and_those_of_another_detector_are_not(tmp_path):
     def looks(detector, *onsets):
         done = []
-        bench = Bench(CONFIG, {"PID": CONTROLLER}, detector, "", tmp_path, progress=lambda *now: done.append(now[1]))
+        bench = Bench(CONFIG, [CONTROLLER], detector, "", tmp_path, lambda *now: done.append(now[1]))
         return bench.looks({"a": Work(1_900_000, 2, 2.0, 0.5, after=1.0, onsets=onsets)})["a"], done[0]
 
     first, reused = looks(MeanPressure(), Onset(1.0))
@@ -133,8 +133,8 @@ def test_finished_looks_are_read_again_and_those_of_another_detector_are_not(tmp
 def test_controllers_take_turns_over_the_axes():
     slower = PID(PIDGains(proportional=10.0), CONFIG)
     work = {"a": Work(1_900_000, 4, 2.0, 0.5), "b": Work(1_900_000, 2, 2.0, 0.5)}
-    both = Bench(CONFIG, {"PID": CONTROLLER, "slower": slower}, MeanPressure(), "").looks(work)
-    alone = Bench(CONFIG, {"slower": slower}, MeanPressure(), "").looks(work)
+    both = Bench(CONFIG, [CONTROLLER, slower], MeanPressure(), "").looks(work)
+    alone = Bench(CONFIG, [slower], MeanPressure(), "").looks(work)
     np.testing.assert_array_equal(both["a"][0].score[2:], alone["a"][0].score[2:])
     np.testing.assert_array_equal(both["b"][0].score[1:], alone["b"][0].score[1:])
     assert (both["a"][0].score[:2] != alone["a"][0].score[:2]).any()
