@@ -49,7 +49,6 @@ class Settings(NamedTuple):
     between: tuple[float, float]  # °C, of an oil whose temperature was not recorded
     hourly: bool = False  # one row per hour instead of one per file
     axis_column: str = ""  # heading of the column that names the axis; empty: one axis per file
-    window: float = WINDOW  # s
     windows: int = MOST_WINDOWS  # of a reading
 
 
@@ -87,6 +86,15 @@ def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: Colu
     return found
 
 
+class _Open(NamedTuple):
+    """A row that is being read."""
+
+    hour: int
+    back: float  # s, by which the clock ran back before it
+    live: Liveliest
+    blocks: list[Blocks]  # of a measured flow
+
+
 def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Iterator[Row]:
     """Read a file; one row per axis and hour, or per axis.
 
@@ -100,24 +108,24 @@ def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None
     Raises:
         ConfigurationError: the file cannot be read.
     """
-    open_: dict[str, tuple[int, Liveliest, float, list[Blocks]]] = {}
+    reading: dict[str, _Open] = {}
     clock = None
     for name, rows in _by_axis(path, axis, columns, how):
         if clock is None:
             clock = _clock(path, rows.begin)
         for hour, part in _by_hour(rows, clock) if how.hourly else [(0, rows)]:
-            known = open_.get(name)
-            if known is None or known[0] != hour:
+            now = reading.get(name)
+            if now is None or now.hour != hour:
                 back = 0.0
-                if known is not None:
-                    yield row_of(name, known[1], config, how, clock, *known[2:])
-                    back = max(known[1].last - part.begin, 0.0)
-                open_[name] = (hour, Liveliest(how.window, config), back, [])
-            open_[name][1].add(part)
-            if sum(len(blocks.speed) for blocks in open_[name][3]) < MOST_BLOCKS:
-                open_[name][3].extend(flow_blocks(part))
-    for name, (_, live, back, blocks) in open_.items():
-        yield row_of(name, live, config, how, clock or 0.0, back, blocks)
+                if now is not None:
+                    yield row_of(name, now.live, config, how, clock, now.back, now.blocks)
+                    back = max(now.live.last - part.begin, 0.0)
+                now = reading[name] = _Open(hour, back, Liveliest(WINDOW, config), [])
+            now.live.add(part)
+            if sum(len(blocks.speed) for blocks in now.blocks) < MOST_BLOCKS:
+                now.blocks.extend(flow_blocks(part))
+    for name, now in reading.items():
+        yield row_of(name, now.live, config, how, clock or 0.0, now.back, now.blocks)
 
 
 def _by_axis(path: Path, axis: str, columns: ColumnMap | None, how: Settings) -> Iterator[tuple[str, Recording]]:
@@ -190,10 +198,10 @@ def row_of(
         temperature = _mean(np.array([_mean(one.auxiliary.get(OIL, NOTHING)) for one in rows]))
         volume = volume_leak(blocks)
         at_once = None if volume is None else _referred_leak(volume, how, temperature)
-        checked = check_samples(sampled_windows(candidates, how.window, config), seen.findings, config)
+        checked = check_samples(sampled_windows(candidates, WINDOW, config), seen.findings, config)
 
         def choose(samples: Sampled) -> Windows:
-            windows = cut(samples, round(how.window / config.control_period))
+            windows = cut(samples, round(WINDOW / config.control_period))
             commanded = np.isfinite(windows.signal("previous_command")).mean(axis=1)
             return windows.part(commanded > 0.5)  # without the margins
 
@@ -212,7 +220,7 @@ def row_of(
             choose=choose,
             read=read,
             limits=Limits.of(config),
-            window=how.window,
+            window=WINDOW,
             balance=at_once,
             rows=rows,
         )
@@ -225,8 +233,18 @@ def row_of(
     faults = [finding.line() for finding in findings if finding.weight is Weight.FAULT]
     note = f"clock runs back by {number(back, digits=3)} s at its begin" if back > 0.0 else ""
     reason = "; ".join(dict.fromkeys(part for part in (verdict.why, *faults, *notes, note) if part))
-    times = clock + live.first, clock + live.last
-    return Row(*times, axis, verdict.kind, leak, seen.moving, temperature, at_40, reason, max(back, seen.clock_back))
+    return Row(
+        time=clock + live.first,
+        until=clock + live.last,
+        axis=axis,
+        verdict=verdict.kind,
+        leak=leak,
+        moving=seen.moving,
+        temperature=temperature,
+        at_40=at_40,
+        reason=reason,
+        clock_back=max(back, seen.clock_back),
+    )
 
 
 def _mean(values: NDArray[np.float64]) -> float:
@@ -237,5 +255,5 @@ def _mean(values: NDArray[np.float64]) -> float:
 def _referred_leak(found: VolumeLeak, how: Settings, temperature: float) -> VolumeLeak:
     """The leak by the balance of volumes at the reference temperature."""
     one = Reading.of([0.0], flow_lpm=found.value, low_lpm=found.low, high_lpm=found.high)
-    _, _, _, value, low, high, *_ = referred(one, how.oil, np.array([temperature]), how.between)
-    return found._replace(value=float(value[0]), low=float(low[0]), high=float(high[0]))
+    warm = referred(one, how.oil, np.array([temperature]), how.between)
+    return found._replace(value=float(warm.flow_lpm[0]), low=float(warm.low_lpm[0]), high=float(warm.high_lpm[0]))

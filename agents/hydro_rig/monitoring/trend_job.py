@@ -101,32 +101,32 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
     table = read_table(how.table)
     maps = dict(zip(files, maps_of(how.maps, [file.path for file in files]), strict=True))
     configs = _configs(how, {file.axis for file in files} | set(table["axis"]))
-    new = unread(files, table)
+    new = {file.name: file for file in unread(files, table)}
     page, left_out = folder / f"{how.table.stem}.html", list[str]()
     with output_folder(folder, "trend", (page.name, FIGURE_FILES), resume=True):
-        jobs = {}
-        for file in new:
-            arguments = (str(file.path.absolute()), file.axis, configs[file.axis], maps[file], settings)
-            jobs[file.name] = Job(read_rows, None, arguments)
-        by_name = {file.name: file for file in new}
-        if progress is not None and new:
-            progress("files", 0, len(new))
+        jobs = {
+            name: Job(read_rows, None, (str(file.path.absolute()), file.axis, configs[file.axis], maps[file], settings))
+            for name, file in new.items()
+        }
+        report = progress or (lambda phase, done, total: None)
+        if new:
+            report("files", 0, len(new))
         with closing(answers_of(jobs, None)) as answers:
             for done, (name, result) in enumerate(answers, 1):
                 if result.error:
                     left_out.append(result.error)
                 else:
-                    table = with_rows(table, by_name[name], result.metrics, settings.oil)
+                    table = with_rows(table, new[name], result.metrics, settings.oil)
                     write_table(how.table, table)
-                if progress is not None:
-                    progress("files", done, len(new))
+                report("files", done, len(new))
         if table.empty:
-            _tell_why(new[0], maps[new[0]] is None, left_out)
+            first = next(iter(new.values()))
+            _tell_why(first, maps[first] is None, left_out)
         axes = sorted(set(table["axis"]))
         configs |= _configs(how, set(axes))  # names of a column
         limits = {axis: how.limit or USUAL_LIMIT * leak_scale(configs[axis]) for axis in axes}
         trends = trends_of(table, limits, repairs_of(how.repaired, axes), settings.oil, settings.between)
-        render_trend(trends, table, how.table.name, left_out, Origin.now(command)).write(page)
+        render_trend(trends, how.table.name, left_out, Origin.now(command)).write(page)
     return Watched(trends, len(new) - len(left_out), len(files) - len(new), left_out, _clocks(table), how.table, page)
 
 
