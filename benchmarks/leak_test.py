@@ -24,8 +24,9 @@ from hydro_agents.running.seeds import LEAK_TESTS, THRESHOLDS
 from hydro_env import TaskConfig
 from hydro_env.files import write_text
 from hydro_env.task.configuration import task_config
-from hydro_rig.diagnosis.leak_test_plan import FIND, LeakTestSettings, Plan, plan, simulated
+from hydro_rig.diagnosis.leak_test_plan import FIND, Plan, plan, simulated
 from hydro_rig.diagnosis.leak_test_reading import read_leak_test
+from hydro_rig.diagnosis.leak_test_steps import LeakTestSettings
 from hydro_rig.estimation.unknowns import LEAKAGE
 from hydro_rig.recordings.simulated import recording_csv
 
@@ -34,8 +35,7 @@ VALIDATION_SKIP = 60_000  # seeds of validation before those of this benchmark
 
 def judged(config: TaskConfig, test: Plan, seed: int, leak: float, folder: Path) -> dict[str, float]:
     """Run the test on one axis and read it."""
-    one = test.allowed._replace(leak=leak, plants=1)
-    axis = simulated(test.task, test.best.steps, one, range(seed, seed + 1))
+    axis = simulated(test.task, test.best.steps, 1, leak, range(seed, seed + 1))
     recording = folder / f"{seed}-{leak:g}.csv"
     time_stamps = config.control_period * np.arange(axis.signals.shape[2], dtype=np.float64)
     write_text(recording, recording_csv(time_stamps, axis.signals[0]))
@@ -71,8 +71,9 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=None, help="for the results, which it keeps")
     arguments = parser.parse_args()
     config = task_config(None, rig=arguments.rig)
-    test = plan(config, LeakTestSettings(duration=arguments.duration, stop=arguments.stop))
-    print(f"{test.best.form.name}; bound {test.best.mean_bound():.2g}, worst {test.deviation:.2g} l/min at 100 bar")
+    test = plan(config, LeakTestSettings.of(config, duration=arguments.duration, stop=arguments.stop))
+    best = test.best
+    print(f"{best.form.name}; bound {best.mean_bound():.2g}, worst {best.largest_bound():.2g} l/min at 100 bar")
     results = []
     with tempfile.TemporaryDirectory() as name:
         folder = arguments.folder or Path(name)

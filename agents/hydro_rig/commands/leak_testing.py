@@ -120,12 +120,12 @@ def _ends(between: str | None) -> tuple[float | None, float | None]:
 def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json: bool, overwrite: bool) -> None:
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import refuse_taken
-    from hydro_env.files import validate
-    from hydro_rig.diagnosis.leak_test_plan import LeakTestSettings, plan
+    from hydro_rig.diagnosis.leak_test_plan import plan
     from hydro_rig.diagnosis.leak_test_plan_page import JOB, PLAN_FILES, plan_facts, plan_to_folder
+    from hydro_rig.diagnosis.leak_test_steps import LeakTestSettings
 
     refuse_taken(output, JOB, PLAN_FILES, overwrite)
-    settings = validate(LeakTestSettings, given, "leak-test")
+    settings = LeakTestSettings.of(config, **given)
     with nullcontext() if as_json else ProgressDisplay() as display:
         test = plan(config, settings, display.update if display is not None else None)
     lines = plan_to_folder(output, test, overwrite, command_line())

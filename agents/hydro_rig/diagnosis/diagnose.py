@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,14 +15,14 @@ from hydro_agents.detection.detector import Cause, Detector, Reading, Why, Windo
 from hydro_agents.detection.head import LeakageHead
 from hydro_env import TaskConfig
 from hydro_rig.diagnosis.companion import Companion, Watched, watched
-from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
-from hydro_rig.diagnosis.verdict import EXIT_CODES, Limits, Verdict
+from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged, volume_leak
+from hydro_rig.diagnosis.verdict import EXIT_CODES
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.parts import lively
-from hydro_rig.recordings.quality import Checked, check_recording
+from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import cut
 
@@ -39,29 +40,24 @@ class NamedReading(NamedTuple):
     own: bool = False  # neither the estimator nor the leakage head: its score is shown as well
 
 
-class Diagnosis(NamedTuple):
+@dataclass(frozen=True)
+class Diagnosis(Judged):
     """All results for a recording."""
 
     recording: Recording
-    task: TaskConfig  # that was assumed
-    checked: Checked
-    windows: Windows
-    read: Read
     companion: Companion
-    limits: Limits
-    verdict: Verdict
     alarm: Watched | None  # None: no settings of an alarm were given
     note: str  # why the companion was not used; empty if it was
 
     @property
     def readings(self) -> list[NamedReading]:
         """What was read, by detector."""
-        readings, companion = [], self.companion
-        if self.read.estimator is not None:
-            readings.append(NamedReading("estimator", "estimator", self.read.estimator))
-        if self.read.companion is not None:
-            readings.append(NamedReading(companion.name, companion.column, self.read.companion, companion.own))
-        return readings
+        companion = self.companion
+        readings = (
+            ("estimator", "estimator", self.read.estimator, False),
+            (companion.name, companion.column, self.read.companion, companion.own),
+        )
+        return [NamedReading(name, column, one, own) for name, column, one, own in readings if one is not None]
 
 
 def diagnose(
@@ -105,7 +101,7 @@ def diagnose(
     checked = check_recording(recording, config)
     checked.findings.extend(_about_auxiliary(recording))
     length = max(round(window / config.control_period), 2)
-    note, limits = companion.detector.refuses(config, length), Limits.of(config)
+    note = companion.detector.refuses(config, length)
 
     def read(windows: Windows) -> Read:
         commanded = np.flatnonzero(windows.commanded)
@@ -128,24 +124,13 @@ def diagnose(
         config,
         choose=lambda samples: cut(samples, length),
         read=read,
-        limits=limits,
-        window=window,
-        balance=volume_leak(flow_blocks(recording)),
         rows=[recording],
+        balance=volume_leak(flow_blocks(recording)),
+        window=window,
         companion=companion.name,
     )
-    return Diagnosis(
-        recording=recording,
-        task=config,
-        checked=result.checked,
-        windows=result.windows,
-        read=result.read,
-        companion=companion,
-        limits=limits,
-        verdict=result.verdict,
-        alarm=None if alarm is None else watched(result.checked, companion, config, alarm),
-        note=note,
-    )
+    watch = None if alarm is None else watched(result.checked, companion, config, alarm)
+    return Diagnosis(**vars(result), recording=recording, companion=companion, alarm=watch, note=note)
 
 
 def read_windows(
@@ -180,12 +165,12 @@ def _about_auxiliary(recording: Recording) -> list[Finding]:
     findings: list[Finding] = []
     for name, values in recording.auxiliary.items():
         if np.isfinite(values).any() and name != "flow":
-            warm = name == "oil_temperature"
-            low, high = (1.0 if warm else 1e-5) * np.nanquantile(values, [0.01, 0.99])
-            unit, more = (
-                ("°C", "a leak past the seal grows as the oil thins") if warm else ("bar", "the model follows it")
-            )
-            findings.append(Finding(name, f"is {low:.4g} to {high:.4g} {unit}; {more}", Weight.NOTE))
+            low, high = np.nanquantile(values, [0.01, 0.99])
+            if name == "oil_temperature":
+                what = f"is {low:.4g} to {high:.4g} °C; a leak past the seal grows as the oil thins"
+            else:
+                what = f"is {1e-5 * low:.4g} to {1e-5 * high:.4g} bar; the model follows it"
+            findings.append(Finding(name, what, Weight.NOTE))
     return findings
 
 

@@ -19,9 +19,9 @@ from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, capitalised, number
 from hydro_env.files import write_text
 from hydro_env.task.sensors import SENSORS
+from hydro_rig.diagnosis.diagnosis_page import signals_of
 from hydro_rig.diagnosis.leak_test_plan import FIND
 from hydro_rig.diagnosis.leak_test_reading import WINDOW, LeakTest, Quantity
-from hydro_rig.diagnosis.recording_page import signals_of
 from hydro_rig.diagnosis.verdict import EXIT_CODES
 from hydro_rig.estimation.estimator import WEAR, healthy_range
 from hydro_rig.estimation.unknowns import LEAKAGE
@@ -48,7 +48,7 @@ def reading_to_folder(folder: Path, test: LeakTest, overwrite: bool, command: st
     with output_folder(folder, JOB, READING_FILES, overwrite=overwrite):
         write_text(folder / NUMBERS_FILE, json.dumps(reading_facts(test), indent=1) + "\n")
         render_reading(test, Origin.now(command)).write(folder / READING_PAGE)
-    lines = [finding.line() for finding in test.findings]
+    lines = [finding.line() for finding in test.checked.findings]
     return [*lines, *flow_lines(test), str(folder / READING_PAGE), test.verdict.line()]
 
 
@@ -86,7 +86,7 @@ def reading_facts(test: LeakTest) -> dict[str, Any]:
         "unknowns": {name: facts(quantity) for name, quantity in fit.quantities.items()} if fit else {},
         "windows": len(test.windows),
         "explained": fit.common.explained if fit else 0,
-        "findings": [finding.line() for finding in test.findings],
+        "findings": [finding.line() for finding in test.checked.findings],
     }
 
 
@@ -95,7 +95,7 @@ def render_reading(test: LeakTest, origin: Origin) -> Page:
     explained = test.fit.common.explained if test.fit else 0
     windows = f"{len(test.windows)} of {WINDOW:g} s, {explained} explained by the model"
     recording = test.recording
-    tables = recording_tables(recording.source, test.task.plant, recording.time, test.findings, Windows=windows)
+    tables = recording_tables(recording.source, test.task.plant, recording.time, test.checked.findings, Windows=windows)
     parts = {"leak_test": test, "verdict": test.verdict, "judging": JUDGING, "flows": tuple(flow_lines(test))}
     content = Content(tables, test.task, others=parts)
     sources = Markup("Numbers: <code>leak_test.json</code> beside this page.")

@@ -17,6 +17,7 @@ from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import COLOURS
 from hydro_agents.report.recorded import Line, Signal, paint_course, rig_line
 from hydro_agents.report.sections import Block, Points, Text, render_page, section
+from hydro_agents.rigs.check import resting_place
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, capitalised, number
@@ -24,7 +25,7 @@ from hydro_env import __version__
 from hydro_env.files import write_text
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.diagnosis.leak_test_plan import SIMULATED_LEAK, Plan, speeds
+from hydro_rig.diagnosis.leak_test_plan import SIMULATED_LEAK, Plan
 from hydro_rig.diagnosis.leak_test_steps import RAMP
 from hydro_rig.export.c_files import render as render_code
 from hydro_rig.recordings.simulated import recording_csv
@@ -56,13 +57,13 @@ RUNNING = (
 
 def plan_to_folder(folder: Path, plan: Plan, overwrite: bool, command: str) -> list[str]:
     """Write the page, the commands as CSV and C, and a simulated recording; returns lines for the user."""
-    period, windows = plan.task.control_period, plan.best.windows
+    signals = plan.best.signals
     with output_folder(folder, JOB, PLAN_FILES, overwrite=overwrite):
         write_text(folder / COMMANDS_FILE, commands_csv(plan))
         write_text(folder / HEADER_FILE, header_code(plan, command))
-        time = period * np.arange(windows.signals.shape[2], dtype=np.float64)
-        note = f"{command}: simulated axis, leak {plan.allowed.leak:g} l/min at 100 bar"
-        write_text(folder / TRIAL_FILE, recording_csv(time, windows.signals[0], note))
+        time = plan.task.control_period * np.arange(signals.shape[2], dtype=np.float64)
+        note = f"{command}: simulated axis, leak {SIMULATED_LEAK:g} l/min at 100 bar"
+        write_text(folder / TRIAL_FILE, recording_csv(time, signals[0], note))
         render_plan(plan, Origin.now(command)).write(folder / PLAN_PAGE)
     files = [str(folder / name) for name in (PLAN_PAGE, COMMANDS_FILE, HEADER_FILE, TRIAL_FILE)]
     return [*files, capitalised(plan_line(plan))]
@@ -100,7 +101,7 @@ def plan_line(plan: Plan) -> str:
     return (
         f"a test of {sum(step.seconds for step in plan.best.steps):.0f} s, the valve at most {100 * largest:.2g} % "
         f"open: {plan.best.form.name}; 90 % interval of the leak at the bound "
-        f"±{number(HALF_WIDTH * plan.deviation, digits=2)} l/min at 100 bar"
+        f"±{number(HALF_WIDTH * plan.best.largest_bound(), digits=2)} l/min at 100 bar"
     )
 
 
@@ -110,9 +111,9 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
         "steps": [{"opening": step.opening, "seconds": step.seconds, "what": step.what} for step in plan.best.steps],
         "form": plan.best.form.name,
         "bound_lpm": plan.best.mean_bound(),
-        "largest_bound_lpm": plan.deviation,
+        "largest_bound_lpm": plan.best.largest_bound(),
         "smallest_leak_lpm": plan.smallest,
-        "largest_speed": float(np.abs(speeds(plan.best.position, plan.task.control_period)).max()),
+        "largest_speed": plan.best.speed,
         "positions": [float(plan.best.position.min()), float(plan.best.position.max())],
         "largest_pressure": float(plan.best.pressures.max()),
     }
@@ -139,15 +140,14 @@ def planned_test(content: Content) -> list[Block]:
 
 def _limits(plan: Plan) -> Table:
     """What the simulated axes reach, and the limits."""
-    limits, best = plan.allowed, plan.best
-    fastest = np.abs(speeds(best.position, plan.task.control_period)).max()
+    limits, best = plan.settings, plan.best
     low, high = (f"{1e3 * end:.0f}" for end in (best.position.min(), best.position.max()))
     ends = ("the stop" if np.isinf(end) else f"{1e3 * end:.0f}" for end in (limits.low, limits.high))
     rows = [
-        ("Speed, also against a stop, mm/s", f"{1e3 * fastest:.0f}", f"{1e3 * limits.speed:.0f}"),
+        ("Speed, also against a stop, mm/s", f"{1e3 * best.speed:.0f}", f"{1e3 * limits.speed:.0f}"),
         ("Pressure, bar", f"{1e-5 * best.pressures.max():.0f}", f"{1e-5 * limits.pressure:.0f}"),
         ("Positions, mm", f"{low} to {high}", " to ".join(ends)),
-        ("Start, mm", f"{1e3 * limits.start:.0f}", ""),
+        ("Start, mm", f"{1e3 * resting_place(plan.task.plant):.0f}", ""),
     ]
     title = f"{len(best.position)} simulated axes with worn valves"
     return Table(title, ("", "Reached", "Limit"), rows, folded=False)
@@ -158,7 +158,7 @@ def plan_course(content: Content) -> list[Block]:
     """Commands, positions, pressures, and how the bound falls."""
     plan = content.part("plan", Plan)
     note = (
-        f"{len(plan.best.position)} simulated axes, with worn valves and a leak of {plan.allowed.leak:g} l/min. "
+        f"{len(plan.best.position)} simulated axes, with worn valves and a leak of {SIMULATED_LEAK:g} l/min. "
         "The bound is the smallest standard deviation that any method can reach with the readings up to that time."
     )
     alt = f"Opening, position, pressures and bound over time. {plan_line(plan)}"
@@ -213,7 +213,7 @@ def plan_forms(content: Content) -> list[Block]:
         (
             trial.form.name + (" (chosen)" if trial is plan.best else ""),
             number(trial.mean_bound(), digits=2),
-            number(float(trial.bound[:, -1].max()), digits=2),
+            number(trial.largest_bound(), digits=2),
             "all within" if not trial.beyond else f"{trial.beyond} of {len(trial.position)} beyond",
         )
         for trial in plan.trials

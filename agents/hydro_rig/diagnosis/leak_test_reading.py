@@ -7,6 +7,7 @@ All windows of the recording share leak, plant and wear; each has its own start.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,8 +24,8 @@ from hydro_env.task.sensors import COMMAND, SENSORS
 from hydro_env.types import Floats
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis.leak_test_plan import Progress, priors_of_test, worn_task
-from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
-from hydro_rig.diagnosis.verdict import Leak, Limits, Verdict
+from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged, volume_leak
+from hydro_rig.diagnosis.verdict import Leak, Limits
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.estimator import SURE, WEAR, healthy_range
 from hydro_rig.estimation.first_guess import first_values
@@ -48,7 +49,6 @@ from hydro_rig.identification.common_fit import (
 from hydro_rig.identification.fit import COVERAGE
 from hydro_rig.identification.intervals import spread_of
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import Sampled, cut
@@ -98,16 +98,12 @@ class LeakFit(NamedTuple):
         return read
 
 
-class LeakTest(NamedTuple):
-    """The result of a leak test."""
+@dataclass(frozen=True)
+class LeakTest(Judged):
+    """The result of a leak test; its task has a healthy valve."""
 
     recording: Recording
-    task: TaskConfig  # of the rig, with a healthy valve
-    findings: list[Finding]
-    windows: Windows
     fit: LeakFit | None  # None: nothing was read
-    limits: Limits
-    verdict: Verdict
 
 
 def read_leak_test(
@@ -130,7 +126,6 @@ def read_leak_test(
         ConfigurationError: the recording cannot be read at all.
     """
     recording = read_recording(path, columns)
-    limits = Limits.of(config) if limit is None else Limits(limit, limit)
     task, fit = worn_task(config), None
 
     def read(windows: Windows) -> Read:
@@ -147,20 +142,12 @@ def read_leak_test(
         config,
         choose=lambda samples: _windows(samples, config),
         read=read,
-        limits=limits,
-        window=WINDOW,
-        balance=volume_leak(flow_blocks(recording)),
         rows=[recording],
+        balance=volume_leak(flow_blocks(recording)),
+        window=WINDOW,
+        limits=None if limit is None else Limits(limit, limit),
     )
-    return LeakTest(
-        recording=recording,
-        task=config,
-        findings=result.checked.findings,
-        windows=result.windows,
-        fit=fit,
-        limits=limits,
-        verdict=result.verdict,
-    )
+    return LeakTest(**vars(result), recording=recording, fit=fit)
 
 
 def _windows(samples: Sampled, config: TaskConfig) -> Windows:

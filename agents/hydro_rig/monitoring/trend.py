@@ -21,7 +21,7 @@ from hydro_agents.running.text import number
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.diagnosis.diagnose import read_windows
 from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
-from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Limits, Verdict, combined
+from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Verdict, combined
 from hydro_rig.diagnosis.volume_balance import Blocks, VolumeLeak
 from hydro_rig.monitoring.oil import Oil, referred
 from hydro_rig.recordings.columns import ColumnMap
@@ -219,10 +219,9 @@ def row_of(
             config,
             choose=choose,
             read=read,
-            limits=Limits.of(config),
-            window=WINDOW,
-            balance=at_once,
             rows=rows,
+            balance=at_once,
+            window=WINDOW,
         )
         findings, verdict, reading = found.checked.findings, found.verdict, found.read.estimator
         if volume is not None and verdict.detector == BALANCE:

@@ -14,10 +14,10 @@ from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_rig.diagnosis.leak_test_page import reading_facts
-from hydro_rig.diagnosis.leak_test_plan import LeakTestSettings, plan, priors_of_test, simulated, speeds, worn_task
+from hydro_rig.diagnosis.leak_test_plan import plan, priors_of_test, simulated, worn_task
 from hydro_rig.diagnosis.leak_test_plan_page import commands_csv, header_code
 from hydro_rig.diagnosis.leak_test_reading import Quantity, edge_flow, read_leak_test
-from hydro_rig.diagnosis.leak_test_steps import FORMS, RAMP, Allowed, Step, commands_of
+from hydro_rig.diagnosis.leak_test_steps import FORMS, RAMP, LeakTestSettings, Step, commands_of
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.estimation.model import Model
 from hydro_rig.export.c_files import c_compiler, compiled
@@ -38,7 +38,7 @@ STEPS = (
 @pytest.fixture(scope="module")
 def small_plan():
     """A short plan of two plants."""
-    return plan(CONFIG, LeakTestSettings(duration=10.0, opening=0.2, stop="extended", plants=2))
+    return plan(CONFIG, LeakTestSettings.of(CONFIG, duration=10.0, opening=0.2, stop="extended", plants=2))
 
 
 def test_a_step_begins_with_a_ramp():
@@ -49,9 +49,9 @@ def test_a_step_begins_with_a_ramp():
 
 
 def test_the_plan_keeps_the_limits_and_takes_the_lowest_bound(small_plan):
-    best, allowed = small_plan.best, small_plan.allowed
+    best = small_plan.best
     assert best.beyond == 0
-    assert np.abs(speeds(best.position, CONFIG.control_period)).max() <= allowed.speed == CONFIG.failure.end_stop_speed
+    assert best.speed <= small_plan.settings.speed == CONFIG.failure.end_stop_speed
     assert best.mean_bound() == min(trial.mean_bound() for trial in small_plan.trials if not trial.beyond)
     assert [trial.form for trial in small_plan.trials] == list(FORMS)
     assert np.all(np.diff(best.bound, axis=1) <= 1e-12)  # more readings never raise it
@@ -108,8 +108,7 @@ def test_the_flow_through_the_edges_is_that_of_two_equal_edges_in_series():
 def recorded(tmp_path, leak):
     """The recording of a short test on a simulated axis with a worn valve."""
     task = worn_task(CONFIG)
-    allowed = Allowed(8.0, 0.2, 0.1, 2e7, "extended", -np.inf, np.inf, start=0.0, leak=leak, plants=1)
-    axis = simulated(task, STEPS, allowed, LEARNING.take(1, 4001))
+    axis = simulated(task, STEPS, 1, leak, LEARNING.take(1, 4001))
     path = tmp_path / f"{leak:g}.csv"
     time = CONFIG.control_period * np.arange(axis.signals.shape[2])
     path.write_text(recording_csv(time, axis.signals[0]), encoding="utf-8")
@@ -169,6 +168,6 @@ def test_leak_test_refuses_in_one_line(tmp_path, options, parts):
 
 
 def test_limits_that_no_test_keeps_are_said():
-    tight = LeakTestSettings(duration=8.0, opening=0.2, stop="extended", high=0.02, plants=2)
+    tight = LeakTestSettings.of(CONFIG, duration=8.0, opening=0.2, stop="extended", high=0.02, plants=2)
     with pytest.raises(ConfigurationError, match="go beyond a limit in every test"):
         plan(CONFIG, tight)
