@@ -73,7 +73,7 @@ def main() -> None:
     config = task_config(None, rig=arguments.rig)
     test = plan(config, LeakTestSettings.of(config, duration=arguments.duration, stop=arguments.stop))
     best = test.best
-    print(f"{best.form.name}; bound {best.mean_bound():.2g}, worst {best.largest_bound():.2g} l/min at 100 bar")
+    print(f"{best.form.name}; bound {best.mean_bound:.2g}, worst {best.largest_bound:.2g} l/min at 100 bar")
     results = []
     with tempfile.TemporaryDirectory() as name:
         folder = arguments.folder or Path(name)

@@ -29,7 +29,7 @@ from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.monitoring.oil import GRADES, Oil
-from hydro_rig.monitoring.trend import Settings, row_of
+from hydro_rig.monitoring.trend import WINDOW, Settings, row_of
 from hydro_rig.monitoring.trend_summary import DAY, trends_of
 from hydro_rig.monitoring.trend_table import SIZES, stamp
 from hydro_rig.recordings.liveliest import Liveliest
@@ -89,13 +89,13 @@ def readings(controller: Controller, seed: int, days: int, grows: bool, windows:
         kept = np.flatnonzero(random.random(part.shape[1]) >= LOST)
         warm = {"oil_temperature": axis.warm[day] + off + random.normal(0.0, 0.3, len(kept))}
         time = (kept - kept[0]) * task.control_period
-        live = Liveliest(how.window, known)
+        live = Liveliest(WINDOW, known)
         live.add(Recording("day", time, part[:, kept], {}, [], warm, START + DAY * day))
         rows.append(row_of(f"{seed}", live, known, how))
     return {
-        "verdict": np.array([row.verdict.value for row in rows]),
+        "verdict": np.array([row.verdict for row in rows]),
         "reason": np.array([row.reason for row in rows]),
-        "leaks": np.array([[*row.leak, row.moving, row.temperature, *row.at_40] for row in rows]),
+        "leaks": np.array([[getattr(row, name) for name in SIZES] for row in rows]),
     }
 
 

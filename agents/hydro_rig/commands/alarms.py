@@ -41,9 +41,7 @@ def alarms(
     axes: Annotated[
         int | None, typer.Option(help="Axes for the calibration, and again for the test. Default: 40.")
     ] = None,
-    fault_axes: Annotated[
-        int | None, typer.Option(help="Of them, axes at rest and with other faults. Default: 20.")
-    ] = None,
+    fault_axes: Annotated[int | None, typer.Option(help="Of them, axes at rest. Default: 20.")] = None,
     interval: Annotated[float | None, typer.Option(help="Seconds between readings. Default: 4.")] = None,
     learning: Annotated[
         int | None, typer.Option(help="Readings in motion that form an axis's own baseline. Default: 60.")
@@ -56,9 +54,8 @@ def alarms(
     The alarm sums up the readings of a detector. Each axis works for ten minutes, healthy and with leaks: all families
     of references, at full speed, slowly, and standing, under the PID and the flow-linearising controller. Hours and
     shifts are then drawn from these readings, axis by axis. The threshold comes from validation seeds; test seeds give
-    false alarms, leaks missed in a shift and at rest, and the causes that the alarm names for other faults. It writes
-    `alarm.yaml` (the settings), `alarms.md` and one CSV per table. Ctrl-C keeps the finished jobs, and `--resume`
-    continues.
+    false alarms, and leaks missed in a shift and at rest. Written are `alarm.yaml` (the settings), `alarms.md` and one
+    CSV per table. Ctrl-C keeps the finished jobs, and `--resume` continues.
     """
     from hydro_agents.detection.detectors import DetectorChoice, make_detector
     from hydro_agents.detection.looks import window_of

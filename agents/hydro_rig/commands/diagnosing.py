@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -22,7 +21,7 @@ from hydro_agents.commands.options import (
     say,
     side_by_side,
 )
-from hydro_rig.commands.guesses import guesses_shown
+from hydro_rig.commands.guesses import reading
 
 Oil = Annotated[
     str,
@@ -64,7 +63,6 @@ def diagnose(
     Exit codes: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell, 2 wrong input.
     """
     from hydro_agents.detection.alarm import AlarmSettings
-    from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
     from hydro_rig.diagnosis.companion import Companion
@@ -79,8 +77,7 @@ def diagnose(
     companion = Companion.named(detector)
     mapped = read_map(columns) if columns is not None else None
     settings = AlarmSettings.load(alarm) if alarm is not None else None
-    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
-        progress = display.update if display is not None else None
+    with reading(as_json) as progress:
         diagnosis = diagnose_recording(recording, config, companion, mapped, window, settings, progress)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line())
     say(*([json.dumps(in_json(diagnosis), indent=1, ensure_ascii=False)] if as_json else lines))
@@ -134,12 +131,11 @@ def trend(
 
     Exit codes: 0 all healthy, 10 an axis leaks, 11 something else, 12 cannot tell, 2 wrong input.
     """
-    from hydro_agents.running.console import ProgressDisplay
     from hydro_rig.monitoring.trend_job import Watch, watch
 
     given = Watch(append, columns or [], task, rig or [], oil, temperature, limit, repaired or [], hourly, axis_column)
-    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
-        found = watch(recordings, given, command_line(), display.update if display is not None else None)
+    with reading(as_json) as progress:
+        found = watch(recordings, given, command_line(), progress)
     for line in found.left_out:
         print(f"hydro: left out: {line}", file=sys.stderr)
     say(*([json.dumps(found.json(), indent=1, ensure_ascii=False)] if as_json else found.lines()))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hydro_agents.commands.options import Columns, Json, Overwrite, OwnTask, Rig, command_line, say
-from hydro_rig.commands.guesses import guesses_shown
+from hydro_rig.commands.guesses import reading
 
 if TYPE_CHECKING:
     from hydro_env import TaskConfig
@@ -42,7 +41,9 @@ def leak_test(
     columns: Columns = None,
     limit: Annotated[
         float | None,
-        typer.Option(help="Leak in l/min at 100 bar from which the seal is faulty; default: those of the task."),
+        typer.Option(
+            min=1e-6, max=100.0, help="Leak in l/min at 100 bar from which the seal is faulty; default: the task's."
+        ),
     ] = None,
     duration: Annotated[float | None, typer.Option(help="s; default: 60.", rich_help_panel=_PLAN)] = None,
     speed: Annotated[
@@ -83,27 +84,21 @@ def leak_test(
     config = task_config(task, rig=rig)
     low, high = _ends(between)
     limits = {
-        "duration": duration,
-        "speed": _scaled(speed, 1e-3),
-        "opening": _scaled(opening, 1e-2),
-        "pressure": _scaled(pressure, 1e5),
-        "low": _scaled(low, 1e-3),
-        "high": _scaled(high, 1e-3),
+        "duration": (duration, 1.0),
+        "speed": (speed, 1e-3),
+        "opening": (opening, 1e-2),
+        "pressure": (pressure, 1e5),
+        "low": (low, 1e-3),
+        "high": (high, 1e-3),
     }
-    given = {name: value for name, value in limits.items() if value is not None}
+    given = {name: factor * value for name, (value, factor) in limits.items() if value is not None}
     if recording is None:
         _plan(config, given | {"stop": stop.value}, output or Path("results/leak_test_plan"), as_json, overwrite)
         return
     if given or stop is not Stop.BOTH:
         option = next(iter(given), "stop") if between is None else "between"
         raise ConfigurationError(f"--{option}: belongs to the plan; leave out RECORDING, or the option")
-    if limit is not None and not 0.0 < limit <= 100.0:
-        raise ConfigurationError(f"--limit {limit:g} l/min: must be above 0 and at most 100")
     _read(recording, config, columns, limit, output or Path("results/leak_test"), as_json, overwrite)
-
-
-def _scaled(value: float | None, factor: float) -> float | None:
-    return None if value is None else factor * value
 
 
 def _ends(between: str | None) -> tuple[float | None, float | None]:
@@ -118,7 +113,6 @@ def _ends(between: str | None) -> tuple[float | None, float | None]:
 
 
 def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json: bool, overwrite: bool) -> None:
-    from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import refuse_taken
     from hydro_rig.diagnosis.leak_test_plan import plan
     from hydro_rig.diagnosis.leak_test_plan_page import JOB, PLAN_FILES, plan_facts, plan_to_folder
@@ -126,8 +120,8 @@ def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json
 
     refuse_taken(output, JOB, PLAN_FILES, overwrite)
     settings = LeakTestSettings.of(config, **given)
-    with nullcontext() if as_json else ProgressDisplay() as display:
-        test = plan(config, settings, display.update if display is not None else None)
+    with reading(as_json) as progress:
+        test = plan(config, settings, progress)
     lines = plan_to_folder(output, test, overwrite, command_line())
     say(json.dumps(plan_facts(test), indent=1) if as_json else "\n".join(lines))
 
@@ -141,7 +135,6 @@ def _read(
     as_json: bool,
     overwrite: bool,
 ) -> None:
-    from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import refuse_taken
     from hydro_rig.diagnosis.leak_test_page import JOB, READING_FILES, reading_facts, reading_to_folder
     from hydro_rig.diagnosis.leak_test_reading import read_leak_test
@@ -150,8 +143,7 @@ def _read(
 
     refuse_taken(output, JOB, READING_FILES, overwrite)
     mapped = read_map(columns) if columns is not None else None
-    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
-        progress = display.update if display is not None else None
+    with reading(as_json) as progress:
         found = read_leak_test(recording, config, mapped, limit, progress)
     lines = reading_to_folder(output, found, overwrite, command_line())
     say(json.dumps(reading_facts(found), indent=1) if as_json else "\n".join(lines))

@@ -70,21 +70,22 @@ class Trial:
 
     form: Form
     steps: tuple[Step, ...]
-    lengths: Floats  # s from the start, rising
-    bound: Floats  # (plants, lengths), smallest standard deviation of the leak, l/min at 100 bar
+    bound: Floats  # (plants,), smallest standard deviation of the leak, l/min at 100 bar
     signals: Floats  # (plants, 5, T), measured
     position: Floats  # (plants, T), m, without noise
     pressures: Floats  # (plants, 2, T), Pa
     speed: float  # m/s, the largest
     beyond: int  # axes that went beyond a limit
 
+    @property
     def mean_bound(self) -> float:
-        """Geometric mean of the bound at the end over the axes, l/min at 100 bar."""
-        return float(np.exp(np.log(self.bound[:, -1]).mean()))
+        """Geometric mean of the bound over the axes, l/min at 100 bar."""
+        return float(np.exp(np.log(self.bound).mean()))
 
+    @property
     def largest_bound(self) -> float:
         """The bound on the worst simulated axis, l/min at 100 bar."""
-        return float(self.bound[:, -1].max())
+        return float(self.bound.max())
 
 
 class Plan(NamedTuple):
@@ -103,7 +104,7 @@ class Plan(NamedTuple):
     @property
     def smallest(self) -> float:
         """The leak that an estimate at the bound finds in 95 % of the tests at 1 % false alarms, l/min at 100 bar."""
-        return (FIND + MISS) * self.best.largest_bound()
+        return (FIND + MISS) * self.best.largest_bound
 
 
 def worn_task(config: TaskConfig) -> TaskConfig:
@@ -175,7 +176,7 @@ def plan(config: TaskConfig, settings: LeakTestSettings, progress: Progress | No
             f"reach {lowest:.0f} to {highest:.0f} mm, {1e-5 * least.pressures.max():.0f} bar: widen --between or "
             "--pressure, lower --opening or --duration, or test another --stop"
         )
-    return Plan(task, settings, trials, min(within, key=Trial.mean_bound))
+    return Plan(task, settings, trials, min(within, key=lambda trial: trial.mean_bound))
 
 
 def _tried(task: TaskConfig, settings: LeakTestSettings, form: Form, opening: float, travel: Sequence[float]) -> Trial:
@@ -183,9 +184,9 @@ def _tried(task: TaskConfig, settings: LeakTestSettings, form: Form, opening: fl
     steps = rounded(steps_of(form, task.plant, settings, opening, travel), task.control_period)
     windows = simulated(task, steps, settings.plants)
     position, pressures = _true_course(task, windows)
-    lengths = np.linspace(0.05, 1.0, 20) * (windows.signals.shape[2] - 1) * task.control_period
+    length = (windows.signals.shape[2] - 1) * task.control_period
     fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
-    bound = sigma(information(task, windows, priors_of_test(task, fitted), tuple(lengths)))
+    bound = sigma(information(task, windows, priors_of_test(task, fitted), (length,)))[:, 0]
     try:
         kept = _run(task, steps, settings.plants, SIMULATED_LEAK, settings.speed, settings.pressure).case
     except ConfigurationError:  # not one reaches the end
@@ -196,7 +197,6 @@ def _tried(task: TaskConfig, settings: LeakTestSettings, form: Form, opening: fl
     return Trial(
         form=form,
         steps=steps,
-        lengths=lengths,
         bound=bound,
         signals=windows.signals,
         position=position,

@@ -8,14 +8,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from hydro_agents.detection.detector import HALF_WIDTH
-from hydro_agents.report.canvas import GREY, WIDE, make_plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
-from hydro_agents.report.palette import COLOURS
-from hydro_agents.report.recorded import Line, Signal, paint_course, rig_line
+from hydro_agents.report.recorded import Line, Signal, course_plot, rig_line
 from hydro_agents.report.sections import Block, Points, Text, render_page, section
 from hydro_agents.rigs.check import resting_place
 from hydro_agents.running.folders import output_folder
@@ -101,7 +98,7 @@ def plan_line(plan: Plan) -> str:
     return (
         f"a test of {sum(step.seconds for step in plan.best.steps):.0f} s, the valve at most {100 * largest:.2g} % "
         f"open: {plan.best.form.name}; 90 % interval of the leak at the bound "
-        f"±{number(HALF_WIDTH * plan.best.largest_bound(), digits=2)} l/min at 100 bar"
+        f"±{number(HALF_WIDTH * plan.best.largest_bound, digits=2)} l/min at 100 bar"
     )
 
 
@@ -110,8 +107,8 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
     return {
         "steps": [{"opening": step.opening, "seconds": step.seconds, "what": step.what} for step in plan.best.steps],
         "form": plan.best.form.name,
-        "bound_lpm": plan.best.mean_bound(),
-        "largest_bound_lpm": plan.best.largest_bound(),
+        "bound_lpm": plan.best.mean_bound,
+        "largest_bound_lpm": plan.best.largest_bound,
         "smallest_leak_lpm": plan.smallest,
         "largest_speed": plan.best.speed,
         "positions": [float(plan.best.position.min()), float(plan.best.position.max())],
@@ -155,41 +152,23 @@ def _limits(plan: Plan) -> Table:
 
 @section("What happens", needs=("plan",))
 def plan_course(content: Content) -> list[Block]:
-    """Commands, positions, pressures, and how the bound falls."""
+    """Commands, positions and pressures."""
     plan = content.part("plan", Plan)
-    note = (
-        f"{len(plan.best.position)} simulated axes, with worn valves and a leak of {SIMULATED_LEAK:g} l/min. "
-        "The bound is the smallest standard deviation that any method can reach with the readings up to that time."
-    )
-    alt = f"Opening, position, pressures and bound over time. {plan_line(plan)}"
-    return [
-        make_plot("plan", "The test on simulated axes", note, alt, lambda figure: paint_plan(figure, plan), 8.5, WIDE)
-    ]
-
-
-def paint_plan(figure: Figure, plan: Plan) -> None:
-    """Draw opening, positions, pressures of one axis, and the bound over time."""
-    best, period = plan.best, plan.task.control_period
-    axes = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1, 1, 1.2])
-    time = period * np.arange(max(len(plan.commands), best.position.shape[1]))
+    best, commands = plan.best, plan.commands
+    time = plan.task.control_period * np.arange(max(len(commands), best.position.shape[1]))
 
     def line(values: Floats) -> Line:
         return Line(time[: len(values)], values)
 
     pressures = {"a (bore), first axis": best.pressures[0, 0], "b (rod), first axis": best.pressures[0, 1]}
     rows = [
-        Signal("opening, %", {"opening": line(100 * plan.commands)}),
+        Signal("opening, %", {"opening": line(100 * commands)}),
         Signal("position, mm", {}, [line(1e3 * values) for values in best.position]),
         Signal("pressure, bar", {name: line(1e-5 * values) for name, values in pressures.items()}),
     ]
-    paint_course(axes[:3], rows)
-    axes[2].set_xlabel("")
-    for values in best.bound:
-        axes[3].plot(best.lengths, values, color=GREY, linewidth=0.8, alpha=0.7)
-    axes[3].plot(best.lengths, np.median(best.bound, axis=0), color=COLOURS["blue"], label="median")
-    axes[3].set(yscale="log", ylabel="bound, l/min", xlabel="time, s")
-    axes[3].legend(frameon=False, fontsize=8)
-    axes[3].margins(x=0.01)
+    note = f"{len(best.position)} simulated axes, with worn valves and a leak of {SIMULATED_LEAK:g} l/min."
+    alt = f"Opening, position and pressures over time. {plan_line(plan)}"
+    return [course_plot("plan", "The test on simulated axes", note, alt, rows)]
 
 
 @section("Steps", needs=("plan",))
@@ -212,8 +191,8 @@ def plan_forms(content: Content) -> list[Block]:
     rows = [
         (
             trial.form.name + (" (chosen)" if trial is plan.best else ""),
-            number(trial.mean_bound(), digits=2),
-            number(trial.largest_bound(), digits=2),
+            number(trial.mean_bound, digits=2),
+            number(trial.largest_bound, digits=2),
             "all within" if not trial.beyond else f"{trial.beyond} of {len(trial.position)} beyond",
         )
         for trial in plan.trials

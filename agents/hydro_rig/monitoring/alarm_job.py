@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm
-from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause
-from hydro_agents.detection.looks import Activity, Looks
+from hydro_agents.detection.looks import Activity
 from hydro_agents.running.seeds import ALARM_CALIBRATION, ALARMS, SeedRange
 from hydro_agents.running.statistics import Interval, mean_interval, share_interval
 from hydro_env.files import Group
@@ -42,26 +41,8 @@ AT_REST: dict[str, Onset] = {
 }
 """What begins while the axis rests."""
 
-FAULTS = (
-    ("valve_null_shift", -0.01),
-    ("valve_null_shift", 0.01),
-    ("valve_underlap", 0.025),
-    ("valve_flow", -0.3),
-    ("valve_hysteresis", 0.03),
-    ("tank_pressure", 5e5),
-    ("external_leak", 0.6),
-    ("external_leak", 2.0),
-    ("spool_position_offset", -0.005),
-    ("pressure_a_offset", 0.02),
-    ("pressure_b_offset", 0.02),
-    ("spool_position_gain", 0.03),
-    ("pressure_a_freeze", 1.0),
-    ("pressure_b_dropout", 0.1),
-)
-"""Other faults that begin in motion, and their magnitudes."""
-
-REST_MINUTES, PAST, NAMING = 20.0, 30.0, 124.0
-"""Minutes at rest; s of work before such a rest or a fault; s in motion after which the alarm should name the fault."""
+REST_MINUTES = 20.0  # that the alarm watches, drawn from the measured looks
+PAST, LEAST_REST = 30.0, 124.0  # s; work before a rest, and its measured part
 
 
 class AlarmJob(Group):
@@ -96,10 +77,6 @@ def run_job(bench: Bench, job: AlarmJob) -> tuple[AlarmSettings, dict[str, pd.Da
         onsets = tuple(Onset(level) for level in levels)
         return Work(seeds.take(job.axes).start, job.axes, job.seconds, job.interval, job.leaking, onsets)
 
-    def brief(onsets: Iterable[Onset], after: float) -> Work:
-        count = min(job.fault_axes, job.axes)
-        return Work(ALARMS.take(count).start, count, PAST, job.interval, after, tuple(onsets))
-
     designs = sorted(set(DESIGN.values()))
     validation = bench.looks({"validation": work(ALARM_CALIBRATION, designs)})["validation"]
     healthy, *leaking = (Axes(looks, ration) for looks in validation)
@@ -108,22 +85,16 @@ def run_job(bench: Bench, job: AlarmJob) -> tuple[AlarmSettings, dict[str, pd.Da
     bound = bench.config.leakage.class_bounds[0]
     settings = calibrate(healthy, chosen, job.rate, job.learning, bench.detector_name, bound)
 
-    in_motion = (Onset(then=Activity.MOVING, fault=fault) for fault in (None, *FAULTS))
-    found = bench.looks(
-        {
-            "work": work(ALARMS, LEVELS),
-            "rest": brief(AT_REST.values(), max(NAMING, 3.0 * ration + job.interval)),
-            "faults": brief(in_motion, NAMING),
-        }
-    )
+    few = min(job.fault_axes, job.axes)
+    rest = max(LEAST_REST, 3.0 * ration + job.interval)
+    resting = Work(ALARMS.take(few).start, few, PAST, job.interval, rest, tuple(AT_REST.values()))
+    found = bench.looks({"work": work(ALARMS, LEVELS), "rest": resting})
     fresh, *leaks = (Axes(looks, ration) for looks in found["work"])
-    few = fresh.among(np.arange(len(found["rest"][0].score)))
-    resting = {name: Axes(looks, ration) for name, looks in zip(AT_REST, found["rest"][1:], strict=True)}
+    at_rest = {name: Axes(looks, ration) for name, looks in zip(AT_REST, found["rest"][1:], strict=True)}
     return settings, {
         "false_alarms": false_alarms(settings, fresh),
         "shift": shift_table(settings, fresh, dict(zip(LEVELS, leaks, strict=True))),
-        "at_rest": rest_table(settings, few, resting),
-        "causes": cause_table(settings, few, found["faults"][1:]),
+        "at_rest": rest_table(settings, fresh.among(np.arange(few)), at_rest),
     }
 
 
@@ -186,31 +157,3 @@ def rest_table(settings: AlarmSettings, healthy: Axes, resting: Mapping[str, Axe
         }
         rows.append(row | _share(raised.any(axis=1).reshape(COPIES, -1).mean(axis=0)).columns("alarmed"))
     return pd.DataFrame(rows)
-
-
-def cause_table(settings: AlarmSettings, healthy: Axes, looks: list[Looks]) -> pd.DataFrame:
-    """For each fault that begins in motion: the cause that the alarm names two minutes later.
-
-    Axes count that moved in most of their looks; the slowest references creep. ``leak_alarm`` is the share of them that
-    raise a leak alarm within a quarter of a shift in motion, drawn from these looks.
-    """
-    rows, alarm, learnt = [], LeakAlarm(settings), _learnt(settings, healthy)
-    part: Any = (values[: len(healthy.looks.score)] for values in learnt)
-    first = AlarmState(*part)
-    for fault, each in zip((None, *FAULTS), looks, strict=True):
-        right = CAUSE_OF_FAULT[fault[0]] if fault is not None else Cause.NONE
-        moved = (each.activity == Activity.MOVING).mean(axis=1) >= 0.5
-        named = alarm.follow(each, first)[0].cause[moved, -1]
-        drawn = Axes(each, healthy.ration).drawn(0.25 * SHIFT_HOURS, 4, COPIES, in_motion=1.0)
-        raised = (totals(alarm, drawn, learnt)[0] > 1.0).any(axis=1).reshape(COPIES, -1)[:, moved]
-        row: dict[str, Any] = {"fault": " ".join(map(str, fault or ("none",))), "cause": right.word, "axes": len(named)}
-        row |= share_interval(int((named == right).sum()), len(named)).columns("named_rightly")
-        row["named_wrongly"] = float(((named != right) & (named != Cause.NONE) & (named != Cause.UNKNOWN)).mean())
-        rows.append(row | {"leak_alarm": float(raised.mean())})
-    table = pd.DataFrame(rows)
-    faulty = table[table["cause"] != Cause.NONE.word]
-    hits, count = round(float((faulty["named_rightly"] * faulty["axes"]).sum())), int(faulty["axes"].sum())
-    total = {"fault": "all faults", "cause": "", "axes": count}
-    total |= share_interval(hits, count).columns("named_rightly")
-    total |= {name: float(faulty[name].mean()) for name in ("named_wrongly", "leak_alarm")}
-    return pd.concat([table, pd.DataFrame([total])], ignore_index=True)

@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from hydro_agents.detection.detector import Reading, Windows
 from hydro_agents.running.text import number
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.types import Floats
 from hydro_rig.diagnosis.diagnose import read_windows
 from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
 from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Verdict, combined
@@ -53,16 +54,20 @@ class Settings(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One reading of an axis."""
+    """One reading of an axis; leaks in l/min at 100 bar with their 90 % intervals, NaN: no size."""
 
     time: float  # s since 1970, first and last stamp
     until: float
     axis: str
-    verdict: Kind
-    leak: Leak  # l/min at 100 bar, as measured; NaN: no size
+    verdict: str
+    size: float  # as measured
+    low: float
+    high: float
     moving: float  # share of the time in motion
     temperature: float  # °C, of the oil; NaN: not recorded
-    at_40: Leak  # the leak at 100 bar and 40 °C
+    size_40: float  # at 40 °C
+    low_40: float
+    high_40: float
     reason: str
     clock_back: float  # s, by which the clock ran back in it or at its begin; 0: never
 
@@ -73,17 +78,10 @@ def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: Colu
     Raises:
         ConfigurationError: the file cannot be read, or holds no rows.
     """
-    rows = list(rows_of(Path(path), axis, config, columns, how))
-    if not rows:
+    rows = pd.DataFrame(rows_of(Path(path), axis, config, columns, how))
+    if rows.empty:
         raise ConfigurationError(f"{path}: holds headings but no rows")
-    found: dict[str, NDArray[Any]] = {
-        name: np.array([getattr(row, name) for row in rows])
-        for name in ("time", "until", "axis", "verdict", "moving", "temperature", "reason", "clock_back")
-    }
-    for name, leaks in (("", [row.leak for row in rows]), ("_40", [row.at_40 for row in rows])):
-        for part, values in zip(("size", "low", "high"), np.array(leaks).T, strict=True):
-            found[part + name] = values
-    return found
+    return {name: column.to_numpy() for name, column in rows.items()}
 
 
 class _Open(NamedTuple):
@@ -197,8 +195,6 @@ def row_of(
         rows = [candidate.rows for candidate in candidates]
         temperature = _mean(np.array([_mean(one.auxiliary.get(OIL, NOTHING)) for one in rows]))
         volume = volume_leak(blocks)
-        at_once = None if volume is None else _referred_leak(volume, how, temperature)
-        checked = check_samples(sampled_windows(candidates, WINDOW, config), seen.findings, config)
 
         def choose(samples: Sampled) -> Windows:
             windows = cut(samples, round(WINDOW / config.control_period))
@@ -210,43 +206,42 @@ def row_of(
             if not len(windows):
                 return Read()
             measured, fitted = read_windows(windows, config, threads=1)
-            leak = combined(measured)[0] if measured.answers.any() else leak
+            leak, _ = combined(measured)
             warm = np.array([_mean(values) for values in windows.auxiliary_signal(OIL)])
             return Read(referred(measured, how.oil, warm, how.between), fitted=fitted)
 
         found = judged(
-            checked,
+            check_samples(sampled_windows(candidates, WINDOW, config), seen.findings, config),
             config,
             choose=choose,
             read=read,
             rows=rows,
-            balance=at_once,
+            balance=None if volume is None else _referred_leak(volume, how, temperature),
             window=WINDOW,
         )
-        findings, verdict, reading = found.checked.findings, found.verdict, found.read.estimator
+        findings, verdict = found.checked.findings, found.verdict
         if volume is not None and verdict.detector == BALANCE:
             leak, at_40 = Leak(volume.value, volume.low, volume.high), verdict.leak or at_40
-        elif reading is not None and reading.answers.any():
-            at_40 = combined(reading)[0]
-    notes = [finding.line() for finding in findings if finding.signal == "clock"]
-    faults = [finding.line() for finding in findings if finding.weight is Weight.FAULT]
-    note = f"clock runs back by {number(back, digits=3)} s at its begin" if back > 0.0 else ""
-    reason = "; ".join(dict.fromkeys(part for part in (verdict.why, *faults, *notes, note) if part))
+        elif found.read.estimator is not None:
+            at_40, _ = combined(found.read.estimator)
+    notes = [finding.line() for finding in findings if finding.weight is Weight.FAULT]
+    notes += [finding.line() for finding in findings if finding.signal == "clock"]
+    notes += [f"clock runs back by {number(back, digits=3)} s at its begin"] if back > 0.0 else []
     return Row(
-        time=clock + live.first,
-        until=clock + live.last,
-        axis=axis,
-        verdict=verdict.kind,
-        leak=leak,
-        moving=seen.moving,
-        temperature=temperature,
-        at_40=at_40,
-        reason=reason,
+        clock + live.first,
+        clock + live.last,
+        axis,
+        verdict.kind.value,
+        *leak,
+        seen.moving,
+        temperature,
+        *at_40,
+        reason="; ".join(dict.fromkeys(part for part in (verdict.why, *notes) if part)),
         clock_back=max(back, seen.clock_back),
     )
 
 
-def _mean(values: NDArray[np.float64]) -> float:
+def _mean(values: Floats) -> float:
     known = values[np.isfinite(values)]
     return float(known.mean()) if len(known) else np.nan
 

@@ -54,28 +54,24 @@ def files_of(places: Sequence[Path], table: Path) -> list[File]:
     for place in places:
         if not place.exists():
             raise ConfigurationError(f"{place}: does not exist")
-        inside = [place] if place.is_file() else sorted(place.rglob("*"))
-        paths = [
-            path
-            for path in inside
-            if path == place
-            or (path.is_file() and path.suffix.lower() in SUFFIXES and not _hidden(path.relative_to(place)))
-        ]
+        paths = [place] if place.is_file() else [path for path in place.rglob("*") if _recording(path, place)]
         paths = [path for path in paths if path.resolve() != table.resolve()]
         if not paths:
             raise ConfigurationError(f"{place}: holds no recording ({', '.join(SUFFIXES)})")
         for path in paths:
-            within = path.relative_to(place) if path != place else Path(path.name)
-            axis = within.parts[0] if len(within.parts) > 1 else path.resolve().parent.name
-            rest = Path(*within.parts[1:]) if len(within.parts) > 1 else within
-            axis = axis.split("=", 1)[-1] or "axis"
-            name = f"{axis}/{rest.as_posix()}"
+            folder, *rest = path.relative_to(place).parts if path != place else (path.name,)
+            if not rest:
+                folder, rest = path.resolve().parent.name, [path.name]
+            axis = folder.split("=", 1)[-1] or "axis"
+            name = "/".join([axis, *rest])
             found[name] = File(path, axis, name, path.stat().st_size)
     return [found[name] for name in sorted(found)]
 
 
-def _hidden(path: Path) -> bool:
-    return any(part.startswith((".", "_")) for part in path.parts)
+def _recording(path: Path, place: Path) -> bool:
+    """Whether a path in a folder is a recording, and not hidden."""
+    hidden = any(part.startswith((".", "_")) for part in path.relative_to(place).parts)
+    return not hidden and path.suffix.lower() in SUFFIXES and path.is_file()
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -114,14 +110,12 @@ def unread(files: Iterable[File], table: pd.DataFrame) -> list[File]:
 
 def with_rows(table: pd.DataFrame, file: File, found: Mapping[str, NDArray[Any]], oil: Oil) -> pd.DataFrame:
     """The table with the rows of a file, in place of older ones of the same file; in the order of axis and time."""
-    fresh = pd.DataFrame({name: found[name] for name in ("axis", "verdict", "reason", "clock_back", *SIZES)})
-    fresh = fresh.assign(
+    fresh = pd.DataFrame(dict(found)).assign(
         time=[stamp(value) for value in found["time"]],
         until=[stamp(value) for value in found["until"]],
         file=file.name,
         bytes=file.size,
         oil=f"{oil.at_40:g}/{oil.at_100:g}",
-        repaired="",
     )
     numbers = [*SIZES, "clock_back"]
     fresh[numbers] = fresh[numbers].astype(np.float64).round(DECIMALS)

@@ -12,7 +12,7 @@ from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.monitoring.alarm_calibration import COPIES
-from hydro_rig.monitoring.alarm_job import FAULTS, AlarmJob, run_job
+from hydro_rig.monitoring.alarm_job import AlarmJob, run_job
 
 CONFIG = TaskConfig()
 JOB = AlarmJob(axes=12, fault_axes=4, seconds=600.0, leaking=240.0, learning=20)
@@ -64,10 +64,6 @@ def test_the_job_finds_settings_and_tests_them():
     rates = tables["false_alarms"].set_index("threshold")
     assert rates["per_100_h"].is_monotonic_decreasing
     assert rates.loc[1.0, "hours"] == 12 * 16 * COPIES
-    causes = tables["causes"].set_index("fault")
-    assert len(causes) == len(FAULTS) + 2
-    assert causes.loc["all faults", "named_rightly"] == 1.0
-    assert (causes["named_wrongly"] == 0.0).all()
 
 
 def test_a_detector_that_sees_nothing_is_refused():

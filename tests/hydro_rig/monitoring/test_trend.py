@@ -76,10 +76,10 @@ def test_a_file_becomes_one_row_with_the_leak_at_40_degrees(tmp_path):
     (row,) = rows_of(path, "press", TaskConfig(), None, Settings(OIL, (20.0, 60.0)))
     assert stamp(row.time) == "2026-10-03T06:00:00"
     assert row.until - row.time == pytest.approx(3.995)
-    assert row.verdict is Kind.LEAK
+    assert row.verdict == Kind.LEAK
     assert row.temperature == pytest.approx(55.0)
-    assert row.leak.low < 0.3 < row.leak.high
-    assert row.at_40.value == pytest.approx(row.leak.value * float(OIL.factor(55.0)))
+    assert row.low < 0.3 < row.high
+    assert row.size_40 == pytest.approx(row.size * float(OIL.factor(55.0)))
 
 
 def test_hours_and_axes_of_one_file_have_rows_of_their_own(tmp_path, monkeypatch):
@@ -265,7 +265,7 @@ def test_the_command_writes_table_and_page_and_ends_with_the_code(tmp_path, monk
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"t.csv", "t.html", "figures", ".hydro.json"}
     page = (tmp_path / "out" / "t.html").read_text(encoding="utf-8")
     assert "not before" in page
-    assert "One file was not read" in page
+    assert "Files that were not read" in page
     assert problems_everywhere(browser, tmp_path / "out" / "t.html") == []
     found = json.loads(hydro(*line, "--json").stdout)
     assert (found["exit_code"], found["files"]["known"]) == (10, 39)
