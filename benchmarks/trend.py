@@ -117,7 +117,7 @@ def judge(seed: int, found: dict[str, Any], axis: Axis, grows: bool) -> dict[str
     since = axis.repairs[0]
     crossing = since + np.log10(LIMIT / axis.leak[since]) / GROWTH if grows else np.inf
     for day in range(SLOWEST - 1, days):
-        trend = trends_of(table.iloc[: day + 1], {f"{seed}": LIMIT}, {}, Oil.of("46"))[0]
+        trend = trends_of(table.iloc[: day + 1], {f"{seed}": LIMIT}, Oil.of("46"))[0]
         if not grows:
             raised += trend.state in (Kind.LEAK, Kind.OTHER) or trend.dated or trend.growth.ahead.value == 0.0
         elif since <= day < min(crossing, axis.repairs[1]) and axis.leak[day] >= 0.5 * LIMIT:

@@ -113,11 +113,6 @@ def trend(
         float | None,
         typer.Option(min=1e-3, max=100.0, help="Leak in l/min at 100 bar and 40 °C whose date is told; default: 0.3."),
     ] = None,
-    repaired: Annotated[
-        list[str] | None,
-        typer.Option(metavar="[AXIS=]DATE", help="A new seal, since 2026-10-03; the column `repaired` does the same."),
-    ] = None,
-    hourly: Annotated[bool, typer.Option("--hourly", help="One row per hour instead of one per file.")] = False,
     axis_column: Annotated[
         str, typer.Option(metavar="HEADING", help="Column that names the axis, in files of several axes.")
     ] = "",
@@ -133,7 +128,7 @@ def trend(
     """
     from hydro_rig.monitoring.trend_job import Watch, watch
 
-    given = Watch(append, columns or [], task, rig or [], oil, temperature, limit, repaired or [], hourly, axis_column)
+    given = Watch(append, columns or [], task, rig or [], oil, temperature, limit, axis_column)
     with reading(as_json) as progress:
         found = watch(recordings, given, command_line(), progress)
     for line in found.left_out:

@@ -1,4 +1,4 @@
-"""``hydro trend``: one reading of a recording of any length, or of each hour of it.
+"""``hydro trend``: one reading of a recording of any length.
 
 A reading is that of ``hydro diagnose`` with the estimator alone, of the dozen liveliest windows
 (:mod:`~hydro_rig.recordings.liveliest`), and the leak is also given at one temperature of the oil
@@ -17,7 +17,6 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.detection.detector import Reading, Windows
-from hydro_agents.running.text import number
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.diagnose import read_windows
@@ -36,7 +35,6 @@ from hydro_rig.recordings.sampling import Sampled, cut
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
 WINDOW = 2.0  # s
 FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
-HOUR = 3600.0  # s
 OIL, NOTHING = "oil_temperature", np.zeros(0)  # the signal of its temperature; readings of a signal without any
 MOST_BLOCKS = 1_000_000  # of a measured flow that are kept, 40 MB: those of six days
 
@@ -48,7 +46,6 @@ class Settings(NamedTuple):
 
     oil: Oil
     between: tuple[float, float]  # °C, of an oil whose temperature was not recorded
-    hourly: bool = False  # one row per hour instead of one per file
     axis_column: str = ""  # heading of the column that names the axis; empty: one axis per file
     windows: int = MOST_WINDOWS  # of a reading
 
@@ -69,7 +66,7 @@ class Row(NamedTuple):
     low_40: float
     high_40: float
     reason: str
-    clock_back: float  # s, by which the clock ran back in it or at its begin; 0: never
+    clock_back: float  # s, by which the clock ran back in it; 0: never
 
 
 def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Any:
@@ -84,17 +81,8 @@ def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: Colu
     return {name: column.to_numpy() for name, column in rows.items()}
 
 
-class _Open(NamedTuple):
-    """A row that is being read."""
-
-    hour: int
-    back: float  # s, by which the clock ran back before it
-    live: Liveliest
-    blocks: list[Blocks]  # of a measured flow
-
-
 def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Iterator[Row]:
-    """Read a file; one row per axis and hour, or per axis.
+    """Read a file; one row per axis.
 
     Args:
         path: CSV, Parquet or MDF4 of any length; TDMS or MAT.
@@ -106,24 +94,18 @@ def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None
     Raises:
         ConfigurationError: the file cannot be read.
     """
-    reading: dict[str, _Open] = {}
+    lively: dict[str, Liveliest] = {}
+    blocks: dict[str, list[Blocks]] = {}
     clock = None
     for name, rows in _by_axis(path, axis, columns, how):
         if clock is None:
             clock = _clock(path, rows.begin)
-        for hour, part in _by_hour(rows, clock) if how.hourly else [(0, rows)]:
-            now = reading.get(name)
-            if now is None or now.hour != hour:
-                back = 0.0
-                if now is not None:
-                    yield row_of(name, now.live, config, how, clock, now.back, now.blocks)
-                    back = max(now.live.last - part.begin, 0.0)
-                now = reading[name] = _Open(hour, back, Liveliest(WINDOW, config), [])
-            now.live.add(part)
-            if sum(len(blocks.speed) for blocks in now.blocks) < MOST_BLOCKS:
-                now.blocks.extend(flow_blocks(part))
-    for name, now in reading.items():
-        yield row_of(name, now.live, config, how, clock or 0.0, now.back, now.blocks)
+        lively.setdefault(name, Liveliest(WINDOW, config)).add(rows)
+        known = blocks.setdefault(name, [])
+        if sum(len(each.speed) for each in known) < MOST_BLOCKS:
+            known.extend(flow_blocks(rows))
+    for name, live in lively.items():
+        yield row_of(name, live, config, how, clock or 0.0, blocks[name])
 
 
 def _by_axis(path: Path, axis: str, columns: ColumnMap | None, how: Settings) -> Iterator[tuple[str, Recording]]:
@@ -153,13 +135,6 @@ def _split(piece: Columns, heading: str, path: Path) -> Iterator[tuple[str, Colu
         yield str(name), piece._replace(cells=[cells[inside].reset_index(drop=True) for cells in piece.cells])
 
 
-def _by_hour(rows: Recording, clock: float) -> Iterator[tuple[int, Recording]]:
-    hours = np.floor((clock + rows.begin + rows.time) / HOUR).astype(np.int64)
-    ends = [*(np.flatnonzero(np.diff(hours)) + 1).tolist(), len(hours)]
-    for begin, end in zip([0, *ends[:-1]], ends, strict=True):
-        yield int(hours[begin]), rows.part(begin, end)
-
-
 def _clock(path: Path, first: float) -> float:
     """What is added to the stamps of a file to give s since 1970: dates in it, its header, its name, or its age."""
     if FIRST_DATE <= first <= LAST_DATE:
@@ -180,13 +155,9 @@ def row_of(
     config: TaskConfig,
     how: Settings,
     clock: float = 0.0,
-    back: float = 0.0,
     blocks: Sequence[Blocks] = (),
 ) -> Row:
-    """The row of what was read: the best windows, and the blocks of a measured flow.
-
-    ``back``: s, by which the clock ran back before its first row.
-    """
+    """The row of what was read: the best windows, and the blocks of a measured flow."""
     candidates, seen = live.finish(how.windows)
     leak = at_40 = Leak(np.nan, np.nan, np.nan)
     findings, temperature = seen.findings, np.nan
@@ -226,7 +197,6 @@ def row_of(
             at_40, _ = combined(found.read.estimator)
     notes = [finding.line() for finding in findings if finding.weight is Weight.FAULT]
     notes += [finding.line() for finding in findings if finding.signal == "clock"]
-    notes += [f"clock runs back by {number(back, digits=3)} s at its begin"] if back > 0.0 else []
     return Row(
         clock + live.first,
         clock + live.last,
@@ -237,7 +207,7 @@ def row_of(
         temperature,
         *at_40,
         reason="; ".join(dict.fromkeys(part for part in (verdict.why, *notes) if part)),
-        clock_back=max(back, seen.clock_back),
+        clock_back=seen.clock_back,
     )
 
 

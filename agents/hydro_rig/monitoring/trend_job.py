@@ -26,7 +26,6 @@ from hydro_rig.monitoring.trend_table import (
     File,
     files_of,
     read_table,
-    repairs_of,
     unread,
     with_rows,
     write_table,
@@ -48,8 +47,6 @@ class Watch(NamedTuple):
     oil: str = "46"
     temperature: str = "20..60"
     limit: float | None = None
-    repaired: Sequence[str] = ()  # [AXIS=]DATE
-    hourly: bool = False
     axis_column: str = ""
 
 
@@ -95,7 +92,7 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
         ConfigurationError: a setting is impossible, no file can be read, or the folder cannot be written.
         KeyboardInterrupt: Ctrl-C; the table holds the finished files.
     """
-    settings = Settings(Oil.of(how.oil), temperature_range(how.temperature), how.hourly, how.axis_column)
+    settings = Settings(Oil.of(how.oil), temperature_range(how.temperature), how.axis_column)
     folder = how.table.parent
     files = files_of(places, how.table)
     table = read_table(how.table)
@@ -125,7 +122,7 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
         axes = sorted(set(table["axis"]))
         configs |= _configs(how, set(axes))  # names of a column
         limits = {axis: how.limit or USUAL_LIMIT * leak_scale(configs[axis]) for axis in axes}
-        trends = trends_of(table, limits, repairs_of(how.repaired, axes), settings.oil, settings.between)
+        trends = trends_of(table, limits, settings.oil, settings.between)
         render_trend(trends, how.table.name, left_out, Origin.now(command)).write(page)
     return Watched(trends, len(new) - len(left_out), len(files) - len(new), left_out, _clocks(table), how.table, page)
 

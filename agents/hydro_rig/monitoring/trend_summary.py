@@ -102,7 +102,6 @@ class AxisTrend:
 def trends_of(
     table: pd.DataFrame,
     limits: Mapping[str, float],
-    repairs: Mapping[str, Sequence[float]],
     oil: Oil,
     between: tuple[float, float] = UNKNOWN_TEMPERATURE,
 ) -> list[AxisTrend]:
@@ -111,23 +110,17 @@ def trends_of(
     Args:
         table: of :func:`~hydro_rig.monitoring.trend_table.read_table`.
         limits: by axis, l/min at 100 bar and 40 °C.
-        repairs: by axis, s since 1970; marks in the table count, too.
         oil: in the axes.
         between: lowest and highest possible temperature in °C of axes without a thermometer.
     """
-    return [
-        _trend(str(axis), rows, limits[str(axis)], repairs.get(str(axis), ()), oil, between)
-        for axis, rows in table.groupby("axis", sort=True)
-    ]
+    return [_trend(str(axis), rows, limits[str(axis)], oil, between) for axis, rows in table.groupby("axis", sort=True)]
 
 
-def _trend(
-    axis: str, rows: pd.DataFrame, limit: float, repairs: Sequence[float], oil: Oil, between: tuple[float, float]
-) -> AxisTrend:
+def _trend(axis: str, rows: pd.DataFrame, limit: float, oil: Oil, between: tuple[float, float]) -> AxisTrend:
     rows = rows.assign(_time=seconds(rows["time"])).sort_values("_time", kind="stable")
     time = rows["_time"].to_numpy(dtype=np.float64)
-    marked = {float(when) for when in (*repairs, *time[(rows["repaired"] != "").to_numpy()])}
-    since = rows[time >= max((when for when in marked if when <= time[-1]), default=-np.inf)]
+    marked = time[(rows["repaired"] != "").to_numpy()]
+    since = rows[time >= marked.max(initial=-np.inf)]
     state, reason = _state([Kind(verdict) for verdict in since["verdict"]], since["reason"].tolist())
     size = since["size_40"].to_numpy(dtype=np.float64)
     # A reading's own error, without the thermometer's. The readings share plant and sensors, too: their usual error may
@@ -143,7 +136,7 @@ def _trend(
         time=time,
         **{name: rows[f"{name}_40"].to_numpy(dtype=np.float64) for name in ("size", "low", "high")},
         verdicts=tuple(Kind(verdict) for verdict in rows["verdict"]),
-        repairs=tuple(sorted(marked)),
+        repairs=tuple(np.unique(marked).tolist()),
         state=state,
         reason=reason,
         growth=growth(since["_time"].to_numpy(dtype=np.float64) / DAY, size, limit, deviation, common),

@@ -25,9 +25,7 @@ SIZES = ("size", "low", "high", "moving", "temperature", "size_40", "low_40", "h
 COLUMNS = ("time", "until", "axis", "file", "verdict", *SIZES, "oil", "reason", "bytes", "clock_back", "repaired")
 """Sizes with the ends of their 90 % intervals in l/min at 100 bar, as measured and at 40 °C; ``moving`` is a share;
 ``temperature`` in °C; ``bytes`` of the file: a file that has grown is read again; ``clock_back``: by how much the clock
-ran back in the row or at its begin, s."""
-
-LATER = ("clock_back", "repaired")  # columns that older tables lack
+ran back, s; ``repaired``: any mark."""
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mf4", ".mdf", ".tdms", ".mat")
 DECIMALS = 5
@@ -84,10 +82,9 @@ def read_table(path: Path) -> pd.DataFrame:
         return pd.DataFrame({name: pd.Series(dtype=str if name in TEXTS else float) for name in COLUMNS})
     try:
         table = pd.read_csv(path, dtype=dict.fromkeys(TEXTS, str), keep_default_na=False, na_values=[""])
-        missing = [name for name in COLUMNS if name not in table and name not in LATER]
+        missing = [name for name in COLUMNS if name not in table]
         if missing:
             raise ConfigurationError(f"{path}: is no table of hydro trend: it has no column '{missing[0]}'")
-        table = table.assign(**{name: 0.0 if name == "clock_back" else "" for name in LATER if name not in table})
         for name in (*SIZES, "bytes", "clock_back"):
             table[name] = pd.to_numeric(table[name])
         seconds(table["time"]), seconds(table["until"])
@@ -151,26 +148,4 @@ def seconds(stamps: pd.Series) -> NDArray[np.float64]:
     """
     when = pd.to_datetime(stamps, utc=True, format="ISO8601")
     found: NDArray[np.float64] = (when - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=np.float64)
-    return found
-
-
-def repairs_of(texts: Sequence[str], axes: Sequence[str]) -> dict[str, list[float]]:
-    """Repairs by axis, s since 1970, from ``2026-10-03`` (all axes) or ``AXIS=2026-10-03``.
-
-    Raises:
-        ConfigurationError: a text is no date, or names an unknown axis.
-    """
-    found: dict[str, list[float]] = {axis: [] for axis in axes}
-    for text in texts:
-        axis, _, date = text.rpartition("=")
-        if axis and axis not in found:
-            raise ConfigurationError(f"--repaired {text}: axis '{axis}': known: {', '.join(axes[:20])}")
-        try:
-            when = float(seconds(pd.Series([date]))[0])
-        except ValueError:
-            when = np.nan
-        if not np.isfinite(when):
-            raise ConfigurationError(f"--repaired {text}: must be a date such as 2026-10-03, or AXIS=2026-10-03")
-        for name in [axis] if axis else list(found):
-            found[name].append(when)
     return found

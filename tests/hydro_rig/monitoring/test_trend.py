@@ -82,16 +82,13 @@ def test_a_file_becomes_one_row_with_the_leak_at_40_degrees(tmp_path):
     assert row.size_40 == pytest.approx(row.size * float(OIL.factor(55.0)))
 
 
-def test_hours_and_axes_of_one_file_have_rows_of_their_own(tmp_path, monkeypatch):
+def test_axes_of_one_file_have_rows_of_their_own(tmp_path, monkeypatch):
     seen = []
     monkeypatch.setattr("hydro_rig.monitoring.trend.row_of", lambda axis, live, *_: seen.append((axis, live.rows)))
     time = np.arange(0.0, 7200.0, 0.5)
     table = pd.DataFrame({"time [s]": START - START % 3600.0 + 1800.0 + time, "command [V]": np.sin(time)})
     table["axis"] = np.where(np.arange(len(time)) % 2, "left", "right")
     table.to_csv(tmp_path / "a.csv", index=False)
-    list(rows_of(tmp_path / "a.csv", "x", TaskConfig(), None, Settings(OIL, (20.0, 60.0), hourly=True)))
-    assert seen == [("x", 3600), ("x", 7200), ("x", 3600)]
-    seen.clear()
     list(rows_of(tmp_path / "a.csv", "x", TaskConfig(), None, Settings(OIL, (20.0, 60.0), axis_column="axis")))
     assert sorted(seen) == [("left", 7200), ("right", 7200)]
     with pytest.raises(ConfigurationError, match="no column has this heading"):
@@ -189,8 +186,8 @@ def noisy(sizes, spread=0.02):
     return np.asarray(sizes) * 10.0 ** np.random.default_rng(5).normal(0.0, spread, len(sizes))
 
 
-def trend(table, limit=0.3, **how):
-    return trends_of(table, {"a": limit}, how.get("repairs", {}), OIL)[0]
+def trend(table, limit=0.3):
+    return trends_of(table, {"a": limit}, OIL)[0]
 
 
 def test_the_sentence_tells_date_interval_and_not_before(tmp_path):
@@ -221,7 +218,6 @@ def test_only_readings_since_the_repair_count(tmp_path):
     before, after = 0.05 * 10.0 ** (np.arange(20) / 30.0), np.full(12, 0.012)
     table = table_of(noisy([*before, *after]), tmp_path)
     day = stamp(START + 20 * DAY)
-    assert trend(table, repairs={"a": [START + 19.5 * DAY]}).growth.level.high < 0.02
     marked = table.assign(repaired=["x" if when == day else "" for when in table["time"]])
     assert trend(marked).growth.level.high < 0.02
     assert trend(marked).repairs == (START + 20 * DAY,)
@@ -255,7 +251,7 @@ def test_sizes_have_the_error_of_the_thermometer_in_common(tmp_path):
 def test_the_command_writes_table_and_page_and_ends_with_the_code(tmp_path, monkeypatch, browser):
     monkeypatch.setattr(trend_job, "read_rows", made_up)
     folder = recordings(tmp_path / "data", 20, broken=[("one", 3)])
-    line = ("trend", folder, "--append", tmp_path / "out" / "t.csv", "--jobs", 1, "--repaired", "two=2026-09-25")
+    line = ("trend", folder, "--append", tmp_path / "out" / "t.csv", "--jobs", 1)
     answer = hydro(*line)
     assert answer.returncode == 10
     assert "left out: " in answer.stderr
@@ -289,8 +285,6 @@ def test_a_clock_that_jumped_back_between_files_is_told(tmp_path, monkeypatch):
     [
         (("--oil", "45"), "unknown ISO VG grade"),
         (("--temperature", "60..20"), "--temperature"),
-        (("--repaired", "yesterday"), "must be a date"),
-        (("--repaired", "three=2026-10-03"), "known: one, two"),
         (("--rig", "three=kovari_2015"), "known: one, two"),
         (("--map", "*.txt=map.yaml"), "matches none"),
     ],
