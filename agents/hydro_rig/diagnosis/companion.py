@@ -16,7 +16,6 @@ from hydro_agents.detection.looks import looks_at, window_of
 from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.recordings.quality import Checked
-from hydro_rig.recordings.sampling import Sampled
 
 MOST_GAPS = 20
 """Longest duration of a recording including gaps, as a multiple of its sampled time; a longer one is not continuous."""
@@ -73,22 +72,27 @@ class Watched(NamedTuple):
         return f"{alarm}{rate} {when}."
 
 
-def watch(samples: Sampled, detector: Detector, task: TaskConfig, settings: AlarmSettings) -> Watched:
-    """Run an alarm over a recording, as if the axis had been switched on at its start.
-
-    Raises:
-        ConfigurationError: the detector cannot read the task.
-    """
-    rate, count = settings.false_alarms_per_100_h, int(samples.place[-1]) + 1 if len(samples.place) else 0
-    if count < window_of(detector, task):
-        return Watched(None, rate, "the recording is shorter than a window of the detector")
-    if count > MOST_GAPS * len(samples.place):
-        return Watched(None, rate, "most of the time between the first and the last sample was not recorded")
-    signals = np.full((1, len(samples.signals), count), np.nan)
-    signals[0, :, samples.place] = samples.signals.T
-    looks = looks_at(signals, task, detector, settings.interval)
+def watched(checked: Checked, companion: Companion, task: TaskConfig, settings: AlarmSettings) -> Watched:
+    """Run an alarm over a recording, as if the axis had been switched on at its start, or say why it did not watch."""
+    rate = settings.false_alarms_per_100_h
+    try:
+        if checked.severe:
+            raise ConfigurationError(checked.severe[0].line())
+        detector = detector_of(settings, companion)
+        samples = checked.samples
+        count = int(samples.place[-1]) + 1 if len(samples.place) else 0
+        if count < window_of(detector, task):
+            raise ConfigurationError("the recording is shorter than a window of the detector")
+        if count > MOST_GAPS * len(samples.place):
+            raise ConfigurationError("most of the time between the first and the last sample was not recorded")
+        signals = np.full((1, len(samples.signals), count), np.nan)
+        signals[0, :, samples.place] = samples.signals.T
+        looks = looks_at(signals, task, detector, settings.interval)
+    except ConfigurationError as error:
+        return Watched(None, rate, str(error).removeprefix("alarm: "))
     raised = LeakAlarm(settings).follow(looks)[0].alarm[0]
-    return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate)
+    name = companion.name if companion.own and detector is companion.detector else ""
+    return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate, detector=name)
 
 
 def detector_of(settings: AlarmSettings, companion: Companion) -> Detector:
@@ -110,16 +114,3 @@ def detector_of(settings: AlarmSettings, companion: Companion) -> Detector:
         if not kind or (":" in kind and imported(kind) in (detector, type(detector))):
             return detector
     raise ConfigurationError(f"it was set for the detector '{settings.detector}', and '{name}' is given")
-
-
-def watched(checked: Checked, companion: Companion, task: TaskConfig, settings: AlarmSettings) -> Watched:
-    """The result of an alarm, or why it did not watch."""
-    try:
-        if checked.severe:
-            raise ConfigurationError(checked.severe[0].line())
-        detector = detector_of(settings, companion)
-        result = watch(checked.samples, detector, task, settings)
-        own = companion.own and detector is companion.detector
-        return result._replace(detector=companion.name if own else "")
-    except ConfigurationError as error:
-        return Watched(None, settings.false_alarms_per_100_h, str(error).removeprefix("alarm: "))

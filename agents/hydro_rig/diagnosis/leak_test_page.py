@@ -21,7 +21,7 @@ from hydro_env.files import write_text
 from hydro_env.task.sensors import SENSORS
 from hydro_rig.diagnosis.diagnosis_page import signals_of
 from hydro_rig.diagnosis.leak_test_plan import FIND
-from hydro_rig.diagnosis.leak_test_reading import WINDOW, LeakTest, Quantity
+from hydro_rig.diagnosis.leak_test_reading import WINDOW, LeakFit, LeakTest, Quantity
 from hydro_rig.diagnosis.verdict import EXIT_CODES
 from hydro_rig.estimation.estimator import WEAR, healthy_range
 from hydro_rig.estimation.unknowns import LEAKAGE
@@ -146,28 +146,23 @@ def reading_course(content: Content) -> list[Block]:
         "windows that the model does not explain within the noise."
     )
     alt = f"Position, pressures and valve, measured and simulated. {test.verdict.line()}"
-    return [course_plot("leak_test", "The recording", note, alt, fitted_signals(test))]
+    return [course_plot("leak_test", "The recording", note, alt, fitted_signals(test, test.fit))]
 
 
-def fitted_signals(test: LeakTest) -> list[Signal]:
+def fitted_signals(test: LeakTest, fit: LeakFit) -> list[Signal]:
     """The measured signals, with those of the fitted model."""
-    assert test.fit is not None
-    windows, misfit, simulated = test.windows, test.fit.common.misfit, test.fit.simulated()
-    used, unexplained = np.flatnonzero(np.isfinite(misfit)), np.flatnonzero(~(misfit < WELL_FITTED))
-    marks = [Mark(windows.begin[window], windows.end[window]) for window in unexplained]
-    steps = np.arange(simulated.shape[2]) / simulated.shape[2]
+    windows, misfit, simulated = test.windows, fit.common.misfit, fit.simulated()
+    marks = [Mark(windows.begin[window], windows.end[window]) for window in np.flatnonzero(~(misfit < WELL_FITTED))]
+    used, steps = np.flatnonzero(np.isfinite(misfit)), np.arange(simulated.shape[2]) / simulated.shape[2]
+    times = windows.begin[used, None] + (windows.end - windows.begin)[used, None] * steps
 
     def fitted(name: str, size: float) -> list[Line]:
         values = size * simulated[:, SENSORS.index(name)]
-        return [
-            Line(windows.begin[window] + (windows.end[window] - windows.begin[window]) * steps, values[row])
-            for row, window in enumerate(used)
-        ]
+        return [Line(time, row) for time, row in zip(times, values, strict=True)]
 
     position, pressures, valve = signals_of(test.recording)
-    lines = [*fitted("pressure_a", 1e-5), *fitted("pressure_b", 1e-5)]
     return [
         position._replace(simulated=fitted("position", 1e3), marks=marks),
-        pressures._replace(simulated=lines, marks=marks),
+        pressures._replace(simulated=[*fitted("pressure_a", 1e-5), *fitted("pressure_b", 1e-5)], marks=marks),
         valve._replace(marks=marks),
     ]
