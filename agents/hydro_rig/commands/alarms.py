@@ -42,10 +42,6 @@ def alarms(
         int | None, typer.Option(help="Axes for the calibration, and again for the test. Default: 40.")
     ] = None,
     fault_axes: Annotated[int | None, typer.Option(help="Of them, axes at rest. Default: 20.")] = None,
-    interval: Annotated[float | None, typer.Option(help="Seconds between readings. Default: 4.")] = None,
-    learning: Annotated[
-        int | None, typer.Option(help="Readings in motion that form an axis's own baseline. Default: 60.")
-    ] = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -74,7 +70,7 @@ def alarms(
     choice = validate(DetectorChoice, {"kind": detector, "weights": weights}, "--detector")
     if head is not None and detector not in ("head", "two_stage"):
         raise ConfigurationError(f"--head {head}: only a head has weights; leave out --head or --detector {detector}")
-    given = {"rate": rate, "axes": axes, "fault_axes": fault_axes, "interval": interval, "learning": learning}
+    given = {"rate": rate, "axes": axes, "fault_axes": fault_axes}
     chosen = {name: value for name, value in given.items() if value is not None}
     job = validate(AlarmJob, chosen, "alarms")
     watching = make_detector(choice)

@@ -113,9 +113,6 @@ def trend(
         float | None,
         typer.Option(min=1e-3, max=100.0, help="Leak in l/min at 100 bar and 40 °C whose date is told; default: 0.3."),
     ] = None,
-    axis_column: Annotated[
-        str, typer.Option(metavar="HEADING", help="Column that names the axis, in files of several axes.")
-    ] = "",
     as_json: Json = False,
 ) -> None:
     """Watch axes over weeks: one row per recording, the growth of the leak, and the date of a limit.
@@ -128,7 +125,7 @@ def trend(
     """
     from hydro_rig.monitoring.trend_job import Watch, watch
 
-    given = Watch(append, columns or [], task, rig or [], oil, temperature, limit, axis_column)
+    given = Watch(append, columns or [], task, rig or [], oil, temperature, limit)
     with reading(as_json) as progress:
         found = watch(recordings, given, command_line(), progress)
     for line in found.left_out:

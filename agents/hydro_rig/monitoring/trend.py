@@ -8,13 +8,13 @@ A reading is that of ``hydro diagnose`` with the estimator alone, of the dozen l
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
+from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Reading, Windows
 from hydro_env import ConfigurationError, TaskConfig
@@ -25,11 +25,11 @@ from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Verdict, combined
 from hydro_rig.diagnosis.volume_balance import Blocks, VolumeLeak
 from hydro_rig.monitoring.oil import Oil, referred
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.files import Columns, pieces, started
+from hydro_rig.recordings.files import pieces, started
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.liveliest import Liveliest, sampled_windows
 from hydro_rig.recordings.quality import check_samples
-from hydro_rig.recordings.recording import Recording, map_for, recording_of
+from hydro_rig.recordings.recording import map_for, recording_of
 from hydro_rig.recordings.sampling import Sampled, cut
 
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
@@ -46,7 +46,6 @@ class Settings(NamedTuple):
 
     oil: Oil
     between: tuple[float, float]  # °C, of an oil whose temperature was not recorded
-    axis_column: str = ""  # heading of the column that names the axis; empty: one axis per file
     windows: int = MOST_WINDOWS  # of a reading
 
 
@@ -69,70 +68,44 @@ class Row(NamedTuple):
     clock_back: float  # s, by which the clock ran back in it; 0: never
 
 
-def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Any:
-    """The rows of a file as columns, for a :class:`~hydro_agents.running.jobs.Job`.
-
-    Raises:
-        ConfigurationError: the file cannot be read, or holds no rows.
-    """
-    rows = pd.DataFrame(rows_of(Path(path), axis, config, columns, how))
-    if rows.empty:
-        raise ConfigurationError(f"{path}: holds headings but no rows")
-    return {name: column.to_numpy() for name, column in rows.items()}
+def read_row(_: object, path: str, *arguments: Any) -> dict[str, NDArray[Any]]:
+    """The row of :func:`row_of_file` as columns, for a :class:`~hydro_agents.running.jobs.Job`."""
+    row = row_of_file(Path(path), *arguments)
+    return {name: np.array([value]) for name, value in row._asdict().items()}
 
 
-def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Iterator[Row]:
-    """Read a file; one row per axis.
+def row_of_file(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Row:
+    """Read a file.
 
     Args:
         path: CSV, Parquet or MDF4 of any length; TDMS or MAT.
-        axis: its name; with ``axis_column`` the column holds it.
+        axis: its name.
         config: the task whose rig was recorded.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
         how: settings.
 
     Raises:
-        ConfigurationError: the file cannot be read.
+        ConfigurationError: the file cannot be read, or holds no rows.
     """
-    lively: dict[str, Liveliest] = {}
-    blocks: dict[str, list[Blocks]] = {}
-    clock = None
-    for name, rows in _by_axis(path, axis, columns, how):
-        if clock is None:
-            clock = _clock(path, rows.begin)
-        lively.setdefault(name, Liveliest(WINDOW, config)).add(rows)
-        known = blocks.setdefault(name, [])
-        if sum(len(each.speed) for each in known) < MOST_BLOCKS:
-            known.extend(flow_blocks(rows))
-    for name, live in lively.items():
-        yield row_of(name, live, config, how, clock or 0.0, blocks[name])
-
-
-def _by_axis(path: Path, axis: str, columns: ColumnMap | None, how: Settings) -> Iterator[tuple[str, Recording]]:
-    """The pieces of a file as recordings, each with the name of its axis."""
+    live, blocks, clock = Liveliest(WINDOW, config), list[Blocks](), None
     for piece in pieces(path):
         columns = columns or map_for(piece, str(path))
-        for name, part in _split(piece, how.axis_column, path) if how.axis_column else [(axis, piece)]:
-            try:
-                yield name, recording_of(part, str(path), columns)
-            except ConfigurationError:
-                if len(part.cells[0]) >= _FEW:
-                    raise  # a few last rows are left out
+        try:
+            rows = recording_of(piece, str(path), columns)
+        except ConfigurationError:
+            if clock is None or len(piece.cells[0]) >= _FEW:
+                raise
+            continue  # a few last rows are left out
+        clock = _clock(path, rows.begin) if clock is None else clock
+        live.add(rows)
+        if sum(len(each.speed) for each in blocks) < MOST_BLOCKS:
+            blocks.extend(flow_blocks(rows))
+    if clock is None:
+        raise ConfigurationError(f"{path}: holds headings but no rows")
+    return row_of(axis, live, config, how, clock, blocks)
 
 
 _FEW = 100
-
-
-def _split(piece: Columns, heading: str, path: Path) -> Iterator[tuple[str, Columns]]:
-    if heading not in piece.headings:
-        shown = ", ".join(name[:30] for name in piece.headings[:12])
-        raise ConfigurationError(f"{path}: --axis-column {heading}: no column has this heading; headings: {shown}")
-    if any(stamps is not None for stamps in piece.stamps):
-        raise ConfigurationError(f"{path}: --axis-column {heading}: needs one table; MDF4 files hold one axis each")
-    names = piece.cells[piece.headings.index(heading)].astype(str)
-    for name in names.unique():
-        inside = (names == name).to_numpy()
-        yield str(name), piece._replace(cells=[cells[inside].reset_index(drop=True) for cells in piece.cells])
 
 
 def _clock(path: Path, first: float) -> float:

@@ -19,7 +19,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
 from hydro_rig.monitoring.oil import Oil, temperature_range
-from hydro_rig.monitoring.trend import Settings, read_rows
+from hydro_rig.monitoring.trend import Settings, read_row
 from hydro_rig.monitoring.trend_page import lines_of, render_trend
 from hydro_rig.monitoring.trend_summary import AxisTrend, exit_code, trends_of
 from hydro_rig.monitoring.trend_table import (
@@ -47,7 +47,6 @@ class Watch(NamedTuple):
     oil: str = "46"
     temperature: str = "20..60"
     limit: float | None = None
-    axis_column: str = ""
 
 
 class Watched(NamedTuple):
@@ -92,7 +91,7 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
         ConfigurationError: a setting is impossible, no file can be read, or the folder cannot be written.
         KeyboardInterrupt: Ctrl-C; the table holds the finished files.
     """
-    settings = Settings(Oil.of(how.oil), temperature_range(how.temperature), how.axis_column)
+    settings = Settings(Oil.of(how.oil), temperature_range(how.temperature))
     folder = how.table.parent
     files = files_of(places, how.table)
     table = read_table(how.table)
@@ -102,7 +101,7 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
     page, left_out = folder / f"{how.table.stem}.html", list[str]()
     with output_folder(folder, "trend", (page.name, FIGURE_FILES), resume=True):
         jobs = {
-            name: Job(read_rows, None, (str(file.path.absolute()), file.axis, configs[file.axis], maps[file], settings))
+            name: Job(read_row, None, (str(file.path.absolute()), file.axis, configs[file.axis], maps[file], settings))
             for name, file in new.items()
         }
         report = progress or (lambda phase, done, total: None)
@@ -120,7 +119,6 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
             first = next(iter(new.values()))
             _tell_why(first, maps[first] is None, left_out)
         axes = sorted(set(table["axis"]))
-        configs |= _configs(how, set(axes))  # names of a column
         limits = {axis: how.limit or USUAL_LIMIT * leak_scale(configs[axis]) for axis in axes}
         trends = trends_of(table, limits, settings.oil, settings.between)
         render_trend(trends, how.table.name, left_out, Origin.now(command)).write(page)
@@ -132,7 +130,7 @@ def _configs(how: Watch, axes: set[str]) -> dict[str, TaskConfig]:
     own: dict[str, Path] = {}
     for text in how.rigs:
         axis, _, file = text.rpartition("=")
-        if axis and axis not in axes and not how.axis_column:
+        if axis and axis not in axes:
             raise ConfigurationError(f"--rig {text}: axis '{axis}': known: {', '.join(sorted(axes)[:20])}")
         own[axis] = config_file("rigs", Path(file))
     made = {name: task_config(how.task, rig=path) for name, path in own.items()}
@@ -154,10 +152,11 @@ def _clocks(table: pd.DataFrame) -> list[str]:
     """A line for each recording that begins before the end of the one before it, by the clock of the machine."""
     lines = []
     for axis, rows in table.groupby("axis", sort=True):
-        files = rows.groupby("file", sort=False).agg(begin=("time", "min"), end=("until", "max"))
-        files = files.sort_values("begin", kind="stable")
-        ends = files["end"].cummax().shift(fill_value="")
-        for name, file in files[files["begin"] < ends].iterrows():
-            lines.append(f"{axis}: {name} begins at {file['begin']}, before the file before it ends: a clock ran back")
+        rows = rows.sort_values("time", kind="stable")
+        early = rows["time"] < rows["until"].cummax().shift(fill_value="")
+        lines += [
+            f"{axis}: {row['file']} begins at {row['time']}, before the file before it ends: a clock ran back"
+            for row in rows[early].to_dict("records")
+        ]
     jumped = table[table["clock_back"] > 0.0]
     return lines + [f"{row['axis']}: {row['file']}: {row['reason']}" for row in jumped.to_dict("records")]
