@@ -38,10 +38,7 @@ def alarms(
     ] = "two_stage",
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     rate: Annotated[float, typer.Option(help="Accepted false alarms per 100 hours.")] = 1.0,
-    axes: Annotated[
-        int | None, typer.Option(help="Axes for the calibration, and again for the test. Default: 40.")
-    ] = None,
-    fault_axes: Annotated[int | None, typer.Option(help="Of them, axes at rest. Default: 20.")] = None,
+    axes: Annotated[int, typer.Option(help="Axes for the calibration, and again for the test.")] = 40,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -50,7 +47,7 @@ def alarms(
     The alarm sums up the readings of a detector. Each axis works for ten minutes, healthy and with leaks: all families
     of references, at full speed, slowly, and standing, under the PID and the flow-linearising controller. Hours and
     shifts are then drawn from these readings, axis by axis. The threshold comes from validation seeds; test seeds give
-    false alarms, and leaks missed in a shift and at rest. Written are `alarm.yaml` (the settings), `alarms.md` and one
+    false alarms, and leaks missed in a shift. Written are `alarm.yaml` (the settings), `alarms.md` and one
     CSV per table. Ctrl-C keeps the finished jobs, and `--resume` continues.
     """
     from hydro_agents.detection.detectors import DetectorChoice, make_detector
@@ -70,9 +67,7 @@ def alarms(
     choice = validate(DetectorChoice, {"kind": detector, "weights": weights}, "--detector")
     if head is not None and detector not in ("head", "two_stage"):
         raise ConfigurationError(f"--head {head}: only a head has weights; leave out --head or --detector {detector}")
-    given = {"rate": rate, "axes": axes, "fault_axes": fault_axes}
-    chosen = {name: value for name, value in given.items() if value is not None}
-    job = validate(AlarmJob, chosen, "alarms")
+    job = validate(AlarmJob, {"rate": rate, "axes": axes}, "alarms")
     watching = make_detector(choice)
     window_of(watching, config)  # refuses a task that it cannot read
     name = detector if detector not in ("head", "two_stage") else f"{detector} {Path(head or HEAD_FILE).name}"

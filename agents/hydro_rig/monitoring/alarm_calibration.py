@@ -105,11 +105,6 @@ class Axes(NamedTuple):
         time = np.arange(blocks * size, dtype=np.float64) * self.interval
         return Looks(time, np.where(lost, np.nan, score), sigma, flow, cause, kinds, truth)
 
-    def among(self, chosen: NDArray[np.int64]) -> Axes:
-        """Some of the axes."""
-        parts: Any = (values[chosen] for values in self.looks[1:])
-        return self._replace(looks=Looks(self.looks.time, *parts))
-
 
 def _means(scores: Floats) -> Floats:
     """Mean of each axis with at least two looks, (N,); NaN: fewer."""

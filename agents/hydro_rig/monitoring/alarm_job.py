@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm
+from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.looks import Activity
 from hydro_agents.running.seeds import ALARM_CALIBRATION, ALARMS, SeedRange
 from hydro_agents.running.statistics import Interval, mean_interval, share_interval
@@ -24,25 +24,12 @@ from hydro_rig.monitoring.alarm_calibration import (
     rate_per_100_h,
     totals,
 )
-from hydro_rig.monitoring.alarm_simulation import Bench, Onset, Work
+from hydro_rig.monitoring.alarm_simulation import Bench, Work
 
 LEVELS = (0.05, 0.1, 0.3)  # leaks, l/min at 100 bar
 
 DESIGN = {Activity.STANDING: 0.1, Activity.SLOW: 0.1, Activity.MOVING: 0.05}
 """The leak that the alarm is designed for, in each activity: a look at rest says less."""
-
-AT_REST: dict[str, Onset] = {
-    "0.1 l/min": Onset(0.1, Activity.STANDING),
-    "0.3 l/min": Onset(0.3, Activity.STANDING),
-    "healthy": Onset(then=Activity.STANDING),
-    "null shift −1.5 %": Onset(then=Activity.STANDING, fault=("valve_null_shift", -0.015)),
-    "null shift +1.5 %": Onset(then=Activity.STANDING, fault=("valve_null_shift", 0.015)),
-    "underlap + 0.02": Onset(then=Activity.STANDING, fault=("valve_underlap", 0.02)),
-}
-"""What begins while the axis rests."""
-
-REST_MINUTES = 20.0  # that the alarm watches, drawn from the measured looks
-PAST, LEAST_REST = 30.0, 124.0  # s; work before a rest, and its measured part
 
 
 class AlarmJob(Group):
@@ -50,7 +37,6 @@ class AlarmJob(Group):
 
     rate: float = Field(1.0, gt=0.0, le=1e4, description="wanted false alarms per 100 h")
     axes: int = Field(40, ge=10, le=10_000, description="whose looks are measured, for calibration and test each")
-    fault_axes: int = Field(20, ge=2, le=10_000, description="of them, at rest and with other faults")
     seconds: float = Field(600.0, ge=60.0, le=36_000.0, description="work of each healthy axis")
     leaking: float = Field(240.0, ge=60.0, le=36_000.0, description="s; work of each axis with each leak")
     interval: float = Field(4.0, gt=0.0, le=60.0, description="s; between looks")
@@ -73,28 +59,22 @@ def run_job(bench: Bench, job: AlarmJob) -> tuple[AlarmSettings, dict[str, pd.Da
     """
     ration = float(getattr(bench.detector, "ration", 0.0))
 
-    def work(seeds: SeedRange, levels: Sequence[float]) -> Work:
-        onsets = tuple(Onset(level) for level in levels)
-        return Work(seeds.take(job.axes).start, job.axes, job.seconds, job.interval, job.leaking, onsets)
+    def looks(name: str, seeds: SeedRange, leaks: Sequence[float]) -> list[Axes]:
+        first = seeds.take(job.axes).start
+        work = Work(first, job.axes, job.seconds, job.interval, job.leaking, tuple(leaks))
+        return [Axes(each, ration) for each in bench.looks(name, work)]
 
     designs = sorted(set(DESIGN.values()))
-    validation = bench.looks({"validation": work(ALARM_CALIBRATION, designs)})["validation"]
-    healthy, *leaking = (Axes(looks, ration) for looks in validation)
+    healthy, *leaking = looks("validation", ALARM_CALIBRATION, designs)
     by_size = dict(zip(designs, leaking, strict=True))
     chosen = {activity: (size, by_size[size]) for activity, size in DESIGN.items()}
     bound = bench.config.leakage.class_bounds[0]
     settings = calibrate(healthy, chosen, job.rate, job.learning, bench.detector_name, bound)
 
-    few = min(job.fault_axes, job.axes)
-    rest = max(LEAST_REST, 3.0 * ration + job.interval)
-    resting = Work(ALARMS.take(few).start, few, PAST, job.interval, rest, tuple(AT_REST.values()))
-    found = bench.looks({"work": work(ALARMS, LEVELS), "rest": resting})
-    fresh, *leaks = (Axes(looks, ration) for looks in found["work"])
-    at_rest = {name: Axes(looks, ration) for name, looks in zip(AT_REST, found["rest"][1:], strict=True)}
+    fresh, *leaking = looks("work", ALARMS, LEVELS)
     return settings, {
         "false_alarms": false_alarms(settings, fresh),
-        "shift": shift_table(settings, fresh, dict(zip(LEVELS, leaks, strict=True))),
-        "at_rest": rest_table(settings, fresh.among(np.arange(few)), at_rest),
+        "shift": shift_table(settings, fresh, dict(zip(LEVELS, leaking, strict=True))),
     }
 
 
@@ -108,24 +88,19 @@ def false_alarms(settings: AlarmSettings, healthy: Axes) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _learnt(settings: AlarmSettings, healthy: Axes) -> AlarmState:
-    """The memory of the alarms after a drawn shift of healthy axes, acknowledged."""
-    alarm = LeakAlarm(settings)
-    state = totals(alarm, healthy.drawn(SHIFT_HOURS, 1, COPIES))[1]
-    return alarm.reset(state, state.alarm)
-
-
 def shift_table(settings: AlarmSettings, healthy: Axes, leaks: Mapping[float, Axes]) -> pd.DataFrame:
     """Share of axes whose leak is missed in a shift of 8 h, and the median time in minutes until the alarm.
 
     The leak begins with the shift, after a healthy one in which the alarm learnt the axis; or it is there when the
     alarm is switched on.
     """
-    rows, learnt = [], _learnt(settings, healthy)
+    rows, alarm = [], LeakAlarm(settings)
+    learnt = totals(alarm, healthy.drawn(SHIFT_HOURS, 1, COPIES))[1]
+    learnt = alarm.reset(learnt, learnt.alarm)
     for level, axes in leaks.items():
         for state, begins in ((learnt, "after a healthy shift"), (None, "before the alarm is on")):
             drawn = axes.drawn(SHIFT_HOURS, 2, COPIES)
-            raised = totals(LeakAlarm(settings), drawn, state)[0] > 1.0
+            raised = totals(alarm, drawn, state)[0] > 1.0
             late = np.where(raised.any(axis=1), drawn.time[raised.argmax(axis=1)] / 60.0, np.inf)
             missed = np.isinf(late).reshape(COPIES, -1).mean(axis=0)
             row: dict[str, Any] = {"leak_lpm": level, "begins": begins, "axes": len(missed)}
@@ -139,21 +114,3 @@ def _share(per_axis: NDArray[Any]) -> Interval:
     if np.ptp(per_axis) > 0.0:
         return mean_interval(per_axis)
     return share_interval(round(len(per_axis) * float(per_axis[0])), len(per_axis))
-
-
-def rest_table(settings: AlarmSettings, healthy: Axes, resting: Mapping[str, Axes]) -> pd.DataFrame:
-    """Share of axes with an alarm after 20 minutes at rest, at whose beginning a leak or another fault began.
-
-    The columns ``after_1`` and ``after_5`` say after one minute, which holds a single look of a rationed detector, and
-    after five how many had one: the looks share plant and biases, and their errors are correlated.
-    """
-    rows, learnt = [], _learnt(settings, healthy)
-    for name, axes in resting.items():
-        drawn = axes.drawn(REST_MINUTES / 60.0, 3, COPIES, in_motion=0.0)
-        raised = totals(LeakAlarm(settings), drawn, learnt)[0] > 1.0
-        row: dict[str, Any] = {"begins": name, "axes": len(axes.looks.score), "minutes": REST_MINUTES}
-        row |= {
-            f"after_{minutes}": float(raised[:, drawn.time < 60.0 * minutes].any(axis=1).mean()) for minutes in (1, 5)
-        }
-        rows.append(row | _share(raised.any(axis=1).reshape(COPIES, -1).mean(axis=0)).columns("alarmed"))
-    return pd.DataFrame(rows)

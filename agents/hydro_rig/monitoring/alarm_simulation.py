@@ -7,7 +7,7 @@ each with its own family, at full speed, at a sixteenth of it, or standing.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +23,6 @@ from hydro_agents.detection.looks import Activity, Looks, joined, look, window_o
 from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import LeakageDraw, task_config
-from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, Fault
 from hydro_env.task.reference_signals import FAMILIES
 from hydro_env.task.settings import choice
 
@@ -35,16 +34,6 @@ FADE = 2.0  # time in s in which the reference passes from one family to the nex
 TOGETHER = 4  # largest number of axes of a job
 
 _ONSET = choice(LeakageDraw, "schedule", "onset")
-_FAULT_ONSET = choice(Fault, "schedule", "onset")
-
-
-@dataclass(frozen=True)
-class Onset:
-    """Sudden change of the axes after ``Work.duration``; each onset continues the same axes."""
-
-    leak_lpm: float | None = None  # at 100 bar; None: the seal stays healthy
-    then: Activity | None = None  # from then on; None: all activities in turn
-    fault: tuple[str, float] | None = None  # one of hydro_env.task.faults.FAULTS and its magnitude
 
 
 @dataclass(frozen=True)
@@ -53,17 +42,17 @@ class Work:
 
     first_seed: int
     axes: int
-    duration: float  # s, up to the onset
+    duration: float  # s, without a leak
     interval: float  # s, between looks
-    after: float = 0.0  # s, that follow each onset
-    onsets: tuple[Onset, ...] = ()  # each continues the same axes
+    after: float = 0.0  # s, that follow with each leak
+    leaks: tuple[float, ...] = ()  # l/min at 100 bar, that begin then; each continues the same axes
 
 
 def simulate(config: TaskConfig, controller: Controller, detector: Detector, work: Work) -> list[Looks]:
     """Simulate axes at work and look at them at regular times; axes, references and noise depend on the seeds alone.
 
     Returns:
-        Looks at the axes up to the onset, then the looks after each onset, all with the same past.
+        Looks at the healthy axes, then the looks with each leak, all with the same past.
 
     Raises:
         ConfigurationError: the work is shorter than a window, or an axis cannot begin.
@@ -71,10 +60,10 @@ def simulate(config: TaskConfig, controller: Controller, detector: Detector, wor
     running = _Running(config, controller, detector, work)
     looks = [running.looks(running.change)]
     past, plants = deepcopy(running.state), running.env.get_state()
-    for onset in work.onsets:
+    for leak in work.leaks:
         running.state = deepcopy(past)
         running.env.set_state(plants)
-        running.begin(onset)
+        running.begin(leak)
         looks.append(running.looks(running.end))
     running.env.close()
     return looks
@@ -119,24 +108,13 @@ class _Running:
         window = np.full((work.axes, len(SIGNALS), self.length), np.nan)
         self.state = _State(observation, window, np.ones(work.axes, dtype=np.bool_), deepcopy(detector))
 
-    def begin(self, onset: Onset) -> None:
-        """Change the leaks and the activities of the axes from now on."""
-        axes, now = self.env.axes, self.state.step * self.period
-        if onset.then is not None:
-            axes.reference[:] = working_references(self.config, self.seeds, (now, onset.then))
-        row = axes.record
-        if onset.leak_lpm is not None:
-            row["leak_schedule"] = _ONSET
-            row["leak_start_time"] = now
-            row["leak_start_flow"] = row["leak_flow"]
-            row["leak_target_flow"] = onset.leak_lpm
-        if onset.fault is not None:
-            name, magnitude = onset.fault
-            kind = FAULT_KINDS.index(KIND_OF_FAULT[name])
-            row["faulty"] = 1.0
-            row["fault_schedule"][:, kind] = _FAULT_ONSET
-            row["fault_start"][:, kind] = now
-            row["fault_target"][:, FAULTS.index(name)] = magnitude
+    def begin(self, leak_lpm: float) -> None:
+        """Let the seals of all axes leak from now on, l/min at 100 bar."""
+        row = self.env.axes.record
+        row["leak_schedule"] = _ONSET
+        row["leak_start_time"] = self.state.step * self.period
+        row["leak_start_flow"] = row["leak_flow"]
+        row["leak_target_flow"] = leak_lpm
 
     def looks(self, end: int) -> Looks:
         """Run up to a step; the looks since the last call."""
@@ -171,30 +149,28 @@ class Bench:
     folder: Path | None = None  # for the results of the jobs; None keeps none
     progress: Report | None = None  # called when a job finishes
 
-    def looks(self, listed: Mapping[str, Work]) -> dict[str, list[Looks]]:
-        """Looks up to the onset, and after each onset; see :func:`simulate`.
+    def looks(self, name: str, work: Work) -> list[Looks]:
+        """Looks at healthy axes and with each leak; see :func:`simulate`. ``name`` is that of the jobs.
 
         Raises:
             ConfigurationError: work is shorter than a window, or an axis cannot begin.
         """
         jobs: dict[str, Job] = {}
         acting = [((each, self.detector), fingerprint(each, self.detector)) for each in self.controllers]
-        for name, work in listed.items():
-            fair = math.ceil(work.axes / len(acting))
-            size = TOGETHER if work.axes > TOGETHER else fair  # each controller gets a part
-            for number, first in enumerate(range(0, work.axes, size)):
-                participant, digest = acting[number % len(acting)]
-                part = replace(work, first_seed=work.first_seed + first, axes=min(size, work.axes - first))
-                jobs[f"{name}|{number}"] = Job(simulated, participant, (self.config, part), digest)
+        fair = math.ceil(work.axes / len(acting))
+        size = TOGETHER if work.axes > TOGETHER else fair  # each controller gets a part
+        for number, first in enumerate(range(0, work.axes, size)):
+            participant, digest = acting[number % len(acting)]
+            part = replace(work, first_seed=work.first_seed + first, axes=min(size, work.axes - first))
+            jobs[f"{name}|{number}"] = Job(simulated, participant, (self.config, part), digest)
         results = run_jobs(jobs, self.folder, None, self.progress)[0]
-        parts: dict[str, list[list[Looks]]] = {name: [] for name in listed}
-        for key in jobs:
-            result, name = results[key], key.split("|")[0]
+        parts = []
+        for result in (results[key] for key in jobs):
             if result.error:
                 raise ConfigurationError(result.error)
-            each = range(1 + len(listed[name].onsets))
-            parts[name].append([Looks(*(result.metrics[f"{row}.{field}"] for field in Looks._fields)) for row in each])
-        return {name: [joined(column) for column in zip(*each, strict=True)] for name, each in parts.items()}
+            each = range(1 + len(work.leaks))
+            parts.append([Looks(*(result.metrics[f"{row}.{field}"] for field in Looks._fields)) for row in each])
+        return [joined(column) for column in zip(*parts, strict=True)]
 
 
 def simulated(acting: tuple[Controller, Detector], config: TaskConfig, work: Work) -> Columns:
@@ -207,15 +183,12 @@ def simulated(acting: tuple[Controller, Detector], config: TaskConfig, work: Wor
     return {f"{row}.{field}": values for row, looks in enumerate(each) for field, values in looks._asdict().items()}
 
 
-def working_references(
-    config: TaskConfig, seeds: NDArray[np.int64], then: tuple[float, Activity] | None = None
-) -> NDArray[np.float64]:
+def working_references(config: TaskConfig, seeds: NDArray[np.int64]) -> NDArray[np.float64]:
     """References of N axes at work, m, (N, samples of an episode with its preview).
 
     Args:
         config: the task; its episode is as long as the operation.
         seeds: seeds of the axes (N,); the references stay within the limits of the plants that they draw.
-        then: a time in s, and the activity of each axis from then on.
     """
     names = [name for name in FAMILIES if name != "user" and config.references.weights.get(name, 0.0) > 0.0]
     env = ServoHydraulicVectorEnv(len(seeds), config, info=False)
@@ -224,21 +197,12 @@ def working_references(
         env.reset(seed=[int(seed) for seed in seeds], options={"reference": name})
         families.append(env.axes.reference.copy())
     env.close()
-    rows = [
-        _joined(
-            [family[axis] for family in families], config.control_period, np.random.default_rng([int(seed), 1]), then
-        )
-        for axis, seed in enumerate(seeds)
-    ]
-    return np.array(rows)
+    return np.array([_joined([rows[axis] for rows in families], config, int(seed)) for axis, seed in enumerate(seeds)])
 
 
-def _joined(
-    families: list[NDArray[np.float64]],
-    period: float,
-    generator: np.random.Generator,
-    then: tuple[float, Activity] | None,
-) -> NDArray[np.float64]:
+def _joined(families: Sequence[NDArray[np.float64]], config: TaskConfig, seed: int) -> NDArray[np.float64]:
+    """The reference of one axis, from one of each family."""
+    generator, period = np.random.default_rng([seed, 1]), config.control_period
     samples = len(families[0])
     row = np.empty(samples)
     clocks = np.zeros(len(families))  # in samples: where each family goes on
@@ -247,19 +211,13 @@ def _joined(
     while first < samples:
         duration = np.exp(generator.uniform(*np.log(STRETCH)))
         family = int(generator.integers(len(families)))
-        activity = activities[generator.choice(len(shares), p=shares)]
+        pace = PACE[activities[generator.choice(len(shares), p=shares)]]
         last = min(first + max(round(duration / period), 1), samples)
-        if then is not None:
-            change = round(then[0] / period)
-            if first >= change:
-                activity, last = then[1], samples
-            else:
-                last = min(last, change)
-        ahead = clocks[family] + PACE[activity] * np.arange(last - first)
+        ahead = clocks[family] + pace * np.arange(last - first)
         stretch = np.interp(ahead, np.arange(samples), families[family])
         share = np.minimum(np.arange(last - first) * period / FADE, 1.0)
         weight = share**3 * (10.0 + share * (6.0 * share - 15.0))
         row[first:last] = held + weight * (stretch - held)
-        clocks[family] = ahead[-1] + PACE[activity]
+        clocks[family] = ahead[-1] + pace
         first, held = last, row[last - 1]
     return row
