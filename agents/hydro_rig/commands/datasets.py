@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -98,12 +99,13 @@ def record(
         _record_benchmark(benchmark, task_config(task, rig=rig), 600 if count is None else count, key)
         return
     faults = named_faults(fault or [])
-    if output is None:
+    if minari is not None:
         given = {"leakage_flow_lpm": leakage, "reference": family, "faults": faults or None}
-        length = duration if duration is not None else task_config(task, rig=rig).episode_duration
-        config = task_config(task, rig=rig, episode_duration=length)
-        _record_dataset(str(minari), config, controller, 100 if count is None else count, seed, given)
+        length: dict[str, Any] = {} if duration is None else {"episode_duration": duration}
+        config = task_config(task, rig=rig, **length)
+        _record_dataset(minari, config, controller, 100 if count is None else count, seed, given)
         return
+    assert output is not None
     check_new_file(output, overwrite)
     config = task_config(exact_task(task, rig), rig=rig, episode_duration=20.0 if duration is None else duration)
     mover, gains = stable_pid(config) if controller == "pid" else (opponent(controller, config, "--controller"), "")
@@ -127,11 +129,8 @@ def _record_dataset(
     mover = opponent(controller, config, "--controller")
     options = {option: value for option, value in given.items() if value is not None}
     with ProgressDisplay() as display:
-
-        def progress(finished: int) -> None:
-            display.update("episodes", finished, episodes)
-
-        data = record_dataset(name, config, mover, controller, episodes, seed, options, command_line(), progress)
+        report = partial(display.update, "episodes", total=episodes)
+        data = record_dataset(name, config, mover, controller, episodes, seed, options, command_line(), report)
     say(f"{name}: {data.episodes} episodes, {data.steps} steps, in {data.folder}")
 
 

@@ -121,9 +121,8 @@ def reading_quantities(content: Content) -> list[Block]:
             rows.append(_row(capitalised(wear.what), wear.unit, wear.factor, quantity, f"{low} to {high}"))
     if "valve.edge_ratio" in quantities:
         rows.append(_row("Edges of chamber b over those of chamber a", "", 1.0, quantities["valve.edge_ratio"], ""))
-    shown = FIND * seal.deviation
-    present = "A leak past the seal is present" if seal.value > shown else "A leak past the seal is not shown"
-    note = f"{present}: at 1 % false alarms the test shows {number(shown, digits=2)} l/min and more."
+    shown = number(FIND * seal.deviation, digits=2)
+    note = f"At 1 % false alarms the test shows a leak past the seal from {shown} l/min on."
     header = ("", "Value", "90 % interval", "Bound (±)", "Healthy", "Unit")
     return [Table("", header, rows, folded=False), Text(note)]
 

@@ -105,7 +105,7 @@ def plan_line(plan: Plan) -> str:
 def plan_facts(plan: Plan) -> dict[str, Any]:
     """The plan as numbers, for ``--json``."""
     return {
-        "steps": [{"opening": step.opening, "seconds": step.seconds, "what": step.what} for step in plan.best.steps],
+        "steps": [step._asdict() for step in plan.best.steps],
         "form": plan.best.form.name,
         "bound_lpm": plan.best.mean_bound,
         "largest_bound_lpm": plan.best.largest_bound,

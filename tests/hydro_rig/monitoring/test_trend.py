@@ -270,7 +270,7 @@ def test_a_clock_that_jumped_back_between_files_is_told(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--oil", "45"), "unknown ISO VG grade"),
+        (("--oil", "45"), "--oil 45"),
         (("--temperature", "60..20"), "--temperature"),
         (("--rig", "three=kovari_2015"), "known: one, two"),
         (("--map", "*.txt=map.yaml"), "matches none"),
