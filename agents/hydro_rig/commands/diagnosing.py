@@ -65,9 +65,8 @@ def diagnose(
     from hydro_agents.detection.alarm import AlarmSettings
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
-    from hydro_rig.diagnosis.companion import Companion
+    from hydro_rig.diagnosis.diagnose import Companion, in_json
     from hydro_rig.diagnosis.diagnose import diagnose as diagnose_recording
-    from hydro_rig.diagnosis.diagnose import in_json
     from hydro_rig.diagnosis.diagnosis_page import FILES, JOB, diagnose_to_folder
     from hydro_rig.diagnosis.verdict import EXIT_CODES
     from hydro_rig.recordings.columns import read_map

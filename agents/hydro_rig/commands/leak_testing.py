@@ -74,7 +74,7 @@ def leak_test(
 
     The test presses the axis against its stops at several openings, closes the valve, and makes short moves. The plan
     is the one with the lowest Cramér–Rao bound that stays within your limits on simulated axes. Written are a page
-    (`plan.html`), the commands (`commands.csv`, `leak_test.h`) and a simulated recording. The reading gives litres per
+    (`plan.html`), the commands (`commands.csv`) and a simulated recording. The reading gives litres per
     minute with an interval, the leak of the seal apart from that of the valve's edges, as `leak_test.html` and JSON.
     Exit codes of the reading: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell.
     """
@@ -114,8 +114,8 @@ def _ends(between: str | None) -> tuple[float | None, float | None]:
 
 def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json: bool, overwrite: bool) -> None:
     from hydro_agents.running.folders import refuse_taken
+    from hydro_rig.diagnosis.leak_test_page import JOB, PLAN_FILES, plan_facts, plan_to_folder
     from hydro_rig.diagnosis.leak_test_plan import plan
-    from hydro_rig.diagnosis.leak_test_plan_page import JOB, PLAN_FILES, plan_facts, plan_to_folder
     from hydro_rig.diagnosis.leak_test_steps import LeakTestSettings
 
     refuse_taken(output, JOB, PLAN_FILES, overwrite)

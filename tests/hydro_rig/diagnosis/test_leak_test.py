@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 from types import SimpleNamespace
 
@@ -13,14 +12,12 @@ from command_line import assert_one_clear_line, done, hydro
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.randomisation import Distribution
-from hydro_rig.diagnosis.leak_test_page import reading_facts
+from hydro_rig.diagnosis.leak_test_page import commands_csv, reading_facts
 from hydro_rig.diagnosis.leak_test_plan import plan, priors_of_test, simulated, worn_task
-from hydro_rig.diagnosis.leak_test_plan_page import commands_csv, header_code
 from hydro_rig.diagnosis.leak_test_reading import Quantity, edge_flow, read_leak_test
 from hydro_rig.diagnosis.leak_test_steps import FORMS, RAMP, LeakTestSettings, Step, commands_of
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.estimation.model import Model
-from hydro_rig.export.c_files import c_compiler, compiled
 from hydro_rig.recordings.simulated import recording_csv
 
 CONFIG = TaskConfig()
@@ -58,20 +55,10 @@ def test_the_plan_keeps_the_limits_and_takes_the_lowest_bound(small_plan):
     assert len(small_plan.commands) == pytest.approx(10.0 / CONFIG.control_period, abs=20)
 
 
-def test_the_commands_stand_in_the_table_and_in_c(small_plan, tmp_path):
+def test_the_commands_stand_in_the_table(small_plan):
     rows = np.loadtxt(commands_csv(small_plan).splitlines(), delimiter=",", skiprows=1)
     np.testing.assert_allclose(rows[:, 1], small_plan.commands, atol=1e-6)
     np.testing.assert_allclose(rows[:, 2], 10.0 * small_plan.commands, atol=1e-5)
-    if c_compiler() is None:
-        pytest.skip("no C compiler")
-    source = '#include "leak_test.h"\ndouble opening(double t) { return leak_test_opening(t); }\n'
-    texts = {"leak_test.h": header_code(small_plan, "hydro leak-test"), "code.c": source}
-    compiled(texts, ("-shared", "-fPIC", "-Wall", "-Wextra", "-Werror"), folder=tmp_path)
-    code = ctypes.CDLL(str(tmp_path / "out"))
-    code.opening.restype, code.opening.argtypes = ctypes.c_double, [ctypes.c_double]
-    time = rows[:, 0] + 1e-9
-    np.testing.assert_allclose([code.opening(t) for t in time], small_plan.commands, atol=1e-7)
-    assert code.opening(-1.0) == code.opening(time[-1] + 1.0) == 0.0
 
 
 def test_a_worn_task_widens_the_ranges_of_a_rig_and_keeps_wider_ones():
@@ -142,7 +129,7 @@ def test_the_command_writes_plan_commands_and_header(tmp_path):
     assert -0.06 <= facts["positions"][0] <= facts["positions"][1] <= 0.06
     assert facts["bound_lpm"] < 0.02
     assert sum(step["seconds"] for step in facts["steps"]) == pytest.approx(4.0, abs=0.2)
-    for name in ("plan.html", "commands.csv", "leak_test.h", "simulated.csv"):
+    for name in ("plan.html", "commands.csv", "simulated.csv"):
         assert (out / name).stat().st_size > 0
 
 

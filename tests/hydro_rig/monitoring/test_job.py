@@ -11,8 +11,7 @@ from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.estimation.two_stage import TwoStageDetector
-from hydro_rig.monitoring.alarm_calibration import COPIES
-from hydro_rig.monitoring.alarm_job import AlarmJob, run_job
+from hydro_rig.monitoring.alarm_job import COPIES, AlarmJob, run_job
 
 CONFIG = TaskConfig()
 JOB = AlarmJob(axes=12, seconds=600.0, leaking=240.0, learning=20)

@@ -6,7 +6,7 @@ import pytest
 from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.detector import Cause
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_rig.monitoring.alarm_calibration import (
+from hydro_rig.monitoring.alarm_job import (
     COPIES,
     SAFETY,
     Axes,
