@@ -66,7 +66,7 @@ def main() -> None:
     parser.add_argument("--leak", type=float, nargs="+", default=[0.0, 0.005, 0.01, 0.05], help="l/min at 100 bar")
     parser.add_argument("--rig", default=None)
     parser.add_argument("--duration", type=float, default=60.0, help="s")
-    parser.add_argument("--stop", default="both", choices=["both", "extended", "retracted", "none"])
+    parser.add_argument("--stop", default="both", choices=["both", "extended", "retracted"])
     parser.add_argument("--validation", action="store_true", help="validation seeds instead of test seeds")
     parser.add_argument("--folder", type=Path, default=None, help="for the results, which it keeps")
     arguments = parser.parse_args()

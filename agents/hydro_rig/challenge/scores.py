@@ -86,7 +86,6 @@ class Score:
     outcomes: Outcomes
     row: dict[str, Any]  # of the table
     by_tier: dict[int, Interval]
-    confusion: pd.DataFrame | None  # share of each cause that is named, true causes as rows; None: names none
 
 
 def score(name: str, predictions: pd.DataFrame, labels: pd.DataFrame) -> Score:
@@ -106,12 +105,10 @@ def score(name: str, predictions: pd.DataFrame, labels: pd.DataFrame) -> Score:
     row = {"detector": name, **outcomes.with_interval().columns("found_share")}
     row |= _alarms(outcomes, looks, labels) | _sizes(last, labels)
     by_tier = {int(tier): outcomes.part(outcomes.tier == tier).with_interval() for tier in np.unique(outcomes.tier)}
-    confusion = None
     if "cause" in looks:
         truth, named = labels["cause"], last["cause"].fillna("none").to_numpy()
-        confusion = pd.crosstab(truth.to_numpy(), named, normalize="index")
         row["cause_right"] = float(np.mean([(named[truth == cause] == cause).mean() for cause in truth.unique()]))
-    return Score(name, outcomes, row, by_tier, confusion)
+    return Score(name, outcomes, row, by_tier)
 
 
 def _checked(name: str, predictions: pd.DataFrame, labels: pd.DataFrame) -> pd.DataFrame:
@@ -200,9 +197,7 @@ def _sizes(last: pd.DataFrame, labels: pd.DataFrame) -> dict[str, float]:
     leak, truth = labels["leak"].to_numpy(dtype=bool), labels["size"].to_numpy(dtype=np.float64)
     if "probability" in last:
         probability = last["probability"].fillna(0.5).to_numpy()
-        error, bins = probability - leak, np.minimum((10 * probability).astype(int), 9)
-        found["brier"] = float(np.mean(error**2))
-        found["calibration_error"] = float(sum(abs(error[bins == each].sum()) for each in range(10)) / len(error))
+        found["brier"] = float(np.mean((probability - leak) ** 2))
     if "size" in last:
         size = last["size"].to_numpy()
         known = leak & (size > 0.0)
@@ -243,16 +238,11 @@ def text_of(scores: Sequence[Score]) -> str:
     header += ["false alarms per 100 h", "missed", "median delay, s"]
     header += ["cause right", "Brier score", "size off by", "90 % interval holds"]
     rates = ", ".join(f"{rate:g}" for rate in BUDGETS)
-    parts = [
-        markdown(header, [_cells(one) for one in ordered]),
-        f"Leaks found: mean share at {rates} false alarms per hour, with its 95 % interval over recordings. "
-        f"{number(ordered[0].row['hours'])} h without a leak.",
-    ]
-    for one in ordered:
-        if one.confusion is not None:
-            cells = [[cause, *(f"{100 * v:.0f} %" for v in values)] for cause, values in one.confusion.iterrows()]
-            parts += [f"Causes named by {one.name}:", markdown(["true cause", *one.confusion.columns], cells)]
-    return "\n\n".join(parts)
+    table = markdown(header, [_cells(one) for one in ordered])
+    return (
+        f"{table}\n\nLeaks found: mean share at {rates} false alarms per hour, with its 95 % interval over recordings. "
+        f"{number(ordered[0].row['hours'])} h without a leak."
+    )
 
 
 def _cells(one: Score) -> list[str]:

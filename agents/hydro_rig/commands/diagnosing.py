@@ -57,8 +57,8 @@ def diagnose(
 
     First it checks the recording: gaps, jitter, units, signs, exchanged chambers, stuck and saturated sensors. Then two
     detectors read the leak window by window: an estimator with the simulator as model, and the leakage head or another
-    one (`--detector`). Writes a page (`diagnosis.html`), a picture, the leak over time and the findings as CSV; the
-    last line is the verdict. Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
+    one (`--detector`). Writes a page (`diagnosis.html`), the leak over time and the findings as CSV; the last
+    line is the verdict. Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
 
     Exit codes: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell, 2 wrong input.
     """

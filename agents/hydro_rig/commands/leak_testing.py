@@ -23,7 +23,6 @@ class Stop(StrEnum):
     BOTH = "both"
     EXTENDED = "extended"
     RETRACTED = "retracted"
-    NONE = "none"
 
 
 _PLAN = "Limits of the plan"
@@ -56,9 +55,7 @@ def leak_test(
     pressure: Annotated[
         float | None, typer.Option(help="Largest pressure in bar; default: the rating.", rich_help_panel=_PLAN)
     ] = None,
-    stop: Annotated[
-        Stop, typer.Option(help="Stops to press against; none: only moves around the start.", rich_help_panel=_PLAN)
-    ] = Stop.BOTH,
+    stop: Annotated[Stop, typer.Option(help="Stops to press against.", rich_help_panel=_PLAN)] = Stop.BOTH,
     between: Annotated[
         str | None,
         typer.Option(metavar="LOW..HIGH", help="Allowed positions in mm from mid-stroke.", rich_help_panel=_PLAN),

@@ -72,16 +72,14 @@ class Watched(NamedTuple):
     at: float | None  # s, of the alarm; None: there was none
     rate: float | None  # false alarms per 100 h for which it was set
     note: str = ""  # why it did not watch; empty if it watched
-    detector: str = ""  # name of another detector than those of the project
 
     def line(self) -> str:
         """The alarm in one sentence."""
-        alarm = f"The alarm of {self.detector}" if self.detector else "The alarm"
         if self.note:
-            return f"{alarm} did not watch: {self.note}."
+            return f"The alarm did not watch: {self.note}."
         rate = f", set for a rate of {self.rate:g} per 100 h in healthy axes," if self.rate is not None else ""
         when = f"rose at {self.at:.1f} s" if self.at is not None else "stayed silent"
-        return f"{alarm}{rate} {when}."
+        return f"The alarm{rate} {when}."
 
 
 def watched(checked: Checked, companion: Companion, task: TaskConfig, settings: AlarmSettings) -> Watched:
@@ -103,8 +101,7 @@ def watched(checked: Checked, companion: Companion, task: TaskConfig, settings: 
     except ConfigurationError as error:
         return Watched(None, rate, str(error).removeprefix("alarm: "))
     raised = LeakAlarm(settings).follow(looks)[0].alarm[0]
-    name = companion.name if companion.own and detector is companion.detector else ""
-    return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate, detector=name)
+    return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate)
 
 
 def detector_of(settings: AlarmSettings, companion: Companion) -> Detector:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Reading
-from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot, render
+from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import MEANINGS, Look, looks_of
@@ -23,7 +23,7 @@ from hydro_agents.report.sections import Block, Code, Points, Text, render_page,
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised, number, setting
-from hydro_env.files import write_text, write_whole
+from hydro_env.files import write_text
 from hydro_rig.diagnosis.diagnose import Diagnosis, findings_table, leak_table
 from hydro_rig.diagnosis.verdict import Kind, Verdict, combined, named_fault
 from hydro_rig.identification.data_sheet import lines_to_paste, residual_table
@@ -31,8 +31,8 @@ from hydro_rig.recordings.columns import MEASURED
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.recording import Recording
 
-PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv", "findings.csv", "diagnosis.png"
-FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
+PAGE_FILE, TABLE_FILE, FINDINGS_FILE = "diagnosis.html", "leak.csv", "findings.csv"
+FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, FIGURE_FILES)
 JOB = "diagnose"
 
 DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "signals", "judging")
@@ -87,10 +87,8 @@ LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
 def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str) -> list[str]:
     """Write page, table, findings and picture; returns the lines for the user, the verdict last."""
     with output_folder(folder, JOB, FILES, overwrite=overwrite):
-        (picture,) = render(lambda figure: paint(figure, diagnosis), (WIDE, 9.5), "png")
         write_text(folder / TABLE_FILE, leak_table(diagnosis).to_csv(index=False, lineterminator="\n"))
         write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
-        write_whole(folder / PICTURE_FILE, picture)
         render_diagnosis(diagnosis, Origin.now(command)).write(folder / PAGE_FILE)
     lines = [finding.line() for finding in diagnosis.checked.findings]
     lines += [diagnosis.alarm.line()] if diagnosis.alarm is not None else []

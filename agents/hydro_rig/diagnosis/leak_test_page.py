@@ -193,12 +193,7 @@ def plan_forms(content: Content) -> list[Block]:
         "Each test was simulated on plants with worn valves (null shift, underlap, rated flow, edge ratio), a clogged "
         "return line and offsets of the sensors, all unknown. Chosen is the lowest bound within the limits."
     )
-    finds = (
-        f"An estimate at the bound of the worst axis finds {number(plan.smallest, digits=2)} l/min at 100 bar in 95 % "
-        "of the tests at 1 % false alarms. Real axes differ from every model: count on several times this "
-        "(docs/leak_test.md gives what was measured)."
-    )
-    return [Text(lead), Table("", header, rows, style="words"), Text(finds)]
+    return [Text(lead), Table("", header, rows, style="words")]
 
 
 @section("How to run it", needs=("plan",))

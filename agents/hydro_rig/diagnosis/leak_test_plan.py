@@ -27,7 +27,6 @@ from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.leak_test_steps import (
-    AROUND,
     FORMS,
     STOPS,
     Form,
@@ -158,15 +157,14 @@ def plan(config: TaskConfig, settings: LeakTestSettings, progress: Progress | No
     """
     task = worn_task(config)
     _check_positions(task, settings)
-    forms = FORMS if settings.stop != "none" else AROUND
     report = progress or (lambda phase, done, total: None)
-    report("plan", 0, len(forms) + 1)
-    opening, travel = _largest_opening(forms, task, settings)
+    report("plan", 0, len(FORMS) + 1)
+    opening, travel = _largest_opening(task, settings)
     trials = []
-    for number, form in enumerate(forms, 1):
-        report("plan", number, len(forms) + 1)
+    for number, form in enumerate(FORMS, 1):
+        report("plan", number, len(FORMS) + 1)
         trials.append(_tried(task, settings, form, opening, travel))
-    report("plan", len(forms) + 1, len(forms) + 1)
+    report("plan", len(FORMS) + 1, len(FORMS) + 1)
     within = [trial for trial in trials if not trial.beyond]
     if not within:
         least = min(trials, key=lambda trial: trial.beyond)
@@ -255,15 +253,13 @@ def _check_positions(task: TaskConfig, settings: LeakTestSettings) -> None:
         raise ConfigurationError(f"--between: {1e3 * start:g} mm, where the axis rests, must lie between its ends")
 
 
-def _largest_opening(
-    forms: Sequence[Form], task: TaskConfig, settings: LeakTestSettings
-) -> tuple[float, Sequence[float]]:
+def _largest_opening(task: TaskConfig, settings: LeakTestSettings) -> tuple[float, Sequence[float]]:
     """The largest opening with which no simulated axis is too fast, and the times of :func:`_travel_times`."""
     opening = min(settings.opening, settings.speed / max(speed_limits(task.plant)))
     for _ in range(ATTEMPTS):
         travel = _travel_times(task, settings, opening)
         # The last form moves fastest: off a stop, the pressures of both chambers drive the axis.
-        steps = steps_of(forms[-1], task.plant, settings, opening, travel)
+        steps = steps_of(FORMS[-1], task.plant, settings, opening, travel)
         position, _ = _true_course(task, simulated(task, steps, settings.plants))
         fastest = float(_speeds(task, position).max())
         if fastest <= settings.speed:
@@ -278,8 +274,6 @@ def _largest_opening(
 def _travel_times(task: TaskConfig, settings: LeakTestSettings, opening: float) -> Sequence[float]:
     """Seconds that the slowest simulated axis needs to each stop of the test, in order."""
     signs = STOPS[settings.stop]
-    if not signs:
-        return ()
     steps = [Step(sign * opening, settings.duration, "trial") for sign in signs]
     position, _ = _true_course(task, simulated(task, steps, settings.plants))
     length = round(settings.duration / task.control_period)

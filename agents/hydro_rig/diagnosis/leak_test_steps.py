@@ -9,10 +9,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from hydro_agents.rigs.check import resting_place
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import Group, validate
-from hydro_env.plant.analysis import speed_limits
 from hydro_env.types import Floats
 
 MOVE = 0.5  # s, of each part of a short move
@@ -26,7 +24,7 @@ class LeakTestSettings(Group):
     opening: float = Field(0.3, gt=0.0, le=1.0, description="largest opening of the valve, of full stroke")
     speed: float = Field(gt=0.0, le=100.0, description="m/s, also against an end stop")
     pressure: float = Field(gt=0.0, le=2e8, description="Pa")
-    stop: Literal["both", "extended", "retracted", "none"] = Field("both", description="stops that it presses against")
+    stop: Literal["both", "extended", "retracted"] = Field("both", description="stops that it presses against")
     low: float = Field(-math.inf, description="m, lowest position that the axis may reach")
     high: float = Field(math.inf, description="m")
     plants: int = Field(6, ge=2, le=1000, description="simulated ones, of the training seeds")
@@ -56,7 +54,6 @@ class Form(NamedTuple):
     name: str
     shares: tuple[float, ...]  # of the largest opening, one after the other; 0: the valve is closed
     moves: int  # short moves off the stop
-    reach: float = 0.0  # of moves without a stop: share of the way to the nearer limit
 
 
 FORMS = (
@@ -67,19 +64,7 @@ FORMS = (
     Form("pressed at two openings, then closed, and short moves", (1.0, 0.2, 0.0), 2),
     Form("pressed at three openings, then closed, and short moves", (1.0, 0.3, 0.1, 0.0), 2),
 )
-AROUND = tuple(
-    Form(
-        f"moves at {count} openings over {100 * reach:.0f} % of the way, the valve closed between them",
-        shares,
-        2,
-        reach,
-    )
-    for reach in (0.15, 0.35, 0.7)
-    for count, shares in (("two", (1.0, 0.3)), ("three", (1.0, 0.5, 0.2)))
-)
-"""Forms of a test without a stop: moves to both sides of the start."""
-
-STOPS = {"both": (1.0, -1.0), "extended": (1.0,), "retracted": (-1.0,), "none": ()}
+STOPS = {"both": (1.0, -1.0), "extended": (1.0,), "retracted": (-1.0,)}
 
 
 def commands_of(steps: Sequence[Step], period: float) -> Floats:
@@ -108,8 +93,6 @@ def steps_of(
     dead = plant.valve.overlap if plant.valve.overlap < opening else 0.0
     openings = [dead + share * (opening - dead) if share > 0.0 else 0.0 for share in form.shares]
     signs = STOPS[settings.stop]
-    if not signs:
-        return _around(form, plant, settings, openings)
     steps = []
     rest = (settings.duration - sum(travel)) / len(signs) - 2 * MOVE * form.moves
     each = rest / len(openings)
@@ -128,22 +111,3 @@ def rounded(steps: Sequence[Step], period: float) -> tuple[Step, ...]:
         Step(round(step.opening, 4) + 0.0, float(f"{max(round(step.seconds / period), 1) * period:.9g}"), step.what)
         for step in steps
     )
-
-
-def _around(
-    form: Form, plant: PlantParameters, settings: LeakTestSettings, openings: Sequence[float]
-) -> tuple[Step, ...]:
-    """Moves to both sides of the start, each back again; the valve is closed between them."""
-    extending, retracting = speed_limits(plant)
-    count, start, half = len(openings) * form.moves, resting_place(plant), 0.5 * plant.cylinder.stroke
-    reach = form.reach * min(min(settings.high, half) - start, start - max(settings.low, -half))
-    each = settings.duration / count
-    steps = []
-    for number in range(count):
-        opening, sign = openings[number // form.moves], 1.0 if number % 2 == 0 else -1.0
-        out = min(reach / (opening * extending), 0.25 * each)
-        back = out * extending / retracting
-        forth, home = (out, back) if sign > 0.0 else (back, out)
-        closed = Step(0.0, 0.5 * max(each - forth - home, 0.1), "valve closed")
-        steps += [Step(sign * opening, forth, "move"), closed, Step(-sign * opening, home, "move back"), closed]
-    return tuple(steps)

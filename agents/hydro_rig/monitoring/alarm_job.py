@@ -241,15 +241,17 @@ DESIGN = {Activity.STANDING: 0.1, Activity.SLOW: 0.1, Activity.MOVING: 0.05}
 """The leak that the alarm is designed for, in each activity: a look at rest says less."""
 
 
+SECONDS, LEAKING, INTERVAL = 600.0, 240.0, 4.0
+"""s; work of each healthy axis, work of each axis with each leak, between looks."""
+
+LEARNING = 60  # looks in motion until an axis's own baseline is known
+
+
 class AlarmJob(Group):
-    """Sizes of the job."""
+    """What the user asks for."""
 
     rate: float = Field(1.0, gt=0.0, le=1e4, description="wanted false alarms per 100 h")
     axes: int = Field(40, ge=10, le=10_000, description="whose looks are measured, for calibration and test each")
-    seconds: float = Field(600.0, ge=60.0, le=36_000.0, description="work of each healthy axis")
-    leaking: float = Field(240.0, ge=60.0, le=36_000.0, description="s; work of each axis with each leak")
-    interval: float = Field(4.0, gt=0.0, le=60.0, description="s; between looks")
-    learning: int = Field(60, ge=1, le=10_000, description="looks in motion until an axis's own baseline is known")
 
 
 def run_job(bench: Bench, job: AlarmJob) -> tuple[AlarmSettings, dict[str, pd.DataFrame]]:
@@ -270,7 +272,7 @@ def run_job(bench: Bench, job: AlarmJob) -> tuple[AlarmSettings, dict[str, pd.Da
 
     def looks(name: str, seeds: SeedRange, leaks: Sequence[float]) -> list[Axes]:
         first = seeds.take(job.axes).start
-        work = Work(first, job.axes, job.seconds, job.interval, job.leaking, tuple(leaks))
+        work = Work(first, job.axes, SECONDS, INTERVAL, LEAKING, tuple(leaks))
         return [Axes(each, ration) for each in bench.looks(name, work)]
 
     designs = sorted(set(DESIGN.values()))
@@ -278,7 +280,7 @@ def run_job(bench: Bench, job: AlarmJob) -> tuple[AlarmSettings, dict[str, pd.Da
     by_size = dict(zip(designs, leaking, strict=True))
     chosen = {activity: (size, by_size[size]) for activity, size in DESIGN.items()}
     bound = bench.config.leakage.class_bounds[0]
-    settings = calibrate(healthy, chosen, job.rate, job.learning, bench.detector_name, bound)
+    settings = calibrate(healthy, chosen, job.rate, LEARNING, bench.detector_name, bound)
 
     fresh, *leaking = looks("work", ALARMS, LEVELS)
     return settings, {

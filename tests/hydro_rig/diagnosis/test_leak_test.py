@@ -123,12 +123,13 @@ def test_the_interval_of_a_quantity_is_that_of_90_percent():
 
 def test_the_command_writes_plan_commands_and_header(tmp_path):
     out = tmp_path / "plan"
-    answer = done("leak-test", "--duration", 4, "--stop", "none", "--between", "-60..60", "--json", "--output", out)
+    limits = ("--duration", 8, "--opening", 20, "--stop", "extended", "--between", "-60..", "--json")
+    answer = done("leak-test", *limits, "--output", out)
     facts = json.loads(answer.stdout)
     assert facts["largest_speed"] <= 0.05
-    assert -0.06 <= facts["positions"][0] <= facts["positions"][1] <= 0.06
+    assert facts["positions"][0] >= -0.06
     assert facts["bound_lpm"] < 0.02
-    assert sum(step["seconds"] for step in facts["steps"]) == pytest.approx(4.0, abs=0.2)
+    assert sum(step["seconds"] for step in facts["steps"]) == pytest.approx(8.0, abs=0.2)
     for name in ("plan.html", "commands.csv", "simulated.csv"):
         assert (out / name).stat().st_size > 0
 

@@ -14,7 +14,7 @@ from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.monitoring.alarm_job import COPIES, AlarmJob, run_job
 
 CONFIG = TaskConfig()
-JOB = AlarmJob(axes=12, seconds=600.0, leaking=240.0, learning=20)
+JOB = AlarmJob(axes=12)
 
 
 class MadeUp:
