@@ -80,15 +80,14 @@ def export(
     if language not in LANGUAGES:
         raise ConfigurationError(f"--format {language[:40]}: {one_of(language, LANGUAGES)}")
     part = _part(what)
-    timed, own_axis = (period, latency) != (None, None), (task, rig) != (None, None)
-    for wrong, why in (
-        (part and language != "c", f"has no --format {language}; a controller does"),
-        (part not in ("", "leakage_head") and timed, "takes no --period and no --latency; a controller does"),
-        (all_systems and part != "plant", "takes no --all-systems; the plant does"),
-        (part in ("alarm", "playground") and own_axis, f"takes no --task and no --rig; {part} has its own"),
-    ):
-        if wrong:
-            raise ConfigurationError(f"export {what}: {why}")
+    if part and language != "c":
+        raise ConfigurationError(f"export {what}: has no --format {language}; a controller does")
+    if part not in ("", "leakage_head") and (period is not None or latency is not None):
+        raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
+    if all_systems and part != "plant":
+        raise ConfigurationError(f"export {what}: takes no --all-systems; the plant does")
+    if part in ("alarm", "playground") and (task is not None or rig is not None):
+        raise ConfigurationError(f"export {what}: takes no --task and no --rig; {part} has its own")
     match part:
         case "plant":
             names, make = _plant(task, rig, all_systems)

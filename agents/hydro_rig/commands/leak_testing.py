@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,14 +14,6 @@ from hydro_rig.commands.guesses import reading
 
 if TYPE_CHECKING:
     from hydro_env import TaskConfig
-
-
-class Stop(StrEnum):
-    """Stops that the test presses against."""
-
-    BOTH = "both"
-    EXTENDED = "extended"
-    RETRACTED = "retracted"
 
 
 _PLAN = "Limits of the plan"
@@ -55,7 +46,10 @@ def leak_test(
     pressure: Annotated[
         float | None, typer.Option(help="Largest pressure in bar; default: the rating.", rich_help_panel=_PLAN)
     ] = None,
-    stop: Annotated[Stop, typer.Option(help="Stops to press against.", rich_help_panel=_PLAN)] = Stop.BOTH,
+    stop: Annotated[
+        str,
+        typer.Option(metavar="both|extended|retracted", help="Stops to press against.", rich_help_panel=_PLAN),
+    ] = "both",
     between: Annotated[
         str | None,
         typer.Option(metavar="LOW..HIGH", help="Allowed positions in mm from mid-stroke.", rich_help_panel=_PLAN),
@@ -90,9 +84,9 @@ def leak_test(
     }
     given = {name: factor * value for name, (value, factor) in limits.items() if value is not None}
     if recording is None:
-        _plan(config, given | {"stop": stop.value}, output or Path("results/leak_test_plan"), as_json, overwrite)
+        _plan(config, given | {"stop": stop}, output or Path("results/leak_test_plan"), as_json, overwrite)
         return
-    if given or stop is not Stop.BOTH:
+    if given or stop != "both":
         option = next(iter(given), "stop") if between is None else "between"
         raise ConfigurationError(f"--{option}: belongs to the plan; leave out RECORDING, or the option")
     _read(recording, config, columns, limit, output or Path("results/leak_test"), as_json, overwrite)

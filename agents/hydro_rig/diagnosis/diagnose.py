@@ -18,8 +18,9 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import looks_at, window_of
 from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged, volume_leak
+from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged
 from hydro_rig.diagnosis.verdict import EXIT_CODES
+from hydro_rig.diagnosis.volume_balance import leak_of_blocks
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.recordings.columns import ColumnMap
@@ -42,10 +43,10 @@ class Companion(NamedTuple):
     weights: str = HEAD_FILE  # of a head: the file by which an alarm names it
 
     @classmethod
-    def of(cls, detector: LeakageHead | Detector, weights: str = HEAD_FILE) -> Companion:
+    def of(cls, detector: LeakageHead | Detector) -> Companion:
         """A detector with its names: that of its class, unless it is a leakage head."""
         if isinstance(detector, LeakageHead):
-            return cls(HeadDetector(detector), weights=weights)
+            return cls(HeadDetector(detector))
         name = type(detector).__name__
         return cls(detector, name, name, "")
 
@@ -224,7 +225,7 @@ def diagnose(
         choose=lambda samples: cut(samples, length),
         read=read,
         rows=[recording],
-        balance=volume_leak(flow_blocks(recording)),
+        balance=leak_of_blocks(flow_blocks(recording)),
         window=window,
         companion=companion.name,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import fill
@@ -75,12 +76,12 @@ PANELS = {
 }
 """Displayed units per SI unit, and signals, of each row of the figure."""
 
-COLOURS = {Weight.SEVERE: MEANINGS["worse"].light, Weight.FAULT: MEANINGS["worse"].light, Weight.NOTE: GREY}
+GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
+COLOURS = {Weight.SEVERE: WORSE, Weight.FAULT: WORSE, Weight.NOTE: GREY}
 LEAST_WIDTH = 0.003  # of a mark, as a share of the recording
 
 MEND = "These lines in the file of the task (--task) make its data sheet agree with the recording:"
 
-GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
 LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
 
 
@@ -180,16 +181,14 @@ def signals_of(recording: Recording, findings: Sequence[Finding] = ()) -> list[S
             for name in names
         }
         about = {*names, "time"} if "position" in names else set(names)
-        marks = [mark_of(finding, last) for finding in findings if finding.signal in about and finding.begin >= 0.0]
+        marks = []
+        for finding in findings:
+            if finding.signal in about and finding.begin >= 0.0:
+                words = re.split("[,:;]", finding.what)[0][:60]
+                end = finding.begin + max(finding.end - finding.begin, LEAST_WIDTH * last)
+                marks.append(Mark(finding.begin, end, words, COLOURS[finding.weight], 0.35))
         rows.append(Signal(label, lines, marks=marks))
     return rows
-
-
-def mark_of(finding: Finding, last: float) -> Mark:
-    """The first place of a finding with its words, of a recording that ends at ``last`` s."""
-    words = finding.what.split(",")[0].split(":")[0].split(";")[0]
-    width = max(finding.end - finding.begin, LEAST_WIDTH * last)
-    return Mark(finding.begin, finding.begin + width, words[:60], COLOURS[finding.weight], 0.35)
 
 
 def _plot(diagnosis: Diagnosis) -> Plot:

@@ -6,7 +6,7 @@ refuse makes all refuse, and a measured flow serves all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from hydro_env.errors import reason
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B
 from hydro_rig.diagnosis.verdict import Limits, Verdict, by_volume, judge
-from hydro_rig.diagnosis.volume_balance import BLOCK, Blocks, VolumeLeak, blocks_of, leak_of_blocks
+from hydro_rig.diagnosis.volume_balance import BLOCK, Blocks, VolumeLeak, blocks_of
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.identification.data_sheet import contradictions, worst_signal
 from hydro_rig.recordings.findings import Finding, Weight
@@ -107,12 +107,6 @@ def _read(windows: Windows, read: Callable[[Windows], Read]) -> Read:
     except (ValueError, ArithmeticError, LookupError) as error:
         what = f"cannot be read: {error if isinstance(error, HydroError) else reason(error)}"
         return Read(findings=[Finding("windows", " ".join(what.split()), Weight.SEVERE)])
-
-
-def volume_leak(blocks: Iterable[Blocks]) -> VolumeLeak | None:
-    """The leak by the balance of volumes; ``None`` if nothing was recorded that gives one."""
-    parts = list(blocks)
-    return leak_of_blocks(parts) if parts else None
 
 
 def flow_blocks(recording: Recording) -> Iterator[Blocks]:

@@ -47,12 +47,6 @@ class Growth(NamedTuple):
     grows: float  # probability that it grows
     level: Interval  # size at the last time
 
-    @classmethod
-    def unknown(cls) -> Growth:
-        """No trend."""
-        nothing = Interval(np.nan, np.nan, np.nan)
-        return cls(nothing, nothing, np.nan, np.nan, nothing)
-
 
 class _Mixture(NamedTuple):
     """K Student distributions of level and slope, one for each knee and kind of errors; times in spans of the readings.
@@ -103,7 +97,8 @@ def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike,
     known = np.isfinite(what) & np.isfinite(when) & np.isfinite(sigma)
     known[known] = _usual(when[known], y[known], error[known])
     if known.sum() < FEWEST or np.ptp(when[known]) <= 0.0:
-        return Growth.unknown()
+        unknown = Interval(np.nan, np.nan, np.nan)
+        return Growth(unknown, unknown, np.nan, np.nan, unknown)
     x, y, error = _averaged(when[known], y[known], error[known])
     now, span = float(np.nanmax(when)), float(x[-1] - x[0])
     found = _mixture((x - now) / span, y, error)
@@ -113,8 +108,8 @@ def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike,
 
     def when_reached(probability: float) -> float:
         place = int(np.searchsorted(reached, probability))
-        if place == 0 or place == len(ahead):
-            return 0.0 if place == 0 else np.inf
+        if place in (0, len(ahead)):
+            return np.inf if place else 0.0
         return span * float(np.interp(probability, reached[place - 1 : place + 1], ahead[place - 1 : place + 1]))
 
     low, value, high = (when_reached(share) for share in (0.5 - 0.5 * INSIDE, 0.5, 0.5 + 0.5 * INSIDE))

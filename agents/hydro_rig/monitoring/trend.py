@@ -20,9 +20,9 @@ from hydro_agents.detection.detector import Reading, Windows
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.diagnose import read_windows
-from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
+from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged
 from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Verdict, combined
-from hydro_rig.diagnosis.volume_balance import Blocks, VolumeLeak
+from hydro_rig.diagnosis.volume_balance import Blocks, VolumeLeak, leak_of_blocks
 from hydro_rig.monitoring.oil import Oil, referred
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.files import pieces, started
@@ -138,7 +138,7 @@ def row_of(
     if candidates:
         rows = [candidate.rows for candidate in candidates]
         temperature = _mean(np.array([_mean(one.auxiliary.get(OIL, NOTHING)) for one in rows]))
-        volume = volume_leak(blocks)
+        volume = leak_of_blocks(blocks)
 
         def choose(samples: Sampled) -> Windows:
             windows = cut(samples, round(WINDOW / config.control_period))

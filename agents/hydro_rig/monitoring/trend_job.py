@@ -72,10 +72,14 @@ class Watched(NamedTuple):
 
     def json(self) -> dict[str, Any]:
         """For another program."""
-        files = {"read": self.read, "known": self.known, "left_out": self.left_out}
-        paths = {"table": str(self.table), "page": str(self.page)}
-        axes = [one.json() for one in self.trends]
-        return {"exit_code": self.exit_code, "axes": axes, "files": files, "notes": self.notes, **paths}
+        return {
+            "exit_code": self.exit_code,
+            "axes": [one.json() for one in self.trends],
+            "files": {"read": self.read, "known": self.known, "left_out": self.left_out},
+            "notes": self.notes,
+            "table": str(self.table),
+            "page": str(self.page),
+        }
 
 
 def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Report | None = None) -> Watched:

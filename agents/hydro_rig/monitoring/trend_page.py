@@ -35,8 +35,6 @@ MARKERS = {Kind.HEALTHY: "o", Kind.LEAK: "s", Kind.OTHER: "D", Kind.UNKNOWN: "x"
 _date_locator: Any = AutoDateLocator
 _date_formatter: Any = ConciseDateFormatter
 
-CLASSES = {Kind.HEALTHY: "", Kind.LEAK: "worse", Kind.OTHER: "worse", Kind.UNKNOWN: ""}
-
 MOST_PANELS = 40  # axes with a panel
 LOWEST = 1e-3  # l/min; lower end of the scale
 AHEAD = 0.6  # of the time so far, that a panel shows ahead at most
@@ -121,7 +119,7 @@ def axes_in_numbers(content: Content) -> list[Block]:
     """One row per axis."""
     rows: list[tuple[str | Cell, ...]] = []
     for one in by_urgency(content.part("trends", list)):
-        found, style = one.growth, CLASSES[one.state]
+        found, style = one.growth, "worse" if one.state in (Kind.LEAK, Kind.OTHER) else ""
         value, low, high = (number(size, digits=2) for size in found.level)
         date, early, late = (one.date(days) if np.isfinite(days) else "–" for days in found.ahead)
         rows.append(

@@ -77,8 +77,7 @@ class AxisTrend:
     def json(self) -> dict[str, Any]:
         """The same for another program; ``null``: unknown or never."""
         found = self.growth
-        dates = {"expected": found.ahead.value, "low": found.ahead.low, "high": found.ahead.high}
-        dates["not_before"] = found.not_before
+        dates = dict(zip(("expected", "low", "high", "not_before"), (*found.ahead, found.not_before), strict=True))
         return {
             "axis": self.axis,
             "state": self.state.value,
