@@ -1,4 +1,4 @@
-"""The leak test: its steps, limits and bound, its header in C, and the leak that it reads."""
+"""The leak test: its steps, limits and bound, and the leak that it reads."""
 
 from __future__ import annotations
 
