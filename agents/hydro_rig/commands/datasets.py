@@ -63,10 +63,7 @@ def record(
     ] = None,
     family: Annotated[
         str | None,
-        typer.Option(
-            help="Kind of reference: step, point_to_point, ramp, sine, multi_sine, start_stop, pause, creep or "
-            "staircase; default: drawn."
-        ),
+        typer.Option(help="Kind of reference, such as sine, step or point_to_point; default: drawn."),
     ] = None,
     seed: PlantSeed = 0,
     overwrite: OverwriteFile = False,

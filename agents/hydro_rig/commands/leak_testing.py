@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hydro_agents.commands.options import Columns, Json, Overwrite, OwnTask, Rig, command_line, say
 from hydro_rig.commands.guesses import reading
-
-if TYPE_CHECKING:
-    from hydro_env import TaskConfig
-
 
 _PLAN = "Limits of the plan"
 
@@ -69,8 +64,15 @@ def leak_test(
     minute with an interval, the leak of the seal apart from that of the valve's edges, as `leak_test.html` and JSON.
     Exit codes of the reading: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell.
     """
+    from hydro_agents.running.folders import refuse_taken
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
+    from hydro_rig.diagnosis import leak_test_page as pages
+    from hydro_rig.diagnosis.leak_test_plan import plan
+    from hydro_rig.diagnosis.leak_test_reading import read_leak_test
+    from hydro_rig.diagnosis.leak_test_steps import LeakTestSettings
+    from hydro_rig.diagnosis.verdict import EXIT_CODES
+    from hydro_rig.recordings.columns import read_map
 
     config = task_config(task, rig=rig)
     low, high = _ends(between)
@@ -84,12 +86,25 @@ def leak_test(
     }
     given = {name: factor * value for name, (value, factor) in limits.items() if value is not None}
     if recording is None:
-        _plan(config, given | {"stop": stop}, output or Path("results/leak_test_plan"), as_json, overwrite)
+        folder = output or Path("results/leak_test_plan")
+        refuse_taken(folder, pages.JOB, pages.PLAN_FILES, overwrite)
+        settings = LeakTestSettings.of(config, **given, stop=stop)
+        with reading(as_json) as progress:
+            planned = plan(config, settings, progress)
+        lines = pages.plan_to_folder(folder, planned, overwrite, command_line())
+        say(json.dumps(pages.plan_facts(planned), indent=1) if as_json else "\n".join(lines))
         return
     if given or stop != "both":
         option = next(iter(given), "stop") if between is None else "between"
         raise ConfigurationError(f"--{option}: belongs to the plan; leave out RECORDING, or the option")
-    _read(recording, config, columns, limit, output or Path("results/leak_test"), as_json, overwrite)
+    folder = output or Path("results/leak_test")
+    refuse_taken(folder, pages.JOB, pages.READING_FILES, overwrite)
+    mapped = read_map(columns) if columns is not None else None
+    with reading(as_json) as progress:
+        found = read_leak_test(recording, config, mapped, limit, progress)
+    lines = pages.reading_to_folder(folder, found, overwrite, command_line())
+    say(json.dumps(pages.reading_facts(found), indent=1) if as_json else "\n".join(lines))
+    raise typer.Exit(EXIT_CODES[found.verdict.kind])
 
 
 def _ends(between: str | None) -> tuple[float | None, float | None]:
@@ -101,41 +116,3 @@ def _ends(between: str | None) -> tuple[float | None, float | None]:
         return float(low) if low else None, float(high) if high else None
     except ValueError:
         raise ConfigurationError(f"--between {between}: must be positions in mm as -60..60") from None
-
-
-def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json: bool, overwrite: bool) -> None:
-    from hydro_agents.running.folders import refuse_taken
-    from hydro_rig.diagnosis.leak_test_page import JOB, PLAN_FILES, plan_facts, plan_to_folder
-    from hydro_rig.diagnosis.leak_test_plan import plan
-    from hydro_rig.diagnosis.leak_test_steps import LeakTestSettings
-
-    refuse_taken(output, JOB, PLAN_FILES, overwrite)
-    settings = LeakTestSettings.of(config, **given)
-    with reading(as_json) as progress:
-        test = plan(config, settings, progress)
-    lines = plan_to_folder(output, test, overwrite, command_line())
-    say(json.dumps(plan_facts(test), indent=1) if as_json else "\n".join(lines))
-
-
-def _read(
-    recording: Path,
-    config: TaskConfig,
-    columns: Path | None,
-    limit: float | None,
-    output: Path,
-    as_json: bool,
-    overwrite: bool,
-) -> None:
-    from hydro_agents.running.folders import refuse_taken
-    from hydro_rig.diagnosis.leak_test_page import JOB, READING_FILES, reading_facts, reading_to_folder
-    from hydro_rig.diagnosis.leak_test_reading import read_leak_test
-    from hydro_rig.diagnosis.verdict import EXIT_CODES
-    from hydro_rig.recordings.columns import read_map
-
-    refuse_taken(output, JOB, READING_FILES, overwrite)
-    mapped = read_map(columns) if columns is not None else None
-    with reading(as_json) as progress:
-        found = read_leak_test(recording, config, mapped, limit, progress)
-    lines = reading_to_folder(output, found, overwrite, command_line())
-    say(json.dumps(reading_facts(found), indent=1) if as_json else "\n".join(lines))
-    raise typer.Exit(EXIT_CODES[found.verdict.kind])

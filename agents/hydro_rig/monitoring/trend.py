@@ -36,6 +36,7 @@ MOST_WINDOWS = 12  # of a reading; more take longer and add little
 WINDOW = 2.0  # s
 FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
 OIL, NOTHING = "oil_temperature", np.zeros(0)  # the signal of its temperature; readings of a signal without any
+FEW = 100  # last rows of a file, which may be left out
 MOST_BLOCKS = 1_000_000  # of a measured flow that are kept, 40 MB: those of six days
 
 _DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
@@ -93,9 +94,9 @@ def row_of_file(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | 
         try:
             rows = recording_of(piece, str(path), columns)
         except ConfigurationError:
-            if clock is None or len(piece.cells[0]) >= _FEW:
+            if clock is None or len(piece.cells[0]) >= FEW:
                 raise
-            continue  # a few last rows are left out
+            continue
         clock = _clock(path, rows.begin) if clock is None else clock
         live.add(rows)
         if sum(len(each.speed) for each in blocks) < MOST_BLOCKS:
@@ -103,9 +104,6 @@ def row_of_file(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | 
     if clock is None:
         raise ConfigurationError(f"{path}: holds headings but no rows")
     return row_of(axis, live, config, how, clock, blocks)
-
-
-_FEW = 100
 
 
 def _clock(path: Path, first: float) -> float:
