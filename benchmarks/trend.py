@@ -28,7 +28,7 @@ from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.monitoring.oil import GRADES, Oil
-from hydro_rig.monitoring.trend import Settings, row_of
+from hydro_rig.monitoring.trend import WINDOW, Settings, row_of
 from hydro_rig.monitoring.trend_summary import DAY, trends_of
 from hydro_rig.monitoring.trend_table import SIZES, stamp
 from hydro_rig.recordings.liveliest import Liveliest
@@ -88,13 +88,11 @@ def table_of(controller: Controller, seed: int, axis: Axis, windows: int) -> pd.
         kept = np.flatnonzero(random.random(part.shape[1]) >= LOST)
         warm = {"oil_temperature": axis.warm[day] + off + random.normal(0.0, 0.3, len(kept))}
         time = (kept - kept[0]) * task.control_period
-        live, begun = Liveliest(how.window, known), START + DAY * day
+        live, begun = Liveliest(WINDOW, known), START + DAY * day
         live.add(Recording("day", time, part[:, kept], {}, [], warm, begun))
         row = row_of(f"{seed}", live, known, how)
-        sizes = dict(zip(SIZES, (*row.leak, row.moving, row.temperature, *row.at_40), strict=True))
-        when = {"time": stamp(begun), "until": stamp(begun), "axis": f"{seed}"}
-        repaired = "x" if day in axis.repairs else ""
-        rows.append(sizes | when | {"verdict": row.verdict.value, "reason": row.reason, "repaired": repaired})
+        when = {"time": stamp(begun), "until": stamp(begun)}
+        rows.append(row._asdict() | when | {"repaired": "x" if day in axis.repairs else ""})
     return pd.DataFrame(rows)
 
 
@@ -106,7 +104,7 @@ def judge(controller: Controller, seed: int, days: int, grows: bool, windows: in
     since = axis.repairs[0]
     crossing = since + np.log10(LIMIT / axis.leak[since]) / GROWTH if grows else np.inf
     for day in range(SLOWEST - 1, days):
-        trend = trends_of(table.iloc[: day + 1], {f"{seed}": LIMIT}, {}, Oil.of("46"))[0]
+        trend = trends_of(table.iloc[: day + 1], {f"{seed}": LIMIT}, Oil.of("46"))[0]
         if not grows:
             raised += trend.state in (Kind.LEAK, Kind.OTHER) or trend.dated or trend.growth.ahead.value == 0.0
         elif since <= day < min(crossing, axis.repairs[1]) and axis.leak[day] >= 0.5 * LIMIT:

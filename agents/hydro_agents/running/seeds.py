@@ -85,7 +85,6 @@ DETECTION = SeedRange(2_500_000, 200_000, "the episodes that a leakage head watc
 ANY_AXIS = SeedRange(2_450_000, 50_000, "plants of drawn test rigs")
 ALARMS = SeedRange(2_700_000, 100_000, "the test of hydro alarms")
 EXPERIMENT_AXES = SeedRange(2_900_000, 50_000, "experiments, and the example of a study")
-ALARM_GROWTH = SeedRange(2_950_000, 50_000, "leaks that grow under hydro alarms")
 
 LEDGER = {name: each for name, each in vars().items() if isinstance(each, SeedRange)}
 

@@ -161,15 +161,23 @@ class _Noted:
         return self.controller.predict(observation, state, episode_start, deterministic)
 
 
-class _Crew(NamedTuple):
-    """What some recordings of a block have in common; they are simulated together."""
+@dataclass(frozen=True)
+class _Crew:
+    """Axes of a block that are simulated together: they share who moves them, motion, schedule and noise."""
 
     tier: int
     acting: str
     motion: str
     schedule: str
     noise: float
-    moving: bool
+    moving: bool  # whether supply or return line move, or a transducer drifts
+    numbers: NDArray[np.int64]  # of the recordings, (N,)
+    seeds: NDArray[np.int64]  # (N,)
+    states: NDArray[np.int64]  # (N,), sound, with another fault, or leaking
+    harsh: NDArray[np.str_]  # (N,), what each suffers from; empty: nothing
+
+
+_SOUND, _OTHER, _LEAKS = range(3)
 
 
 def simulated_block(config: TaskConfig, benchmark: Benchmark, split: str, block: int) -> Block:
@@ -192,40 +200,32 @@ def simulated_block(config: TaskConfig, benchmark: Benchmark, split: str, block:
         acting = settings.acting + (settings.unseen if split == "test" else ())
         hands = generator.choice(acting, CREWS, replace=len(acting) < CREWS)
         schedules = generator.permutation(np.resize(SCHEDULES, CREWS))
+        shares = (settings.sound, settings.other, 1.0 - settings.sound - settings.other)
         for turn in range(CREWS):
             members = np.flatnonzero((tier == level) & (crew == turn))
             moving = settings.harsh and bool(turn % 2)
-            shared = _Crew(
-                level,
-                str(hands[turn]),
-                str(generator.choice(settings.motions)),
-                str(schedules[turn]),
-                float(generator.choice(settings.noise)),
-                moving,
-            )
             kinds = list(MOVING) if moving else list(DAMAGED) if settings.harsh else [""]
-            shares = (settings.sound, settings.other, 1.0 - settings.sound - settings.other)
-            states, harsh = generator.choice(3, len(members), p=shares), generator.choice(kinds, len(members))
+            shared = _Crew(
+                tier=level,
+                acting=str(hands[turn]),
+                motion=str(generator.choice(settings.motions)),
+                schedule=str(schedules[turn]),
+                noise=float(generator.choice(settings.noise)),
+                moving=moving,
+                numbers=numbers[members],
+                seeds=seeds[members],
+                states=generator.choice(3, len(members), p=shares),
+                harsh=generator.choice(kinds, len(members)),
+            )
             if len(members):
-                parts += _run(config, shared, seeds[members], states, harsh, numbers[members], generator)
+                parts += _run(config, shared, generator)
     parts.sort(key=lambda part: int(part[1]["recording"]))
     return Block(pd.concat([part[0] for part in parts], ignore_index=True), pd.DataFrame([part[1] for part in parts]))
 
 
-_SOUND, _OTHER, _LEAKS = range(3)
-
-
-def _run(
-    config: TaskConfig,
-    crew: _Crew,
-    seeds: NDArray[np.int64],
-    states: NDArray[np.int64],
-    harsh: NDArray[np.str_],
-    numbers: NDArray[np.int64],
-    generator: np.random.Generator,
-) -> list[tuple[pd.DataFrame, dict[str, Any]]]:
+def _run(config: TaskConfig, crew: _Crew, generator: np.random.Generator) -> list[tuple[pd.DataFrame, dict[str, Any]]]:
     """Simulate the axes of one crew; per axis its rows and its labels."""
-    count = len(seeds)
+    count = len(crew.seeds)
     sensors = config.sensors.model_dump()
     for name in SENSORS:
         sensors[name]["noise"] *= crew.noise
@@ -233,41 +233,44 @@ def _run(
     leakage = config.leakage.model_dump() | {"schedule": crew.schedule, "start_range": (0.1, 0.7)}
     task = task_config(config, episode_duration=DURATION, leakage=leakage, sensors=sensors)
     task = MOTIONS[crew.motion].change(task)
-    healthy = np.exp(generator.uniform(np.log(low), np.log(min(high, BOUND)), count))
-    flow = np.where(states == _LEAKS, np.exp(generator.uniform(np.log(LEAKS[0]), np.log(LEAKS[1]), count)), healthy)
-    faults, names = _faults(config, generator, states)
-    controller = ACTING[crew.acting].make(task, count, int(seeds[0]))
+    healthy, leaking = (
+        np.exp(generator.uniform(np.log(least), np.log(most), count))
+        for least, most in ((low, min(high, BOUND)), LEAKS)
+    )
+    flow = np.where(crew.states == _LEAKS, leaking, healthy)
+    faults, names = _faults(config, generator, crew.states)
+    controller = ACTING[crew.acting].make(task, count, int(crew.seeds[0]))
     moves = None
     if crew.moving:
-        moves = drawn(generator, harsh, task.steps, task.control_period)
+        moves = drawn(generator, crew.harsh, task.steps, task.control_period)
         controller = Disturbed(controller, moves)
     noted = _Noted(controller)
-    signals, run = measured_run(task, noted, Cases(seeds, flow, faults=faults))
+    signals, run = measured_run(task, noted, Cases(crew.seeds, flow, faults=faults))
     if moves is not None:
         moves.read(signals)
+    constant = crew.schedule == "constant"
     parts = []
     for axis in range(count):
         rows = task.steps if run.failed_at[axis] < 0 else int(run.failed_at[axis]) + 1
-        onset = noted.onset[axis] if crew.schedule != "constant" else 0.0
-        end = rows * task.control_period
-        leaks = bool(states[axis] == _LEAKS and onset < end)
+        onset, end = 0.0 if constant else float(noted.onset[axis]), rows * task.control_period
+        leaks = bool(crew.states[axis] == _LEAKS and onset < end)
         if crew.schedule == "growth" and leaks:  # the seal leaks once it passes more than a healthy one
             first, last = np.log(noted.before[axis]), np.log(flow[axis])
             onset += (DURATION - onset) * np.clip((np.log(BOUND) - first) / (last - first), 0.0, 1.0)
             leaks = bool(onset < end)
         other = CAUSE_OF_FAULT[names[axis]] if names[axis] else Cause.NONE
         label = {
-            "recording": int(numbers[axis]),
+            "recording": int(crew.numbers[axis]),
             "tier": crew.tier,
             "seconds": end,
             "leak": leaks,
-            "onset": float(onset) if leaks else np.nan,
+            "onset": onset if leaks else np.nan,
             "schedule": crew.schedule,
             "size": float(run.leakage_flow_lpm[axis]),
-            "size_before": float(noted.before[axis] if crew.schedule != "constant" else flow[axis]),
+            "size_before": float(flow[axis] if constant else noted.before[axis]),
             "cause": Cause.INTERNAL_LEAK.word if leaks else other.word,
             "fault": names[axis],
-            "harsh": str(harsh[axis]),
+            "harsh": str(crew.harsh[axis]),
             "acting": crew.acting,
             "motion": crew.motion,
         }

@@ -9,12 +9,10 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import jinja2
 import numpy as np
 import pandas as pd
@@ -27,7 +25,7 @@ from hydro_env.files import read_json, read_text, write_text, write_whole
 from hydro_rig.challenge import axes as benchmark_axes
 from hydro_rig.challenge.axes import SPLITS, TIERS, VERSION, Benchmark, simulated_block
 from hydro_rig.recordings.columns import MEASURED
-from hydro_rig.recordings.simulated import check_dataset, heading
+from hydro_rig.recordings.simulated import heading
 
 MANIFEST, CARD = "benchmark.json", "README.md"
 
@@ -142,60 +140,6 @@ def read_table(path: Path) -> pd.DataFrame:
 def digest_of_labels(labels: pd.DataFrame) -> str:
     """SHA-256 of the labels as CSV text, in the order of the recordings."""
     return hashlib.sha256(labels.to_csv(index=False, lineterminator="\n").encode()).hexdigest()
-
-
-def write_minari(folder: Path, name: str, progress: Report | None = None) -> list[str]:
-    """Write the splits with public labels as Minari data sets ``NAME/train-v0`` and ``NAME/validation-v0``.
-
-    An episode is a recording: observations are the sensors in the units of the files, the action is the command. The
-    infos hold whether the seal leaks at each row, its size at the end, and the number that finds all labels.
-
-    Raises:
-        ConfigurationError: Minari is missing, or a name is impossible or taken.
-    """
-    stem, _, version = name.rpartition("-")
-    names = [f"{stem}/{split}-{version}" for split in SPLITS if split != "test"]
-    for each in names:
-        check_dataset(each)
-    import minari
-    from minari.data_collector import EpisodeBuffer
-
-    sensors, command = [heading(each) for each in MEASURED if each != "command"], heading("command")
-    for number, each in enumerate(names):
-        split = each.removeprefix(f"{stem}/").removesuffix(f"-{version}")
-        labels = read_labels(folder, split).set_index("recording")
-        buffers: list[EpisodeBuffer] = []
-        for recording, rows in read_table(folder / split).groupby("recording"):
-            label, steps = labels.loc[recording], len(rows) - 1
-            time = rows[heading("time")].to_numpy()
-            ended = np.arange(steps) == steps - 1
-            infos: dict[str, Any] = {"time": time, "leaks": time >= (label["onset"] if label["leak"] else np.inf)}
-            numbers = {"recording": recording, "tier": label["tier"], "size": label["size"]}
-            infos |= {key: np.full(len(rows), value) for key, value in numbers.items()}
-            buffers.append(
-                EpisodeBuffer(
-                    id=len(buffers),
-                    observations=rows[sensors].to_numpy(),
-                    actions=rows[[command]].to_numpy()[:-1],
-                    rewards=[0.0] * steps,
-                    terminations=[False] * steps,
-                    truncations=ended.tolist(),
-                    infos=infos,
-                )
-            )
-        with warnings.catch_warnings():  # the user adds author and code link
-            warnings.simplefilter("ignore")
-            minari.create_dataset_from_buffers(
-                each,
-                buffers,
-                observation_space=gym.spaces.Box(-np.inf, np.inf, (len(sensors),), np.float32),
-                action_space=gym.spaces.Box(-np.inf, np.inf, (1,), np.float32),
-                algorithm_name="several",
-                description=f"leaking axes, version {VERSION}: columns {', '.join(sensors)}; action {command}",
-            )
-        if progress is not None:
-            progress("data sets", number + 1, len(names))
-    return names
 
 
 def data_card(config: TaskConfig, manifest: Mapping[str, Any]) -> str:

@@ -38,16 +38,7 @@ def alarms(
     ] = "two_stage",
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     rate: Annotated[float, typer.Option(help="Accepted false alarms per 100 hours.")] = 1.0,
-    axes: Annotated[
-        int | None, typer.Option(help="Axes for the calibration, and again for the test. Default: 40.")
-    ] = None,
-    fault_axes: Annotated[
-        int | None, typer.Option(help="Of them, axes at rest and with other faults. Default: 20.")
-    ] = None,
-    interval: Annotated[float | None, typer.Option(help="Seconds between readings. Default: 4.")] = None,
-    learning: Annotated[
-        int | None, typer.Option(help="Readings in motion that form an axis's own baseline. Default: 60.")
-    ] = None,
+    axes: Annotated[int, typer.Option(help="Axes for the calibration, and again for the test.")] = 40,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -56,9 +47,8 @@ def alarms(
     The alarm sums up the readings of a detector. Each axis works for ten minutes, healthy and with leaks: all families
     of references, at full speed, slowly, and standing, under the PID and the flow-linearising controller. Hours and
     shifts are then drawn from these readings, axis by axis. The threshold comes from validation seeds; test seeds give
-    false alarms, leaks missed in a shift and at rest, and the causes that the alarm names for other faults. It writes
-    `alarm.yaml` (the settings), `alarms.md` and one CSV per table. Ctrl-C keeps the finished jobs, and `--resume`
-    continues.
+    false alarms, and leaks missed in a shift. Written are `alarm.yaml` (the settings), `alarms.md` and one
+    CSV per table. Ctrl-C keeps the finished jobs, and `--resume` continues.
     """
     from hydro_agents.detection.detectors import DetectorChoice, make_detector
     from hydro_agents.detection.looks import window_of
@@ -77,16 +67,14 @@ def alarms(
     choice = validate(DetectorChoice, {"kind": detector, "weights": weights}, "--detector")
     if head is not None and detector not in ("head", "two_stage"):
         raise ConfigurationError(f"--head {head}: only a head has weights; leave out --head or --detector {detector}")
-    given = {"rate": rate, "axes": axes, "fault_axes": fault_axes, "interval": interval, "learning": learning}
-    chosen = {name: value for name, value in given.items() if value is not None}
-    job = validate(AlarmJob, chosen, "alarms")
+    job = validate(AlarmJob, {"rate": rate, "axes": axes}, "alarms")
     watching = make_detector(choice)
     window_of(watching, config)  # refuses a task that it cannot read
     name = detector if detector not in ("head", "two_stage") else f"{detector} {Path(head or HEAD_FILE).name}"
-    controllers = {kind: shipped(kind, config) for kind in ("pid", "flow_linearising")}
+    controllers = [shipped(kind, config) for kind in ("pid", "flow_linearising")]
 
     def work(display: ProgressDisplay) -> Written:
-        settings, tables = run_job(Bench(config, controllers, watching, name, output, 4, display.update), job)
+        settings, tables = run_job(Bench(config, controllers, watching, name, output, display.update), job)
         settings.save(output / "alarm.yaml")
         files = {f"{title}.csv": table.to_csv(index=False) for title, table in tables.items()}
         shown = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,7 +34,7 @@ def record(
         str | None,
         typer.Option(
             metavar="NAME-v0",
-            help="Minari data set to write, for offline learning; with --benchmark beside its files.",
+            help="Minari data set to write instead, for offline learning.",
         ),
     ] = None,
     benchmark: Annotated[
@@ -62,10 +63,7 @@ def record(
     ] = None,
     family: Annotated[
         str | None,
-        typer.Option(
-            help="Kind of reference: step, point_to_point, ramp, sine, multi_sine, start_stop, pause, creep or "
-            "staircase; default: drawn."
-        ),
+        typer.Option(help="Kind of reference, such as sine, step or point_to_point; default: drawn."),
     ] = None,
     seed: PlantSeed = 0,
     overwrite: OverwriteFile = False,
@@ -74,8 +72,7 @@ def record(
 
     `hydro diagnose` reads the file. The first line is a comment with this command and the true leak. `--minari` writes
     a data set of episodes instead, with observations, actions, rewards and the hidden leak. `--benchmark` writes the
-    public benchmark of leak detectors for `hydro score`, with `--minari` also as Minari data sets; see
-    `docs/benchmark.md`.
+    public benchmark of leak detectors for `hydro score`, see `docs/benchmark.md`.
 
     With `--rig` alone the axis has the parameters of its file. With `--task`, for `--minari`, and without `--rig`, the
     task draws the parameters that are not known exactly.
@@ -93,18 +90,19 @@ def record(
 
     if family is not None and family not in FAMILIES:
         raise ConfigurationError(f"--family '{family}': must be one of {', '.join(FAMILIES)}")
-    if (output is None) == (minari is None and benchmark is None):
+    if sum(place is not None for place in (output, minari, benchmark)) != 1:
         raise ConfigurationError("record: needs one of --output FILE, --minari NAME or --benchmark FOLDER")
     if benchmark is not None:
-        _record_benchmark(benchmark, task_config(task, rig=rig), 600 if count is None else count, key, minari)
+        _record_benchmark(benchmark, task_config(task, rig=rig), 600 if count is None else count, key)
         return
     faults = named_faults(fault or [])
-    if output is None:
+    if minari is not None:
         given = {"leakage_flow_lpm": leakage, "reference": family, "faults": faults or None}
-        length = duration if duration is not None else task_config(task, rig=rig).episode_duration
-        config = task_config(task, rig=rig, episode_duration=length)
-        _record_dataset(str(minari), config, controller, 100 if count is None else count, seed, given)
+        length: dict[str, Any] = {} if duration is None else {"episode_duration": duration}
+        config = task_config(task, rig=rig, **length)
+        _record_dataset(minari, config, controller, 100 if count is None else count, seed, given)
         return
+    assert output is not None
     check_new_file(output, overwrite)
     config = task_config(exact_task(task, rig), rig=rig, episode_duration=20.0 if duration is None else duration)
     mover, gains = stable_pid(config) if controller == "pid" else (opponent(controller, config, "--controller"), "")
@@ -128,27 +126,22 @@ def _record_dataset(
     mover = opponent(controller, config, "--controller")
     options = {option: value for option, value in given.items() if value is not None}
     with ProgressDisplay() as display:
-
-        def progress(finished: int) -> None:
-            display.update("episodes", finished, episodes)
-
-        data = record_dataset(name, config, mover, controller, episodes, seed, options, command_line(), progress)
+        report = partial(display.update, "episodes", total=episodes)
+        data = record_dataset(name, config, mover, controller, episodes, seed, options, command_line(), report)
     say(f"{name}: {data.episodes} episodes, {data.steps} steps, in {data.folder}")
 
 
-def _record_benchmark(folder: Path, config: TaskConfig, recordings: int, key: Path | None, minari: str | None) -> None:
+def _record_benchmark(folder: Path, config: TaskConfig, recordings: int, key: Path | None) -> None:
     from hydro_agents.running.console import ProgressDisplay
     from hydro_env.files import read_text
     from hydro_rig.challenge.axes import Benchmark
-    from hydro_rig.challenge.files import HIDDEN, write_benchmark, write_minari
+    from hydro_rig.challenge.files import HIDDEN, write_benchmark
 
     secret = read_text(key).strip() if key is not None else ""
     with ProgressDisplay() as display:
         made = write_benchmark(folder, config, Benchmark(recordings, secret), None, display.update)
-        sets = write_minari(folder, minari, display.update) if minari is not None else []
     hours = ", ".join(f"{name} {count} ({made['hours'][name]:.3g} h)" for name, count in made["recordings"].items())
     say(f"{folder}: {hours}; README.md describes them; do not publish {folder / HIDDEN}")
-    say(*(f"{name}: Minari data set" for name in sets))
 
 
 def score(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -22,7 +21,7 @@ from hydro_agents.commands.options import (
     say,
     side_by_side,
 )
-from hydro_rig.commands.guesses import guesses_shown
+from hydro_rig.commands.guesses import reading
 
 Oil = Annotated[
     str,
@@ -58,18 +57,16 @@ def diagnose(
 
     First it checks the recording: gaps, jitter, units, signs, exchanged chambers, stuck and saturated sensors. Then two
     detectors read the leak window by window: an estimator with the simulator as model, and the leakage head or another
-    one (`--detector`). Writes a page (`diagnosis.html`), a picture, the leak over time and the findings as CSV; the
-    last line is the verdict. Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
+    one (`--detector`). Writes a page (`diagnosis.html`), the leak over time and the findings as CSV; the last
+    line is the verdict. Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
 
     Exit codes: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell, 2 wrong input.
     """
     from hydro_agents.detection.alarm import AlarmSettings
-    from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
-    from hydro_rig.diagnosis.companion import Companion
+    from hydro_rig.diagnosis.diagnose import Companion, in_json
     from hydro_rig.diagnosis.diagnose import diagnose as diagnose_recording
-    from hydro_rig.diagnosis.diagnose import in_json
     from hydro_rig.diagnosis.diagnosis_page import FILES, JOB, diagnose_to_folder
     from hydro_rig.diagnosis.verdict import EXIT_CODES
     from hydro_rig.recordings.columns import read_map
@@ -79,8 +76,7 @@ def diagnose(
     companion = Companion.named(detector)
     mapped = read_map(columns) if columns is not None else None
     settings = AlarmSettings.load(alarm) if alarm is not None else None
-    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
-        progress = display.update if display is not None else None
+    with reading(as_json) as progress:
         diagnosis = diagnose_recording(recording, config, companion, mapped, window, settings, progress)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line())
     say(*([json.dumps(in_json(diagnosis), indent=1, ensure_ascii=False)] if as_json else lines))
@@ -116,14 +112,6 @@ def trend(
         float | None,
         typer.Option(min=1e-3, max=100.0, help="Leak in l/min at 100 bar and 40 °C whose date is told; default: 0.3."),
     ] = None,
-    repaired: Annotated[
-        list[str] | None,
-        typer.Option(metavar="[AXIS=]DATE", help="A new seal, since 2026-10-03; the column `repaired` does the same."),
-    ] = None,
-    hourly: Annotated[bool, typer.Option("--hourly", help="One row per hour instead of one per file.")] = False,
-    axis_column: Annotated[
-        str, typer.Option(metavar="HEADING", help="Column that names the axis, in files of several axes.")
-    ] = "",
     as_json: Json = False,
 ) -> None:
     """Watch axes over weeks: one row per recording, the growth of the leak, and the date of a limit.
@@ -134,12 +122,11 @@ def trend(
 
     Exit codes: 0 all healthy, 10 an axis leaks, 11 something else, 12 cannot tell, 2 wrong input.
     """
-    from hydro_agents.running.console import ProgressDisplay
     from hydro_rig.monitoring.trend_job import Watch, watch
 
-    given = Watch(append, columns or [], task, rig or [], oil, temperature, limit, repaired or [], hourly, axis_column)
-    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
-        found = watch(recordings, given, command_line(), display.update if display is not None else None)
+    given = Watch(append, columns or [], task, rig or [], oil, temperature, limit)
+    with reading(as_json) as progress:
+        found = watch(recordings, given, command_line(), progress)
     for line in found.left_out:
         print(f"hydro: left out: {line}", file=sys.stderr)
     say(*([json.dumps(found.json(), indent=1, ensure_ascii=False)] if as_json else found.lines()))

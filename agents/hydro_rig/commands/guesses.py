@@ -1,20 +1,29 @@
-"""What commands that read recordings print when headings are unknown."""
+"""What commands that read recordings show while they read."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from hydro_agents.commands.options import say
 
+if TYPE_CHECKING:
+    from hydro_agents.running.jobs import Report
+
 
 @contextlib.contextmanager
-def guesses_shown() -> Iterator[None]:
-    """Print the map that is guessed for a recording with unknown headings; the error goes on."""
+def reading(quiet: bool = False) -> Iterator[Report | None]:
+    """Show the progress, which the block reports through what it gets, or nothing; ``None``: ``quiet``.
+
+    For a recording with unknown headings it prints the map that is guessed; the error goes on.
+    """
+    from hydro_agents.running.console import ProgressDisplay
     from hydro_rig.recordings.guessed_map import UnknownHeadingsError
 
     try:
-        yield
+        with contextlib.nullcontext() if quiet else ProgressDisplay() as display:
+            yield None if display is None else display.update
     except UnknownHeadingsError as error:
         say(error.guess)
         raise

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hydro_agents.commands.options import Output, Overwrite, OwnTask, command_line, say
-from hydro_rig.commands.guesses import guesses_shown
+from hydro_rig.commands.guesses import reading
 
 
 def identify(
@@ -55,7 +55,6 @@ def identify(
     recording cannot determine, and motions that would), and all numbers (`identification.json`). If the recording
     contradicts the rig, the command ends with one line. See `docs/identify.md`.
     """
-    from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
     from hydro_env.task.rig import read_rig
@@ -67,6 +66,6 @@ def identify(
     known = read_rig(rig)
     config = task_config(task, rig=known.source)
     maps = maps_of(columns or [], recordings)
-    with guesses_shown(), ProgressDisplay() as display:
-        found = identify_recordings(recordings, config, known, maps, display.update, hold_back or [])
+    with reading() as progress:
+        found = identify_recordings(recordings, config, known, maps, progress, hold_back or [])
     say(*identify_to_folder(output, found, overwrite, command_line()))

@@ -3,29 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from contextlib import nullcontext
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hydro_agents.commands.options import Columns, Json, Overwrite, OwnTask, Rig, command_line, say
-from hydro_rig.commands.guesses import guesses_shown
-
-if TYPE_CHECKING:
-    from hydro_env import TaskConfig
-
-
-class Stop(StrEnum):
-    """Stops that the test presses against."""
-
-    BOTH = "both"
-    EXTENDED = "extended"
-    RETRACTED = "retracted"
-    NONE = "none"
-
+from hydro_rig.commands.guesses import reading
 
 _PLAN = "Limits of the plan"
 
@@ -42,7 +26,9 @@ def leak_test(
     columns: Columns = None,
     limit: Annotated[
         float | None,
-        typer.Option(help="Leak in l/min at 100 bar from which the seal is faulty; default: those of the task."),
+        typer.Option(
+            min=1e-6, max=100.0, help="Leak in l/min at 100 bar from which the seal is faulty; default: the task's."
+        ),
     ] = None,
     duration: Annotated[float | None, typer.Option(help="s; default: 60.", rich_help_panel=_PLAN)] = None,
     speed: Annotated[
@@ -56,8 +42,9 @@ def leak_test(
         float | None, typer.Option(help="Largest pressure in bar; default: the rating.", rich_help_panel=_PLAN)
     ] = None,
     stop: Annotated[
-        Stop, typer.Option(help="Stops to press against; none: only moves around the start.", rich_help_panel=_PLAN)
-    ] = Stop.BOTH,
+        str,
+        typer.Option(metavar="both|extended|retracted", help="Stops to press against.", rich_help_panel=_PLAN),
+    ] = "both",
     between: Annotated[
         str | None,
         typer.Option(metavar="LOW..HIGH", help="Allowed positions in mm from mid-stroke.", rich_help_panel=_PLAN),
@@ -73,37 +60,51 @@ def leak_test(
 
     The test presses the axis against its stops at several openings, closes the valve, and makes short moves. The plan
     is the one with the lowest Cramér–Rao bound that stays within your limits on simulated axes. Written are a page
-    (`plan.html`), the commands (`commands.csv`, `leak_test.h`) and a simulated recording. The reading gives litres per
+    (`plan.html`), the commands (`commands.csv`) and a simulated recording. The reading gives litres per
     minute with an interval, the leak of the seal apart from that of the valve's edges, as `leak_test.html` and JSON.
     Exit codes of the reading: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell.
     """
+    from hydro_agents.running.folders import refuse_taken
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
+    from hydro_rig.diagnosis import leak_test_page as pages
+    from hydro_rig.diagnosis.leak_test_plan import plan
+    from hydro_rig.diagnosis.leak_test_reading import read_leak_test
+    from hydro_rig.diagnosis.leak_test_steps import LeakTestSettings
+    from hydro_rig.diagnosis.verdict import EXIT_CODES
+    from hydro_rig.recordings.columns import read_map
 
     config = task_config(task, rig=rig)
     low, high = _ends(between)
     limits = {
-        "duration": duration,
-        "speed": _scaled(speed, 1e-3),
-        "opening": _scaled(opening, 1e-2),
-        "pressure": _scaled(pressure, 1e5),
-        "low": _scaled(low, 1e-3),
-        "high": _scaled(high, 1e-3),
+        "duration": (duration, 1.0),
+        "speed": (speed, 1e-3),
+        "opening": (opening, 1e-2),
+        "pressure": (pressure, 1e5),
+        "low": (low, 1e-3),
+        "high": (high, 1e-3),
     }
-    given = {name: value for name, value in limits.items() if value is not None}
+    given = {name: factor * value for name, (value, factor) in limits.items() if value is not None}
     if recording is None:
-        _plan(config, given | {"stop": stop.value}, output or Path("results/leak_test_plan"), as_json, overwrite)
+        folder = output or Path("results/leak_test_plan")
+        refuse_taken(folder, pages.JOB, pages.PLAN_FILES, overwrite)
+        settings = LeakTestSettings.of(config, **given, stop=stop)
+        with reading(as_json) as progress:
+            planned = plan(config, settings, progress)
+        lines = pages.plan_to_folder(folder, planned, overwrite, command_line())
+        say(json.dumps(pages.plan_facts(planned), indent=1) if as_json else "\n".join(lines))
         return
-    if given or stop is not Stop.BOTH:
+    if given or stop != "both":
         option = next(iter(given), "stop") if between is None else "between"
         raise ConfigurationError(f"--{option}: belongs to the plan; leave out RECORDING, or the option")
-    if limit is not None and not 0.0 < limit <= 100.0:
-        raise ConfigurationError(f"--limit {limit:g} l/min: must be above 0 and at most 100")
-    _read(recording, config, columns, limit, output or Path("results/leak_test"), as_json, overwrite)
-
-
-def _scaled(value: float | None, factor: float) -> float | None:
-    return None if value is None else factor * value
+    folder = output or Path("results/leak_test")
+    refuse_taken(folder, pages.JOB, pages.READING_FILES, overwrite)
+    mapped = read_map(columns) if columns is not None else None
+    with reading(as_json) as progress:
+        found = read_leak_test(recording, config, mapped, limit, progress)
+    lines = pages.reading_to_folder(folder, found, overwrite, command_line())
+    say(json.dumps(pages.reading_facts(found), indent=1) if as_json else "\n".join(lines))
+    raise typer.Exit(EXIT_CODES[found.verdict.kind])
 
 
 def _ends(between: str | None) -> tuple[float | None, float | None]:
@@ -115,44 +116,3 @@ def _ends(between: str | None) -> tuple[float | None, float | None]:
         return float(low) if low else None, float(high) if high else None
     except ValueError:
         raise ConfigurationError(f"--between {between}: must be positions in mm as -60..60") from None
-
-
-def _plan(config: TaskConfig, given: Mapping[str, object], output: Path, as_json: bool, overwrite: bool) -> None:
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import refuse_taken
-    from hydro_env.files import validate
-    from hydro_rig.diagnosis.leak_test_plan import LeakTestSettings, plan
-    from hydro_rig.diagnosis.leak_test_plan_page import JOB, PLAN_FILES, plan_facts, plan_to_folder
-
-    refuse_taken(output, JOB, PLAN_FILES, overwrite)
-    settings = validate(LeakTestSettings, given, "leak-test")
-    with nullcontext() if as_json else ProgressDisplay() as display:
-        test = plan(config, settings, display.update if display is not None else None)
-    lines = plan_to_folder(output, test, overwrite, command_line())
-    say(json.dumps(plan_facts(test), indent=1) if as_json else "\n".join(lines))
-
-
-def _read(
-    recording: Path,
-    config: TaskConfig,
-    columns: Path | None,
-    limit: float | None,
-    output: Path,
-    as_json: bool,
-    overwrite: bool,
-) -> None:
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import refuse_taken
-    from hydro_rig.diagnosis.leak_test_page import JOB, READING_FILES, reading_facts, reading_to_folder
-    from hydro_rig.diagnosis.leak_test_reading import read_leak_test
-    from hydro_rig.diagnosis.verdict import EXIT_CODES
-    from hydro_rig.recordings.columns import read_map
-
-    refuse_taken(output, JOB, READING_FILES, overwrite)
-    mapped = read_map(columns) if columns is not None else None
-    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
-        progress = display.update if display is not None else None
-        found = read_leak_test(recording, config, mapped, limit, progress)
-    lines = reading_to_folder(output, found, overwrite, command_line())
-    say(json.dumps(reading_facts(found), indent=1) if as_json else "\n".join(lines))
-    raise typer.Exit(EXIT_CODES[found.verdict.kind])

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.controllers.registry import imported
+from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.detector import Cause, Detector, Reading, Why, Windows
+from hydro_agents.detection.detectors import KINDS, DetectorChoice, make_detector
 from hydro_agents.detection.head import LeakageHead
-from hydro_env import TaskConfig
-from hydro_rig.diagnosis.companion import Companion, Watched, watched
-from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
-from hydro_rig.diagnosis.verdict import EXIT_CODES, Limits, Verdict
+from hydro_agents.detection.looks import looks_at, window_of
+from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged
+from hydro_rig.diagnosis.verdict import EXIT_CODES
+from hydro_rig.diagnosis.volume_balance import leak_of_blocks
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.recordings.columns import ColumnMap
@@ -24,6 +29,102 @@ from hydro_rig.recordings.parts import lively
 from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import cut
+
+MOST_GAPS = 20
+"""Longest duration of a recording including gaps, as a multiple of its sampled time; a longer one is not continuous."""
+
+
+class Companion(NamedTuple):
+    """The detector that reads beside the estimator, and its names."""
+
+    detector: Detector
+    name: str = "leakage head"  # in sentences
+    column: str = "head"  # at the beginning of its columns
+    weights: str = HEAD_FILE  # of a head: the file by which an alarm names it
+
+    @classmethod
+    def of(cls, detector: LeakageHead | Detector) -> Companion:
+        """A detector with its names: that of its class, unless it is a leakage head."""
+        if isinstance(detector, LeakageHead):
+            return cls(HeadDetector(detector))
+        name = type(detector).__name__
+        return cls(detector, name, name, "")
+
+    @classmethod
+    def named(cls, text: str | None) -> Companion:
+        """The detector of ``module:attribute``, or a head from its weights; default: the shipped head.
+
+        Raises:
+            ConfigurationError: it cannot be loaded, or is no detector.
+        """
+        if text is not None and ":" in text and not Path(f"{text}.json").exists():
+            return cls.of(make_detector(DetectorChoice(kind=text)))
+        return cls(HeadDetector.load(text), weights=text or HEAD_FILE)
+
+    @property
+    def own(self) -> bool:
+        """Whether it is another detector than the leakage head."""
+        return not isinstance(self.detector, HeadDetector)
+
+
+class Watched(NamedTuple):
+    """Result of the alarm."""
+
+    at: float | None  # s, of the alarm; None: there was none
+    rate: float | None  # false alarms per 100 h for which it was set
+    note: str = ""  # why it did not watch; empty if it watched
+
+    def line(self) -> str:
+        """The alarm in one sentence."""
+        if self.note:
+            return f"The alarm did not watch: {self.note}."
+        rate = f", set for a rate of {self.rate:g} per 100 h in healthy axes," if self.rate is not None else ""
+        when = f"rose at {self.at:.1f} s" if self.at is not None else "stayed silent"
+        return f"The alarm{rate} {when}."
+
+
+def watched(checked: Checked, companion: Companion, task: TaskConfig, settings: AlarmSettings) -> Watched:
+    """Run an alarm over a recording, as if the axis had been switched on at its start, or say why it did not watch."""
+    rate = settings.false_alarms_per_100_h
+    try:
+        if checked.severe:
+            raise ConfigurationError(checked.severe[0].line())
+        detector = detector_of(settings, companion)
+        samples = checked.samples
+        count = int(samples.place[-1]) + 1 if len(samples.place) else 0
+        if count < window_of(detector, task):
+            raise ConfigurationError("the recording is shorter than a window of the detector")
+        if count > MOST_GAPS * len(samples.place):
+            raise ConfigurationError("most of the time between the first and the last sample was not recorded")
+        signals = np.full((1, len(samples.signals), count), np.nan)
+        signals[0, :, samples.place] = samples.signals.T
+        looks = looks_at(signals, task, detector, settings.interval)
+    except ConfigurationError as error:
+        return Watched(None, rate, str(error).removeprefix("alarm: "))
+    raised = LeakAlarm(settings).follow(looks)[0].alarm[0]
+    return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate)
+
+
+def detector_of(settings: AlarmSettings, companion: Companion) -> Detector:
+    """The detector that an alarm was set for: the estimator, which is always there, or one with the companion.
+
+    Raises:
+        ConfigurationError: it was set for another detector.
+    """
+    kind, _, file = settings.detector.partition(" ")
+    detector, weights = companion.detector, Path(companion.weights)
+    if kind == "estimator":
+        return make_detector(DetectorChoice(kind=kind))
+    if isinstance(detector, HeadDetector):
+        name = f"head {weights.name}"
+        if kind in ("", *KINDS) and Path(file or weights).stem == weights.stem:
+            return make_detector(DetectorChoice(kind=kind or "head"), detector)
+    else:
+        name = f"{type(detector).__module__}:{type(detector).__qualname__}"
+        if not kind or (":" in kind and imported(kind) in (detector, type(detector))):
+            return detector
+    raise ConfigurationError(f"it was set for the detector '{settings.detector}', and '{name}' is given")
+
 
 Progress = Callable[[str, int, int], None]
 
@@ -39,29 +140,24 @@ class NamedReading(NamedTuple):
     own: bool = False  # neither the estimator nor the leakage head: its score is shown as well
 
 
-class Diagnosis(NamedTuple):
+@dataclass(frozen=True)
+class Diagnosis(Judged):
     """All results for a recording."""
 
     recording: Recording
-    task: TaskConfig  # that was assumed
-    checked: Checked
-    windows: Windows
-    read: Read
     companion: Companion
-    limits: Limits
-    verdict: Verdict
     alarm: Watched | None  # None: no settings of an alarm were given
     note: str  # why the companion was not used; empty if it was
 
     @property
     def readings(self) -> list[NamedReading]:
         """What was read, by detector."""
-        readings, companion = [], self.companion
-        if self.read.estimator is not None:
-            readings.append(NamedReading("estimator", "estimator", self.read.estimator))
-        if self.read.companion is not None:
-            readings.append(NamedReading(companion.name, companion.column, self.read.companion, companion.own))
-        return readings
+        companion = self.companion
+        readings = (
+            ("estimator", "estimator", self.read.estimator, False),
+            (companion.name, companion.column, self.read.companion, companion.own),
+        )
+        return [NamedReading(name, column, one, own) for name, column, one, own in readings if one is not None]
 
 
 def diagnose(
@@ -105,7 +201,7 @@ def diagnose(
     checked = check_recording(recording, config)
     checked.findings.extend(_about_auxiliary(recording))
     length = max(round(window / config.control_period), 2)
-    note, limits = companion.detector.refuses(config, length), Limits.of(config)
+    note = companion.detector.refuses(config, length)
 
     def read(windows: Windows) -> Read:
         commanded = np.flatnonzero(windows.commanded)
@@ -128,24 +224,13 @@ def diagnose(
         config,
         choose=lambda samples: cut(samples, length),
         read=read,
-        limits=limits,
-        window=window,
-        balance=volume_leak(flow_blocks(recording)),
         rows=[recording],
+        balance=leak_of_blocks(flow_blocks(recording)),
+        window=window,
         companion=companion.name,
     )
-    return Diagnosis(
-        recording=recording,
-        task=config,
-        checked=result.checked,
-        windows=result.windows,
-        read=result.read,
-        companion=companion,
-        limits=limits,
-        verdict=result.verdict,
-        alarm=None if alarm is None else watched(result.checked, companion, config, alarm),
-        note=note,
-    )
+    watch = None if alarm is None else watched(result.checked, companion, config, alarm)
+    return Diagnosis(**vars(result), recording=recording, companion=companion, alarm=watch, note=note)
 
 
 def read_windows(
@@ -180,12 +265,12 @@ def _about_auxiliary(recording: Recording) -> list[Finding]:
     findings: list[Finding] = []
     for name, values in recording.auxiliary.items():
         if np.isfinite(values).any() and name != "flow":
-            warm = name == "oil_temperature"
-            low, high = (1.0 if warm else 1e-5) * np.nanquantile(values, [0.01, 0.99])
-            unit, more = (
-                ("°C", "a leak past the seal grows as the oil thins") if warm else ("bar", "the model follows it")
-            )
-            findings.append(Finding(name, f"is {low:.4g} to {high:.4g} {unit}; {more}", Weight.NOTE))
+            low, high = np.nanquantile(values, [0.01, 0.99])
+            if name == "oil_temperature":
+                what = f"is {low:.4g} to {high:.4g} °C; a leak past the seal grows as the oil thins"
+            else:
+                what = f"is {1e-5 * low:.4g} to {1e-5 * high:.4g} bar; the model follows it"
+            findings.append(Finding(name, what, Weight.NOTE))
     return findings
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -13,28 +15,32 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Reading
-from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot, render
+from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import MEANINGS, Look, looks_of
-from hydro_agents.report.recorded import paint_course, recording_tables
-from hydro_agents.report.sections import Block, Code, Fold, Text, render_page, section
+from hydro_agents.report.recorded import Line, Mark, Signal, paint_course, recording_tables
+from hydro_agents.report.sections import Block, Code, Points, Text, render_page, section
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import Table, capitalised, number, setting
-from hydro_env.files import write_text, write_whole
-from hydro_rig.diagnosis.diagnose import Diagnosis, NamedReading, findings_table, leak_table
-from hydro_rig.diagnosis.recording_page import signals_of
-from hydro_rig.diagnosis.verdict import Kind, combined, named_fault
+from hydro_agents.running.text import capitalised, number, setting
+from hydro_env.files import write_text
+from hydro_rig.diagnosis.diagnose import Diagnosis, findings_table, leak_table
+from hydro_rig.diagnosis.verdict import Kind, Verdict, combined, named_fault
 from hydro_rig.identification.data_sheet import lines_to_paste, residual_table
+from hydro_rig.recordings.columns import MEASURED
+from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.recording import Recording
 
-PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv", "findings.csv", "diagnosis.png"
-FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
+PAGE_FILE, TABLE_FILE, FINDINGS_FILE = "diagnosis.html", "leak.csv", "findings.csv"
+FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, FIGURE_FILES)
 JOB = "diagnose"
 
-DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "signals", "windows", "judging")
+DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "signals", "judging")
 """Sections of the page, in order."""
-SOURCES = Markup("Numbers: <code>leak.csv</code> and <code>findings.csv</code> beside this page.")
+SOURCES = Markup(
+    "Readings of each window: <code>leak.csv</code>; findings: <code>findings.csv</code>; both are beside this page."
+)
 
 ESTIMATOR = Markup(
     "<strong>Estimator</strong>: simulates the rig of the data sheet with the recorded commands, and changes leak, "
@@ -50,20 +56,40 @@ JUDGING = (
     "bore of 40 mm.",
 )
 
+ADVICE = {
+    Kind.HEALTHY: "The piston seal leaks too little to matter for the axis. Record again after some time.",
+    Kind.LEAK: "The piston seal leaks. Plan its replacement by the size and by how fast it grows; record again after "
+    "some time under the same conditions.",
+    Kind.OTHER: "Something besides the piston seal differs from the rig's data sheet. Check the named part "
+    "before the seal.",
+    Kind.UNKNOWN: "This recording gives no answer. The verdict gives the reason; correct it and record again.",
+}
+"""What to do next."""
+
+STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse", Kind.OTHER: "doubtful", Kind.UNKNOWN: ""}
+"""Class of the verdict in the style of the pages."""
+
+PANELS = {
+    "position, mm": (1e3, ("position",)),
+    "pressure, bar": (1e-5, ("pressure_a", "pressure_b")),
+    "valve, %": (100.0, ("spool_position", "command")),
+}
+"""Displayed units per SI unit, and signals, of each row of the figure."""
+
+GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
+COLOURS = {Weight.SEVERE: WORSE, Weight.FAULT: WORSE, Weight.NOTE: GREY}
+LEAST_WIDTH = 0.003  # of a mark, as a share of the recording
+
 MEND = "These lines in the file of the task (--task) make its data sheet agree with the recording:"
 
-MOST_ROWS = 200  # largest number of windows in the table of the page; the CSV file holds all
-GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
 LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
 
 
 def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str) -> list[str]:
     """Write page, table, findings and picture; returns the lines for the user, the verdict last."""
     with output_folder(folder, JOB, FILES, overwrite=overwrite):
-        (picture,) = render(lambda figure: paint(figure, diagnosis), (WIDE, 9.5), "png")
         write_text(folder / TABLE_FILE, leak_table(diagnosis).to_csv(index=False, lineterminator="\n"))
         write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
-        write_whole(folder / PICTURE_FILE, picture)
         render_diagnosis(diagnosis, Origin.now(command)).write(folder / PAGE_FILE)
     lines = [finding.line() for finding in diagnosis.checked.findings]
     lines += [diagnosis.alarm.line()] if diagnosis.alarm is not None else []
@@ -84,6 +110,7 @@ def render_diagnosis(diagnosis: Diagnosis, origin: Origin) -> Page:
         diagnosis.checked.findings,
         Control_period=f"{1e3 * samples.period:g} ms, {len(samples.time)} samples",
         Windows=", ".join([f"{len(diagnosis.windows)} windows", *read]),
+        **{capitalised(each.name): _summary(each.reading) for each in diagnosis.readings},
     )
     method = (ESTIMATOR, OWN.format(companion.name) if companion.own else HEAD, *JUDGING)
     parts = {"diagnosis": diagnosis, "verdict": diagnosis.verdict, "judging": method}
@@ -91,12 +118,39 @@ def render_diagnosis(diagnosis: Diagnosis, origin: Origin) -> Page:
     return render_page("Diagnosis of the axis", DIAGNOSIS, content, origin, SOURCES)
 
 
+@section("", needs=("verdict",))
+def diagnosed(content: Content) -> list[Block]:
+    """The verdict, and what to do next."""
+    verdict = content.part("verdict", Verdict)
+    style = f"verdict {STYLES[verdict.kind]}".strip()
+    flows: tuple[str, ...] = content.other("flows", ())
+    lines = [Text(capitalised(line) + ".") for line in flows]
+    return [Text(capitalised(verdict.line()), style), *lines, Text(ADVICE[verdict.kind])]
+
+
+@section("How it was judged", needs=("judging",))
+def judging(content: Content) -> list[Block]:
+    """The method, and the limits."""
+    return [Points(content.part("judging", tuple))]
+
+
+def _summary(reading: Reading) -> str:
+    """What a detector says of the whole recording."""
+    if not reading.answers.any():
+        return "no valid reading"
+    if not reading.sized.any():
+        return f"no size; score {number(float(np.median(reading.score[reading.answers])), digits=3)}"
+    fault = named_fault(reading)
+    return f"{combined(reading)[0].text()}{f'; {fault}' if fault else ''}"
+
+
 @section("Leak over time", needs=("diagnosis",))
 def leak_over_time(content: Content) -> list[Block]:
     """The readings and the signals over time."""
     diagnosis = content.part("diagnosis", Diagnosis)
-    lines = [companion_line(diagnosis), diagnosis.alarm.line() if diagnosis.alarm is not None else ""]
-    blocks: list[Block] = [_plot(diagnosis), *(Text(line) for line in lines if line)]
+    blocks: list[Block] = [_plot(diagnosis)]
+    if diagnosis.alarm is not None:
+        blocks.append(Text(diagnosis.alarm.line()))
     if diagnosis.note:
         blocks.append(Text(f"{capitalised(diagnosis.note)}. Only the estimator was used.", "soft"))
     return blocks
@@ -114,63 +168,27 @@ def signals(content: Content) -> list[Block]:
     return [residual_table(fitted, diagnosis.task), *lines]
 
 
-@section("Window by window", needs=("diagnosis",))
-def windows(content: Content) -> list[Block]:
-    """The readings of each window."""
-    diagnosis = content.part("diagnosis", Diagnosis)
-    table, more = windows_table(diagnosis), len(diagnosis.windows) - MOST_ROWS
-    if table is None:
-        return []
-    rest = [Text(Markup("{} more windows are in <code>leak.csv</code>.").format(more), "soft")] if more > 0 else []
-    return [Fold("All readings", [table, *rest])]
-
-
-def companion_line(diagnosis: Diagnosis) -> str:
-    """What the detector beside the estimator says of the whole recording; empty if it was not used."""
-    companion, reading = diagnosis.companion, diagnosis.read.companion
-    if reading is None:
-        return ""
-    subject = companion.name if companion.own else f"The {companion.name}"
-    answers = reading.answers
-    if not answers.any():
-        return f"{subject} gives no valid reading."
-    if not reading.sized.any():
-        scores, threshold = reading.score[answers], companion.detector.threshold
-        above = "" if threshold is None else f"; {int((scores >= threshold).sum())} windows reach its threshold"
-        middle = number(float(np.median(scores)), digits=3)
-        return f"{subject} gives no size; its score is {middle}, median of {len(scores)} windows{above}."
-    fault = named_fault(reading)
-    return f"{subject} reads {combined(reading)[0].text()}; other faults that it names: {fault or 'none'}."
-
-
-def windows_table(diagnosis: Diagnosis) -> Table | None:
-    """The readings of each window; ``None`` without windows."""
-    readings = diagnosis.readings
-    if not readings:
-        return None
-    remarks = [each.reading.remarks for each in readings]
-    rows = []
-    for window in range(min(len(diagnosis.windows), MOST_ROWS)):
-        begin, end = diagnosis.windows.begin[window], diagnosis.windows.end[window]
-        cells = [f"{number(float(begin), 1)} to {number(float(end), 1)} s"]
-        for each, remark in zip(readings, remarks, strict=True):
-            cells += [_shown(each, window), each.reading.fault[window] or remark[window]]
-        rows.append(tuple(cells))
-    header = ("Window", *(text for each in readings for text in (each.name, "remark")))
-    return Table("Leak in l/min at 100 bar, 90 % interval", header, rows)
-
-
-def _shown(named: NamedReading, window: int) -> str:
-    reading = named.reading
-    if not reading.answers[window]:
-        return "–"
-    if not reading.sized[window]:
-        return f"score {number(float(reading.score[window]), digits=3)}"
-    low, high = (number(max(end[window], 0.0), 3) for end in (reading.low_lpm, reading.high_lpm))
-    return f"{number(reading.flow_lpm[window], 3)} [{low}, {high}]"
-
-
 # The figure ---------------------------------------------------------------------------------------------------------
+
+
+def signals_of(recording: Recording, findings: Sequence[Finding] = ()) -> list[Signal]:
+    """Position, pressures, and spool with command over time; the first place of each finding is marked and named."""
+    last = float(recording.time[-1])
+    rows: list[Signal] = []
+    for label, (size, names) in PANELS.items():
+        lines = {
+            name.replace("_", " "): Line(recording.time, size * recording.signals[MEASURED.index(name)])
+            for name in names
+        }
+        about = {*names, "time"} if "position" in names else set(names)
+        marks = []
+        for finding in findings:
+            if finding.signal in about and finding.begin >= 0.0:
+                words = re.split("[,:;]", finding.what)[0][:60]
+                end = finding.begin + max(finding.end - finding.begin, LEAST_WIDTH * last)
+                marks.append(Mark(finding.begin, end, words, COLOURS[finding.weight], 0.35))
+        rows.append(Signal(label, lines, marks=marks))
+    return rows
 
 
 def _plot(diagnosis: Diagnosis) -> Plot:

@@ -1,4 +1,4 @@
-"""The page of a leak test that was run, and its numbers."""
+"""The pages of a leak test: of its plan, for the person who runs it, and of its reading; and the files beside them."""
 
 from __future__ import annotations
 
@@ -7,25 +7,201 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from markupsafe import Markup
 
 from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
-from hydro_agents.report.recorded import Line, Mark, Signal, course_plot, recording_tables
-from hydro_agents.report.sections import Block, Text, render_page, section
+from hydro_agents.report.recorded import Line, Mark, Signal, course_plot, recording_tables, rig_line
+from hydro_agents.report.sections import Block, Points, Text, render_page, section
+from hydro_agents.rigs.check import resting_place
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, capitalised, number
 from hydro_env.files import write_text
 from hydro_env.task.sensors import SENSORS
-from hydro_rig.diagnosis.leak_test_plan import FIND
-from hydro_rig.diagnosis.leak_test_reading import WINDOW, LeakTest, Quantity
-from hydro_rig.diagnosis.recording_page import signals_of
+from hydro_env.types import Floats
+from hydro_env.units import FULL_VOLTAGE
+from hydro_rig.diagnosis.diagnosis_page import signals_of
+from hydro_rig.diagnosis.leak_test_plan import FIND, SIMULATED_LEAK, Plan
+from hydro_rig.diagnosis.leak_test_reading import WINDOW, LeakFit, LeakTest, Quantity
+from hydro_rig.diagnosis.leak_test_steps import RAMP
 from hydro_rig.diagnosis.verdict import EXIT_CODES
 from hydro_rig.estimation.estimator import WEAR, healthy_range
 from hydro_rig.estimation.unknowns import LEAKAGE
 from hydro_rig.identification.common_fit import WELL_FITTED
+from hydro_rig.recordings.simulated import recording_csv
+
+PLAN_PAGE, COMMANDS_FILE, TRIAL_FILE = "plan.html", "commands.csv", "simulated.csv"
+PLAN_FILES = (PLAN_PAGE, COMMANDS_FILE, TRIAL_FILE, FIGURE_FILES)
+PLAN_SECTIONS = ("planned_test", "plan_course", "plan_steps", "plan_forms", "plan_running")
+
+LIMIT_BEFORE = (
+    "The limits hold on the simulated axes. Clear the whole stroke, keep the emergency stop at hand, and run the test "
+    "first with half the openings: what stands in the way, and a wrong sign of the command, no simulation knows."
+)
+RUNNING = (
+    Markup(
+        "Bring the axis to the start, at rest, with the oil at its working temperature. Then play <code>commands.csv"
+        "</code> (one row per control period) to the valve in open loop."
+    ),
+    "Record position, both pressures, spool position and command in every control period, from a second before the "
+    "first step to the end.",
+    Markup("Read the recording with <code>hydro leak-test RECORDING --rig FILE</code>."),
+    Markup(
+        "<code>simulated.csv</code> is such a recording of one simulated axis with a leak of {:g} l/min: try the "
+        "reading with it first."
+    ).format(SIMULATED_LEAK),
+)
+
+
+def plan_to_folder(folder: Path, plan: Plan, overwrite: bool, command: str) -> list[str]:
+    """Write the page, the commands as CSV and C, and a simulated recording; returns lines for the user."""
+    signals = plan.best.signals
+    with output_folder(folder, JOB, PLAN_FILES, overwrite=overwrite):
+        write_text(folder / COMMANDS_FILE, commands_csv(plan))
+        time = plan.task.control_period * np.arange(signals.shape[2], dtype=np.float64)
+        note = f"{command}: simulated axis, leak {SIMULATED_LEAK:g} l/min at 100 bar"
+        write_text(folder / TRIAL_FILE, recording_csv(time, signals[0], note))
+        render_plan(plan, Origin.now(command)).write(folder / PLAN_PAGE)
+    files = [str(folder / name) for name in (PLAN_PAGE, COMMANDS_FILE, TRIAL_FILE)]
+    return [*files, capitalised(plan_line(plan))]
+
+
+def commands_csv(plan: Plan) -> str:
+    """The openings, one row per control period, and the voltages of the valve."""
+    openings = plan.commands
+    table = pd.DataFrame(
+        {
+            "time [s]": np.round(plan.task.control_period * np.arange(len(openings)), 6),
+            "opening [1]": openings,
+            "voltage [V]": FULL_VOLTAGE * openings,
+        }
+    )
+    text: str = table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    return text
+
+
+def plan_line(plan: Plan) -> str:
+    """The plan in one sentence."""
+    largest = max(abs(step.opening) for step in plan.best.steps)
+    return (
+        f"a test of {sum(step.seconds for step in plan.best.steps):.0f} s, the valve at most {100 * largest:.2g} % "
+        f"open: {plan.best.form.name}; 90 % interval of the leak at the bound "
+        f"±{number(HALF_WIDTH * plan.best.largest_bound, digits=2)} l/min at 100 bar"
+    )
+
+
+def plan_facts(plan: Plan) -> dict[str, Any]:
+    """The plan as numbers, for ``--json``."""
+    return {
+        "steps": [step._asdict() for step in plan.best.steps],
+        "form": plan.best.form.name,
+        "bound_lpm": plan.best.mean_bound,
+        "largest_bound_lpm": plan.best.largest_bound,
+        "smallest_leak_lpm": plan.smallest,
+        "largest_speed": plan.best.speed,
+        "positions": [float(plan.best.position.min()), float(plan.best.position.max())],
+        "largest_pressure": float(plan.best.pressures.max()),
+    }
+
+
+def render_plan(plan: Plan, origin: Origin) -> Page:
+    """The page of a plan."""
+    content = Content({}, plan.task, others={"plan": plan})
+    sources = Markup("Numbers: <code>commands.csv</code> beside this page; <code>--json</code> prints the others.")
+    return render_page("Plan of a leak test", PLAN_SECTIONS, content, origin, sources)
+
+
+@section("", needs=("plan",))
+def planned_test(content: Content) -> list[Block]:
+    """The test in one sentence, the rig and its limits."""
+    plan = content.part("plan", Plan)
+    return [
+        Text(capitalised(plan_line(plan)) + ".", "verdict"),
+        Text(f"Rig: {rig_line(plan.task.plant)}.", "soft"),
+        _limits(plan),
+        Text(LIMIT_BEFORE, "caution"),
+    ]
+
+
+def _limits(plan: Plan) -> Table:
+    """What the simulated axes reach, and the limits."""
+    limits, best = plan.settings, plan.best
+    low, high = (f"{1e3 * end:.0f}" for end in (best.position.min(), best.position.max()))
+    ends = ("the stop" if np.isinf(end) else f"{1e3 * end:.0f}" for end in (limits.low, limits.high))
+    rows = [
+        ("Speed, also against a stop, mm/s", f"{1e3 * best.speed:.0f}", f"{1e3 * limits.speed:.0f}"),
+        ("Pressure, bar", f"{1e-5 * best.pressures.max():.0f}", f"{1e-5 * limits.pressure:.0f}"),
+        ("Positions, mm", f"{low} to {high}", " to ".join(ends)),
+        ("Start, mm", f"{1e3 * resting_place(plan.task.plant):.0f}", ""),
+    ]
+    title = f"{len(best.position)} simulated axes with worn valves"
+    return Table(title, ("", "Reached", "Limit"), rows, folded=False)
+
+
+@section("What happens", needs=("plan",))
+def plan_course(content: Content) -> list[Block]:
+    """Commands, positions and pressures."""
+    plan = content.part("plan", Plan)
+    best, commands = plan.best, plan.commands
+    time = plan.task.control_period * np.arange(max(len(commands), best.position.shape[1]))
+
+    def line(values: Floats) -> Line:
+        return Line(time[: len(values)], values)
+
+    pressures = {"a (bore), first axis": best.pressures[0, 0], "b (rod), first axis": best.pressures[0, 1]}
+    rows = [
+        Signal("opening, %", {"opening": line(100 * commands)}),
+        Signal("position, mm", {}, [line(1e3 * values) for values in best.position]),
+        Signal("pressure, bar", {name: line(1e-5 * values) for name, values in pressures.items()}),
+    ]
+    note = f"{len(best.position)} simulated axes, with worn valves and a leak of {SIMULATED_LEAK:g} l/min."
+    alt = f"Opening, position and pressures over time. {plan_line(plan)}"
+    return [course_plot("plan", "The test on simulated axes", note, alt, rows)]
+
+
+@section("Steps", needs=("plan",))
+def plan_steps(content: Content) -> list[Block]:
+    """The steps of the valve."""
+    plan = content.part("plan", Plan)
+    rows, begin = [], 0.0
+    for step in plan.best.steps:
+        opening = f"{100 * step.opening:+.2f} %" if step.opening else "0"
+        rows.append((f"{begin:.1f} s", opening, f"{step.seconds:.2f} s", step.what))
+        begin += step.seconds
+    note = f"The opening changes by {100 * RAMP:.0f} % of full stroke per second at most. Positive extends the axis."
+    return [Table("", ("Begin", "Opening", "For", "What"), rows, folded=False), Text(note, "soft")]
+
+
+@section("Why this test", needs=("plan",))
+def plan_forms(content: Content) -> list[Block]:
+    """The tests that were tried, and what this one finds."""
+    plan = content.part("plan", Plan)
+    rows = [
+        (
+            trial.form.name + (" (chosen)" if trial is plan.best else ""),
+            number(trial.mean_bound, digits=2),
+            number(trial.largest_bound, digits=2),
+            "all within" if not trial.beyond else f"{trial.beyond} of {len(trial.position)} beyond",
+        )
+        for trial in plan.trials
+    ]
+    header = ("Test", "Bound, l/min", "On the worst axis", "Limits")
+    lead = (
+        "Each test was simulated on plants with worn valves (null shift, underlap, rated flow, edge ratio), a clogged "
+        "return line and offsets of the sensors, all unknown. Chosen is the lowest bound within the limits."
+    )
+    return [Text(lead), Table("", header, rows, style="words")]
+
+
+@section("How to run it", needs=("plan",))
+def plan_running(content: Content) -> list[Block]:
+    """What to do at the machine."""
+    del content
+    return [Points(RUNNING)]
+
 
 JOB = "leak-test"
 READING_PAGE, NUMBERS_FILE = "leak_test.html", "leak_test.json"
@@ -48,7 +224,7 @@ def reading_to_folder(folder: Path, test: LeakTest, overwrite: bool, command: st
     with output_folder(folder, JOB, READING_FILES, overwrite=overwrite):
         write_text(folder / NUMBERS_FILE, json.dumps(reading_facts(test), indent=1) + "\n")
         render_reading(test, Origin.now(command)).write(folder / READING_PAGE)
-    lines = [finding.line() for finding in test.findings]
+    lines = [finding.line() for finding in test.checked.findings]
     return [*lines, *flow_lines(test), str(folder / READING_PAGE), test.verdict.line()]
 
 
@@ -86,7 +262,7 @@ def reading_facts(test: LeakTest) -> dict[str, Any]:
         "unknowns": {name: facts(quantity) for name, quantity in fit.quantities.items()} if fit else {},
         "windows": len(test.windows),
         "explained": fit.common.explained if fit else 0,
-        "findings": [finding.line() for finding in test.findings],
+        "findings": [finding.line() for finding in test.checked.findings],
     }
 
 
@@ -95,7 +271,7 @@ def render_reading(test: LeakTest, origin: Origin) -> Page:
     explained = test.fit.common.explained if test.fit else 0
     windows = f"{len(test.windows)} of {WINDOW:g} s, {explained} explained by the model"
     recording = test.recording
-    tables = recording_tables(recording.source, test.task.plant, recording.time, test.findings, Windows=windows)
+    tables = recording_tables(recording.source, test.task.plant, recording.time, test.checked.findings, Windows=windows)
     parts = {"leak_test": test, "verdict": test.verdict, "judging": JUDGING, "flows": tuple(flow_lines(test))}
     content = Content(tables, test.task, others=parts)
     sources = Markup("Numbers: <code>leak_test.json</code> beside this page.")
@@ -121,9 +297,8 @@ def reading_quantities(content: Content) -> list[Block]:
             rows.append(_row(capitalised(wear.what), wear.unit, wear.factor, quantity, f"{low} to {high}"))
     if "valve.edge_ratio" in quantities:
         rows.append(_row("Edges of chamber b over those of chamber a", "", 1.0, quantities["valve.edge_ratio"], ""))
-    shown = FIND * seal.deviation
-    present = "A leak past the seal is present" if seal.value > shown else "A leak past the seal is not shown"
-    note = f"{present}: at 1 % false alarms the test shows {number(shown, digits=2)} l/min and more."
+    shown = number(FIND * seal.deviation, digits=2)
+    note = f"At 1 % false alarms the test shows a leak past the seal from {shown} l/min on."
     header = ("", "Value", "90 % interval", "Bound (±)", "Healthy", "Unit")
     return [Table("", header, rows, folded=False), Text(note)]
 
@@ -146,28 +321,23 @@ def reading_course(content: Content) -> list[Block]:
         "windows that the model does not explain within the noise."
     )
     alt = f"Position, pressures and valve, measured and simulated. {test.verdict.line()}"
-    return [course_plot("leak_test", "The recording", note, alt, fitted_signals(test))]
+    return [course_plot("leak_test", "The recording", note, alt, fitted_signals(test, test.fit))]
 
 
-def fitted_signals(test: LeakTest) -> list[Signal]:
+def fitted_signals(test: LeakTest, fit: LeakFit) -> list[Signal]:
     """The measured signals, with those of the fitted model."""
-    assert test.fit is not None
-    windows, misfit, simulated = test.windows, test.fit.common.misfit, test.fit.simulated()
-    used, unexplained = np.flatnonzero(np.isfinite(misfit)), np.flatnonzero(~(misfit < WELL_FITTED))
-    marks = [Mark(windows.begin[window], windows.end[window]) for window in unexplained]
-    steps = np.arange(simulated.shape[2]) / simulated.shape[2]
+    windows, misfit, simulated = test.windows, fit.common.misfit, fit.simulated()
+    marks = [Mark(windows.begin[window], windows.end[window]) for window in np.flatnonzero(~(misfit < WELL_FITTED))]
+    used, steps = np.flatnonzero(np.isfinite(misfit)), np.arange(simulated.shape[2]) / simulated.shape[2]
+    times = windows.begin[used, None] + (windows.end - windows.begin)[used, None] * steps
 
     def fitted(name: str, size: float) -> list[Line]:
         values = size * simulated[:, SENSORS.index(name)]
-        return [
-            Line(windows.begin[window] + (windows.end[window] - windows.begin[window]) * steps, values[row])
-            for row, window in enumerate(used)
-        ]
+        return [Line(time, row) for time, row in zip(times, values, strict=True)]
 
     position, pressures, valve = signals_of(test.recording)
-    lines = [*fitted("pressure_a", 1e-5), *fitted("pressure_b", 1e-5)]
     return [
         position._replace(simulated=fitted("position", 1e3), marks=marks),
-        pressures._replace(simulated=lines, marks=marks),
+        pressures._replace(simulated=[*fitted("pressure_a", 1e-5), *fitted("pressure_b", 1e-5)], marks=marks),
         valve._replace(marks=marks),
     ]

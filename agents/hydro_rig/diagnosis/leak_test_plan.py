@@ -11,28 +11,26 @@ bound (:mod:`hydro_rig.estimation.information`).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hydro_agents.rigs.check import resting_place
 from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.tasks import own_reference
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.leak_test_steps import (
-    AROUND,
     FORMS,
     STOPS,
-    Allowed,
     Form,
+    LeakTestSettings,
     Step,
     commands_of,
     rounded,
@@ -65,42 +63,36 @@ UNLIMITED = 100.0, 2e8  # m/s and Pa: limits of a trial whose peaks are still to
 FIND, MISS = 2.326, 1.645  # quantiles of the normal distribution: 1 % false alarms, and 95 % found
 
 
-class LeakTestSettings(Group):
-    """Limits of the test."""
-
-    duration: float = Field(60.0, ge=2.0, le=600.0, description="s")
-    opening: float = Field(0.3, gt=0.0, le=1.0, description="largest opening of the valve, of full stroke")
-    speed: float | None = Field(None, gt=0.0, le=10.0, description="m/s; default: the task's, against an end stop")
-    pressure: float | None = Field(None, gt=0.0, le=2e8, description="Pa; default: the rating of the task")
-    stop: Literal["both", "extended", "retracted", "none"] = Field("both", description="stops that it presses against")
-    low: float | None = Field(None, description="m, lowest position that the axis may reach; default: no limit")
-    high: float | None = Field(None, description="m")
-    plants: int = Field(6, ge=2, le=1000, description="of the training seeds")
-
-
-class Trial(NamedTuple):
+@dataclass(frozen=True)
+class Trial:
     """A form of the test, and how the simulated axes run it."""
 
     form: Form
     steps: tuple[Step, ...]
-    lengths: tuple[float, ...]  # s from the start, rising
-    bound: Floats  # (plants, lengths), smallest standard deviation of the leak, l/min at 100 bar
-    windows: KnownWindows  # measured signals of the simulated axes
+    bound: Floats  # (plants,), smallest standard deviation of the leak, l/min at 100 bar
+    signals: Floats  # (plants, 5, T), measured
     position: Floats  # (plants, T), m, without noise
     pressures: Floats  # (plants, 2, T), Pa
+    speed: float  # m/s, the largest
     beyond: int  # axes that went beyond a limit
 
+    @property
     def mean_bound(self) -> float:
-        """Geometric mean of the bound at the end over the axes, l/min at 100 bar."""
-        return float(np.exp(np.log(self.bound[:, -1]).mean()))
+        """Geometric mean of the bound over the axes, l/min at 100 bar."""
+        return float(np.exp(np.log(self.bound).mean()))
+
+    @property
+    def largest_bound(self) -> float:
+        """The bound on the worst simulated axis, l/min at 100 bar."""
+        return float(self.bound.max())
 
 
 class Plan(NamedTuple):
     """The test."""
 
     task: TaskConfig  # with a worn valve
-    allowed: Allowed
-    trials: tuple[Trial, ...]
+    settings: LeakTestSettings
+    trials: Sequence[Trial]
     best: Trial
 
     @property
@@ -109,14 +101,9 @@ class Plan(NamedTuple):
         return commands_of(self.best.steps, self.task.control_period)
 
     @property
-    def deviation(self) -> float:
-        """The bound on the worst simulated axis, l/min at 100 bar."""
-        return float(self.best.bound[:, -1].max())
-
-    @property
     def smallest(self) -> float:
         """The leak that an estimate at the bound finds in 95 % of the tests at 1 % false alarms, l/min at 100 bar."""
-        return (FIND + MISS) * self.deviation
+        return (FIND + MISS) * self.best.largest_bound
 
 
 def worn_task(config: TaskConfig) -> TaskConfig:
@@ -169,63 +156,74 @@ def plan(config: TaskConfig, settings: LeakTestSettings, progress: Progress | No
         ConfigurationError: no test is possible within the limits.
     """
     task = worn_task(config)
-    allowed = _allowed(task, settings)
-    forms = FORMS if allowed.stop != "none" else AROUND
-    total = len(forms) + 1
+    _check_positions(task, settings)
     report = progress or (lambda phase, done, total: None)
-    report("plan", 0, total)
-    opening, travel = _largest_opening(forms, task, allowed)
+    report("plan", 0, len(FORMS) + 1)
+    opening, travel = _largest_opening(task, settings)
     trials = []
-    for number, form in enumerate(forms, 1):
-        report("plan", number, total)
-        trials.append(_tried(form, task, allowed, opening, travel))
-    report("plan", total, total)
+    for number, form in enumerate(FORMS, 1):
+        report("plan", number, len(FORMS) + 1)
+        trials.append(_tried(task, settings, form, opening, travel))
+    report("plan", len(FORMS) + 1, len(FORMS) + 1)
     within = [trial for trial in trials if not trial.beyond]
     if not within:
-        raise ConfigurationError(_refusal(allowed, trials))
-    return Plan(task, allowed, tuple(trials), min(within, key=Trial.mean_bound))
+        least = min(trials, key=lambda trial: trial.beyond)
+        lowest, highest = 1e3 * least.position.min(), 1e3 * least.position.max()
+        raise ConfigurationError(
+            f"leak-test: {least.beyond} of {len(least.position)} simulated axes go beyond a limit in every test; they "
+            f"reach {lowest:.0f} to {highest:.0f} mm, {1e-5 * least.pressures.max():.0f} bar: widen --between or "
+            "--pressure, lower --opening or --duration, or test another --stop"
+        )
+    return Plan(task, settings, trials, min(within, key=lambda trial: trial.mean_bound))
 
 
-def _tried(form: Form, task: TaskConfig, allowed: Allowed, opening: float, travel: tuple[float, ...]) -> Trial:
+def _tried(task: TaskConfig, settings: LeakTestSettings, form: Form, opening: float, travel: Sequence[float]) -> Trial:
     """A form of the test on simulated axes."""
-    steps = rounded(steps_of(form, task.plant, allowed, opening, travel), task.control_period)
-    windows = simulated(task, steps, allowed)
+    steps = rounded(steps_of(form, task.plant, settings, opening, travel), task.control_period)
+    windows = simulated(task, steps, settings.plants)
     position, pressures = _true_course(task, windows)
-    lengths = tuple(np.linspace(0.05, 1.0, 20) * (windows.signals.shape[2] - 1) * task.control_period)
+    length = (windows.signals.shape[2] - 1) * task.control_period
     fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
-    bound = sigma(information(task, windows, priors_of_test(task, fitted), lengths))
-    beyond = _beyond(task, allowed, steps, position)
-    return Trial(form, steps, lengths, bound, windows, position, pressures, beyond)
-
-
-def _refusal(allowed: Allowed, trials: Sequence[Trial]) -> str:
-    """Why no test is possible."""
-    least = min(trials, key=lambda trial: trial.beyond)
-    lowest, highest = 1e3 * least.position.min(), 1e3 * least.position.max()
-    return (
-        f"leak-test: {least.beyond} of {len(least.position)} simulated axes go beyond a limit in every test; they "
-        f"reach {lowest:.0f} to {highest:.0f} mm, {1e-5 * least.pressures.max():.0f} bar: widen --between or "
-        "--pressure, lower --opening or --duration, or test another --stop"
+    bound = sigma(information(task, windows, priors_of_test(task, fitted), (length,)))[:, 0]
+    try:
+        kept = _run(task, steps, settings.plants, SIMULATED_LEAK, settings.speed, settings.pressure).case
+    except ConfigurationError:  # not one reaches the end
+        kept = np.zeros(0, np.int64)
+    speeds = _speeds(task, position)
+    within = np.isin(np.arange(len(position)), kept) & (speeds <= settings.speed)
+    within &= (position.min(axis=1) >= settings.low) & (position.max(axis=1) <= settings.high)
+    return Trial(
+        form=form,
+        steps=steps,
+        bound=bound,
+        signals=windows.signals,
+        position=position,
+        pressures=pressures,
+        speed=float(speeds.max()),
+        beyond=int((~within).sum()),
     )
 
 
-def simulated(task: TaskConfig, steps: tuple[Step, ...], allowed: Allowed, seeds: range | None = None) -> KnownWindows:
+def simulated(
+    task: TaskConfig, steps: Sequence[Step], plants: int, leak: float = SIMULATED_LEAK, seeds: range | None = None
+) -> KnownWindows:
     """Signals of simulated axes during a test, those of the plan or of other seeds; no limit ends it."""
-    return _run(task, steps, allowed, *UNLIMITED, seeds)
+    return _run(task, steps, plants, leak, *UNLIMITED, seeds)
 
 
 def _run(
     task: TaskConfig,
-    steps: tuple[Step, ...],
-    allowed: Allowed,
+    steps: Sequence[Step],
+    plants: int,
+    leak: float,
     speed: float,
     pressure: float,
     seeds: range | None = None,
 ) -> KnownWindows:
     openings = commands_of(steps, task.control_period)
     loose = task_config(task, failure={"end_stop_speed": speed, "pressure_rating": pressure})
-    standing = own_reference(loose, np.full(len(openings) + 1, allowed.start))
-    cases = leak_cases(LEARNING.take(allowed.plants) if seeds is None else seeds, allowed.plants, allowed.leak)
+    standing = own_reference(loose, np.full(len(openings) + 1, resting_place(task.plant)))
+    cases = leak_cases(LEARNING.take(plants) if seeds is None else seeds, plants, leak)
     return known_windows(standing, Played(openings), cases, 0.0, (len(openings) - 2) * task.control_period)
 
 
@@ -237,66 +235,48 @@ def _true_course(task: TaskConfig, windows: KnownWindows) -> tuple[Floats, Float
     return read[:, POSITION], read[:, [PRESSURE_A, PRESSURE_B]]
 
 
-def speeds(position: Floats, period: float) -> Floats:
-    """Speed of each axis over time, m/s, from its position (plants, T)."""
-    return np.asarray(np.gradient(position, period, axis=1))
+def _speeds(task: TaskConfig, position: Floats) -> Floats:
+    """Largest speed of each axis, m/s, (plants,)."""
+    return np.asarray(np.abs(np.gradient(position, task.control_period, axis=1)).max(axis=1))
 
 
-def _allowed(task: TaskConfig, settings: LeakTestSettings) -> Allowed:
-    """The limits, which must lie within the stroke."""
-    half, failure = 0.5 * task.plant.cylinder.stroke, task.failure
-    start = resting_place(task.plant)
+def _check_positions(task: TaskConfig, settings: LeakTestSettings) -> None:
+    """Check that the allowed positions lie within the stroke, and the start between them."""
+    half, start = 0.5 * task.plant.cylinder.stroke, resting_place(task.plant)
     for name, place in (("low", settings.low), ("high", settings.high)):
-        if place is not None and not -half <= place <= half:
+        if np.isfinite(place) and not -half <= place <= half:
             raise ConfigurationError(
                 f"--between: {name} end {1e3 * place:g} mm: must be within the stroke, {-1e3 * half:g} to "
                 f"{1e3 * half:g} mm"
             )
-    low = -np.inf if settings.low is None else settings.low
-    high = np.inf if settings.high is None else settings.high
-    if not low < start < high:
+    if not settings.low < start < settings.high:
         raise ConfigurationError(f"--between: {1e3 * start:g} mm, where the axis rests, must lie between its ends")
-    return Allowed(
-        duration=settings.duration,
-        opening=settings.opening,
-        speed=failure.end_stop_speed if settings.speed is None else settings.speed,
-        pressure=failure.pressure_rating if settings.pressure is None else settings.pressure,
-        stop=settings.stop,
-        low=low,
-        high=high,
-        start=start,
-        leak=SIMULATED_LEAK,
-        plants=settings.plants,
-    )
 
 
-def _largest_opening(forms: Sequence[Form], task: TaskConfig, allowed: Allowed) -> tuple[float, tuple[float, ...]]:
+def _largest_opening(task: TaskConfig, settings: LeakTestSettings) -> tuple[float, Sequence[float]]:
     """The largest opening with which no simulated axis is too fast, and the times of :func:`_travel_times`."""
-    opening = min(allowed.opening, allowed.speed / max(speed_limits(task.plant)))
+    opening = min(settings.opening, settings.speed / max(speed_limits(task.plant)))
     for _ in range(ATTEMPTS):
-        travel = _travel_times(task, allowed, opening)
+        travel = _travel_times(task, settings, opening)
         # The last form moves fastest: off a stop, the pressures of both chambers drive the axis.
-        position, _ = _true_course(
-            task, simulated(task, steps_of(forms[-1], task.plant, allowed, opening, travel), allowed)
-        )
-        fastest = float(np.abs(speeds(position, task.control_period)).max())
-        if fastest <= allowed.speed:
+        steps = steps_of(FORMS[-1], task.plant, settings, opening, travel)
+        position, _ = _true_course(task, simulated(task, steps, settings.plants))
+        fastest = float(_speeds(task, position).max())
+        if fastest <= settings.speed:
             return opening, travel
-        opening *= SAFETY * allowed.speed / fastest
+        opening *= SAFETY * settings.speed / fastest
     raise ConfigurationError(
-        f"--speed {1e3 * allowed.speed:g} mm/s: some simulated axes are faster even with the valve nearly closed; "
+        f"--speed {1e3 * settings.speed:g} mm/s: some simulated axes are faster even with the valve nearly closed; "
         "raise --speed"
     )
 
 
-def _travel_times(task: TaskConfig, allowed: Allowed, opening: float) -> tuple[float, ...]:
+def _travel_times(task: TaskConfig, settings: LeakTestSettings, opening: float) -> Sequence[float]:
     """Seconds that the slowest simulated axis needs to each stop of the test, in order."""
-    signs = STOPS[allowed.stop]
-    if not signs:
-        return ()
-    steps = tuple(Step(sign * opening, allowed.duration, "trial") for sign in signs)
-    position, _ = _true_course(task, simulated(task, steps, allowed))
-    length = round(allowed.duration / task.control_period)
+    signs = STOPS[settings.stop]
+    steps = [Step(sign * opening, settings.duration, "trial") for sign in signs]
+    position, _ = _true_course(task, simulated(task, steps, settings.plants))
+    length = round(settings.duration / task.control_period)
     times = []
     for number in range(len(signs)):
         part = position[:, number * length : (number + 1) * length]
@@ -304,23 +284,10 @@ def _travel_times(task: TaskConfig, allowed: Allowed, opening: float) -> tuple[f
         arrived = way >= ARRIVED * way[:, -1:]
         times.append(task.control_period * float(arrived.argmax(axis=1).max()))
     needed = sum(times) / MOST_TRAVEL_TIME
-    if needed > allowed.duration:
-        one = "" if len(signs) == 1 else ", or test one stop (--stop extended)"
+    if needed > settings.duration:
+        stops, one = ("stop", "") if len(signs) == 1 else ("stops", ", or test one stop (--stop extended)")
         raise ConfigurationError(
-            f"--duration {allowed.duration:g} s: the axis needs {sum(times):.0f} s to reach the stop"
-            f"{'s' if len(signs) > 1 else ''} at an opening of {100 * opening:.2g} %; allow {np.ceil(needed):.0f} s, "
-            f"raise --speed or --opening{one}"
+            f"--duration {settings.duration:g} s: the axis needs {sum(times):.0f} s to reach the {stops} at an opening "
+            f"of {100 * opening:.2g} %; allow {np.ceil(needed):.0f} s, raise --speed or --opening{one}"
         )
-    return tuple(times)
-
-
-def _beyond(task: TaskConfig, allowed: Allowed, steps: tuple[Step, ...], position: Floats) -> int:
-    """How many simulated axes go beyond a limit: of speed, of pressure, or of the positions."""
-    try:
-        kept = _run(task, steps, allowed, allowed.speed, allowed.pressure).case
-    except ConfigurationError:  # not one reaches the end
-        kept = np.zeros(0, np.int64)
-    within = np.isin(np.arange(len(position)), kept)
-    within &= np.abs(speeds(position, task.control_period)).max(axis=1) <= allowed.speed
-    within &= (position.min(axis=1) >= allowed.low) & (position.max(axis=1) <= allowed.high)
-    return int((~within).sum())
+    return times

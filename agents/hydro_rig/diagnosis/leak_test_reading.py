@@ -7,6 +7,7 @@ All windows of the recording share leak, plant and wear; each has its own start.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,8 +25,9 @@ from hydro_env.task.sensors import COMMAND, SENSORS
 from hydro_env.types import Floats
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis.leak_test_plan import Progress, priors_of_test, worn_task
-from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
-from hydro_rig.diagnosis.verdict import Leak, Limits, Verdict
+from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged
+from hydro_rig.diagnosis.verdict import Leak, Limits
+from hydro_rig.diagnosis.volume_balance import leak_of_blocks
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.estimator import SURE, WEAR, healthy_range
 from hydro_rig.estimation.first_guess import first_values
@@ -47,7 +49,6 @@ from hydro_rig.identification.common_fit import (
 from hydro_rig.identification.fit import COVERAGE
 from hydro_rig.identification.intervals import spread_of
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import Sampled, cut
@@ -57,9 +58,7 @@ MOST_WINDOWS = 30  # a longer recording is read from the first change of the com
 FIRST = 4  # windows that are first fitted alone
 ENOUGH = 0.6  # share of explained windows with which a quick fit is believed
 BEFORE = 1.0  # s of rest before the first change of the command that are read
-APART = (
-    3.0  # ratio of the uncertainties of the leak and of its sum with the flow of the edges, below which they are apart
-)
+APART = 3.0  # uncertainty of the leak over that of its sum with the flow of the edges, up to which they are apart
 STEP = 0.01  # of the differences of the flow of the edges, in standard deviations of the priors
 
 
@@ -97,16 +96,12 @@ class LeakFit(NamedTuple):
         return read
 
 
-class LeakTest(NamedTuple):
-    """The result of a leak test."""
+@dataclass(frozen=True)
+class LeakTest(Judged):
+    """The result of a leak test; its task has a healthy valve."""
 
     recording: Recording
-    task: TaskConfig  # of the rig, with a healthy valve
-    findings: list[Finding]
-    windows: Windows
     fit: LeakFit | None  # None: nothing was read
-    limits: Limits
-    verdict: Verdict
 
 
 def read_leak_test(
@@ -129,7 +124,6 @@ def read_leak_test(
         ConfigurationError: the recording cannot be read at all.
     """
     recording = read_recording(path, columns)
-    limits = Limits.of(config) if limit is None else Limits(limit, limit)
     task, fit = worn_task(config), None
 
     def read(windows: Windows) -> Read:
@@ -146,20 +140,12 @@ def read_leak_test(
         config,
         choose=lambda samples: _windows(samples, config),
         read=read,
-        limits=limits,
-        window=WINDOW,
-        balance=volume_leak(flow_blocks(recording)),
         rows=[recording],
+        balance=leak_of_blocks(flow_blocks(recording)),
+        window=WINDOW,
+        limits=None if limit is None else Limits(limit, limit),
     )
-    return LeakTest(
-        recording=recording,
-        task=config,
-        findings=result.checked.findings,
-        windows=result.windows,
-        fit=fit,
-        limits=limits,
-        verdict=result.verdict,
-    )
+    return LeakTest(**vars(result), recording=recording, fit=fit)
 
 
 def _windows(samples: Sampled, config: TaskConfig) -> Windows:
@@ -243,10 +229,12 @@ def _reading(fit: LeakFit, config: TaskConfig) -> Reading:
     """The test as the reading of a detector: every window shares the leak, and may contradict the model."""
     faults, causes = [], []
     for name, wear in WEAR.items():
-        quantity = fit.quantities.get(name)
-        if quantity is not None and _beyond(quantity, healthy_range(config, name)) > SURE:
-            faults.append(f"{wear.what} ({number(wear.factor * quantity.value)} {wear.unit})")
-            causes.append(wear.cause)
+        if name in fit.quantities:
+            value, deviation, _ = fit.quantities[name]
+            low, high = healthy_range(config, name)
+            if max(low - value, value - high) > SURE * deviation:
+                faults.append(f"{wear.what} ({number(wear.factor * value)} {wear.unit})")
+                causes.append(wear.cause)
     holds, leak = fit.common.misfit < WELL_FITTED, fit.seal.leak
     return Reading.of(
         np.full(len(holds), fit.seal.value / fit.seal.deviation),
@@ -257,12 +245,6 @@ def _reading(fit: LeakFit, config: TaskConfig) -> Reading:
         fault=" and ".join(faults),
         why=np.where(holds, Why.ANSWERED, Why.MISFIT),
     )
-
-
-def _beyond(quantity: Quantity, healthy: tuple[float, float]) -> float:
-    """Distance of a value from its healthy range, in standard deviations."""
-    low, high = healthy
-    return max(low - quantity.value, quantity.value - high) / quantity.deviation
 
 
 MOST_ROUNDS = 2  # in which windows are left out

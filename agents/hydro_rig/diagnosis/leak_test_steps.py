@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
-from hydro_env import PlantParameters
-from hydro_env.plant.analysis import speed_limits
+from hydro_env import PlantParameters, TaskConfig
+from hydro_env.files import Group, validate
 from hydro_env.types import Floats
 
 MOVE = 0.5  # s, of each part of a short move
 RAMP = 2.0  # full strokes per second with which the opening changes: a sudden change makes the axis swing
 
 
-class Allowed(NamedTuple):
-    """What the test may do, SI; the settings with the limits of the task where none is given."""
+class LeakTestSettings(Group):
+    """Limits of the test, SI."""
 
-    duration: float
-    opening: float
-    speed: float
-    pressure: float
-    stop: str
-    low: float  # −inf: no limit
-    high: float
-    start: float
-    leak: float
-    plants: int
+    duration: float = Field(60.0, ge=2.0, le=600.0, description="s")
+    opening: float = Field(0.3, gt=0.0, le=1.0, description="largest opening of the valve, of full stroke")
+    speed: float = Field(gt=0.0, le=100.0, description="m/s, also against an end stop")
+    pressure: float = Field(gt=0.0, le=2e8, description="Pa")
+    stop: Literal["both", "extended", "retracted"] = Field("both", description="stops that it presses against")
+    low: float = Field(-math.inf, description="m, lowest position that the axis may reach")
+    high: float = Field(math.inf, description="m")
+    plants: int = Field(6, ge=2, le=1000, description="simulated ones, of the training seeds")
+
+    @classmethod
+    def of(cls, config: TaskConfig, **given: Any) -> LeakTestSettings:
+        """Some of the settings; the others are as usual, speed and pressure those of the task.
+
+        Raises:
+            ConfigurationError: a value is out of its bounds.
+        """
+        usual = {"speed": config.failure.end_stop_speed, "pressure": config.failure.pressure_rating}
+        return validate(cls, usual | given, "leak-test")
 
 
 class Step(NamedTuple):
@@ -44,7 +54,6 @@ class Form(NamedTuple):
     name: str
     shares: tuple[float, ...]  # of the largest opening, one after the other; 0: the valve is closed
     moves: int  # short moves off the stop
-    reach: float = 0.0  # of moves without a stop: share of the way to the nearer limit
 
 
 FORMS = (
@@ -55,19 +64,7 @@ FORMS = (
     Form("pressed at two openings, then closed, and short moves", (1.0, 0.2, 0.0), 2),
     Form("pressed at three openings, then closed, and short moves", (1.0, 0.3, 0.1, 0.0), 2),
 )
-AROUND = tuple(
-    Form(
-        f"moves at {count} openings over {100 * reach:.0f} % of the way, the valve closed between them",
-        shares,
-        2,
-        reach,
-    )
-    for reach in (0.15, 0.35, 0.7)
-    for count, shares in (("two", (1.0, 0.3)), ("three", (1.0, 0.5, 0.2)))
-)
-"""Forms of a test without a stop: moves to both sides of the start."""
-
-STOPS = {"both": (1.0, -1.0), "extended": (1.0,), "retracted": (-1.0,), "none": ()}
+STOPS = {"both": (1.0, -1.0), "extended": (1.0,), "retracted": (-1.0,)}
 
 
 def commands_of(steps: Sequence[Step], period: float) -> Floats:
@@ -82,55 +79,35 @@ def commands_of(steps: Sequence[Step], period: float) -> Floats:
 
 
 def steps_of(
-    form: Form, plant: PlantParameters, allowed: Allowed, opening: float, travel: tuple[float, ...]
+    form: Form, plant: PlantParameters, settings: LeakTestSettings, opening: float, travel: Sequence[float]
 ) -> tuple[Step, ...]:
-    """The steps of a form of the test; shares of the opening count from the end of the valve's dead band."""
-    dead = plant.valve.overlap
+    """The steps of a form of the test; shares of the opening count from the end of the valve's dead band.
 
-    def opened(share: float) -> float:
-        return dead + share * (opening - dead) if share > 0.0 and opening > dead else share * opening
-
-    signs = STOPS[allowed.stop]
-    if not signs:
-        return _around(form, plant, allowed, opened)
+    Args:
+        form: of the test.
+        plant: the rig.
+        settings: the limits.
+        opening: the largest one.
+        travel: s, to each stop in order.
+    """
+    dead = plant.valve.overlap if plant.valve.overlap < opening else 0.0
+    openings = [dead + share * (opening - dead) if share > 0.0 else 0.0 for share in form.shares]
+    signs = STOPS[settings.stop]
     steps = []
-    moving = 2 * MOVE * form.moves
-    rest = (allowed.duration - sum(travel)) / len(signs) - moving
+    rest = (settings.duration - sum(travel)) / len(signs) - 2 * MOVE * form.moves
+    each = rest / len(openings)
     for sign, seconds in zip(signs, travel, strict=True):
-        each = rest / len(form.shares)
         name = "extended" if sign > 0.0 else "retracted"
         steps.append(Step(sign * opening, seconds + each, f"press against the {name} stop"))
-        for share in form.shares[1:]:
-            steps.append(Step(sign * opened(share), each, "press less" if share > 0.0 else "valve closed"))
-        for _ in range(form.moves):
-            steps += [
-                Step(-0.5 * sign * opening, MOVE, "move off the stop"),
-                Step(0.5 * sign * opening, MOVE, "and back"),
-            ]
+        steps += [Step(sign * less, each, "press less" if less > 0.0 else "valve closed") for less in openings[1:]]
+        off = Step(-0.5 * sign * opening, MOVE, "move off the stop"), Step(0.5 * sign * opening, MOVE, "and back")
+        steps += off * form.moves
     return tuple(steps)
 
 
-def rounded(steps: tuple[Step, ...], period: float) -> tuple[Step, ...]:
+def rounded(steps: Sequence[Step], period: float) -> tuple[Step, ...]:
     """The steps with whole control periods, and openings of at most four decimals."""
     return tuple(
         Step(round(step.opening, 4) + 0.0, float(f"{max(round(step.seconds / period), 1) * period:.9g}"), step.what)
         for step in steps
     )
-
-
-def _around(form: Form, plant: PlantParameters, allowed: Allowed, opened: Callable[[float], float]) -> tuple[Step, ...]:
-    """Moves to both sides of the start, each back again; the valve is closed between them."""
-    out, back = speed_limits(plant)
-    count, start, half = len(form.shares) * form.moves, allowed.start, 0.5 * plant.cylinder.stroke
-    reach = form.reach * min(min(allowed.high, half) - start, start - max(allowed.low, -half))
-    steps = []
-    for number in range(count):
-        opening = opened(form.shares[number // form.moves])
-        sign = 1.0 if number % 2 == 0 else -1.0
-        longest = allowed.duration / (4.0 * count)
-        out_time = min(reach / (opening * out), longest)
-        forth, home = (out_time, out_time * out / back) if sign > 0.0 else (out_time * out / back, out_time)
-        wait = 0.5 * max(allowed.duration / count - forth - home, 0.1)
-        steps += [Step(sign * opening, forth, "move"), Step(0.0, wait, "valve closed")]
-        steps += [Step(-sign * opening, home, "move back"), Step(0.0, wait, "valve closed")]
-    return tuple(steps)

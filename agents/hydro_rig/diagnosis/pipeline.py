@@ -6,7 +6,8 @@ refuse makes all refuse, and a measured flow serves all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from hydro_env.errors import reason
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B
 from hydro_rig.diagnosis.verdict import Limits, Verdict, by_volume, judge
-from hydro_rig.diagnosis.volume_balance import BLOCK, Blocks, VolumeLeak, blocks_of, leak_of_blocks
+from hydro_rig.diagnosis.volume_balance import BLOCK, Blocks, VolumeLeak, blocks_of
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.identification.data_sheet import contradictions, worst_signal
 from hydro_rig.recordings.findings import Finding, Weight
@@ -37,12 +38,15 @@ class Read(NamedTuple):
     findings: Sequence[Finding] = ()
 
 
-class Judged(NamedTuple):
+@dataclass(frozen=True)
+class Judged:
     """A recording with its verdict."""
 
+    task: TaskConfig  # that was assumed
     checked: Checked  # short gaps of the command are filled; all findings
     windows: Windows
     read: Read
+    limits: Limits
     verdict: Verdict
 
 
@@ -51,10 +55,10 @@ def judged(
     config: TaskConfig,
     choose: Callable[[Sampled], Windows],
     read: Callable[[Windows], Read],
-    limits: Limits,
-    window: float,
-    balance: VolumeLeak | None,
     rows: Sequence[Recording],
+    balance: VolumeLeak | None,
+    window: float,
+    limits: Limits | None = None,
     companion: str = "",
 ) -> Judged:
     """Fill gaps, choose windows, read them unless a finding is severe, and judge.
@@ -64,12 +68,13 @@ def judged(
         config: the task whose rig was recorded.
         choose: the windows of the samples.
         read: reads them.
-        limits: of leaks.
-        window: s, their length, for the reasons.
-        balance: the leak from a measured flow; ``None``: no flow was recorded.
         rows: what was recorded, for the balance.
+        balance: the leak from a measured flow; ``None``: no flow was recorded.
+        window: s, length of the windows, for the reasons.
+        limits: of leaks; default: those of the task.
         companion: name of the detector beside the estimator.
     """
+    limits = limits or Limits.of(config)
     samples, filled = bridged(checked.samples)
     checked = Checked(samples, [*checked.findings, *filled])
     if balance is not None:
@@ -77,21 +82,22 @@ def judged(
         what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
         checked.findings.append(Finding("flow", what, Weight.NOTE))
     windows = choose(samples)
-    result, residual, balance_decides = Read(), "", False
+    result, residual = Read(), ""
     if checked.severe:
-        balance_decides = balance is not None and _balance_may_decide(rows, config)
+        # A balance has no commands: it may decide once the rows need not fit the control period.
+        decides = not any(check_recording(one, config, own_grid=True).severe for one in rows)
     else:
         result = _read(windows, read)
         checked.findings.extend(result.findings)
         if result.fitted is not None:
             checked.findings.extend(contradictions(result.fitted, config))
             residual = worst_signal(result.fitted, config)
-        balance_decides = not checked.severe
+        decides = not checked.severe
     readings = result.estimator, result.companion
     verdict = judge(checked.findings, *readings, limits, window, residual, companion)
-    if balance is not None and balance_decides:
+    if balance is not None and decides:
         verdict = by_volume(verdict, balance, limits)
-    return Judged(checked, windows, result, verdict)
+    return Judged(config, checked, windows, result, limits, verdict)
 
 
 def _read(windows: Windows, read: Callable[[Windows], Read]) -> Read:
@@ -101,17 +107,6 @@ def _read(windows: Windows, read: Callable[[Windows], Read]) -> Read:
     except (ValueError, ArithmeticError, LookupError) as error:
         what = f"cannot be read: {error if isinstance(error, HydroError) else reason(error)}"
         return Read(findings=[Finding("windows", " ".join(what.split()), Weight.SEVERE)])
-
-
-def _balance_may_decide(rows: Sequence[Recording], config: TaskConfig) -> bool:
-    """Whether no severe finding is left once the rows need not fit the control period: a balance has no commands."""
-    return not any(check_recording(one, config, own_grid=True).severe for one in rows)
-
-
-def volume_leak(blocks: Iterable[Blocks]) -> VolumeLeak | None:
-    """The leak by the balance of volumes; ``None`` if nothing was recorded that gives one."""
-    parts = list(blocks)
-    return leak_of_blocks(parts) if parts else None
 
 
 def flow_blocks(recording: Recording) -> Iterator[Blocks]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why
 from hydro_agents.detection.sheet import leak_scale
@@ -87,24 +86,6 @@ class Verdict(NamedTuple):
         return f"{self.kind.value}: {self.why}{seal}"
 
 
-class Case(NamedTuple):
-    """What the rules judge."""
-
-    severe: Sequence[Finding]  # that rule out a verdict
-    stuck: Sequence[Finding]  # about sensors that stick or lose readings
-    driven: str  # how the axis was driven, to be added to a reason
-    missed: NDArray[np.bool_]  # of the windows that the estimator read, those that its model does not explain
-    residual: str  # which signal differs from the model
-    leader: str  # the detector that decides
-    sized: bool  # whether it gives a size
-    unread: str  # otherwise why not
-    leak: Leak
-    change: str  # of the leak within the recording; empty: none
-    fault: str  # besides the piston seal; empty: none
-    pressures: bool  # whether one was recorded
-    limits: Limits
-
-
 def judge(
     findings: Sequence[Finding],
     estimator: Reading | None,
@@ -114,7 +95,7 @@ def judge(
     residual: str = "",
     companion_name: str = "leakage head",
 ) -> Verdict:
-    """The verdict on a recording: that of the first of :data:`RULES` which applies.
+    """The verdict on a recording: that of the first rule which applies.
 
     1. A severe finding about the recording → **cannot tell**: what was found.
     2. The estimator's model explains less than half of the windows → **cannot tell**: the model does not describe this
@@ -142,94 +123,43 @@ def judge(
     """
     nothing = Reading.of(np.zeros(0))
     estimator, companion = estimator or nothing, companion or nothing
-    ran = bool((estimator.why != Why.NO_COMMANDS).any())
+    severe, stuck = ([one for one in findings if one.weight is weight] for weight in (Weight.SEVERE, Weight.FAULT))
+    driven = "".join(f"; {finding.line()}" for finding in findings if finding.signal == AXIS)
+    blamed = "".join(f"; {finding.line()}" for finding in stuck[:1]) + driven
+    if severe:  # rule 1
+        more = f" (and {len(severe) - 1} more)" if len(severe) > 1 else ""
+        return Verdict(Kind.UNKNOWN, f"{severe[0].line()}{more}{driven}", None, "")
+
     tried = ~np.isin(estimator.why, (Why.NO_COMMANDS, Why.NOT_READ))
-    reading = estimator if ran else companion
+    missed = int((estimator.cause[tried] == Cause.UNKNOWN).sum())
+    share = missed / max(int(tried.sum()), 1)
+    if share > MOST:  # rule 2
+        why = f"the model does not describe this rig: it explains too little in {missed} of the {tried.sum()} windows "
+        why += f"that were read{f'; {residual}' if residual else ''}; check --rig{blamed}"
+        return Verdict(Kind.UNKNOWN, why, None, "estimator")
+
+    ran = bool((estimator.why != Why.NO_COMMANDS).any())
+    reading, leader = (estimator, "estimator") if ran else (companion, companion_name)
+    fault = f"{Cause.SENSOR.word}: {stuck[0].line()}" if stuck else named_fault(reading)
+    if not reading.sized.any():  # rule 3
+        if stuck and tried.any() and share < MOST:
+            return Verdict(Kind.OTHER, fault, None, leader)
+        return Verdict(Kind.UNKNOWN, _why_nothing(window, estimator, companion) + blamed, None, "")
+
     leak, change = combined(reading)
-    stuck = [finding for finding in findings if finding.weight is Weight.FAULT]
+    if leak.low > limits.healthy:  # rule 4
+        parts = [change, f"besides, {fault}" if fault else ""]
+        return Verdict(Kind.LEAK, "; ".join(part for part in parts if part), leak, leader)
+    if fault:  # rule 5
+        return Verdict(Kind.OTHER, fault, leak, leader)
     absent = {finding.signal for finding in findings if finding.code is Code.NOT_RECORDED}
-    case = Case(
-        severe=[finding for finding in findings if finding.weight is Weight.SEVERE],
-        stuck=stuck,
-        driven="".join(f"; {finding.line()}" for finding in findings if finding.signal == AXIS),
-        missed=estimator.cause[tried] == Cause.UNKNOWN,
-        residual=residual,
-        leader="estimator" if ran else companion_name,
-        sized=bool(reading.sized.any()),
-        unread=_why_nothing(window, estimator, companion),
-        leak=leak,
-        change=change,
-        fault=f"{Cause.SENSOR.word}: {stuck[0].line()}" if stuck else named_fault(reading),
-        pressures=not {"pressure_a", "pressure_b"} <= absent,
-        limits=limits,
-    )
-    return next(verdict for rule in RULES if (verdict := rule(case)) is not None)
-
-
-def _severe_finding(case: Case) -> Verdict | None:
-    if not case.severe:
-        return None
-    others = len(case.severe) - 1
-    more = f" (and {others} more)" if others else ""
-    return Verdict(Kind.UNKNOWN, f"{case.severe[0].line()}{more}{case.driven}", None, "")
-
-
-def _model_misfits(case: Case) -> Verdict | None:
-    if _share(case.missed) <= MOST:
-        return None
-    why = "the model does not describe this rig: it explains too little in "
-    why += f"{int(case.missed.sum())} of the {len(case.missed)} windows that were read"
-    why += f"; {case.residual}" if case.residual else ""
-    return Verdict(Kind.UNKNOWN, f"{why}; check --rig{_blamed(case)}", None, "estimator")
-
-
-def _nothing_read(case: Case) -> Verdict | None:
-    if case.sized:
-        return None
-    if case.stuck and len(case.missed) and _share(case.missed) < MOST:
-        return Verdict(Kind.OTHER, case.fault, None, case.leader)
-    return Verdict(Kind.UNKNOWN, case.unread + _blamed(case), None, "")
-
-
-def _seal_leaks(case: Case) -> Verdict | None:
-    if case.leak.low <= case.limits.healthy:
-        return None
-    besides = f"besides, {case.fault}" if case.fault else ""
-    return Verdict(Kind.LEAK, "; ".join(part for part in (case.change, besides) if part), case.leak, case.leader)
-
-
-def _another_fault(case: Case) -> Verdict | None:
-    return Verdict(Kind.OTHER, case.fault, case.leak, case.leader) if case.fault else None
-
-
-def _seal_is_tight(case: Case) -> Verdict | None:
-    if case.leak.high >= case.limits.fault:
-        return None
-    if case.pressures:
-        return Verdict(Kind.HEALTHY, "", case.leak, case.leader)
-    why = f"the leak past the piston is {case.leak.text()}, but without pressures a faulty seal can look healthy"
-    return Verdict(Kind.UNKNOWN, f"{why}; record one pressure at least", case.leak, case.leader)
-
-
-def _either(case: Case) -> Verdict:
-    why = f"the leak past the piston is {case.leak.text()}, which may be healthy or faulty; record more motion"
-    return Verdict(Kind.UNKNOWN, why, case.leak, case.leader)
-
-
-RULES: tuple[Callable[[Case], Verdict | None], ...] = (
-    _severe_finding,
-    _model_misfits,
-    _nothing_read,
-    _seal_leaks,
-    _another_fault,
-    _seal_is_tight,
-    _either,
-)
-
-
-def _blamed(case: Case) -> str:
-    """The first faulty sensor and how the axis was driven, to be added to a reason."""
-    return "".join(f"; {finding.line()}" for finding in case.stuck[:1]) + case.driven
+    if leak.high >= limits.fault:  # rule 7
+        why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
+        return Verdict(Kind.UNKNOWN, why, leak, leader)
+    if {"pressure_a", "pressure_b"} <= absent:
+        why = f"the leak past the piston is {leak.text()}, but without pressures a faulty seal can look healthy"
+        return Verdict(Kind.UNKNOWN, f"{why}; record one pressure at least", leak, leader)
+    return Verdict(Kind.HEALTHY, "", leak, leader)  # rule 6
 
 
 def by_volume(verdict: Verdict, balance: VolumeLeak, limits: Limits) -> Verdict:
@@ -284,10 +214,6 @@ def combined(reading: Reading) -> tuple[Leak, str]:
         scatter = HALF_WIDTH * 1.483 * float(np.median(np.abs(leak - value)))
         below, above = max(below, scatter), max(above, scatter)
     return Leak(value, value - below, value + above), change
-
-
-def _share(mask: NDArray[np.bool_]) -> float:
-    return float(mask.mean()) if len(mask) else 0.0
 
 
 def _why_nothing(window: float, *readings: Reading) -> str:

@@ -11,7 +11,7 @@ the covariance is that of clusters (Liang and Zeger 1986, *Biometrika* 73).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,8 +64,11 @@ class Blocks(NamedTuple):
     range_of_speed: Floats  # m/s, within the block
 
 
-def leak_of_blocks(parts: Sequence[Blocks]) -> VolumeLeak:
-    """The leak past the piston from the blocks of the parts of a recording."""
+def leak_of_blocks(parts: Iterable[Blocks]) -> VolumeLeak | None:
+    """The leak past the piston from the blocks of the parts of a recording; ``None`` if there are none."""
+    parts = list(parts)
+    if not parts:
+        return None
     if sum(len(part.speed) for part in parts) < FEWEST_MOVES:
         return _none(0, "is too short for a balance of volumes")
     between = np.full((len(Blocks._fields), 1), np.nan)  # a part ends a move
@@ -79,8 +82,7 @@ def leak_of_blocks(parts: Sequence[Blocks]) -> VolumeLeak:
     move = np.cumsum(np.append(0, ends)) if len(chosen) else np.zeros(0, np.int64)
     moves = len(np.unique(move))
     if moves < FEWEST_MOVES:
-        what = f"covers {moves} steady moves; a balance of volumes needs {FEWEST_MOVES}"
-        return _none(moves, what)
+        return _none(moves, f"covers {moves} steady moves; a balance of volumes needs {FEWEST_MOVES}")
     causes = np.column_stack([speed, difference, rise])[chosen]
     scale = np.sqrt((causes**2).mean(axis=0)) + 1e-300
     found, deviation, rest, left = _robust(causes / scale, volume[chosen], move)

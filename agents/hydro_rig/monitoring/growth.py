@@ -11,7 +11,7 @@ moves the level, and widens what is said about it.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,91 +47,78 @@ class Growth(NamedTuple):
     grows: float  # probability that it grows
     level: Interval  # size at the last time
 
-    @classmethod
-    def unknown(cls) -> Growth:
-        """No trend."""
-        nothing = Interval(np.nan, np.nan, np.nan)
-        return cls(nothing, nothing, np.nan, np.nan, nothing)
+
+class _Mixture(NamedTuple):
+    """K Student distributions of level and slope, one for each knee and kind of errors; times in spans of the readings.
+
+    The level is log10 of the size now, the slope that per span.
+    """
+
+    mean: Floats  # (K, 2)
+    spread: Floats  # (K, 2, 2)
+    weight: Floats  # (K,), sum 1
+    freedom: float
+
+    def quantiles(self, column: int) -> Interval:
+        """Of the level (0) or the slope (1)."""
+        half = np.sqrt(self.spread[:, column, column])
+        ends = self.mean[:, column] + np.outer([-12.0, 12.0], half)
+        grid = np.linspace(ends.min(), ends.max(), 1001)
+        below = student.cdf((grid[:, None] - self.mean[:, column]) / half, self.freedom) @ self.weight
+        low, value, high = np.interp([0.5 - 0.5 * INSIDE, 0.5, 0.5 + 0.5 * INSIDE], below, grid)
+        return Interval(float(value), float(low), float(high))
+
+    def beyond(self, ahead: Floats, logarithm: float) -> Floats:
+        """Probability that the trend is above a size at times from now on, (T,)."""
+        row = ahead[:, None]
+        middle = self.mean[:, 0] + row * self.mean[:, 1]
+        variance = self.spread[:, 0, 0] + 2.0 * row * self.spread[:, 0, 1] + row**2 * self.spread[:, 1, 1]
+        return np.asarray(student.cdf((middle - logarithm) / np.sqrt(variance), self.freedom) @ self.weight)
+
+    def grows(self) -> float:
+        """Probability that the slope is positive."""
+        slopes = student.cdf(self.mean[:, 1] / np.sqrt(self.spread[:, 1, 1]), self.freedom)
+        return float(slopes @ self.weight)
 
 
-class _Part(NamedTuple):
-    """Trend for one knee and one kind of errors: a Student distribution of level and slope."""
-
-    mean: Floats  # (2,), log10 of the size now, and slope
-    spread: Floats  # (2, 2)
-    weight: float  # logarithm
-
-
-def growth(
-    time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike | None = None, common: float = 0.0
-) -> Growth:
+def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike, common: float = 0.0) -> Growth:
     """Growth of the leak of one axis.
 
     Args:
         time: (L,), rising, of the readings; the last one is "now", whether it has a size or not.
-        size: (L,), the leak; NaN: no reading.
+        size: (L,), the leak, also about zero; NaN: no reading.
         limit: of the size, in its unit.
-        deviation: (L,), standard deviation of the size; ``None``: alike in all readings, as a share of the size.
+        deviation: (L,), standard deviation of the size.
         common: standard deviation of an error that all readings share, decades.
     """
-    when, what = (np.asarray(values, dtype=np.float64) for values in (time, size))
-    known = np.isfinite(what) & np.isfinite(when)
-    if deviation is None:
-        known &= what > 0.0
-        y, error = np.log10(np.where(known, what, 1.0)), np.full(len(what), np.nan)
-    else:
-        sigma = np.asarray(deviation, dtype=np.float64)
-        known &= np.isfinite(sigma)
-        least = 0.01 * limit
-        y = np.log10(0.5 * (what + np.hypot(what, 2.0 * least)))  # of sizes about zero, too
-        error = np.hypot(sigma / np.hypot(what, 2.0 * least) / np.log(10.0), LEAST_ERROR)
+    when, what, sigma = (np.asarray(values, dtype=np.float64) for values in (time, size, deviation))
+    root = np.hypot(what, 0.02 * limit)
+    y, error = np.log10(0.5 * (what + root)), np.hypot(sigma / root / np.log(10.0), LEAST_ERROR)
+    known = np.isfinite(what) & np.isfinite(when) & np.isfinite(sigma)
     known[known] = _usual(when[known], y[known], error[known])
     if known.sum() < FEWEST or np.ptp(when[known]) <= 0.0:
-        return Growth.unknown()
+        unknown = Interval(np.nan, np.nan, np.nan)
+        return Growth(unknown, unknown, np.nan, np.nan, unknown)
     x, y, error = _averaged(when[known], y[known], error[known])
     now, span = float(np.nanmax(when)), float(x[-1] - x[0])
-    parts = _parts((x - now) / span, y, error)
-    freedom = len(x) - 2 + (KNOWN_FREEDOM if deviation is not None else 0.0)
-    weight = np.exp(np.array([part.weight for part in parts]) - max(part.weight for part in parts))
-    likely = np.flatnonzero(weight > NEGLIGIBLE)
-    weight = weight[likely] / weight[likely].sum()
-    mean, spread = (np.array([parts[k][field] for k in likely]) for field in (0, 1))
-    spread[:, 0, 0] += common**2
-
-    def beyond(ahead: ArrayLike, logarithm: float) -> Floats:
-        """Probability that the trend is above a size at times from now on, in spans."""
-        row = np.atleast_1d(np.asarray(ahead, dtype=np.float64))[:, None]
-        middle = mean[:, 0] + row * mean[:, 1]
-        variance = spread[:, 0, 0] + 2.0 * row * spread[:, 0, 1] + row**2 * spread[:, 1, 1]
-        return np.asarray(student.cdf((middle - logarithm) / np.sqrt(variance), freedom) @ weight)
-
-    def mixed(column: int) -> Interval:
-        """Quantiles of level or slope."""
-        half = np.sqrt(spread[:, column, column])
-        ends = mean[:, column] + np.outer([-12.0, 12.0], half)
-        grid = np.linspace(ends.min(), ends.max(), 1001)
-        below = student.cdf((grid[:, None] - mean[:, column]) / half, freedom) @ weight
-        low, value, high = np.interp([0.5 - 0.5 * INSIDE, 0.5, 0.5 + 0.5 * INSIDE], below, grid)
-        return Interval(float(value), float(low), float(high))
-
+    found = _mixture((x - now) / span, y, error)
+    found.spread[:, 0, 0] += common**2
     ahead = np.concatenate([[0.0], np.geomspace(1e-4, FARTHEST, 700)])
-    reached = np.maximum.accumulate(beyond(ahead, float(np.log10(limit))))
+    reached = np.maximum.accumulate(found.beyond(ahead, float(np.log10(limit))))
 
     def when_reached(probability: float) -> float:
         place = int(np.searchsorted(reached, probability))
-        if place == 0 or place == len(ahead):
-            return 0.0 if place == 0 else np.inf
+        if place in (0, len(ahead)):
+            return np.inf if place else 0.0
         return span * float(np.interp(probability, reached[place - 1 : place + 1], ahead[place - 1 : place + 1]))
 
-    rate, level = mixed(1), mixed(0)
-    slopes = student.cdf(mean[:, 1] / np.sqrt(spread[:, 1, 1]), freedom)
     low, value, high = (when_reached(share) for share in (0.5 - 0.5 * INSIDE, 0.5, 0.5 + 0.5 * INSIDE))
     return Growth(
-        Interval(*(part / span for part in rate)),
-        Interval(value, low, high),
-        when_reached(EARLIEST),
-        float(slopes @ weight),
-        Interval(*(float(10.0**part) for part in level)),
+        rate=Interval(*(part / span for part in found.quantiles(1))),
+        ahead=Interval(value, low, high),
+        not_before=when_reached(EARLIEST),
+        grows=found.grows(),
+        level=Interval(*(float(10.0**part) for part in found.quantiles(0))),
     )
 
 
@@ -163,34 +150,34 @@ def _averaged(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats, Floa
     return means[0], means[1], means[2]
 
 
-def _parts(x: Floats, y: Floats, error: Floats) -> list[_Part]:
-    """The trend for each knee and each kind of errors; ``x`` is in spans of the readings, 0 now."""
-    given = bool(np.isfinite(error).all())
-    usual = error if given else np.ones(len(x))
-    scale = float(np.sqrt(np.mean(usual**2)))
-    own = np.diag((usual / scale) ** 2)
-    known = KNOWN_FREEDOM * scale**2 if given else 0.0
+def _mixture(x: Floats, y: Floats, error: Floats) -> _Mixture:
+    """The trend over all knees and kinds of errors; ``x`` is in spans of the readings, 0 now."""
+    scale = float(np.sqrt(np.mean(error**2)))
+    own = np.diag((error / scale) ** 2)
     later = np.flatnonzero(np.arange(len(x)) <= len(x) - AFTER_KNEE - 1)[1:]
-    knees = x[np.unique(later[np.linspace(0, len(later) - 1, min(KNEES, len(later))).astype(np.int64)])]
+    places = x[np.unique(later[np.linspace(0, len(later) - 1, min(KNEES, len(later))).astype(np.int64)])]
+    knees = [(x[0], STRAIGHT), *((place, (1.0 - STRAIGHT) / len(places)) for place in places)]
     kinds = [(0.0, 1.0, STRAIGHT)]
     kinds += [(share, length, (1.0 - STRAIGHT) / 9.0) for share in LASTING for length in LENGTHS]
-    distance, found = np.abs(x[:, None] - x), []
+    distance = np.abs(x[:, None] - x)
+    means, spreads, logarithms = [], [], []
+    freedom = len(x) - 2 + KNOWN_FREEDOM
     for share, length, kind in kinds:
         factor = cho_factor((1.0 - share) * own + share * np.exp(-distance / length), lower=True)
-        for knee, first in ((x[0], STRAIGHT), *((place, (1.0 - STRAIGHT) / len(knees)) for place in knees)):
-            found.append(_part(x, y, factor, knee, known, np.log(kind * first), given))
-    return found
-
-
-def _part(x: Floats, y: Floats, factor: Any, knee: float, known: float, before: float, given: bool) -> _Part:
-    bent = np.maximum(x, knee)  # level before the knee; 0 now
-    design = np.column_stack([np.ones(len(x)), bent])
-    weighted = cho_solve(factor, design)
-    information = design.T @ weighted
-    mean = np.linalg.solve(information, weighted.T @ y)
-    rest = y - design @ mean
-    squares = float(rest @ cho_solve(factor, rest)) + known + 1e-12
-    freedom = len(x) - 2 + (KNOWN_FREEDOM if given else 0.0)
-    weight = before - np.log(np.diag(factor[0])).sum() - 0.5 * np.linalg.slogdet(information)[1]
-    weight -= 0.5 * freedom * np.log(squares)
-    return _Part(mean, squares / freedom * np.linalg.inv(information), float(weight))
+        for knee, first in knees:
+            bent = np.maximum(x, knee)  # level before the knee; 0 now
+            design = np.column_stack([np.ones(len(x)), bent])
+            weighted = cho_solve(factor, design)
+            information = design.T @ weighted
+            mean = np.linalg.solve(information, weighted.T @ y)
+            rest = y - design @ mean
+            squares = float(rest @ cho_solve(factor, rest)) + KNOWN_FREEDOM * scale**2 + 1e-12
+            likely = np.log(kind * first) - np.log(np.diag(factor[0])).sum()
+            likely -= 0.5 * np.linalg.slogdet(information)[1]
+            means.append(mean)
+            spreads.append(squares / freedom * np.linalg.inv(information))
+            logarithms.append(likely - 0.5 * freedom * np.log(squares))
+    weight = np.exp(np.array(logarithms) - max(logarithms))
+    kept = np.flatnonzero(weight > NEGLIGIBLE)
+    weight = weight[kept] / weight[kept].sum()
+    return _Mixture(np.array(means)[kept], np.array(spreads)[kept], weight, freedom)

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 
 from hydro_agents.detection.detector import HALF_WIDTH, Reading
 from hydro_env import ConfigurationError
-from hydro_env.mistakes import unknown
 from hydro_env.types import Floats
 
 REFERENCE = 40.0  # °C, to which leaks are referred
@@ -30,8 +29,6 @@ WITHIN = 0.9  # share of the range of an unknown temperature that its interval h
 
 GRADES = {10: 2.66, 15: 3.41, 22: 4.29, 32: 5.36, 46: 6.76, 68: 8.73, 100: 11.4, 150: 15.0, 220: 19.4, 320: 25.0}
 """mm²/s at 100 °C by ISO VG grade, of a mineral oil of viscosity index 100 (ASTM D2270, column H)."""
-
-USUAL_GRADE = 46
 
 
 class Oil(NamedTuple):
@@ -53,24 +50,17 @@ class Oil(NamedTuple):
         Raises:
             ConfigurationError: the grade is unknown, or the values are impossible.
         """
-        grade, _, hot = text.upper().removeprefix("ISO").strip().removeprefix("VG").strip().partition("/")
+        cold, _, hot = text.upper().removeprefix("ISO").strip().removeprefix("VG").strip().partition("/")
         try:
-            given = float(grade), float(hot) if hot else np.nan
-        except ValueError:
-            given = np.nan, np.nan
-        if not hot:
-            if given[0] not in GRADES:
-                raise ConfigurationError(
-                    f"--oil {text}: {unknown(grade, [str(name) for name in GRADES], 'ISO VG grade')}; or give mm²/s at "
-                    "40 and 100 °C, such as 46/8.1"
-                )
-            return cls(given[0], GRADES[int(given[0])])
-        if not 1.0 <= given[1] < given[0] <= 5000.0:
+            oil = cls(float(cold), float(hot) if hot else GRADES[int(cold)])
+        except (ValueError, KeyError):
+            oil = cls(np.nan, np.nan)
+        if not 1.0 <= oil.at_100 < oil.at_40 <= 5000.0:
             raise ConfigurationError(
-                f"--oil {text}: must be mm²/s at 40 °C and at 100 °C, the second smaller, within 1 to 5000, "
-                "such as 46/8.1"
+                f"--oil {text}: must be an ISO VG grade ({', '.join(map(str, GRADES))}), or mm²/s at 40 °C and at "
+                "100 °C, the second smaller, within 1 to 5000, such as 46/8.1"
             )
-        return cls(*given)
+        return oil
 
     def viscosity(self, temperature: ArrayLike) -> Floats:
         """mm²/s at temperatures in °C, any shape."""
@@ -83,11 +73,6 @@ class Oil(NamedTuple):
     def factor(self, temperature: ArrayLike) -> Floats:
         """What a leak measured at temperatures in °C is multiplied by to be that at the reference."""
         return self.viscosity(temperature) / self.viscosity(REFERENCE)
-
-    def text(self) -> str:
-        """``ISO VG 46 (46 and 6.76 mm²/s at 40 and 100 °C)``."""
-        grade = f"ISO VG {self.at_40:g}" if GRADES.get(int(self.at_40)) == self.at_100 else "oil"
-        return f"{grade} ({self.at_40:g} and {self.at_100:g} mm²/s at 40 and 100 °C)"
 
 
 def common_error(oil: Oil, temperature: float, between: tuple[float, float]) -> float:

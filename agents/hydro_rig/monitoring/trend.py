@@ -1,4 +1,4 @@
-"""``hydro trend``: one reading of a recording of any length, or of each hour of it.
+"""``hydro trend``: one reading of a recording of any length.
 
 A reading is that of ``hydro diagnose`` with the estimator alone, of the dozen liveliest windows
 (:mod:`~hydro_rig.recordings.liveliest`), and the leak is also given at one temperature of the oil
@@ -8,7 +8,7 @@ A reading is that of ``hydro diagnose`` with the estimator alone, of the dozen l
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,26 +17,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Reading, Windows
-from hydro_agents.running.text import number
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.types import Floats
 from hydro_rig.diagnosis.diagnose import read_windows
-from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged, volume_leak
-from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Limits, Verdict, combined
-from hydro_rig.diagnosis.volume_balance import Blocks, VolumeLeak
+from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged
+from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Verdict, combined
+from hydro_rig.diagnosis.volume_balance import Blocks, VolumeLeak, leak_of_blocks
 from hydro_rig.monitoring.oil import Oil, referred
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.files import Columns, pieces, started
+from hydro_rig.recordings.files import pieces, started
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.liveliest import Liveliest, sampled_windows
 from hydro_rig.recordings.quality import check_samples
-from hydro_rig.recordings.recording import Recording, map_for, recording_of
+from hydro_rig.recordings.recording import map_for, recording_of
 from hydro_rig.recordings.sampling import Sampled, cut
 
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
 WINDOW = 2.0  # s
 FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
-HOUR = 3600.0  # s
 OIL, NOTHING = "oil_temperature", np.zeros(0)  # the signal of its temperature; readings of a signal without any
+FEW = 100  # last rows of a file, which may be left out
 MOST_BLOCKS = 1_000_000  # of a measured flow that are kept, 40 MB: those of six days
 
 _DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
@@ -47,111 +47,63 @@ class Settings(NamedTuple):
 
     oil: Oil
     between: tuple[float, float]  # °C, of an oil whose temperature was not recorded
-    hourly: bool = False  # one row per hour instead of one per file
-    axis_column: str = ""  # heading of the column that names the axis; empty: one axis per file
-    window: float = WINDOW  # s
     windows: int = MOST_WINDOWS  # of a reading
 
 
 class Row(NamedTuple):
-    """One reading of an axis."""
+    """One reading of an axis; leaks in l/min at 100 bar with their 90 % intervals, NaN: no size."""
 
     time: float  # s since 1970, first and last stamp
     until: float
     axis: str
-    verdict: Kind
-    leak: Leak  # l/min at 100 bar, as measured; NaN: no size
+    verdict: str
+    size: float  # as measured
+    low: float
+    high: float
     moving: float  # share of the time in motion
     temperature: float  # °C, of the oil; NaN: not recorded
-    at_40: Leak  # the leak at 100 bar and 40 °C
+    size_40: float  # at 40 °C
+    low_40: float
+    high_40: float
     reason: str
-    clock_back: float  # s, by which the clock ran back in it or at its begin; 0: never
+    clock_back: float  # s, by which the clock ran back in it; 0: never
 
 
-def read_rows(_: object, path: str, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Any:
-    """The rows of a file as columns, for a :class:`~hydro_agents.running.jobs.Job`.
-
-    Raises:
-        ConfigurationError: the file cannot be read, or holds no rows.
-    """
-    rows = list(rows_of(Path(path), axis, config, columns, how))
-    if not rows:
-        raise ConfigurationError(f"{path}: holds headings but no rows")
-    found: dict[str, NDArray[Any]] = {
-        name: np.array([getattr(row, name) for row in rows])
-        for name in ("time", "until", "axis", "verdict", "moving", "temperature", "reason", "clock_back")
-    }
-    for name, leaks in (("", [row.leak for row in rows]), ("_40", [row.at_40 for row in rows])):
-        for part, values in zip(("size", "low", "high"), np.array(leaks).T, strict=True):
-            found[part + name] = values
-    return found
+def read_row(_: object, path: str, *arguments: Any) -> dict[str, NDArray[Any]]:
+    """The row of :func:`row_of_file` as columns, for a :class:`~hydro_agents.running.jobs.Job`."""
+    row = row_of_file(Path(path), *arguments)
+    return {name: np.array([value]) for name, value in row._asdict().items()}
 
 
-def rows_of(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Iterator[Row]:
-    """Read a file; one row per axis and hour, or per axis.
+def row_of_file(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | None, how: Settings) -> Row:
+    """Read a file.
 
     Args:
         path: CSV or Parquet of any length; MDF4, TDMS or MAT.
-        axis: its name; with ``axis_column`` the column holds it.
+        axis: its name.
         config: the task whose rig was recorded.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
         how: settings.
 
     Raises:
-        ConfigurationError: the file cannot be read.
+        ConfigurationError: the file cannot be read, or holds no rows.
     """
-    open_: dict[str, tuple[int, Liveliest, float, list[Blocks]]] = {}
-    clock = None
-    for name, rows in _by_axis(path, axis, columns, how):
-        if clock is None:
-            clock = _clock(path, rows.begin)
-        for hour, part in _by_hour(rows, clock) if how.hourly else [(0, rows)]:
-            known = open_.get(name)
-            if known is None or known[0] != hour:
-                back = 0.0
-                if known is not None:
-                    yield row_of(name, known[1], config, how, clock, *known[2:])
-                    back = max(known[1].last - part.begin, 0.0)
-                open_[name] = (hour, Liveliest(how.window, config), back, [])
-            open_[name][1].add(part)
-            if sum(len(blocks.speed) for blocks in open_[name][3]) < MOST_BLOCKS:
-                open_[name][3].extend(flow_blocks(part))
-    for name, (_, live, back, blocks) in open_.items():
-        yield row_of(name, live, config, how, clock or 0.0, back, blocks)
-
-
-def _by_axis(path: Path, axis: str, columns: ColumnMap | None, how: Settings) -> Iterator[tuple[str, Recording]]:
-    """The pieces of a file as recordings, each with the name of its axis."""
+    live, blocks, clock = Liveliest(WINDOW, config), list[Blocks](), None
     for piece in pieces(path):
         columns = columns or map_for(piece, str(path))
-        for name, part in _split(piece, how.axis_column, path) if how.axis_column else [(axis, piece)]:
-            try:
-                yield name, recording_of(part, str(path), columns)
-            except ConfigurationError:
-                if len(part.cells[0]) >= _FEW:
-                    raise  # a few last rows are left out
-
-
-_FEW = 100
-
-
-def _split(piece: Columns, heading: str, path: Path) -> Iterator[tuple[str, Columns]]:
-    if heading not in piece.headings:
-        shown = ", ".join(name[:30] for name in piece.headings[:12])
-        raise ConfigurationError(f"{path}: --axis-column {heading}: no column has this heading; headings: {shown}")
-    if any(stamps is not None for stamps in piece.stamps):
-        raise ConfigurationError(f"{path}: --axis-column {heading}: needs one table; MDF4 files hold one axis each")
-    names = piece.cells[piece.headings.index(heading)].astype(str)
-    for name in names.unique():
-        inside = (names == name).to_numpy()
-        yield str(name), piece._replace(cells=[cells[inside].reset_index(drop=True) for cells in piece.cells])
-
-
-def _by_hour(rows: Recording, clock: float) -> Iterator[tuple[int, Recording]]:
-    hours = np.floor((clock + rows.begin + rows.time) / HOUR).astype(np.int64)
-    ends = [*(np.flatnonzero(np.diff(hours)) + 1).tolist(), len(hours)]
-    for begin, end in zip([0, *ends[:-1]], ends, strict=True):
-        yield int(hours[begin]), rows.part(begin, end)
+        try:
+            rows = recording_of(piece, str(path), columns)
+        except ConfigurationError:
+            if clock is None or len(piece.cells[0]) >= FEW:
+                raise
+            continue
+        clock = _clock(path, rows.begin) if clock is None else clock
+        live.add(rows)
+        if sum(len(each.speed) for each in blocks) < MOST_BLOCKS:
+            blocks.extend(flow_blocks(rows))
+    if clock is None:
+        raise ConfigurationError(f"{path}: holds headings but no rows")
+    return row_of(axis, live, config, how, clock, blocks)
 
 
 def _clock(path: Path, first: float) -> float:
@@ -174,13 +126,9 @@ def row_of(
     config: TaskConfig,
     how: Settings,
     clock: float = 0.0,
-    back: float = 0.0,
     blocks: Sequence[Blocks] = (),
 ) -> Row:
-    """The row of what was read: the best windows, and the blocks of a measured flow.
-
-    ``back``: s, by which the clock ran back before its first row.
-    """
+    """The row of what was read: the best windows, and the blocks of a measured flow."""
     candidates, seen = live.finish(how.windows)
     leak = at_40 = Leak(np.nan, np.nan, np.nan)
     findings, temperature = seen.findings, np.nan
@@ -188,12 +136,10 @@ def row_of(
     if candidates:
         rows = [candidate.rows for candidate in candidates]
         temperature = _mean(np.array([_mean(one.auxiliary.get(OIL, NOTHING)) for one in rows]))
-        volume = volume_leak(blocks)
-        at_once = None if volume is None else _referred_leak(volume, how, temperature)
-        checked = check_samples(sampled_windows(candidates, how.window, config), seen.findings, config)
+        volume = leak_of_blocks(blocks)
 
         def choose(samples: Sampled) -> Windows:
-            windows = cut(samples, round(how.window / config.control_period))
+            windows = cut(samples, round(WINDOW / config.control_period))
             commanded = np.isfinite(windows.signal("previous_command")).mean(axis=1)
             return windows.part(commanded > 0.5)  # without the margins
 
@@ -202,34 +148,41 @@ def row_of(
             if not len(windows):
                 return Read()
             measured, fitted = read_windows(windows, config, threads=1)
-            leak = combined(measured)[0] if measured.answers.any() else leak
+            leak, _ = combined(measured)
             warm = np.array([_mean(values) for values in windows.auxiliary_signal(OIL)])
             return Read(referred(measured, how.oil, warm, how.between), fitted=fitted)
 
         found = judged(
-            checked,
+            check_samples(sampled_windows(candidates, WINDOW, config), seen.findings, config),
             config,
             choose=choose,
             read=read,
-            limits=Limits.of(config),
-            window=how.window,
-            balance=at_once,
             rows=rows,
+            balance=None if volume is None else _referred_leak(volume, how, temperature),
+            window=WINDOW,
         )
-        findings, verdict, reading = found.checked.findings, found.verdict, found.read.estimator
+        findings, verdict = found.checked.findings, found.verdict
         if volume is not None and verdict.detector == BALANCE:
             leak, at_40 = Leak(volume.value, volume.low, volume.high), verdict.leak or at_40
-        elif reading is not None and reading.answers.any():
-            at_40 = combined(reading)[0]
-    notes = [finding.line() for finding in findings if finding.signal == "clock"]
-    faults = [finding.line() for finding in findings if finding.weight is Weight.FAULT]
-    note = f"clock runs back by {number(back, digits=3)} s at its begin" if back > 0.0 else ""
-    reason = "; ".join(dict.fromkeys(part for part in (verdict.why, *faults, *notes, note) if part))
-    times = clock + live.first, clock + live.last
-    return Row(*times, axis, verdict.kind, leak, seen.moving, temperature, at_40, reason, max(back, seen.clock_back))
+        elif found.read.estimator is not None:
+            at_40, _ = combined(found.read.estimator)
+    notes = [finding.line() for finding in findings if finding.weight is Weight.FAULT]
+    notes += [finding.line() for finding in findings if finding.signal == "clock"]
+    return Row(
+        clock + live.first,
+        clock + live.last,
+        axis,
+        verdict.kind.value,
+        *leak,
+        seen.moving,
+        temperature,
+        *at_40,
+        reason="; ".join(dict.fromkeys(part for part in (verdict.why, *notes) if part)),
+        clock_back=seen.clock_back,
+    )
 
 
-def _mean(values: NDArray[np.float64]) -> float:
+def _mean(values: Floats) -> float:
     known = values[np.isfinite(values)]
     return float(known.mean()) if len(known) else np.nan
 
@@ -237,5 +190,5 @@ def _mean(values: NDArray[np.float64]) -> float:
 def _referred_leak(found: VolumeLeak, how: Settings, temperature: float) -> VolumeLeak:
     """The leak by the balance of volumes at the reference temperature."""
     one = Reading.of([0.0], flow_lpm=found.value, low_lpm=found.low, high_lpm=found.high)
-    _, _, _, value, low, high, *_ = referred(one, how.oil, np.array([temperature]), how.between)
-    return found._replace(value=float(value[0]), low=float(low[0]), high=float(high[0]))
+    warm = referred(one, how.oil, np.array([temperature]), how.between)
+    return found._replace(value=float(warm.flow_lpm[0]), low=float(warm.low_lpm[0]), high=float(warm.high_lpm[0]))

@@ -19,14 +19,13 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
 from hydro_rig.monitoring.oil import Oil, temperature_range
-from hydro_rig.monitoring.trend import Settings, read_rows
+from hydro_rig.monitoring.trend import Settings, read_row
 from hydro_rig.monitoring.trend_page import lines_of, render_trend
 from hydro_rig.monitoring.trend_summary import AxisTrend, exit_code, trends_of
 from hydro_rig.monitoring.trend_table import (
     File,
     files_of,
     read_table,
-    repairs_of,
     unread,
     with_rows,
     write_table,
@@ -48,9 +47,6 @@ class Watch(NamedTuple):
     oil: str = "46"
     temperature: str = "20..60"
     limit: float | None = None
-    repaired: Sequence[str] = ()  # [AXIS=]DATE
-    hourly: bool = False
-    axis_column: str = ""
 
 
 class Watched(NamedTuple):
@@ -76,10 +72,14 @@ class Watched(NamedTuple):
 
     def json(self) -> dict[str, Any]:
         """For another program."""
-        files = {"read": self.read, "known": self.known, "left_out": self.left_out}
-        paths = {"table": str(self.table), "page": str(self.page)}
-        axes = [one.json() for one in self.trends]
-        return {"exit_code": self.exit_code, "axes": axes, "files": files, "notes": self.notes, **paths}
+        return {
+            "exit_code": self.exit_code,
+            "axes": [one.json() for one in self.trends],
+            "files": {"read": self.read, "known": self.known, "left_out": self.left_out},
+            "notes": self.notes,
+            "table": str(self.table),
+            "page": str(self.page),
+        }
 
 
 def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Report | None = None) -> Watched:
@@ -95,38 +95,37 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
         ConfigurationError: a setting is impossible, no file can be read, or the folder cannot be written.
         KeyboardInterrupt: Ctrl-C; the table holds the finished files.
     """
-    settings = Settings(Oil.of(how.oil), temperature_range(how.temperature), how.hourly, how.axis_column)
+    settings = Settings(Oil.of(how.oil), temperature_range(how.temperature))
     folder = how.table.parent
     files = files_of(places, how.table)
     table = read_table(how.table)
     maps = dict(zip(files, maps_of(how.maps, [file.path for file in files]), strict=True))
     configs = _configs(how, {file.axis for file in files} | set(table["axis"]))
-    new = unread(files, table)
+    new = {file.name: file for file in unread(files, table)}
     page, left_out = folder / f"{how.table.stem}.html", list[str]()
     with output_folder(folder, "trend", (page.name, FIGURE_FILES), resume=True):
-        jobs = {}
-        for file in new:
-            arguments = (str(file.path.absolute()), file.axis, configs[file.axis], maps[file], settings)
-            jobs[file.name] = Job(read_rows, None, arguments)
-        by_name = {file.name: file for file in new}
-        if progress is not None and new:
-            progress("files", 0, len(new))
+        jobs = {
+            name: Job(read_row, None, (str(file.path.absolute()), file.axis, configs[file.axis], maps[file], settings))
+            for name, file in new.items()
+        }
+        report = progress or (lambda phase, done, total: None)
+        if new:
+            report("files", 0, len(new))
         with closing(answers_of(jobs, None)) as answers:
             for done, (name, result) in enumerate(answers, 1):
                 if result.error:
                     left_out.append(result.error)
                 else:
-                    table = with_rows(table, by_name[name], result.metrics, settings.oil)
+                    table = with_rows(table, new[name], result.metrics, settings.oil)
                     write_table(how.table, table)
-                if progress is not None:
-                    progress("files", done, len(new))
+                report("files", done, len(new))
         if table.empty:
-            _tell_why(new[0], maps[new[0]] is None, left_out)
+            first = next(iter(new.values()))
+            _tell_why(first, maps[first] is None, left_out)
         axes = sorted(set(table["axis"]))
-        configs |= _configs(how, set(axes))  # names of a column
         limits = {axis: how.limit or USUAL_LIMIT * leak_scale(configs[axis]) for axis in axes}
-        trends = trends_of(table, limits, repairs_of(how.repaired, axes), settings.oil, settings.between)
-        render_trend(trends, table, how.table.name, left_out, Origin.now(command)).write(page)
+        trends = trends_of(table, limits, settings.oil, settings.between)
+        render_trend(trends, how.table.name, left_out, Origin.now(command)).write(page)
     return Watched(trends, len(new) - len(left_out), len(files) - len(new), left_out, _clocks(table), how.table, page)
 
 
@@ -135,7 +134,7 @@ def _configs(how: Watch, axes: set[str]) -> dict[str, TaskConfig]:
     own: dict[str, Path] = {}
     for text in how.rigs:
         axis, _, file = text.rpartition("=")
-        if axis and axis not in axes and not how.axis_column:
+        if axis and axis not in axes:
             raise ConfigurationError(f"--rig {text}: axis '{axis}': known: {', '.join(sorted(axes)[:20])}")
         own[axis] = config_file("rigs", Path(file))
     made = {name: task_config(how.task, rig=path) for name, path in own.items()}
@@ -157,10 +156,11 @@ def _clocks(table: pd.DataFrame) -> list[str]:
     """A line for each recording that begins before the end of the one before it, by the clock of the machine."""
     lines = []
     for axis, rows in table.groupby("axis", sort=True):
-        files = rows.groupby("file", sort=False).agg(begin=("time", "min"), end=("until", "max"))
-        files = files.sort_values("begin", kind="stable")
-        ends = files["end"].cummax().shift(fill_value="")
-        for name, file in files[files["begin"] < ends].iterrows():
-            lines.append(f"{axis}: {name} begins at {file['begin']}, before the file before it ends: a clock ran back")
+        rows = rows.sort_values("time", kind="stable")
+        early = rows["time"] < rows["until"].cummax().shift(fill_value="")
+        lines += [
+            f"{axis}: {row['file']} begins at {row['time']}, before the file before it ends: a clock ran back"
+            for row in rows[early].to_dict("records")
+        ]
     jumped = table[table["clock_back"] > 0.0]
     return lines + [f"{row['axis']}: {row['file']}: {row['reason']}" for row in jumped.to_dict("records")]

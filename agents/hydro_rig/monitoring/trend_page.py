@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from hydro_agents.report.canvas import GREY, INK, PALE, WIDE, Plot, make_plot
 from hydro_agents.report.content import Content
@@ -23,8 +21,8 @@ from hydro_agents.running.text import Cell, Table, number
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.monitoring.trend_summary import DAY, AxisTrend, date_text
 
-TREND = ("axes_and_dates", "sizes_over_time", "axes_in_numbers", "all_readings", "how_trends_are_read")
-SOURCES = Markup("Numbers: <code>{}</code> beside this page.")
+TREND = ("axes_and_dates", "sizes_over_time", "axes_in_numbers", "how_trends_are_read")
+SOURCES = Markup("All readings: <code>{}</code> beside this page.")
 
 COLOURS = {
     Kind.HEALTHY: MEANINGS["good"].light,
@@ -37,9 +35,7 @@ MARKERS = {Kind.HEALTHY: "o", Kind.LEAK: "s", Kind.OTHER: "D", Kind.UNKNOWN: "x"
 _date_locator: Any = AutoDateLocator
 _date_formatter: Any = ConciseDateFormatter
 
-CLASSES = {Kind.HEALTHY: "", Kind.LEAK: "worse", Kind.OTHER: "worse", Kind.UNKNOWN: ""}
-
-MOST_PANELS, MOST_ROWS = 40, 300  # axes with a panel; rows in the table of the page
+MOST_PANELS = 40  # axes with a panel
 LOWEST = 1e-3  # l/min; lower end of the scale
 AHEAD = 0.6  # of the time so far, that a panel shows ahead at most
 
@@ -56,20 +52,17 @@ JUDGED = (
 )
 
 
-def render_trend(
-    trends: Sequence[AxisTrend], table: pd.DataFrame, name: str, left_out: Sequence[str], origin: Origin
-) -> Page:
+def render_trend(trends: Sequence[AxisTrend], name: str, left_out: Sequence[str], origin: Origin) -> Page:
     """The page.
 
     Args:
         trends: of all axes.
-        table: the rows behind them.
-        name: of the file of the table.
+        name: of the file with the readings.
         left_out: one line per file that was not read.
         origin: command, date and version.
     """
-    others = {"trends": list(trends), "left_out": list(left_out)}
-    return render_page("Leaks over time", TREND, Content({"rows": table}, others=others), origin, SOURCES.format(name))
+    content = Content({}, others={"trends": list(trends), "left_out": list(left_out)})
+    return render_page("Leaks over time", TREND, content, origin, SOURCES.format(name))
 
 
 def by_urgency(trends: Sequence[AxisTrend]) -> list[AxisTrend]:
@@ -100,18 +93,16 @@ def axes_and_dates(content: Content) -> list[Block]:
     ordered = by_urgency(content.part("trends", list))
     urgent = [one for one in ordered if one.dated or one.growth.ahead.value == 0.0 or one.state is Kind.LEAK]
     others = [one for one in ordered if one not in urgent]
+    odd = [one for one in others if one.state is not Kind.HEALTHY]
     blocks: list[Block] = [Text(line, "verdict worse") for line in lines_of(urgent)[:10]]
     if not urgent:
         blocks.append(Text("No axis leaks or will reach its limit in sight.", "verdict good"))
-    odd = [one for one in others if one.state is not Kind.HEALTHY]
     blocks += [Text(line) for line in lines_of(odd)[:10]]
-    quiet = len(others) - len(odd)
-    if quiet:
-        blocks.append(Text(f"{quiet} of {len(ordered)} axes: healthy, no date in sight.", "soft"))
+    if len(others) > len(odd):
+        blocks.append(Text(f"{len(others) - len(odd)} of {len(ordered)} axes: healthy, no date in sight.", "soft"))
     blocks.append(Text(f"Last reading: {date_text(max(float(one.time[-1]) for one in ordered))}.", "soft"))
-    left = content.part("left_out", list)
-    title = "One file was not read" if len(left) == 1 else f"{len(left)} files were not read"
-    return [*blocks, *([Fold(title, [Points(left)], style="caution")] if left else [])]
+    left_out = content.part("left_out", list)
+    return [*blocks, *([Fold("Files that were not read", [Points(left_out)], style="caution")] if left_out else [])]
 
 
 @section("Sizes over time", needs=("trends",))
@@ -128,44 +119,22 @@ def axes_in_numbers(content: Content) -> list[Block]:
     """One row per axis."""
     rows: list[tuple[str | Cell, ...]] = []
     for one in by_urgency(content.part("trends", list)):
-        level, rate = one.growth.level, one.growth.rate
-        dates = [one.date(days) if np.isfinite(days) else "–" for days in (*one.growth.ahead, one.growth.not_before)]
-        state = Cell(one.state.value, CLASSES[one.state], 20 if CLASSES[one.state] else 0)
+        found, style = one.growth, "worse" if one.state in (Kind.LEAK, Kind.OTHER) else ""
+        value, low, high = (number(size, digits=2) for size in found.level)
+        date, early, late = (one.date(days) if np.isfinite(days) else "–" for days in found.ahead)
         rows.append(
             (
                 one.axis,
-                state,
-                f"{number(level.value, digits=2)} ({number(level.low, digits=2)} to {number(level.high, digits=2)})",
-                f"{number(30.0 * rate.value, 2, signed=True)}" if one.growth.grows >= 0.95 else "–",
-                f"{dates[0]} ({dates[1]} to {dates[2]})" if one.dated else "–",
-                dates[3] if one.growth.not_before < 365.0 else "–",
+                Cell(one.state.value, style, 20 if style else 0),
+                f"{value} ({low} to {high})",
+                number(30.0 * found.rate.value, 2, signed=True) if found.grows >= 0.95 else "–",
+                f"{date} ({early} to {late})" if one.dated else "–",
+                one.date(found.not_before) if found.not_before < 365.0 else "–",
                 f"{len(one.time)}",
             )
         )
     header = ("Axis", "Now", "l/min (90 %)", "Decades a month", "At the limit (90 %)", "Not before", "Readings")
     return [Table("Leaks at 100 bar and 40 °C", header, rows, folded=False)]
-
-
-@section("All readings", needs=("rows",))
-def all_readings(content: Content) -> list[Block]:
-    """The latest rows of the table."""
-    rows = content.table("rows").sort_values("time", ascending=False, kind="stable").head(MOST_ROWS)
-    cells = [
-        (
-            row["time"].replace("T", " ")[:16],
-            row["axis"],
-            row["verdict"],
-            f"{number(row['size_40'], 3)} ({number(row['low_40'], 3)} to {number(row['high_40'], 3)})",
-            f"{number(row['temperature'], 0)}",
-            f"{number(100.0 * row['moving'], 0)}",
-            row["file"],
-            row["reason"],
-        )
-        for row in rows.to_dict("records")
-    ]
-    header = ("Time", "Axis", "Verdict", "l/min at 40 °C", "Oil, °C", "Moving, %", "File", "Reason")
-    caption = f"The latest {len(cells)} readings" if len(content.table("rows")) > len(cells) else "All readings"
-    return [Table(caption, header, cells, style="words", folded=True)]
 
 
 @section("How it was read", needs=("trends",))
@@ -200,41 +169,34 @@ def _plot(trends: Sequence[AxisTrend]) -> Plot:
     return make_plot("trend", "Leak of each axis", note, alt, paint, 0.6 + (2.0 if columns == 2 else 3.2) * rows, WIDE)
 
 
-def _days(time: NDArray[np.float64] | float) -> NDArray[np.float64]:
-    """Days since 1970, as figures count them."""
-    return np.asarray(time, dtype=np.float64) / DAY
-
-
 def _panel(axes: Axes, one: AxisTrend) -> None:
+    """Readings, limit, repairs and trend of an axis; days since 1970, as figures count them."""
     axes.set_yscale("log")
-    when = _days(one.time)
+    when = one.time / DAY
     first, last = float(when[0]), float(when[-1])
-    known = np.isfinite(one.size)
-    shown = [np.maximum(values, LOWEST) for values in (one.size, one.low, one.high)]
+    length = max(last - first, 1.0)
+    sizes, lows, highs = (np.maximum(values, LOWEST) for values in (one.size, one.low, one.high))
     for kind in Kind:
-        chosen = known & np.array([verdict is kind for verdict in one.verdicts])
+        chosen = np.isfinite(one.size) & np.array([verdict is kind for verdict in one.verdicts])
         if chosen.any():
-            value, low, high = (part[chosen] for part in shown)
+            value, low, high = sizes[chosen], lows[chosen], highs[chosen]
             axes.errorbar(
                 when[chosen], value, yerr=[np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)],
                 fmt=MARKERS[kind], color=COLOURS[kind], markersize=3.5, capsize=0, linewidth=0.9,
             )  # fmt: skip
     axes.axhline(one.limit, color=INK, linestyle="--", linewidth=1.0)
     for repair in one.repairs:
-        axes.axvline(float(_days(repair)), color=GREY, linewidth=1.2)
+        axes.axvline(repair / DAY, color=GREY, linewidth=1.2)
         axes.annotate(
-            "repaired", (float(_days(repair)), 1.0), xycoords=("data", "axes fraction"), xytext=(2, -2),
+            "repaired", (repair / DAY, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -2),
             textcoords="offset points", va="top", fontsize=7.5, color=GREY,
         )  # fmt: skip
-    end = last + 0.02 * max(last - first, 1.0)
+    end = last + 0.02 * length
     if one.dated and one.growth.ahead.value > 0.0:
         end = _wedge(axes, one, first, last)
-    top = 3.0 * max(one.limit, float(np.nanmax(shown[0], initial=one.limit)))
-    axes.set_ylim(LOWEST, top)
-    axes.set_xlim(first - 0.02 * max(last - first, 1.0), end)
-    ticks = [0.001, 0.01, 0.1, 1.0, 10.0]
-    axes.set_yticks(ticks, ["≤ 0.001", "0.01", "0.1", "1", "10"])
-    axes.set_ylim(LOWEST, top)
+    axes.set_xlim(first - 0.02 * length, end)
+    axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
+    axes.set_ylim(LOWEST, 3.0 * max(one.limit, float(np.nanmax(sizes, initial=one.limit))))
     locator: Any = _date_locator(minticks=3, maxticks=6)
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(_date_formatter(locator))

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_agents.running.text import decimals_for, number
+from hydro_env.types import Floats
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.monitoring.growth import Growth, growth
 from hydro_rig.monitoring.oil import UNKNOWN_TEMPERATURE, Oil, common_error
@@ -26,14 +27,15 @@ FARTHEST = 365.0  # days ahead, up to which a date is told
 MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
-class AxisTrend(NamedTuple):
+@dataclass(frozen=True)
+class AxisTrend:
     """An axis over weeks."""
 
     axis: str
-    time: NDArray[np.float64]  # (L,), s since 1970, of its readings
-    size: NDArray[np.float64]  # (L,), l/min at 100 bar and 40 °C; NaN: none
-    low: NDArray[np.float64]  # (L,), 90 % interval
-    high: NDArray[np.float64]
+    time: Floats  # (L,), s since 1970, of its readings
+    size: Floats  # (L,), l/min at 100 bar and 40 °C; NaN: none
+    low: Floats  # (L,), 90 % interval
+    high: Floats
     verdicts: tuple[Kind, ...]  # (L,)
     repairs: tuple[float, ...]  # s since 1970, rising
     state: Kind
@@ -75,7 +77,7 @@ class AxisTrend(NamedTuple):
     def json(self) -> dict[str, Any]:
         """The same for another program; ``null``: unknown or never."""
         found = self.growth
-        date = {name: _iso(self, getattr(found.ahead, part)) for name, part in _ENDS.items()}
+        dates = dict(zip(("expected", "low", "high", "not_before"), (*found.ahead, found.not_before), strict=True))
         return {
             "axis": self.axis,
             "state": self.state.value,
@@ -84,21 +86,21 @@ class AxisTrend(NamedTuple):
             "sentence": self.sentence(),
             "readings": len(self.time),
             "last": stamp(self.time[-1]),
-            "leak_40": dict(zip(("value", "low", "high"), map(_finite, found.level), strict=True)),
-            "decades_per_day": dict(zip(("value", "low", "high"), map(_finite, found.rate), strict=True)),
+            "leak_40": {name: _finite(value) for name, value in found.level._asdict().items()},
+            "decades_per_day": {name: _finite(value) for name, value in found.rate._asdict().items()},
             "limit": self.limit,
-            "limit_reached": {**date, "not_before": _iso(self, found.not_before)} if self.dated else None,
+            "limit_reached": {name: self._day(days) for name, days in dates.items()} if self.dated else None,
             "repaired": [stamp(when) for when in self.repairs],
         }
 
-
-_ENDS = {"expected": "value", "low": "low", "high": "high"}
+    def _day(self, days: float) -> str | None:
+        """A day so many days after the last reading; ``None``: never."""
+        return stamp(float(self.time[-1]) + DAY * days)[:10] if days < 1e5 else None
 
 
 def trends_of(
     table: pd.DataFrame,
     limits: Mapping[str, float],
-    repairs: Mapping[str, Sequence[float]],
     oil: Oil,
     between: tuple[float, float] = UNKNOWN_TEMPERATURE,
 ) -> list[AxisTrend]:
@@ -107,40 +109,38 @@ def trends_of(
     Args:
         table: of :func:`~hydro_rig.monitoring.trend_table.read_table`.
         limits: by axis, l/min at 100 bar and 40 °C.
-        repairs: by axis, s since 1970; marks in the table count, too.
         oil: in the axes.
         between: lowest and highest possible temperature in °C of axes without a thermometer.
     """
-    return [
-        _trend(str(axis), rows, limits[str(axis)], repairs.get(str(axis), ()), oil, between)
-        for axis, rows in table.groupby("axis", sort=True)
-    ]
+    return [_trend(str(axis), rows, limits[str(axis)], oil, between) for axis, rows in table.groupby("axis", sort=True)]
 
 
-def _trend(
-    axis: str, rows: pd.DataFrame, limit: float, repairs: Sequence[float], oil: Oil, between: tuple[float, float]
-) -> AxisTrend:
+def _trend(axis: str, rows: pd.DataFrame, limit: float, oil: Oil, between: tuple[float, float]) -> AxisTrend:
     rows = rows.assign(_time=seconds(rows["time"])).sort_values("_time", kind="stable")
     time = rows["_time"].to_numpy(dtype=np.float64)
-    size, low, high = (rows[f"{name}_40"].to_numpy(dtype=np.float64) for name in ("size", "low", "high"))
-    verdicts = tuple(Kind(verdict) for verdict in rows["verdict"])
-    marked = [*repairs, *time[(rows["repaired"] != "").to_numpy()]]
-    since = np.flatnonzero(time >= max((when for when in marked if when <= time[-1]), default=-np.inf))
-    state, reason = _state([verdicts[k] for k in since], [str(rows["reason"].iloc[k]) for k in since])
+    marked = time[(rows["repaired"] != "").to_numpy()]
+    since = rows[time >= marked.max(initial=-np.inf)]
+    state, reason = _state([Kind(verdict) for verdict in since["verdict"]], since["reason"].tolist())
+    size = since["size_40"].to_numpy(dtype=np.float64)
     # A reading's own error, without the thermometer's. The readings share plant and sensors, too: their usual error may
     # be common to all.
-    own = rows[["size", "low", "high"]].to_numpy(dtype=np.float64)[since]
     with np.errstate(invalid="ignore", divide="ignore"):
-        factor = np.where(own[:, 0] != 0.0, size[since] / own[:, 0], 1.0)
-    deviation = factor * (own[:, 2] - own[:, 1]) / (2.0 * HALF_WIDTH)
-    warm = rows["temperature"].to_numpy(dtype=np.float64)[since]
-    usual = float(np.nanmedian(warm)) if np.isfinite(warm).any() else np.nan
-    relative = (deviation / size[since])[np.isfinite(deviation) & (size[since] > 0.0)]
+        factor = np.where(since["size"] != 0.0, size / since["size"], 1.0)
+    deviation = factor * (since["high"] - since["low"]).to_numpy(dtype=np.float64) / (2.0 * HALF_WIDTH)
+    relative = (deviation / size)[np.isfinite(deviation) & (size > 0.0)]
     plant = float(np.median(relative)) / np.log(10.0) if len(relative) else 0.0
-    common = float(np.hypot(common_error(oil, usual, between), min(plant, MOST_COMMON)))
-    found = growth(time[since] / DAY, size[since], limit, deviation, common)
-    ordered = tuple(sorted({float(when) for when in marked}))
-    return AxisTrend(axis, time, size, low, high, verdicts, ordered, state, reason, found, limit)
+    common = float(np.hypot(common_error(oil, since["temperature"].median(), between), min(plant, MOST_COMMON)))
+    return AxisTrend(
+        axis=axis,
+        time=time,
+        **{name: rows[f"{name}_40"].to_numpy(dtype=np.float64) for name in ("size", "low", "high")},
+        verdicts=tuple(Kind(verdict) for verdict in rows["verdict"]),
+        repairs=tuple(np.unique(marked).tolist()),
+        state=state,
+        reason=reason,
+        growth=growth(since["_time"].to_numpy(dtype=np.float64) / DAY, size, limit, deviation, common),
+        limit=limit,
+    )
 
 
 def _state(verdicts: Sequence[Kind], reasons: Sequence[str]) -> tuple[Kind, str]:
@@ -159,10 +159,6 @@ def date_text(time: float) -> str:
     """``14 Feb 2027``."""
     day = datetime.fromtimestamp(time, UTC)
     return f"{day.day} {MONTHS[day.month - 1]} {day.year}"
-
-
-def _iso(trend: AxisTrend, days: float) -> str | None:
-    return stamp(float(trend.time[-1]) + DAY * days)[:10] if np.isfinite(days) and days < 1e5 else None
 
 
 def _finite(value: float) -> float | None:

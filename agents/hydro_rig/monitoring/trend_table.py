@@ -25,9 +25,7 @@ SIZES = ("size", "low", "high", "moving", "temperature", "size_40", "low_40", "h
 COLUMNS = ("time", "until", "axis", "file", "verdict", *SIZES, "oil", "reason", "bytes", "clock_back", "repaired")
 """Sizes with the ends of their 90 % intervals in l/min at 100 bar, as measured and at 40 °C; ``moving`` is a share;
 ``temperature`` in °C; ``bytes`` of the file: a file that has grown is read again; ``clock_back``: by how much the clock
-ran back in the row or at its begin, s."""
-
-LATER = ("clock_back", "repaired")  # columns that older tables lack
+ran back, s; ``repaired``: any mark."""
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mf4", ".mdf", ".tdms", ".mat")
 DECIMALS = 5
@@ -54,28 +52,24 @@ def files_of(places: Sequence[Path], table: Path) -> list[File]:
     for place in places:
         if not place.exists():
             raise ConfigurationError(f"{place}: does not exist")
-        inside = [place] if place.is_file() else sorted(place.rglob("*"))
-        paths = [
-            path
-            for path in inside
-            if path == place
-            or (path.is_file() and path.suffix.lower() in SUFFIXES and not _hidden(path.relative_to(place)))
-        ]
+        paths = [place] if place.is_file() else [path for path in place.rglob("*") if _recording(path, place)]
         paths = [path for path in paths if path.resolve() != table.resolve()]
         if not paths:
             raise ConfigurationError(f"{place}: holds no recording ({', '.join(SUFFIXES)})")
         for path in paths:
-            within = path.relative_to(place) if path != place else Path(path.name)
-            axis = within.parts[0] if len(within.parts) > 1 else path.resolve().parent.name
-            rest = Path(*within.parts[1:]) if len(within.parts) > 1 else within
-            axis = axis.split("=", 1)[-1] or "axis"
-            name = f"{axis}/{rest.as_posix()}"
+            folder, *rest = path.relative_to(place).parts if path != place else (path.name,)
+            if not rest:
+                folder, rest = path.resolve().parent.name, [path.name]
+            axis = folder.split("=", 1)[-1] or "axis"
+            name = "/".join([axis, *rest])
             found[name] = File(path, axis, name, path.stat().st_size)
     return [found[name] for name in sorted(found)]
 
 
-def _hidden(path: Path) -> bool:
-    return any(part.startswith((".", "_")) for part in path.parts)
+def _recording(path: Path, place: Path) -> bool:
+    """Whether a path in a folder is a recording, and not hidden."""
+    hidden = any(part.startswith((".", "_")) for part in path.relative_to(place).parts)
+    return not hidden and path.suffix.lower() in SUFFIXES and path.is_file()
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -88,10 +82,9 @@ def read_table(path: Path) -> pd.DataFrame:
         return pd.DataFrame({name: pd.Series(dtype=str if name in TEXTS else float) for name in COLUMNS})
     try:
         table = pd.read_csv(path, dtype=dict.fromkeys(TEXTS, str), keep_default_na=False, na_values=[""])
-        missing = [name for name in COLUMNS if name not in table and name not in LATER]
+        missing = [name for name in COLUMNS if name not in table]
         if missing:
             raise ConfigurationError(f"{path}: is no table of hydro trend: it has no column '{missing[0]}'")
-        table = table.assign(**{name: 0.0 if name == "clock_back" else "" for name in LATER if name not in table})
         for name in (*SIZES, "bytes", "clock_back"):
             table[name] = pd.to_numeric(table[name])
         seconds(table["time"]), seconds(table["until"])
@@ -114,14 +107,12 @@ def unread(files: Iterable[File], table: pd.DataFrame) -> list[File]:
 
 def with_rows(table: pd.DataFrame, file: File, found: Mapping[str, NDArray[Any]], oil: Oil) -> pd.DataFrame:
     """The table with the rows of a file, in place of older ones of the same file; in the order of axis and time."""
-    fresh = pd.DataFrame({name: found[name] for name in ("axis", "verdict", "reason", "clock_back", *SIZES)})
-    fresh = fresh.assign(
+    fresh = pd.DataFrame(dict(found)).assign(
         time=[stamp(value) for value in found["time"]],
         until=[stamp(value) for value in found["until"]],
         file=file.name,
         bytes=file.size,
         oil=f"{oil.at_40:g}/{oil.at_100:g}",
-        repaired="",
     )
     numbers = [*SIZES, "clock_back"]
     fresh[numbers] = fresh[numbers].astype(np.float64).round(DECIMALS)
@@ -157,26 +148,4 @@ def seconds(stamps: pd.Series) -> NDArray[np.float64]:
     """
     when = pd.to_datetime(stamps, utc=True, format="ISO8601")
     found: NDArray[np.float64] = (when - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=np.float64)
-    return found
-
-
-def repairs_of(texts: Sequence[str], axes: Sequence[str]) -> dict[str, list[float]]:
-    """Repairs by axis, s since 1970, from ``2026-10-03`` (all axes) or ``AXIS=2026-10-03``.
-
-    Raises:
-        ConfigurationError: a text is no date, or names an unknown axis.
-    """
-    found: dict[str, list[float]] = {axis: [] for axis in axes}
-    for text in texts:
-        axis, _, date = text.rpartition("=")
-        if axis and axis not in found:
-            raise ConfigurationError(f"--repaired {text}: axis '{axis}': known: {', '.join(axes[:20])}")
-        try:
-            when = float(seconds(pd.Series([date]))[0])
-        except ValueError:
-            when = np.nan
-        if not np.isfinite(when):
-            raise ConfigurationError(f"--repaired {text}: must be a date such as 2026-10-03, or AXIS=2026-10-03")
-        for name in [axis] if axis else list(found):
-            found[name].append(when)
     return found

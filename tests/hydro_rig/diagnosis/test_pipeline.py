@@ -16,8 +16,7 @@ from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis import diagnose as diagnosing
-from hydro_rig.diagnosis.companion import Companion, detector_of
-from hydro_rig.diagnosis.diagnose import diagnose
+from hydro_rig.diagnosis.diagnose import Companion, detector_of, diagnose
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind, Limits, Verdict, by_volume
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
 

@@ -29,6 +29,8 @@ def misfit(count=4):
 
 
 HEALTHY, LEAK = reading(0.01, 0.012, 0.011), reading(1.0, 1.02, 0.99)
+UNDETERMINED = reading(0.2, 0.2, cause=Cause.UNDETERMINED, why=Why.UNDETERMINED)
+GAPS = reading(0.2, cause=Cause.UNDETERMINED, why=Why.NO_COMMANDS)
 HALF_MISFIT = Reading.of([0.2, 0.2], [Cause.UNKNOWN, Cause.UNDETERMINED], why=[Why.MISFIT, Why.UNDETERMINED])
 CASES = {
     "healthy": ([], HEALTHY, None, Kind.HEALTHY, "healthy: leak past the piston 0.011 [0.001, 0.021]"),
@@ -53,7 +55,7 @@ CASES = {
     "stuck sensor, model misfits": ([STUCK], misfit(), LEAK, Kind.UNKNOWN, "check --rig; pressure_a is stuck"),
     "stuck sensor, leak undetermined": (
         [STUCK],
-        reading(0.2, cause=Cause.UNDETERMINED, why=Why.UNDETERMINED),
+        UNDETERMINED,
         LEAK,
         Kind.OTHER,
         "something else: sensor fault: pressure_a",
@@ -62,16 +64,10 @@ CASES = {
     "worn valve": ([], reading(0.01, 0.01, fault="worn edges"), None, Kind.OTHER, "something else: worn edges;"),
     "worn valve and leak": ([], reading(1.0, 1.0, fault="worn edges"), None, Kind.LEAK, "besides, worn edges"),
     "nothing read": ([], None, None, Kind.UNKNOWN, "cannot tell: the recording is shorter than one window"),
-    "standstill": (
-        [],
-        reading(0.2, cause=Cause.UNDETERMINED, why=Why.UNDETERMINED),
-        None,
-        Kind.UNKNOWN,
-        f"cannot tell: {Why.UNDETERMINED.words}",
-    ),
+    "standstill": ([], UNDETERMINED, None, Kind.UNKNOWN, f"cannot tell: {Why.UNDETERMINED.words}"),
     "gaps": (
         [],
-        reading(0.2, cause=Cause.UNDETERMINED, why=Why.NO_COMMANDS),
+        GAPS,
         None,
         Kind.UNKNOWN,
         "cannot tell: commands are missing in every window; shorter ones (--window 0.5)",
@@ -82,19 +78,13 @@ CASES = {
     "estimator leads": ([], HEALTHY, LEAK, Kind.HEALTHY, "healthy"),
     "head does not lead where the estimator could not determine the leak": (
         [],
-        reading(0.2, 0.2, cause=Cause.UNDETERMINED, why=Why.UNDETERMINED),
+        UNDETERMINED,
         LEAK,
         Kind.UNKNOWN,
         f"cannot tell: {Why.UNDETERMINED.words}",
     ),
     "head does not lead where half of the windows misfit": ([], HALF_MISFIT, LEAK, Kind.UNKNOWN, "cannot tell: "),
-    "head leads where the estimator reads nothing": (
-        [],
-        reading(0.2, cause=Cause.UNDETERMINED, why=Why.NO_COMMANDS),
-        LEAK,
-        Kind.LEAK,
-        "internal leak",
-    ),
+    "head leads where the estimator reads nothing": ([], GAPS, LEAK, Kind.LEAK, "internal leak"),
 }
 
 
@@ -109,9 +99,8 @@ def test_rule(case):
 
 
 def test_the_advice_is_not_the_option_that_was_just_used():
-    gaps = reading(0.2, cause=Cause.UNDETERMINED, why=Why.NO_COMMANDS)
-    assert "--window 0.5" in judge([], gaps, None, LIMITS, window=2.0).line()
-    assert judge([], gaps, None, LIMITS, window=0.5).line().endswith("record without gaps")
+    assert "--window 0.5" in judge([], GAPS, None, LIMITS, window=2.0).line()
+    assert judge([], GAPS, None, LIMITS, window=0.5).line().endswith("record without gaps")
 
 
 def test_limits_grow_with_the_flow_of_the_rig_and_stay_if_the_task_gives_its_own():

@@ -49,10 +49,10 @@ def test_what_does_not_grow_reaches_no_limit():
     assert found.rate.low < 0.0 < found.rate.high
     assert found.ahead.high == np.inf
     assert found.not_before > 20.0
-    falling = growth(DAYS, 0.1 * 10.0 ** (noise - DAYS / 10.0), 1.0)
+    falling = growth(DAYS, 0.1 * 10.0 ** (noise - DAYS / 10.0), 1.0, np.full(len(DAYS), 1e-3))
     assert falling.ahead.low == np.inf
     assert falling.grows < 0.01
-    above = growth(DAYS, 5.0 * 10.0 ** (noise + DAYS / 60.0), 1.0)
+    above = growth(DAYS, 5.0 * 10.0 ** (noise + DAYS / 60.0), 1.0, np.full(len(DAYS), 0.5))
     assert (above.ahead.low, above.ahead.high, above.not_before) == (0.0, 0.0, 0.0)
 
 
@@ -65,7 +65,7 @@ def test_sizes_about_zero_are_readings_too():
 
 def test_the_unit_of_time_is_the_callers():
     size = 0.02 * 10.0 ** (RATE * DAYS + np.random.default_rng(2).normal(0.0, 0.02, len(DAYS)))
-    days, hours = growth(DAYS, size, 1.0), growth(24.0 * DAYS, size, 1.0)
+    days, hours = (growth(factor * DAYS, size, 1.0, 0.05 * size) for factor in (1.0, 24.0))
     assert hours.ahead.value == pytest.approx(24.0 * days.ahead.value)
     assert hours.rate.value == pytest.approx(days.rate.value / 24.0)
 
@@ -77,4 +77,4 @@ def test_too_few_readings_give_no_trend():
         (np.zeros(20), np.ones(20)),
         (np.arange(200.0), np.full(200, np.nan)),
     ):
-        assert np.isnan(growth(time, flow, 1.0).rate.value)
+        assert np.isnan(growth(time, flow, 1.0, 0.1 * flow).rate.value)

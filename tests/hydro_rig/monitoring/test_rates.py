@@ -1,4 +1,4 @@
-"""Tails, false-alarm rates, drawn hours and Poisson intervals: known answers."""
+"""False-alarm rates, thresholds and drawn hours: known answers."""
 
 import numpy as np
 import pytest
@@ -6,62 +6,22 @@ import pytest
 from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.detector import Cause
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_env import ConfigurationError
-from hydro_rig.monitoring.alarm_calibration import (
+from hydro_rig.monitoring.alarm_job import (
     COPIES,
     SAFETY,
     Axes,
     calibrate,
-    correlation_time,
-    fit_tail,
     healthy_peaks,
     peaks,
-    poisson_interval,
     rate_per_100_h,
     scale_of,
     threshold_for,
 )
 
 
-@pytest.mark.parametrize(("count", "low", "high"), [(0, 0.0, 3.689), (1, 0.0253, 5.572), (10, 4.795, 18.39)])
-def test_poisson_interval_is_that_of_the_tables(count, low, high):
-    interval = poisson_interval(count, 2.0)
-    assert interval.value == count / 2.0
-    assert (interval.low, interval.high) == pytest.approx((low / 2.0, high / 2.0), rel=1e-3)
-
-
-def test_poisson_interval_holds_the_truth():
-    counts = np.random.default_rng(0).poisson(4.0, 2000)
-    holds = [interval.low <= 4.0 <= interval.high for interval in (poisson_interval(int(n), 1.0) for n in counts)]
-    assert 0.95 <= np.mean(holds) <= 0.99, "exact, therefore a little wide"
-
-
-def test_a_rate_needs_hours():
-    with pytest.raises(ConfigurationError, match="exposure must be positive"):
-        poisson_interval(3, 0.0)
-
-
 def test_an_excursion_has_one_peak():
     found = peaks(np.array([[0.0, 1.0, 3.0, 2.0, 0.0, 0.0, 5.0], [0.0] * 7]))
     assert [list(values) for values in found] == [[3.0, 5.0], []]
-
-
-@pytest.mark.parametrize("shape", [0.0, 0.4])
-def test_tail_finds_thresholds_beyond_the_hours(shape):
-    generator = np.random.default_rng(5)
-    uniform = 1.0 - generator.random(20_000)
-    values = -np.log(uniform) if shape == 0.0 else (uniform**-shape - 1.0) / shape
-    hours = 100.0
-    tail = fit_tail(values, hours, highest=1000)
-    wanted = 0.2  # per hour: one in a thousand
-    exact = np.log(1000.0) if shape == 0.0 else (1000.0**shape - 1.0) / shape
-    assert tail.shape == pytest.approx(shape, abs=0.1)
-    assert tail.threshold_at(wanted) == pytest.approx(exact, rel=0.2)
-
-
-def test_a_tail_needs_values():
-    with pytest.raises(ConfigurationError, match="too few for a tail"):
-        fit_tail(np.ones(3), 1.0)
 
 
 def test_interval_of_the_rate_widens_where_alarms_cluster():
@@ -148,13 +108,3 @@ def test_a_rationed_detector_answers_once_a_minute_at_rest():
     assert (at_rest.learning, at_rest.highest_baseline, at_rest.shift) == (0, 0.03, pytest.approx(0.07))
     assert in_motion.learning == 60
     assert in_motion.shift == pytest.approx(2.0, rel=0.1)
-
-
-def test_looks_that_stray_together_have_a_correlation_time():
-    generator = np.random.default_rng(7)
-    white = generator.normal(size=(40, 500))
-    slow = np.zeros_like(white)
-    for number in range(1, white.shape[1]):
-        slow[:, number] = 0.8 * slow[:, number - 1] + white[:, number]
-    assert correlation_time(white, 4.0) < 1.0
-    assert correlation_time(slow, 4.0) == pytest.approx(2.0 * 4.0 * 0.8 / 0.2, rel=0.2)  # of a first-order process

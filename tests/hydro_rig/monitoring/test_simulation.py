@@ -10,7 +10,7 @@ from hydro_agents.detection.detector import Reading
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.looks import Activity, activity_of, looks_at
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
-from hydro_rig.monitoring.alarm_simulation import Bench, Onset, Work, simulate, working_references
+from hydro_rig.monitoring.alarm_simulation import Bench, Work, simulate, working_references
 
 CONFIG = TaskConfig()
 CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)
@@ -56,26 +56,22 @@ def test_references_of_work_stay_reachable_and_continuous():
     assert jumps.max() <= largest_step + 1e-9
     assert (np.abs(rows[:, 4000:] - rows[:, :-4000]).max(axis=1) > 1e-3).all(), "every axis moves"
     np.testing.assert_array_equal(rows[2], working_references(config, seeds[2:3])[0])
-    standing = working_references(config, seeds, (60.0, Activity.STANDING))
-    np.testing.assert_array_equal(standing[:, :12_000], rows[:, :12_000])
-    assert np.ptp(standing[:, 13_000:], axis=1).max() < 1e-12
 
 
 @pytest.fixture(scope="module")
 def looks():
-    onsets = (Onset(2.0, Activity.MOVING), Onset(fault=("valve_null_shift", 0.02)), Onset(2.0, Activity.MOVING))
-    return simulate(CONFIG, CONTROLLER, MeanPressure(), replace(WORK, onsets=onsets))
+    return simulate(CONFIG, CONTROLLER, MeanPressure(), replace(WORK, leaks=(2.0, 0.01, 2.0)))
 
 
-def test_each_onset_goes_on_from_the_same_past(looks):
-    before, leak, fault, again = looks
+def test_each_leak_goes_on_from_the_same_past(looks):
+    before, leak, tight, again = looks
     np.testing.assert_allclose(before.time, np.arange(0.995, 4.0, 0.5))
     np.testing.assert_allclose(leak.time, np.arange(4.495, 7.0, 0.5))
     assert (before.true_flow_lpm <= 0.03).all()
     assert (leak.true_flow_lpm == 2.0).all()
-    np.testing.assert_array_equal(fault.true_flow_lpm[:, 0], before.true_flow_lpm[:, -1])
+    assert (tight.true_flow_lpm == 0.01).all()
     np.testing.assert_array_equal(leak.score, again.score)
-    assert (leak.score != fault.score).all()
+    assert (leak.score != tight.score).all()
 
 
 def test_looks_depend_on_the_seed_alone(looks):
@@ -112,14 +108,14 @@ def test_recorded_looks_equal_those_of_the_running_axes():
 
 
 def test_finished_looks_are_read_again_and_those_of_another_detector_are_not(tmp_path):
-    def looks(detector, *onsets):
+    def looks(detector, *leaks):
         done = []
-        bench = Bench(CONFIG, {"PID": CONTROLLER}, detector, "", tmp_path, progress=lambda *now: done.append(now[1]))
-        return bench.looks({"a": Work(1_900_000, 2, 2.0, 0.5, after=1.0, onsets=onsets)})["a"], done[0]
+        bench = Bench(CONFIG, [CONTROLLER], detector, "", tmp_path, lambda *now: done.append(now[1]))
+        return bench.looks("a", Work(1_900_000, 2, 2.0, 0.5, 1.0, leaks)), done[0]
 
-    first, reused = looks(MeanPressure(), Onset(1.0))
+    first, reused = looks(MeanPressure(), 1.0)
     assert (len(first), reused) == (2, 0)
-    again, reused = looks(MeanPressure(), Onset(1.0))
+    again, reused = looks(MeanPressure(), 1.0)
     assert reused == 1
     for one, two in zip(first, again, strict=True):
         for left, right in zip(one, two, strict=True):
@@ -127,17 +123,16 @@ def test_finished_looks_are_read_again_and_those_of_another_detector_are_not(tmp
     assert looks(MeanPressure())[1] == 0
     other = MeanPressure()
     other.window = 100
-    assert looks(other, Onset(1.0))[1] == 0
+    assert looks(other, 1.0)[1] == 0
 
 
 def test_controllers_take_turns_over_the_axes():
     slower = PID(PIDGains(proportional=10.0), CONFIG)
-    work = {"a": Work(1_900_000, 4, 2.0, 0.5), "b": Work(1_900_000, 2, 2.0, 0.5)}
-    both = Bench(CONFIG, {"PID": CONTROLLER, "slower": slower}, MeanPressure(), "").looks(work)
-    alone = Bench(CONFIG, {"slower": slower}, MeanPressure(), "").looks(work)
-    np.testing.assert_array_equal(both["a"][0].score[2:], alone["a"][0].score[2:])
-    np.testing.assert_array_equal(both["b"][0].score[1:], alone["b"][0].score[1:])
-    assert (both["a"][0].score[:2] != alone["a"][0].score[:2]).any()
+    work = Work(1_900_000, 4, 2.0, 0.5)
+    (both,) = Bench(CONFIG, [CONTROLLER, slower], MeanPressure(), "").looks("a", work)
+    (alone,) = Bench(CONFIG, [slower], MeanPressure(), "").looks("a", work)
+    np.testing.assert_array_equal(both.score[2:], alone.score[2:])
+    assert (both.score[:2] != alone.score[:2]).any()
 
 
 def test_too_short_work_and_recordings_are_refused():

@@ -15,7 +15,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.monitoring import trend_job
 from hydro_rig.monitoring.oil import Oil
-from hydro_rig.monitoring.trend import Settings, rows_of
+from hydro_rig.monitoring.trend import Settings, row_of_file
 from hydro_rig.monitoring.trend_job import Watch, watch
 from hydro_rig.monitoring.trend_summary import exit_code, trends_of
 from hydro_rig.monitoring.trend_table import COLUMNS, File, files_of, read_table, stamp, unread, with_rows, write_table
@@ -73,36 +73,20 @@ def test_a_file_becomes_one_row_with_the_leak_at_40_degrees(tmp_path):
     recorded_file(path, leakage=0.3, duration=4.0)
     rows = pd.read_csv(path, comment="#").assign(**{"oil_temperature [°C]": 55.0})
     rows.to_csv(path, index=False)
-    (row,) = rows_of(path, "press", TaskConfig(), None, Settings(OIL, (20.0, 60.0)))
+    row = row_of_file(path, "press", TaskConfig(), None, Settings(OIL, (20.0, 60.0)))
     assert stamp(row.time) == "2026-10-03T06:00:00"
     assert row.until - row.time == pytest.approx(3.995)
-    assert row.verdict is Kind.LEAK
+    assert row.verdict == Kind.LEAK
     assert row.temperature == pytest.approx(55.0)
-    assert row.leak.low < 0.3 < row.leak.high
-    assert row.at_40.value == pytest.approx(row.leak.value * float(OIL.factor(55.0)))
-
-
-def test_hours_and_axes_of_one_file_have_rows_of_their_own(tmp_path, monkeypatch):
-    seen = []
-    monkeypatch.setattr("hydro_rig.monitoring.trend.row_of", lambda axis, live, *_: seen.append((axis, live.rows)))
-    time = np.arange(0.0, 7200.0, 0.5)
-    table = pd.DataFrame({"time [s]": START - START % 3600.0 + 1800.0 + time, "command [V]": np.sin(time)})
-    table["axis"] = np.where(np.arange(len(time)) % 2, "left", "right")
-    table.to_csv(tmp_path / "a.csv", index=False)
-    list(rows_of(tmp_path / "a.csv", "x", TaskConfig(), None, Settings(OIL, (20.0, 60.0), hourly=True)))
-    assert seen == [("x", 3600), ("x", 7200), ("x", 3600)]
-    seen.clear()
-    list(rows_of(tmp_path / "a.csv", "x", TaskConfig(), None, Settings(OIL, (20.0, 60.0), axis_column="axis")))
-    assert sorted(seen) == [("left", 7200), ("right", 7200)]
-    with pytest.raises(ConfigurationError, match="no column has this heading"):
-        list(rows_of(tmp_path / "a.csv", "x", TaskConfig(), None, Settings(OIL, (20.0, 60.0), axis_column="machine")))
+    assert row.low < 0.3 < row.high
+    assert row.size_40 == pytest.approx(row.size * float(OIL.factor(55.0)))
 
 
 # The table -----------------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_appended_twice_and_a_file_that_grew_is_read_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(trend_job, "read_rows", made_up)
+    monkeypatch.setattr(trend_job, "read_row", made_up)
     folder, table = recordings(tmp_path / "data"), tmp_path / "out" / "trend.csv"
     first = watch([folder], Watch(table))
     assert (first.read, first.known, len(first.left_out)) == (20, 0, 0)
@@ -121,7 +105,7 @@ def test_nothing_is_appended_twice_and_a_file_that_grew_is_read_again(tmp_path, 
 
 
 def test_one_broken_file_of_fifty_gives_49_rows_and_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(trend_job, "read_rows", made_up)
+    monkeypatch.setattr(trend_job, "read_row", made_up)
     folder = recordings(tmp_path / "data", 25, broken=[("two", 7)])
     done = watch([folder], Watch(tmp_path / "trend.csv"))
     assert len(read_table(tmp_path / "trend.csv")) == 49
@@ -139,7 +123,7 @@ def test_an_interruption_loses_no_finished_file(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return made_up(*arguments)
 
-    monkeypatch.setattr(trend_job, "read_rows", interrupted)
+    monkeypatch.setattr(trend_job, "read_row", interrupted)
     folder = recordings(tmp_path / "data")
     with pytest.raises(KeyboardInterrupt):
         watch([folder], Watch(tmp_path / "trend.csv"))
@@ -189,8 +173,8 @@ def noisy(sizes, spread=0.02):
     return np.asarray(sizes) * 10.0 ** np.random.default_rng(5).normal(0.0, spread, len(sizes))
 
 
-def trend(table, limit=0.3, **how):
-    return trends_of(table, {"a": limit}, how.get("repairs", {}), OIL)[0]
+def trend(table, limit=0.3):
+    return trends_of(table, {"a": limit}, OIL)[0]
 
 
 def test_the_sentence_tells_date_interval_and_not_before(tmp_path):
@@ -221,7 +205,6 @@ def test_only_readings_since_the_repair_count(tmp_path):
     before, after = 0.05 * 10.0 ** (np.arange(20) / 30.0), np.full(12, 0.012)
     table = table_of(noisy([*before, *after]), tmp_path)
     day = stamp(START + 20 * DAY)
-    assert trend(table, repairs={"a": [START + 19.5 * DAY]}).growth.level.high < 0.02
     marked = table.assign(repaired=["x" if when == day else "" for when in table["time"]])
     assert trend(marked).growth.level.high < 0.02
     assert trend(marked).repairs == (START + 20 * DAY,)
@@ -253,9 +236,9 @@ def test_sizes_have_the_error_of_the_thermometer_in_common(tmp_path):
 
 
 def test_the_command_writes_table_and_page_and_ends_with_the_code(tmp_path, monkeypatch, browser):
-    monkeypatch.setattr(trend_job, "read_rows", made_up)
+    monkeypatch.setattr(trend_job, "read_row", made_up)
     folder = recordings(tmp_path / "data", 20, broken=[("one", 3)])
-    line = ("trend", folder, "--append", tmp_path / "out" / "t.csv", "--jobs", 1, "--repaired", "two=2026-09-25")
+    line = ("trend", folder, "--append", tmp_path / "out" / "t.csv", "--jobs", 1)
     answer = hydro(*line)
     assert answer.returncode == 10
     assert "left out: " in answer.stderr
@@ -265,7 +248,7 @@ def test_the_command_writes_table_and_page_and_ends_with_the_code(tmp_path, monk
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"t.csv", "t.html", "figures", ".hydro.json"}
     page = (tmp_path / "out" / "t.html").read_text(encoding="utf-8")
     assert "not before" in page
-    assert "One file was not read" in page
+    assert "Files that were not read" in page
     assert problems_everywhere(browser, tmp_path / "out" / "t.html") == []
     found = json.loads(hydro(*line, "--json").stdout)
     assert (found["exit_code"], found["files"]["known"]) == (10, 39)
@@ -278,7 +261,7 @@ def test_a_clock_that_jumped_back_between_files_is_told(tmp_path, monkeypatch):
         late = 1.5 * DAY if "03.csv" in arguments[1] else 100.0
         return {**rows, "until": rows["time"] + late}
 
-    monkeypatch.setattr(trend_job, "read_rows", long_days)
+    monkeypatch.setattr(trend_job, "read_row", long_days)
     done = watch([recordings(tmp_path / "data", axes=("one",))], Watch(tmp_path / "trend.csv"))
     assert [line.split(" begins")[0] for line in done.notes] == ["one: one/04.csv"]
     assert "a clock ran back" in done.notes[0]
@@ -287,16 +270,14 @@ def test_a_clock_that_jumped_back_between_files_is_told(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--oil", "45"), "unknown ISO VG grade"),
+        (("--oil", "45"), "--oil 45"),
         (("--temperature", "60..20"), "--temperature"),
-        (("--repaired", "yesterday"), "must be a date"),
-        (("--repaired", "three=2026-10-03"), "known: one, two"),
         (("--rig", "three=kovari_2015"), "known: one, two"),
         (("--map", "*.txt=map.yaml"), "matches none"),
     ],
 )
 def test_wrong_options_are_told_in_one_line(tmp_path, monkeypatch, options, words):
-    monkeypatch.setattr(trend_job, "read_rows", made_up)
+    monkeypatch.setattr(trend_job, "read_row", made_up)
     folder = recordings(tmp_path / "data", 1)
     assert_one_clear_line(hydro("trend", folder, "--append", tmp_path / "t.csv", "--jobs", 1, *options), words)
 
