@@ -76,7 +76,8 @@ def main() -> None:
     given = parser.parse_args()
     config = task_config(None)
     test = plan(config, LeakTestSettings.of(config, duration=given.duration))
-    print(f"{test.best.form.name}; bound {test.best.mean_bound:.2g}, worst {test.best.largest_bound:.2g} l/min at 100 bar")
+    best = test.best
+    print(f"{best.form.name}; bound {best.mean_bound:.2g}, worst {best.largest_bound:.2g} l/min at 100 bar")
     leaks: dict[int, float] = {}  # by seed; every leak has axes of its own
     for place, leak in enumerate(given.leak):
         leaks |= dict.fromkeys(LEAK_TESTS.take(given.axes, 1000 * place), leak)
