@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,17 +45,21 @@ RECORDED = {"supply.pressure": "supply_pressure", "supply.tank_pressure": "tank_
 """Unknowns that recorded pressures replace, and these pressures."""
 
 
-class Cause(IntEnum):
-    """What may explain a window; the words of all tables, pages and messages."""
+class Worded(IntEnum):
+    """A number with words."""
 
     word: str  # in tables
     in_full: str  # in a sentence
 
-    def __new__(cls, number: int, word: str, in_full: str = "") -> Cause:
-        """A cause with its words."""
-        cause = int.__new__(cls, number)
-        cause._value_, cause.word, cause.in_full = number, word, in_full or word
-        return cause
+    def __new__(cls, number: int, word: str = "", in_full: str = "") -> Self:
+        """A member with its words."""
+        member = int.__new__(cls, number)
+        member._value_, member.word, member.in_full = number, word, in_full or word
+        return member
+
+
+class Cause(Worded):
+    """What may explain a window; the words of all tables, pages and messages."""
 
     NONE = 0, "none"
     INTERNAL_LEAK = 1, "internal leak", "leak past the piston"
@@ -67,16 +71,8 @@ class Cause(IntEnum):
     UNDETERMINED = 7, "cannot tell", "the window does not determine the leak"
 
 
-class Why(IntEnum):
+class Why(Worded):
     """Why a window has no answer, and the words for it."""
-
-    words: str
-
-    def __new__(cls, number: int, words: str = "") -> Why:
-        """A reason with its words."""
-        why = int.__new__(cls, number)
-        why._value_, why.words = number, words
-        return why
 
     ANSWERED = 0
     NO_COMMANDS = 1, "commands are missing in the window"
@@ -165,11 +161,10 @@ class Windows:
 
     def unrecorded(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """The unknowns without those that pressures recorded in every window replace."""
-
-        def everywhere(signal: str) -> bool:
-            return bool(np.isfinite(self.auxiliary_signal(signal)).any(axis=1).all())
-
-        return tuple(name for name in names if name not in RECORDED or not everywhere(RECORDED[name]))
+        everywhere = {
+            name for name, signal in RECORDED.items() if np.isfinite(self.auxiliary_signal(signal)).any(axis=1).all()
+        }
+        return tuple(name for name in names if name not in everywhere)
 
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
         """Some of the windows."""
@@ -278,7 +273,7 @@ class Reading(NamedTuple):
     @property
     def remarks(self) -> list[str]:
         """The reason for no answer of each window in words; empty for an answer."""
-        return [Why(why).words for why in self.why.tolist()]
+        return [Why(why).word for why in self.why.tolist()]
 
     def followed_by(self, other: Reading) -> Reading:
         """The windows of this reading and then those of another one."""

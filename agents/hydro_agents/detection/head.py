@@ -64,13 +64,6 @@ class LeakageEstimate(NamedTuple):
     return_line: NDArray[np.float64]  # of raised tank pressure
     outside: NDArray[np.float64]  # 1: the answer does not count (unlike the training, or a stuck sensor)
 
-    @property
-    def none(self) -> NDArray[np.float64]:
-        """Probability of no fault, if the five answers are independent."""
-        probabilities = [self.probability, self.external_leak, self.valve_fault, self.sensor_fault, self.return_line]
-        result: NDArray[np.float64] = np.prod([1.0 - p for p in probabilities], axis=0)
-        return result
-
 
 BESIDE_STUCK_SENSOR = {
     "probability": 0.5,
@@ -241,12 +234,8 @@ class LeakageHead:
         batch, single = as_batch(observation)
         state = self.remember(batch, state, episode_start)
         late = state.seen - self.settings.window
-        due = (late >= 0) & (late % self.interval == 0)
-        if due.any():
-            answer = state.answer.copy()
-            answer[due] = np.column_stack(self._read(state, due))
-            state = state._replace(answer=answer)
-        return (state.answer[0] if single else state.answer), state
+        answer = self._answers(state, (late >= 0) & (late % self.interval == 0), state.answer)
+        return (answer[0] if single else answer), state._replace(answer=answer)
 
     def remember(
         self, observation: Observation, state: HeadState | None, episode_start: NDArray[np.bool_] | None = None
@@ -263,15 +252,15 @@ class LeakageHead:
 
     def estimate_remembered(self, state: HeadState) -> LeakageEstimate:
         """Estimate from the stored windows (N,); NaN for an incomplete window."""
-        full = state.seen >= self.settings.window
-        answer = np.full((len(state.seen), len(LeakageEstimate._fields)), np.nan)
-        if full.any():
-            answer[full] = np.column_stack(self._read(state, full))
-        return LeakageEstimate(*answer.T)
+        return LeakageEstimate(*self._answers(state, state.seen >= self.settings.window, np.nan).T)
 
-    def _read(self, state: HeadState, axes: NDArray[np.bool_]) -> LeakageEstimate:
-        signals = np.concatenate(state.history).reshape(self.settings.window, len(axes), len(SIGNALS))
-        return self.estimate_signals(signals[:, axes].transpose(1, 2, 0))
+    def _answers(self, state: HeadState, due: NDArray[np.bool_], other: Any) -> NDArray[np.float64]:
+        """New estimates (N, 9) of the axes that are ``due``, and the ``other`` ones."""
+        answer = np.full((len(due), len(LeakageEstimate._fields)), other, dtype=np.float64)
+        if due.any():
+            signals = np.concatenate(state.history).reshape(self.settings.window, len(due), len(SIGNALS))
+            answer[due] = np.column_stack(self.estimate_signals(signals[:, due].transpose(1, 2, 0)))
+        return answer
 
     def estimate(self, history: Observation) -> LeakageEstimate:
         """Estimate from windows of observations.
@@ -283,8 +272,7 @@ class LeakageHead:
             ConfigurationError: the history has the wrong shape, or a length that the head cannot read.
         """
         array = np.asarray(history)
-        if array.ndim == 2:
-            array = array[None]
+        array = array[None] if array.ndim == 2 else array
         if array.ndim != 3 or array.shape[2] != len(self.names):
             raise ConfigurationError(
                 f"leakage head: history has shape {np.shape(history)}: must be (N, T, {len(self.names)})"
@@ -316,18 +304,15 @@ class LeakageHead:
                 f"{self.settings.window}"
             )
         signals = signals[:, :, -self.settings.longest :]
-        parts = [
-            self._judged(np.asarray(signals[first : first + BATCH], dtype=np.float64))
-            for first in range(0, len(signals), BATCH)
-        ]
-        return LeakageEstimate(*np.concatenate(parts).T) if parts else LeakageEstimate(*np.empty((9, 0)))
-
-    def _judged(self, signals: NDArray[np.float64]) -> NDArray[np.float64]:
-        values = self.judge(features_of(signals, self.sheet))
-        stuck = stuck_sensors(signals, self.settings.task).any(axis=1)
-        for name, value in BESIDE_STUCK_SENSOR.items():
-            values[stuck, LeakageEstimate._fields.index(name)] = value
-        return values
+        answers = np.empty((len(signals), len(LeakageEstimate._fields)))
+        for first in range(0, len(signals), BATCH):
+            part = np.asarray(signals[first : first + BATCH], dtype=np.float64)
+            answer = answers[first : first + BATCH]
+            answer[:] = self.judge(features_of(part, self.sheet))
+            stuck = stuck_sensors(part, self.settings.task).any(axis=1)
+            for name, value in BESIDE_STUCK_SENSOR.items():
+                answer[stuck, LeakageEstimate._fields.index(name)] = value
+        return LeakageEstimate(*answers.T)
 
     def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
@@ -387,8 +372,7 @@ class LeakageHead:
             raise ConfigurationError(f"{path}: was trained on other signals or features than this version reads")
         if stored.longest < stored.window:
             raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")
-        bias = tensors.get("bias_0")
-        if bias is None or bias.shape != (stored.width,):  # checked before arrays of that width take memory
+        if np.shape(tensors.get("bias_0")) != (stored.width,):  # checked before arrays of that width take memory
             raise ConfigurationError(f"{path}: width = {stored.width}: its tensors belong to another network")
         like = tensors_like(stored.width, len(known))
         require(tensors, like, path)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,9 @@ HEAD_FILE = "leakage_head"
 
 OTHER_CAUSES = tuple(cause for cause in Cause if Cause.INTERNAL_LEAK < cause < Cause.UNKNOWN)
 """Causes that the head names besides a leak past the piston."""
+
+
+_OTHER_LABELS = [cause.word.replace(" ", "_") for cause in OTHER_CAUSES]
 
 
 class HeadDetector:
@@ -67,11 +69,10 @@ class HeadDetector:
             return self.head
         if self._moved is None or self._moved[0] != task:
             general = LeakageHead.load(self._elsewhere) if self._elsewhere is not None else self.head
-            if not general.for_any_axis and own.plant != task.plant:
-                raise ConfigurationError("the leakage head was trained for another rig")
             if not general.for_any_axis:
-                period = f"{1e3 * own.control_period:g} ms"
-                raise ConfigurationError(f"the leakage head was trained for a control period of {period}")
+                other = f"a control period of {1e3 * own.control_period:g} ms"
+                other = "another rig" if own.plant != task.plant else other
+                raise ConfigurationError(f"the leakage head was trained for {other}")
             self._moved = task, general.moved_to(task)
         return self._moved[1]
 
@@ -91,7 +92,8 @@ class HeadDetector:
         found = head.estimate_windows(windows.signals)
         outside = found.outside > 0.0
         stuck = outside & (found.sensor_fault == BESIDE_STUCK_SENSOR["sensor_fault"])
-        excess = _excess(found, head)
+        thresholds = logit(head.tensors["thresholds"])[[LABELS.index(name) for name in _OTHER_LABELS]]
+        excess: Any = logit(np.column_stack([getattr(found, name) for name in _OTHER_LABELS])) - thresholds
         named = np.where(excess.max(axis=1) > 0.0, np.array(OTHER_CAUSES)[excess.argmax(axis=1)], Cause.NONE)
         evidence = logit(found.probability) + _logit(self.head.settings.threshold) - _logit(head.settings.threshold)
         return Reading.of(
@@ -113,15 +115,7 @@ def _logit(probability: float) -> float:
     return float(logit(np.array([probability]))[0])
 
 
-def _excess(found: LeakageEstimate, head: LeakageHead) -> Any:
-    """Logits of the other causes above their thresholds, (N, causes)."""
-    names = [cause.word.replace(" ", "_") for cause in OTHER_CAUSES]
-    thresholds = logit(head.tensors["thresholds"])[[LABELS.index(name) for name in names]]
-    return logit(np.column_stack([getattr(found, name) for name in names])) - thresholds
-
-
-@dataclass
-class MonitorState:
+class MonitorState(NamedTuple):
     """Memory of a monitored controller: the controller's own, and the head's."""
 
     controller: Any

@@ -16,8 +16,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from hydro_agents.learning.rigs_env import RigsVecEnv
-from hydro_agents.learning.vec_env import AxisVecEnv
+from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
 from hydro_agents.running.weights import (
     Tensors,
     load_checkpoint,

@@ -214,12 +214,12 @@ def test_interrupted_training_resumes_to_the_same_head(small_head, tmp_path):
     for name, value in small_head.tensors.items():
         np.testing.assert_array_equal(resumed.tensors[name], value)
     assert resumed.settings.threshold == small_head.settings.threshold
-    with pytest.raises(ConfigurationError, match="another seed, settings or task"):
+    with pytest.raises(ConfigurationError, match="was made with other settings"):
         trained(tmp_path, SMALL.model_copy(update={"width": 16}), resume=True)
     save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored)
-    with pytest.raises(ConfigurationError, match="episodes of other controllers"):
+    with pytest.raises(ConfigurationError, match="was made with other controllers"):
         trained(tmp_path, controller=PID(PIDGains(), CONFIG), resume=True)
-    for change in ({"epoch": 99}, {"epoch": "2"}, {"windows": 5}, {"windows": {"data": [1], "validation": []}}):
+    for change in ({"epoch": 99}, {"epoch": "2"}, {"chunks": 5}, {"chunks": {"data": "x"}}):
         save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored | change)
         with pytest.raises(ConfigurationError, match="damaged: "):
             trained(tmp_path, resume=True)
@@ -228,12 +228,12 @@ def test_interrupted_training_resumes_to_the_same_head(small_head, tmp_path):
 def test_a_training_that_is_stopped_while_it_simulates_goes_on_there(small_head, tmp_path):
     _, stored = interrupted(tmp_path, lambda phase, done, total: done > total // 2)
     assert stored["epoch"] == 0
-    assert len(stored["windows"]["data"]) >= 2
+    assert stored["chunks"]["data"] >= 2
     simulated = []
     resumed = trained(tmp_path, resume=True, progress=lambda phase, done, *_: simulated.append((phase, done)))
     whole = len(Plan(CONFIG, [CONTROLLER], SMALL).chunks(SMALL.episodes))
     done = {done for phase, done in simulated if phase == "data"}  # the first is what the checkpoint holds
-    assert len(done) == 1 + whole - len(stored["windows"]["data"])
+    assert len(done) == 1 + whole - stored["chunks"]["data"]
     np.testing.assert_array_equal(resumed.tensors["weight_0"], small_head.tensors["weight_0"])
 
 

@@ -67,7 +67,7 @@ CASES = {
         reading(0.2, cause=Cause.UNDETERMINED, why=Why.UNDETERMINED),
         None,
         Kind.UNKNOWN,
-        f"cannot tell: {Why.UNDETERMINED.words}",
+        f"cannot tell: {Why.UNDETERMINED.word}",
     ),
     "gaps": (
         [],
@@ -85,7 +85,7 @@ CASES = {
         reading(0.2, 0.2, cause=Cause.UNDETERMINED, why=Why.UNDETERMINED),
         LEAK,
         Kind.UNKNOWN,
-        f"cannot tell: {Why.UNDETERMINED.words}",
+        f"cannot tell: {Why.UNDETERMINED.word}",
     ),
     "head does not lead where half of the windows misfit": ([], HALF_MISFIT, LEAK, Kind.UNKNOWN, "cannot tell: "),
     "head leads where the estimator reads nothing": (
