@@ -1,13 +1,12 @@
 """The leakage head learns, round-trips, waits for a whole window, and works under any controller."""
 
 import json
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from refusal import undigested
+from refusal import refused, undigested
 from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
@@ -31,7 +30,6 @@ from hydro_agents.evaluation.detection import area_under_roc
 from hydro_agents.running.seeds import HEAD_TRAINING, TRAINING_SEEDS
 from hydro_agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.files import validate
 
 CONFIG = TaskConfig(episode_duration=0.4)
 CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)
@@ -120,24 +118,19 @@ def test_round_trip(head, tmp_path):
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("threshold", -0.2, "threshold = -0.2: must be a number within 0 to 1"),
         ("threshold", float("nan"), "threshold = nan: must be a number within 0 to 1"),
-        ("threshold", "high", "threshold = 'high': must be a number"),
-        ("window", -3, "window = -3: must be a whole number within 50"),
         ("window", 10**30, "window: must be a whole number within 50"),
         ("longest", 60, "longest = 60: must be at least window = 80"),
         ("width", 8, "width = 8: its tensors belong to another network"),
         ("task", None, "task: is empty; must be a group of settings"),
-        ("training", None, "training: is empty; must be a group of settings"),
     ],
 )
 def test_impossible_settings_of_a_file_are_refused_with_one_line(head, tmp_path, field, value, message):
     head.save(tmp_path / "head")
     file = tmp_path / "head.json"
     file.write_text(json.dumps(undigested(file) | {field: value}))
-    with pytest.raises(ConfigurationError, match=message) as caught:
+    with refused(message):
         LeakageHead.load(tmp_path / "head")
-    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_beside_a_sensor_that_stands_still_the_answer_does_not_count(head):
@@ -238,9 +231,7 @@ def test_a_training_that_is_stopped_while_it_simulates_goes_on_there(small_head,
 
 
 def test_inputs_of_the_network_are_normalised_on_training_data():
-    began = time.monotonic()
     head = trained(settings=SMALL.model_copy(update={"epochs": 1}), seed=4)
-    assert 0.0 < head.settings.training["seconds"] <= time.monotonic() - began + 0.1
     first = HEAD_TRAINING.first + 4 * SMALL.episodes
     data = Windows.joined(list(Plan(CONFIG, [CONTROLLER], SMALL).windows(SMALL.episodes, first)))
     inputs = (data.features - head.tensors["mean"]) * head.tensors["scale"]
@@ -286,6 +277,12 @@ def test_thresholds_and_intervals_hold_what_they_say_on_validation_windows(head)
     assert 0.01 <= estimate.outside.mean() <= 0.02  # two limits of 1 % each
 
 
+def test_inputs_and_sizes_are_limited():
+    inputs = standardised(np.array([[100.0, -3.0]], dtype=np.float32), np.zeros(2), np.ones(2))
+    np.testing.assert_array_equal(inputs, [[8.0, -3.0]])
+    np.testing.assert_allclose(size_target(np.array([0.003, 0.01, 1.0])), [-2.0, -2.0, 0.0], atol=1e-6)
+
+
 def test_the_network_of_inference_is_that_of_training():
     torch.manual_seed(0)
     head = untrained_head(CONFIG)
@@ -296,15 +293,6 @@ def test_the_network_of_inference_is_that_of_training():
     with torch.no_grad():
         expected = network(torch.from_numpy(inputs)).numpy()
     np.testing.assert_allclose(head.outputs(inputs), expected, rtol=1e-4, atol=1e-5)
-
-
-def test_features_far_from_all_training_count_up_to_a_limit():
-    inputs = standardised(np.array([[100.0, -3.0]], dtype=np.float32), np.zeros(2), np.ones(2))
-    np.testing.assert_array_equal(inputs, [[8.0, -3.0]])
-
-
-def test_sizes_below_the_smallest_are_not_asked_for():
-    np.testing.assert_allclose(size_target(np.array([0.003, 0.01, 1.0])), [-2.0, -2.0, 0.0], atol=1e-6)
 
 
 def test_loss_by_hand():
@@ -325,25 +313,6 @@ def test_learning_rate_rises_and_falls():
     assert np.all(np.diff(rates[:6]) > 0)
     assert np.all(np.diff(rates[5:98]) < 0)
     assert rates[50] == pytest.approx(0.005)
-
-
-@pytest.mark.parametrize("field", ["learning_rate", "weight_decay", "size_weight", "highest_flow"])
-def test_infinite_settings_are_refused(field):
-    with pytest.raises(ConfigurationError, match=f"{field} = inf"):
-        validate(HeadTrainingSettings, {field: float("inf")}, "head.yaml")
-
-
-def test_a_state_that_was_given_is_never_changed(head):
-    state, states, answers = None, [], []
-    for row in (rows := rows_of(CONFIG.steps + 3)):
-        answer, after = head.predict(row, state, np.array([True, False]))
-        states.append(state)
-        answers.append(answer)
-        state = after
-    assert np.isnan(answers[-1][0]).all()  # its episode starts at every step
-    assert np.isfinite(answers[-1][1]).all()
-    for row, before, answer in zip(rows, states, answers, strict=True):
-        np.testing.assert_array_equal(head.predict(row, before, np.array([True, False]))[0], answer)
 
 
 def test_inference_needs_no_torch():

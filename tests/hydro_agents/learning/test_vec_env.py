@@ -215,17 +215,6 @@ def test_an_axis_and_its_twin_restart_together():
     raise AssertionError("no axis failed")
 
 
-def test_reward_scale_multiplies_and_the_return_is_the_environments():
-    plain, scaled = (make(seed=3, reward_scale=scale) for scale in (1.0, 0.25))
-    plain.reset()
-    scaled.reset()
-    for _ in range(20):
-        _, reward, _, infos = plain.step(np.ones((6, 1)))
-        _, quarter, _, others = scaled.step(np.ones((6, 1)))
-        np.testing.assert_allclose(quarter, 0.25 * reward, rtol=1e-6)
-    assert [info["episode"] for info in infos] == [info["episode"] for info in others]
-
-
 @pytest.mark.parametrize("kind", ["plain", "features", "paired"])
 def test_state_goes_back_and_into_another_adaptor(kind):
     def build(seed):
