@@ -232,7 +232,7 @@ class Reading(NamedTuple):
     low_lpm: Floats  # 90 % interval of the leak
     high_lpm: Floats
     cause: NDArray[np.int8]  # Cause that it names besides a leak past the piston; UNKNOWN, UNDETERMINED: no answer
-    fault: tuple[str, ...]  # the same in words, with sizes if it knows them; empty: none
+    fault: NDArray[np.object_]  # the same in words, with sizes if it knows them; empty: none
     why: NDArray[np.int8]  # Why there is no answer
 
     @classmethod
@@ -250,15 +250,11 @@ class Reading(NamedTuple):
         score = np.asarray(score, dtype=np.float64)
         if cause is None:
             cause = np.where(np.isnan(score), Cause.UNDETERMINED, Cause.NONE)
-        values: dict[str, Any] = {"fault": "", "why": Why.ANSWERED} | known | {"score": score, "cause": cause}
-        kinds = {"fault": object, "cause": np.int8, "why": np.int8}
-
-        def every(name: str) -> Any:
-            kind = kinds.get(name, np.float64)
-            whole = np.broadcast_to(np.asarray(values.get(name, np.nan), dtype=kind), score.shape)
-            return tuple(whole.tolist()) if kind is object else whole.copy()
-
-        return cls(*(every(name) for name in cls._fields))
+        values = dict.fromkeys(cls._fields, np.nan) | {"fault": "", "why": Why.ANSWERED} | known
+        values |= {"score": score, "cause": cause}
+        kinds: Any = {"fault": object, "cause": np.int8, "why": np.int8}
+        arrays = (np.asarray(value, dtype=kinds.get(name, np.float64)) for name, value in values.items())
+        return cls(*(np.broadcast_to(array, score.shape).copy() for array in arrays))
 
     @property
     def answers(self) -> NDArray[np.bool_]:
@@ -277,23 +273,18 @@ class Reading(NamedTuple):
 
     def followed_by(self, other: Reading) -> Reading:
         """The windows of this reading and then those of another one."""
-        both: Any = zip(self, other, strict=True)
-        parts: Any = [one + more if isinstance(one, tuple) else np.concatenate([one, more]) for one, more in both]
-        return Reading(*parts)
+        return Reading(*(np.concatenate(both) for both in zip(self, other, strict=True)))
 
     def part(self, chosen: NDArray[np.int64]) -> Reading:
         """Some of the windows."""
-        values: Any = [tuple(one[row] for row in chosen) if isinstance(one, tuple) else one[chosen] for one in self]
-        return Reading(*values)
+        return Reading(*(values[chosen] for values in self))
 
     def replaced(self, chosen: NDArray[np.int64], other: Reading) -> Reading:
         """This reading with the windows ``chosen`` as another one reads them."""
-        result: list[Any] = []
-        for values, new in zip(self, other, strict=True):
-            whole = np.array(values, dtype=object if isinstance(values, tuple) else None)
-            whole[chosen] = new
-            result.append(tuple(whole.tolist()) if isinstance(values, tuple) else whole)
-        return Reading(*result)
+        result = Reading(*(values.copy() for values in self))
+        for values, new in zip(result, other, strict=True):
+            values[chosen] = new
+        return result
 
     def among(self, chosen: NDArray[np.int64], count: int, why: Why) -> Reading:
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""

@@ -108,7 +108,7 @@ def lacks_sensors(absent: Sequence[str]) -> str:
 class HeadState(NamedTuple):
     """Memory of the head; no call changes its argument."""
 
-    history: tuple[NDArray[np.float32], ...]  # SIGNALS (N, 5), at most a window of them, newest last
+    history: tuple[NDArray[np.float32], ...]  # measured columns (N, C), at most a window of them, newest last
     seen: NDArray[np.int64]  # observations since the start of each axis's episode, (N,)
     answer: NDArray[np.float64]  # the last estimate, (N, fields of LeakageEstimate)
 
@@ -188,7 +188,8 @@ class LeakageHead:
         self.tensors = {name: np.asarray(values, dtype=np.float32) for name, values in tensors.items()}
         self.settings = settings
         self.names = settings.layout.names
-        self.rows, self.columns, scale = MeasuredColumns.of(settings.task)  # a rig may lack the spool sensor
+        self._measured = MeasuredColumns.of(settings.task)
+        self.rows, self.columns, scale = self._measured  # a rig may lack the spool sensor
         self.scale = np.ones(len(SIGNALS))
         self.scale[self.rows] = scale
         self.sheet = sheet_of(settings.task)
@@ -248,7 +249,8 @@ class LeakageHead:
         if episode_start is not None and np.any(episode_start):
             seen = np.where(episode_start, 0, seen)
             answer = np.where(np.asarray(episode_start)[:, None], np.nan, answer)
-        return HeadState((*history, self._signals(observation))[-self.settings.window :], seen + 1, answer)
+        measured = np.asarray(observation[:, self.columns], dtype=np.float32)
+        return HeadState((*history, measured)[-self.settings.window :], seen + 1, answer)
 
     def estimate_remembered(self, state: HeadState) -> LeakageEstimate:
         """Estimate from the stored windows (N,); NaN for an incomplete window."""
@@ -258,8 +260,8 @@ class LeakageHead:
         """New estimates (N, 9) of the axes that are ``due``, and the ``other`` ones."""
         answer = np.full((len(due), len(LeakageEstimate._fields)), other, dtype=np.float64)
         if due.any():
-            signals = np.concatenate(state.history).reshape(self.settings.window, len(due), len(SIGNALS))
-            answer[due] = np.column_stack(self.estimate_signals(signals[:, due].transpose(1, 2, 0)))
+            seen = np.stack(state.history)[:, due].transpose(1, 2, 0)
+            answer[due] = np.column_stack(self.estimate_windows(self._measured.si(seen)))
         return answer
 
     def estimate(self, history: Observation) -> LeakageEstimate:
@@ -277,17 +279,7 @@ class LeakageHead:
             raise ConfigurationError(
                 f"leakage head: history has shape {np.shape(history)}: must be (N, T, {len(self.names)})"
             )
-        return self.estimate_signals(self._signals(array).transpose(0, 2, 1))
-
-    def _signals(self, observed: NDArray[Any]) -> NDArray[np.float32]:
-        """SIGNALS (…, 5) in the scales of the observation (…, n); NaN: no such sensor."""
-        signals = np.full((*observed.shape[:-1], len(SIGNALS)), np.nan, dtype=np.float32)
-        signals[..., self.rows] = observed[..., self.columns]
-        return signals
-
-    def estimate_signals(self, signals: NDArray[Any]) -> LeakageEstimate:
-        """Estimate from SIGNALS, (N, 5, T), in the scales of the observation."""
-        return self.estimate_windows(np.asarray(signals, dtype=np.float64) * self.scale[:, None])
+        return self.estimate_windows(self._measured.si(array[:, :, self.columns].transpose(0, 2, 1)))
 
     def estimate_windows(self, signals: NDArray[Any]) -> LeakageEstimate:
         """Estimate from SIGNALS, (N, 5, T), in SI units; NaN where a sample is lost or a sensor absent.

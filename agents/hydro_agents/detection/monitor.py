@@ -103,10 +103,10 @@ class HeadDetector:
             flow_lpm=found.flow_lpm,
             low_lpm=found.low_lpm,
             high_lpm=found.high_lpm,
-            fault=tuple(
+            fault=[
                 " and ".join(cause.in_full for cause, above in zip(OTHER_CAUSES, row, strict=True) if above)
-                for row in (excess > 0.0).tolist()
-            ),
+                for row in excess > 0.0
+            ],
             why=np.where(outside, Why.OUTSIDE, Why.ANSWERED),
         )
 

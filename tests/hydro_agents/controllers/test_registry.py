@@ -88,9 +88,9 @@ def test_what_is_wrong_is_told_in_one_line(kind, settings, message):
 
 
 def test_an_opponent_is_named_in_the_message():
-    with pytest.raises(ConfigurationError, match="mine: 'my_controllers:Absent'"):
+    with refused("mine: 'my_controllers:Absent'"):
         opponent("my_controllers:Absent", CONFIG, "mine")
-    with pytest.raises(ConfigurationError, match=r"mine: 'ppoo': unknown"):
+    with refused("mine: 'ppoo': unknown"):
         opponent("ppoo", CONFIG, "mine")
     assert type(opponent("my_controllers:Simple", CONFIG, "mine")).__name__ == "Simple"
 

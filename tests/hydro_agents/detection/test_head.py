@@ -187,9 +187,6 @@ def test_windows_of_several_lengths_and_with_gaps_are_read(head):
     for samples in (CONFIG.steps, CONFIG.steps + 7, 2 * CONFIG.steps):
         estimate = head.estimate_windows(signals[:, :, :samples])
         assert np.isfinite(np.column_stack(estimate)).all()
-        np.testing.assert_array_equal(
-            estimate.probability, head.estimate_signals(signals[:, :, :samples] / head.scale[:, None]).probability
-        )
     longest = head.settings.longest
     long = np.tile(signals, (1, 1, -(-(longest + 5) // signals.shape[2])))
     np.testing.assert_array_equal(
