@@ -1,8 +1,8 @@
 """The leakage head: from 2 to 8 s of measured signals to leak, size, other faults, and "outside the training".
 
-It works under any operation of the axis, because it reads only measured signals; ``MonitoredController``
-(:mod:`hydro_agents.detection.monitor`) attaches it to a controller. A small network evaluates the flow balance of the
-window (:mod:`hydro_agents.detection.balance`) and statistics of its motion (:mod:`hydro_agents.detection.features`).
+It works under any operation of the axis, because it reads only measured signals: beside any controller, ``predict``
+takes the same observations. A small network evaluates the flow balance of the window
+(:mod:`hydro_agents.detection.balance`) and statistics of its motion (:mod:`hydro_agents.detection.features`).
 """
 
 from __future__ import annotations
@@ -166,20 +166,21 @@ def probabilities(
 class LeakageHead:
     """The trained network and its settings.
 
-    ``predict`` processes one step at a time, with the signature of a controller; ``estimate`` takes whole windows of
-    observations, ``estimate_windows`` those of recorded signals in SI units.
+    ``predict`` processes one step at a time, with the signature of a controller; ``estimate_windows`` takes whole
+    windows of signals in SI units.
 
     Example:
         >>> import numpy as np
+        >>> from hydro_agents.detection.detector import measured_run
         >>> from hydro_agents.detection.head import LeakageHead
         >>> from hydro_agents.learning.opponents import shipped
-        >>> from hydro_agents.running.cases import Cases, run_cases
+        >>> from hydro_agents.running.cases import Cases
         >>> from hydro_agents.running.folders import pretrained_folder
         >>> head = LeakageHead.load(pretrained_folder() / "leakage_head")
         >>> task = head.settings.task
         >>> cases = Cases(np.arange(2), np.array([0.01, 1.0]), np.full(2, "multi_sine"))
-        >>> run = run_cases(task, shipped("pid", task), cases, signal_columns=range(13))
-        >>> leak = head.estimate(run.signals.transpose(0, 2, 1))  # (axes, samples, observations)
+        >>> signals, _ = measured_run(task, shipped("pid", task), cases)
+        >>> leak = head.estimate_windows(signals)
         >>> (leak.probability > head.settings.threshold).tolist()
         [False, True]
     """
@@ -187,7 +188,6 @@ class LeakageHead:
     def __init__(self, tensors: Mapping[str, NDArray[Any]], settings: HeadSettings) -> None:
         self.tensors = {name: np.asarray(values, dtype=np.float32) for name, values in tensors.items()}
         self.settings = settings
-        self.names = settings.layout.names
         self._measured = MeasuredColumns.of(settings.task)
         self.rows, self.columns, scale = self._measured  # a rig may lack the spool sensor
         self.scale = np.ones(len(SIGNALS))
@@ -263,23 +263,6 @@ class LeakageHead:
             seen = np.stack(state.history)[:, due].transpose(1, 2, 0)
             answer[due] = np.column_stack(self.estimate_windows(self._measured.si(seen)))
         return answer
-
-    def estimate(self, history: Observation) -> LeakageEstimate:
-        """Estimate from windows of observations.
-
-        Args:
-            history: observations (N, T, n) or (T, n), oldest first.
-
-        Raises:
-            ConfigurationError: the history has the wrong shape, or a length that the head cannot read.
-        """
-        array = np.asarray(history)
-        array = array[None] if array.ndim == 2 else array
-        if array.ndim != 3 or array.shape[2] != len(self.names):
-            raise ConfigurationError(
-                f"leakage head: history has shape {np.shape(history)}: must be (N, T, {len(self.names)})"
-            )
-        return self.estimate_windows(self._measured.si(array[:, :, self.columns].transpose(0, 2, 1)))
 
     def estimate_windows(self, signals: NDArray[Any]) -> LeakageEstimate:
         """Estimate from SIGNALS, (N, 5, T), in SI units; NaN where a sample is lost or a sensor absent.

@@ -1,17 +1,16 @@
-"""The leakage head in use: as a detector of windows, attached to a controller, and loaded for a task."""
+"""The leakage head in use: as a detector of windows, and loaded for a task."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, Observation, as_batch, check_layout
+from hydro_agents.controllers.base import check_layout
 from hydro_agents.detection.detector import Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.features import LABELS
-from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, HeadState, LeakageEstimate, LeakageHead
+from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageHead
 from hydro_agents.learning.opponents import ANY_AXIS, shipped_weights
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
@@ -113,57 +112,6 @@ class HeadDetector:
 
 def _logit(probability: float) -> float:
     return float(logit(np.array([probability]))[0])
-
-
-class MonitorState(NamedTuple):
-    """Memory of a monitored controller: the controller's own, and the head's."""
-
-    controller: Any
-    head: HeadState
-
-
-class MonitoredController:
-    """Any controller with the leakage head attached; its commands are those of the controller.
-
-    ``estimate(state)`` reads the last window of observations of each axis.
-
-    Example:
-        >>> from hydro_agents.detection.monitor import MonitoredController, load_head
-        >>> from hydro_agents.learning.opponents import shipped
-        >>> from hydro_env import ServoHydraulicVectorEnv, TaskConfig
-        >>> task = TaskConfig()
-        >>> monitored = MonitoredController(shipped("pid", task), load_head(None, task))
-        >>> env, state = ServoHydraulicVectorEnv(2, task), None
-        >>> options = {"leakage_flow_lpm": [0.01, 1.0], "reference": ["multi_sine"] * 2}
-        >>> observation, _ = env.reset(seed=3, options=options)
-        >>> for _ in range(task.steps):
-        ...     command, state = monitored.predict(observation, state)
-        ...     observation, *_ = env.step(command)
-        >>> (monitored.estimate(state).flow_lpm > 0.5).tolist()
-        [False, True]
-    """
-
-    def __init__(self, controller: Controller, head: LeakageHead) -> None:
-        self.controller = controller
-        self.head = head
-
-    def predict(
-        self,
-        observation: Observation,
-        state: MonitorState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], MonitorState]:
-        """The controller's commands; the state also stores the observations for the head."""
-        batch, single = as_batch(observation)
-        inner, watching = (state.controller, state.head) if state is not None else (None, None)
-        action, inner = self.controller.predict(batch, inner, episode_start, deterministic)
-        watching = self.head.remember(batch, watching, episode_start)
-        return (action[0] if single else action), MonitorState(inner, watching)
-
-    def estimate(self, state: MonitorState) -> LeakageEstimate:
-        """Estimate on each axis (N,); NaN until a whole window is known."""
-        return self.head.estimate_remembered(state.head)
 
 
 def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:

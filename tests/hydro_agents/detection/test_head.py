@@ -24,7 +24,6 @@ from hydro_agents.detection.head_training import (
     train_head,
 )
 from hydro_agents.detection.intervals import quantiles
-from hydro_agents.detection.monitor import MonitoredController
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.detection import area_under_roc
 from hydro_agents.running.seeds import HEAD_TRAINING, TRAINING_SEEDS
@@ -57,8 +56,11 @@ def rows_of(count, axes=2, seed=0):
 
 def signals_of(head, count, axes=2):
     """The signals of such observations, (axes, 5, count), SI."""
-    rows = rows_of(count, axes).transpose(1, 2, 0)
-    return rows[:, head.columns].astype(np.float64) * head.scale[:, None]
+    return measured(head, rows_of(count, axes))
+
+
+def measured(head, rows):
+    return rows.transpose(1, 2, 0)[:, head.columns].astype(np.float64) * head.scale[:, None]
 
 
 def trained(folder=None, settings=SMALL, controller=CONTROLLER, **options):
@@ -97,14 +99,12 @@ def test_learns_to_tell_leaks(head):
 def test_round_trip(head, tmp_path):
     head.save(tmp_path / "head")
     again = LeakageHead.load(tmp_path / "head.json")
-    history = rows_of(CONFIG.steps, 5).transpose(1, 0, 2)
-    for a, b in zip(head.estimate(history), again.estimate(history), strict=True):
+    signals = signals_of(head, CONFIG.steps, 5)
+    for a, b in zip(head.estimate_windows(signals), again.estimate_windows(signals), strict=True):
         np.testing.assert_array_equal(a, b)
     assert again.settings.threshold == head.settings.threshold
-    with pytest.raises(ConfigurationError, match=r"history has shape \(3, 3\)"):
-        head.estimate(np.zeros((3, 3)))
     with pytest.raises(ConfigurationError, match=r"T\) with T of at least 80"):
-        head.estimate(history[:, :79])
+        head.estimate_windows(signals[:, :, :79])
     stored = undigested(tmp_path / "head.json")
     (tmp_path / "head.json").write_text(json.dumps(stored | {"signals": ["flow"]}))
     with pytest.raises(ConfigurationError, match="other signals or features than"):
@@ -144,27 +144,6 @@ def test_beside_a_sensor_that_stands_still_the_answer_does_not_count(head):
     np.testing.assert_array_equal(stuck.outside[[0, 2]], working.outside[[0, 2]])
 
 
-def test_monitor_acts_as_its_controller_and_waits_for_a_window(head):
-    env = ServoHydraulicVectorEnv(3, CONFIG, autoreset_mode="SameStep")
-    observation, _ = env.reset(seed=0)
-    monitored = MonitoredController(CONTROLLER, head)
-    memory, plain, rows = None, None, []
-    for step in range(CONFIG.steps):
-        rows.append(observation)
-        action, memory = monitored.predict(observation, memory)
-        expected, plain = CONTROLLER.predict(observation, plain)
-        np.testing.assert_array_equal(action, expected)
-        if step < CONFIG.steps - 1:
-            assert np.isnan(monitored.estimate(memory).probability).all()
-            observation, *_ = env.step(action)
-    found = monitored.estimate(memory)
-    expected = head.estimate(np.stack(rows, axis=1))
-    np.testing.assert_allclose(found.probability, expected.probability, rtol=1e-5)
-    assert ((found.probability > 0) & (found.probability < 1)).all()
-    _, memory = monitored.predict(observation, memory, np.array([True, False, False]))
-    assert np.isnan(monitored.estimate(memory).probability).tolist() == [True, False, False]
-
-
 def test_predict_watches_with_the_signature_of_a_controller(head):
     rows = rows_of(CONFIG.steps + head.interval)
     state, alone = None, None
@@ -178,8 +157,11 @@ def test_predict_watches_with_the_signature_of_a_controller(head):
             np.testing.assert_array_equal(found, first)  # it reads again when the interval has passed
     assert found.shape == (2, len(LeakageEstimate._fields))
     np.testing.assert_allclose(single, found[1], rtol=1e-4)
-    window = rows[head.interval :].transpose(1, 0, 2)
-    np.testing.assert_allclose(found, np.column_stack(head.estimate(window)), rtol=1e-4)
+    whole = head.estimate_windows(measured(head, rows[head.interval :]))
+    np.testing.assert_allclose(found, np.column_stack(whole), rtol=1e-4)
+    np.testing.assert_array_equal(found, np.column_stack(head.estimate_remembered(state)))
+    anew, state = head.predict(row, state, np.array([True, False]))
+    assert np.isnan(anew).all(axis=1).tolist() == [True, False]
 
 
 def test_windows_of_several_lengths_and_with_gaps_are_read(head):
