@@ -180,7 +180,7 @@ def train_policy(
     progress: Callable[[Progress], None] | None = None,
     checkpoint_seconds: float = 20.0,
 ) -> PolicyController:
-    """Train a new policy, or continue from a checkpoint; PPO continues as if there had been no interruption.
+    """Train a new policy; PPO continues from a checkpoint as if there had been no interruption, SAC and TQC begin anew.
 
     Args:
         config: the task.
@@ -203,7 +203,7 @@ def train_policy(
         raise ConfigurationError("resume: a folder with a checkpoint is needed")
     torch.set_num_threads(settings.torch_threads)
     features = make_features(config, settings, base)
-    file = None if folder is None else _checkpoint_file(Path(folder), config, settings, features, seed)
+    file = _checkpoint_file(folder, config, settings, features, seed)
     checkpoint = file.read() if file is not None and resume else None
     if file is not None and not resume:
         file.path.unlink(missing_ok=True)
@@ -217,8 +217,6 @@ def train_policy(
         if checkpoint is not None and file is not None:
             restore(model, env, checkpoint, file.path)
         if done < settings.total_steps:
-            if isinstance(settings, SACSettings):
-                model.learning_starts += done  # a resumed training fills a new buffer first
             # The callback writes the log after the update.
             model.learn(settings.total_steps - done, callback, log_interval=10**9, reset_num_timesteps=False)
     except KeyboardInterrupt:
@@ -240,16 +238,17 @@ def train_policy(
 
 
 def _checkpoint_file(
-    folder: Path, config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int
-) -> CheckpointFile:
+    folder: str | Path | None, config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int
+) -> CheckpointFile | None:
+    if folder is None or not isinstance(settings, PPOSettings):
+        return None
     made_with = {
         "seed": seed,
         "settings": {**settings.model_dump(mode="json"), "total_steps": 0},  # a resumed training may be longer
         "task": config.model_dump(mode="json"),
         "features": features.describe(),
     }
-    kind = "training checkpoint" if isinstance(settings, PPOSettings) else f"{settings.algorithm} checkpoint"
-    return CheckpointFile(folder / CHECKPOINT_FILE, kind, made_with)
+    return CheckpointFile(Path(folder) / CHECKPOINT_FILE, "training checkpoint", made_with)
 
 
 class TrainingCallback(BaseCallback):
@@ -385,7 +384,5 @@ class TrainingCallback(BaseCallback):
     def write_checkpoint(self) -> None:
         """Write the state at the start of the present rollout, or of the next rollout if none is in progress."""
         if self._file is not None and self._checkpoint is not None:
-            if isinstance(self._settings, SACSettings):
-                self._checkpoint = take(self.model, self._env, self.seconds)
             self._file.write(self._checkpoint)
             self._written = time.monotonic()
