@@ -273,15 +273,18 @@ class Reading(NamedTuple):
 
     def followed_by(self, other: Reading) -> Reading:
         """The windows of this reading and then those of another one."""
-        return Reading(*(np.concatenate(both) for both in zip(self, other, strict=True)))
+        both: Any = (np.concatenate(pair) for pair in zip(self, other, strict=True))
+        return Reading(*both)
 
     def part(self, chosen: NDArray[np.int64]) -> Reading:
         """Some of the windows."""
-        return Reading(*(values[chosen] for values in self))
+        some: Any = (values[chosen] for values in self)
+        return Reading(*some)
 
     def replaced(self, chosen: NDArray[np.int64], other: Reading) -> Reading:
         """This reading with the windows ``chosen`` as another one reads them."""
-        result = Reading(*(values.copy() for values in self))
+        copies: Any = (values.copy() for values in self)
+        result = Reading(*copies)
         for values, new in zip(result, other, strict=True):
             values[chosen] = new
         return result

@@ -347,7 +347,7 @@ class LeakageHead:
             raise ConfigurationError(f"{path}: was trained on other signals or features than this version reads")
         if stored.longest < stored.window:
             raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")
-        if np.shape(tensors.get("bias_0")) != (stored.width,):  # checked before arrays of that width take memory
+        if np.shape(tensors.get("bias_0", 0.0)) != (stored.width,):  # checked before arrays of that width take memory
             raise ConfigurationError(f"{path}: width = {stored.width}: its tensors belong to another network")
         like = tensors_like(stored.width, len(known))
         require(tensors, like, path)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.detector import Detector, Reading, Windows
+from hydro_agents.detection.detector import Cause, Detector, Reading, Windows
 from hydro_agents.detection.features import SIGNALS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.types import Floats
@@ -40,6 +40,11 @@ class Looks(NamedTuple):
     cause: NDArray[np.int8]  # (N, L)
     activity: NDArray[np.int8]  # (N, L)
     true_flow_lpm: Floats  # (N, L), l/min at 100 bar, at the end of each window; NaN in a recording
+
+    @property
+    def answers(self) -> NDArray[np.bool_]:
+        """Looks with an answer, (N, L)."""
+        return np.asarray(np.isfinite(self.score) & (self.cause < Cause.UNKNOWN))
 
     def reading(self, number: int) -> Reading:
         """Reading of one look, each array (N,)."""

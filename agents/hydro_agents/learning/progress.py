@@ -72,7 +72,7 @@ def read_progress(path: str | Path, steps: float = math.inf) -> list[Row]:
     """
     try:
         table = pd.read_csv(path, index_col=False, dtype=str).astype(float)
-        rows: list[Row] = table[table[STEPS] <= steps].to_dict("records")  # type: ignore[assignment]
+        rows: list[Row] = table[table[STEPS] <= steps].to_dict("records")
     except pd.errors.EmptyDataError:
         return []
     except (OSError, ValueError, KeyError) as error:
