@@ -147,25 +147,6 @@ def test_a_cause_needs_a_share_of_the_last_looks():
     assert (unread.cause == Cause.NONE).all(), "a look that nobody read names nothing"
 
 
-def test_streaming_and_offline_agree_bit_for_bit():
-    watch, generator = alarm(threshold=2.0), np.random.default_rng(3)
-    shape = (7, 60)
-    history = looks(
-        generator.normal(-0.3, 1.0, shape),
-        cause=generator.choice([Cause.NONE] * 3 + [Cause.UNKNOWN], shape),
-        activity=generator.integers(0, 3, shape),
-    )
-    offline, end = watch.follow(history)
-    state = watch.begin(7)
-    for number in range(60):
-        now, state = watch.update(history.reading(number), history.activity[:, number], state)
-        for streamed, followed in zip(now, offline, strict=True):
-            np.testing.assert_array_equal(streamed, followed[:, number])
-    for streamed, followed in zip(state, end, strict=True):
-        np.testing.assert_array_equal(streamed, followed)
-    assert 0 < end.alarm.sum() < 7
-
-
 def test_settings_round_trip_and_bad_ones_are_refused(tmp_path):
     settings = alarm().settings
     settings.save(tmp_path / "alarm.yaml")

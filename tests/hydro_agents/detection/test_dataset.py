@@ -6,7 +6,7 @@ import pytest
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Plan, Windows, draw_faults
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
-from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation, slow
+from hydro_agents.detection.operations import OPERATIONS, slow
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.seeds import TRAINING_SEEDS
@@ -100,24 +100,6 @@ def test_with_a_law_the_chunks_take_its_rigs_in_turn_and_leaks_are_in_their_unit
     found = 0.02 * np.sinh(data.features[leaking, FEATURES.index("small internal leak")])
     assert leak_scale(large) > 3.0
     assert 0.4 < np.median(found / data.size[leaking]) < 1.6
-
-
-@pytest.mark.parametrize("name", MANNERS)
-def test_manners_operate_axes_within_the_range_of_commands(name):
-    env = ServoHydraulicVectorEnv(4, CONFIG)
-    observation, _ = env.reset(seed=0)
-    operation, state, commands = Operation(MANNERS[name], CONFIG, 4, seed=0), None, []
-    for _ in range(40):
-        action, state = operation.predict(observation, state)
-        commands.append(action)
-        observation, *_ = env.step(action)
-    commands = np.array(commands)
-    assert commands.shape == (40, 4, 1)
-    assert np.abs(commands).max() <= 1.0
-    again = Operation(MANNERS[name], CONFIG, 4, seed=0)
-    np.testing.assert_array_equal(again.gain, operation.gain)
-    if name in ("chattering", "dithering", "open loop"):
-        assert np.ptp(commands[:, 0]) > 1e-3
 
 
 def test_slow_and_still_references():

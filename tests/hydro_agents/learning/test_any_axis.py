@@ -4,6 +4,7 @@ from copy import copy
 
 import numpy as np
 import pytest
+from driven import commands
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
@@ -51,17 +52,6 @@ def policy(tmp_path_factory):
     trained = train_policy(TASK, SETTINGS, untuned(TASK), seed=1, folder=folder)
     trained.save(folder / "policy")
     return folder, trained
-
-
-def commands(controller, task, count=4, steps=30):
-    env = ServoHydraulicVectorEnv(count, task, info=False)
-    observation, _ = env.reset(seed=3)
-    memory, given = None, []
-    for step in range(steps):
-        action, memory = controller.predict(observation, memory, np.full(count, step == 0))
-        given.append(action)
-        observation, *_ = env.step(action)
-    return np.array(given)
 
 
 def test_inputs_have_the_same_number_on_every_rig():
