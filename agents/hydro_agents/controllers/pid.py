@@ -18,7 +18,17 @@ NOISES = 2.0
 
 
 class PIDGains(Group):
-    """Gains of :class:`PID`; the command is a fraction of 10 V, lengths are in m, times in s."""
+    """Gains of :class:`PID`; the command is a fraction of 10 V, lengths are in m, times in s.
+
+    Example:
+        >>> from hydro_agents.controllers import PIDGains
+        >>> PIDGains(proportional=25.0).integral
+        40.0
+        >>> PIDGains(proportional=-1.0)
+        Traceback (most recent call last):
+            ...
+        hydro_env.errors.ConfigurationError: PIDGains: proportional = -1.0: must be a number within 0 to 10000 ...
+    """
 
     proportional: float = gain(20.0, (2.0, 2000.0), "1/m", "on the error", high=1e4, logarithmic=True)
     integral: float = gain(40.0, (1.0, 1e5), "1/(m s)", "on the integral of the error", high=1e5, logarithmic=True)
