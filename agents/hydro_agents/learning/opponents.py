@@ -37,6 +37,13 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
 
     Raises:
         ConfigurationError: the kind is not shipped.
+
+    Example:
+        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_env import TaskConfig
+        >>> pid, policy = (shipped(kind, TaskConfig()) for kind in ("pid", "ppo"))
+        >>> type(pid).__name__, type(policy).__name__
+        ('PID', 'PolicyController')
     """
     if kind in SHIPPED_WEIGHTS:
         return on_rig(TRAINERS[kind].load(shipped_weights(SHIPPED_WEIGHTS[kind], config)), config)
