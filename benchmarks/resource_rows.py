@@ -14,7 +14,6 @@ import numpy as np
 
 from benchmarks.table import Case, Extent, Row, fresh_process, one_row
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.monitor import MonitoredController
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ENVIRONMENT_ID, ServoHydraulicVectorEnv
@@ -81,12 +80,19 @@ def inference_cases(extent: Extent) -> list[Case]:
     """Time from observation to command on one axis, with and without the leakage head."""
     policy = PolicyController.load(pretrained_folder() / "policy")
     head = LeakageHead.load(pretrained_folder() / "leakage_head")
-    monitored = MonitoredController(policy, head)
     env = gym.make(ENVIRONMENT_ID)
     env.reset(seed=0)
     observations = [env.step(np.zeros(1, dtype=np.float32))[0] for _ in range(256)]
     period = 1e3 * policy.features.layout.control_period
     env.close()
+
+    class Watched:
+        """The policy, with the head beside it."""
+
+        def predict(self, observation: Any, memory: Any) -> tuple[Any, Any]:
+            acting, watching = memory or (None, None)
+            command, acting = policy.predict(observation, acting)
+            return command, (acting, head.remember(observation[None], watching))
 
     def case(name: str, controller: Any, after: Callable[[Any], Any], calls: int) -> Case:
         def measure(run: int) -> Sequence[float]:
@@ -107,5 +113,7 @@ def inference_cases(extent: Extent) -> list[Case]:
 
     return [
         case("policy", policy, lambda memory: None, extent.calls),
-        case("policy and leakage head", monitored, monitored.estimate, extent.calls // 10),
+        case(
+            "policy and leakage head", Watched(), lambda memory: head.estimate_remembered(memory[1]), extent.calls // 10
+        ),
     ]

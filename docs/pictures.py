@@ -18,13 +18,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
-from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.report.canvas import GREY, WIDE, WIDTH, bars, dodge, level_axis, render, row_axis, ticks
 from hydro_agents.report.content import intervals
 from hydro_agents.report.palette import looks_of
 from hydro_agents.report.training_plots import learning_plots
-from hydro_agents.running.folders import config_folder
 from hydro_agents.study.over_seeds import relative
 from hydro_env import TaskConfig
 from hydro_env.canvas import PAPER
@@ -70,7 +68,7 @@ def results(tables: Path) -> None:
 def axis() -> None:
     """The drawing of the axis in the middle of a move with a leak."""
     env = gym.make("ServoHydraulic-v0", render_mode="rgb_array")
-    pid = PID(PIDGains.from_yaml(config_folder() / "agents" / "pid.yaml"), TaskConfig())
+    pid = shipped("pid", TaskConfig())
     observation, _ = env.reset(seed=3, options={"leakage_flow_lpm": 1.0, "reference": "point_to_point"})
     memory = None
     for _ in range(230):

@@ -90,11 +90,6 @@ class ObservationLayout:
         names, _, scale, _ = observation_layout(config)
         return cls(tuple(names), tuple(float(value) for value in scale), config.control_period)
 
-    def describe(self) -> dict[str, Any]:
-        """All data to build this object again (JSON)."""
-        scale = {"observation_scale": list(self.scale), "control_period": self.control_period}
-        return {"observation_names": list(self.names), **scale}
-
     def index(self, name: str) -> int:
         """Column of a signal.
 

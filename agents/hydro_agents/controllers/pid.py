@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from pydantic import Field
 
 from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch, gain, restarted
 from hydro_env import TaskConfig
-from hydro_env.files import Group, read_yaml, validate, write_yaml
+from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
 
 NOISES = 2.0
@@ -48,19 +47,6 @@ class PIDGains(Group):
     lead_in_integral: bool = Field(
         True, description="whether the integral uses the error with the lead, as in 0.1; without it, no bias"
     )
-
-    @classmethod
-    def from_yaml(cls, path: str | Path) -> PIDGains:
-        """Read gains from YAML.
-
-        Raises:
-            ConfigurationError: unreadable file, unknown key or impossible value.
-        """
-        return validate(cls, read_yaml(path), str(path))
-
-    def to_yaml(self, path: str | Path) -> None:
-        """Write the gains as YAML."""
-        write_yaml(path, self.model_dump())
 
 
 class PIDState(NamedTuple):

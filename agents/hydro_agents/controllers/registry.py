@@ -102,20 +102,18 @@ def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] |
         >>> make_controller("pid", TaskConfig(), {"proportional": 25.0}).gains.proportional
         25.0
     """
-    make: Any
-    if ":" in kind:
-        make = imported(kind)
-        if not isinstance(make, type) and hasattr(make, "predict"):
-            if settings:
-                raise ConfigurationError(f"'{kind}': is already a controller and takes no settings")
-            return make  # type: ignore[no-any-return]
-        if not callable(make):
-            raise ConfigurationError(f"'{kind}': needs a method predict, or must be a class or function that makes one")
-    elif kind in CONTROLLERS:
+    if kind in CONTROLLERS:
         controller, gains = CONTROLLERS[kind]
         return controller(validate(gains, settings or {}, kind), config)
-    else:
+    if ":" not in kind:
         raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}, or 'module:attribute'")
+    make: Any = imported(kind)
+    if not isinstance(make, type) and hasattr(make, "predict"):
+        if settings:
+            raise ConfigurationError(f"'{kind}': is already a controller and takes no settings")
+        return make  # type: ignore[no-any-return]
+    if not callable(make):
+        raise ConfigurationError(f"'{kind}': needs a method predict, or must be a class or function that makes one")
     try:
         task = (config,) if inspect.signature(make).parameters else ()
         return make(*task, **(settings or {}))  # type: ignore[no-any-return]

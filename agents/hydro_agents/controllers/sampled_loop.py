@@ -113,17 +113,6 @@ class SampledLoop:
         closed = opened / (1.0 + opened)
         return np.asarray(closed, dtype=np.complex128)
 
-    def step_response(self, gain: float, periods: int) -> Floats:
-        """Position after a unit step of the reference, at each sampling instant, shape (periods + 1,), m per m."""
-        n = len(self.input_new)
-        state, command, out = np.zeros(n), 0.0, np.zeros(periods + 1)
-        for period in range(periods):
-            new = gain * (1.0 - self.position_size * state[0])
-            state = self.transition @ state + self.input_old * command + self.input_new * new
-            command = new
-            out[period + 1] = self.position_size * state[0]
-        return out
-
     def final_value(self, gain: float) -> float:
         """Final position of a stable closed loop in m per m of reference; below 1 with a leak."""
         matrix, n = self.closed(gain), len(self.input_new)
@@ -179,18 +168,6 @@ def places_in_reach(parameters: PlantParameters) -> list[float]:
     """Positions in m at which a loop is examined, evenly over 0.9 of the reachable range, ends included."""
     low, high = (REACH_SHARE * float(end) for end in reachable_range(parameters))
     return [low + part * (high - low) / (PLACES - 1) for part in range(PLACES)]
-
-
-def speed_per_command(parameters: PlantParameters, position: float = 0.0) -> float:
-    """Steady speed in m/s per command (1 = 10 V) of small motions about rest at a position (m).
-
-    Supply pressure and position are held constant: the force of a spring does not change. Multiplied by the gain of
-    the loop it is the velocity gain K_v in 1/s (Merritt 1967).
-    """
-    plant = linearise(parameters.replace(friction={"model": "none"}), position=position)
-    names = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity", "coil_current")
-    rows = [STATE_NAMES.index(name) for name in names]
-    return float(np.linalg.solve(plant.a[np.ix_(rows, rows)], -FULL_VOLTAGE * plant.b[rows])[0])
 
 
 def zero_order_hold(a: Floats, b: Floats, duration: float) -> tuple[Floats, Floats]:

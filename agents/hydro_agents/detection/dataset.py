@@ -110,25 +110,20 @@ class Plan:
             return (self.config,)
         return rig_tasks(task_config(self.config, law=law.model_dump() | {"split": self.split, "preview_paces": ()}))
 
-    def _acting(self, number: int, config: TaskConfig) -> Controller:
-        """One of the controllers."""
-        return self.controllers[number] if self.settings.law is None else shipped(ANY_AXIS[number], config)
-
     def chunks(self, episodes: int) -> list[Chunk]:
         """Groups of runs that are simulated together."""
         parts = []
         total = sum(row.share for row in OPERATIONS)
-        settings = self.settings
+        settings, one_rig = self.settings, self.settings.law is None
         changing, orifice, disturbed = 0.5 * settings.changing_share, settings.orifice_share, settings.disturbed_share
         constant = 1.0 - 2.0 * changing - orifice - disturbed
         shares = [*zip(LEAKS, (constant, changing, changing, orifice), repeat(False)), ("constant", disturbed, True)]
         for number, row in enumerate(OPERATIONS):
-            controllers = self.controllers if settings.law is None else ANY_AXIS
-            acting = range(len(controllers)) if row.manner is None else [-1]
+            acting = range(len(self.controllers if one_rig else ANY_AXIS)) if row.manner is None else [-1]
             for controller in acting:
                 for leak, share, moves in shares:
                     count = round(episodes * share * row.share / total / len(acting))
-                    most = CHUNK if settings.law is None else CHUNK_OF_RIG
+                    most = CHUNK if one_rig else CHUNK_OF_RIG
                     most = min(most, CHUNK // 4) if leak in CHANGING else most  # more lengths of windows
                     pieces = -(-count // most)
                     sizes = [count * (p + 1) // pieces - count * p // pieces for p in range(pieces)]
@@ -178,11 +173,13 @@ class Plan:
         faults[EXTERNAL] = np.minimum(scale * faults[EXTERNAL], fault_limits(EXTERNAL)[1])
         labels[:, 0] = leaks > config.leakage.class_bounds[0]
         measured = MeasuredColumns.of(task)
-        acting: Any = (
-            Operation(row.manner, task, count, int(seeds[0]))
-            if row.manner is not None
-            else self._acting(chunk.controller, task)
-        )
+        acting: Any
+        if row.manner is not None:
+            acting = Operation(row.manner, task, count, int(seeds[0]))
+        elif settings.law is not None:
+            acting = shipped(ANY_AXIS[chunk.controller], task)
+        else:
+            acting = self.controllers[chunk.controller]
         moves = None
         if chunk.disturbed:
             kinds = generator.choice(list(DISTURBANCES), count)

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,17 +45,21 @@ RECORDED = {"supply.pressure": "supply_pressure", "supply.tank_pressure": "tank_
 """Unknowns that recorded pressures replace, and these pressures."""
 
 
-class Cause(IntEnum):
-    """What may explain a window; the words of all tables, pages and messages."""
+class Worded(IntEnum):
+    """A number with words."""
 
     word: str  # in tables
     in_full: str  # in a sentence
 
-    def __new__(cls, number: int, word: str, in_full: str = "") -> Cause:
-        """A cause with its words."""
-        cause = int.__new__(cls, number)
-        cause._value_, cause.word, cause.in_full = number, word, in_full or word
-        return cause
+    def __new__(cls, number: int, word: str = "", in_full: str = "") -> Self:
+        """A member with its words."""
+        member = int.__new__(cls, number)
+        member._value_, member.word, member.in_full = number, word, in_full or word
+        return member
+
+
+class Cause(Worded):
+    """What may explain a window; the words of all tables, pages and messages."""
 
     NONE = 0, "none"
     INTERNAL_LEAK = 1, "internal leak", "leak past the piston"
@@ -67,16 +71,8 @@ class Cause(IntEnum):
     UNDETERMINED = 7, "cannot tell", "the window does not determine the leak"
 
 
-class Why(IntEnum):
+class Why(Worded):
     """Why a window has no answer, and the words for it."""
-
-    words: str
-
-    def __new__(cls, number: int, words: str = "") -> Why:
-        """A reason with its words."""
-        why = int.__new__(cls, number)
-        why._value_, why.words = number, words
-        return why
 
     ANSWERED = 0
     NO_COMMANDS = 1, "commands are missing in the window"
@@ -165,11 +161,10 @@ class Windows:
 
     def unrecorded(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """The unknowns without those that pressures recorded in every window replace."""
-
-        def everywhere(signal: str) -> bool:
-            return bool(np.isfinite(self.auxiliary_signal(signal)).any(axis=1).all())
-
-        return tuple(name for name in names if name not in RECORDED or not everywhere(RECORDED[name]))
+        everywhere = {
+            name for name, signal in RECORDED.items() if np.isfinite(self.auxiliary_signal(signal)).any(axis=1).all()
+        }
+        return tuple(name for name in names if name not in everywhere)
 
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
         """Some of the windows."""
@@ -237,7 +232,7 @@ class Reading(NamedTuple):
     low_lpm: Floats  # 90 % interval of the leak
     high_lpm: Floats
     cause: NDArray[np.int8]  # Cause that it names besides a leak past the piston; UNKNOWN, UNDETERMINED: no answer
-    fault: tuple[str, ...]  # the same in words, with sizes if it knows them; empty: none
+    fault: NDArray[np.object_]  # the same in words, with sizes if it knows them; empty: none
     why: NDArray[np.int8]  # Why there is no answer
 
     @classmethod
@@ -255,15 +250,11 @@ class Reading(NamedTuple):
         score = np.asarray(score, dtype=np.float64)
         if cause is None:
             cause = np.where(np.isnan(score), Cause.UNDETERMINED, Cause.NONE)
-        values: dict[str, Any] = {"fault": "", "why": Why.ANSWERED} | known | {"score": score, "cause": cause}
-        kinds = {"fault": object, "cause": np.int8, "why": np.int8}
-
-        def every(name: str) -> Any:
-            kind = kinds.get(name, np.float64)
-            whole = np.broadcast_to(np.asarray(values.get(name, np.nan), dtype=kind), score.shape)
-            return tuple(whole.tolist()) if kind is object else whole.copy()
-
-        return cls(*(every(name) for name in cls._fields))
+        values = dict.fromkeys(cls._fields, np.nan) | {"fault": "", "why": Why.ANSWERED} | known
+        values |= {"score": score, "cause": cause}
+        kinds: Any = {"fault": object, "cause": np.int8, "why": np.int8}
+        arrays = (np.asarray(value, dtype=kinds.get(name, np.float64)) for name, value in values.items())
+        return cls(*(np.broadcast_to(array, score.shape).copy() for array in arrays))
 
     @property
     def answers(self) -> NDArray[np.bool_]:
@@ -278,27 +269,25 @@ class Reading(NamedTuple):
     @property
     def remarks(self) -> list[str]:
         """The reason for no answer of each window in words; empty for an answer."""
-        return [Why(why).words for why in self.why.tolist()]
+        return [Why(why).word for why in self.why.tolist()]
 
     def followed_by(self, other: Reading) -> Reading:
         """The windows of this reading and then those of another one."""
-        both: Any = zip(self, other, strict=True)
-        parts: Any = [one + more if isinstance(one, tuple) else np.concatenate([one, more]) for one, more in both]
-        return Reading(*parts)
+        both: Any = (np.concatenate(pair) for pair in zip(self, other, strict=True))
+        return Reading(*both)
 
     def part(self, chosen: NDArray[np.int64]) -> Reading:
         """Some of the windows."""
-        values: Any = [tuple(one[row] for row in chosen) if isinstance(one, tuple) else one[chosen] for one in self]
-        return Reading(*values)
+        some: Any = (values[chosen] for values in self)
+        return Reading(*some)
 
     def replaced(self, chosen: NDArray[np.int64], other: Reading) -> Reading:
         """This reading with the windows ``chosen`` as another one reads them."""
-        result: list[Any] = []
-        for values, new in zip(self, other, strict=True):
-            whole = np.array(values, dtype=object if isinstance(values, tuple) else None)
-            whole[chosen] = new
-            result.append(tuple(whole.tolist()) if isinstance(values, tuple) else whole)
-        return Reading(*result)
+        copies: Any = (values.copy() for values in self)
+        result = Reading(*copies)
+        for values, new in zip(result, other, strict=True):
+            values[chosen] = new
+        return result
 
     def among(self, chosen: NDArray[np.int64], count: int, why: Why) -> Reading:
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""

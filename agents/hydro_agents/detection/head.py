@@ -1,8 +1,8 @@
 """The leakage head: from 2 to 8 s of measured signals to leak, size, other faults, and "outside the training".
 
-It works under any operation of the axis, because it reads only measured signals; ``MonitoredController``
-(:mod:`hydro_agents.detection.monitor`) attaches it to a controller. A small network evaluates the flow balance of the
-window (:mod:`hydro_agents.detection.balance`) and statistics of its motion (:mod:`hydro_agents.detection.features`).
+It works under any operation of the axis, because it reads only measured signals: beside any controller, ``predict``
+takes the same observations. A small network evaluates the flow balance of the window
+(:mod:`hydro_agents.detection.balance`) and statistics of its motion (:mod:`hydro_agents.detection.features`).
 """
 
 from __future__ import annotations
@@ -64,13 +64,6 @@ class LeakageEstimate(NamedTuple):
     return_line: NDArray[np.float64]  # of raised tank pressure
     outside: NDArray[np.float64]  # 1: the answer does not count (unlike the training, or a stuck sensor)
 
-    @property
-    def none(self) -> NDArray[np.float64]:
-        """Probability of no fault, if the five answers are independent."""
-        probabilities = [self.probability, self.external_leak, self.valve_fault, self.sensor_fault, self.return_line]
-        result: NDArray[np.float64] = np.prod([1.0 - p for p in probabilities], axis=0)
-        return result
-
 
 BESIDE_STUCK_SENSOR = {
     "probability": 0.5,
@@ -115,7 +108,7 @@ def lacks_sensors(absent: Sequence[str]) -> str:
 class HeadState(NamedTuple):
     """Memory of the head; no call changes its argument."""
 
-    history: tuple[NDArray[np.float32], ...]  # SIGNALS (N, 5), at most a window of them, newest last
+    history: tuple[NDArray[np.float32], ...]  # measured columns (N, C), at most a window of them, newest last
     seen: NDArray[np.int64]  # observations since the start of each axis's episode, (N,)
     answer: NDArray[np.float64]  # the last estimate, (N, fields of LeakageEstimate)
 
@@ -173,20 +166,21 @@ def probabilities(
 class LeakageHead:
     """The trained network and its settings.
 
-    ``predict`` processes one step at a time, with the signature of a controller; ``estimate`` takes whole windows of
-    observations, ``estimate_windows`` those of recorded signals in SI units.
+    ``predict`` processes one step at a time, with the signature of a controller; ``estimate_windows`` takes whole
+    windows of signals in SI units.
 
     Example:
         >>> import numpy as np
+        >>> from hydro_agents.detection.detector import measured_run
         >>> from hydro_agents.detection.head import LeakageHead
         >>> from hydro_agents.learning.opponents import shipped
-        >>> from hydro_agents.running.cases import Cases, run_cases
+        >>> from hydro_agents.running.cases import Cases
         >>> from hydro_agents.running.folders import pretrained_folder
         >>> head = LeakageHead.load(pretrained_folder() / "leakage_head")
         >>> task = head.settings.task
         >>> cases = Cases(np.arange(2), np.array([0.01, 1.0]), np.full(2, "multi_sine"))
-        >>> run = run_cases(task, shipped("pid", task), cases, signal_columns=range(13))
-        >>> leak = head.estimate(run.signals.transpose(0, 2, 1))  # (axes, samples, observations)
+        >>> signals, _ = measured_run(task, shipped("pid", task), cases)
+        >>> leak = head.estimate_windows(signals)
         >>> (leak.probability > head.settings.threshold).tolist()
         [False, True]
     """
@@ -194,8 +188,8 @@ class LeakageHead:
     def __init__(self, tensors: Mapping[str, NDArray[Any]], settings: HeadSettings) -> None:
         self.tensors = {name: np.asarray(values, dtype=np.float32) for name, values in tensors.items()}
         self.settings = settings
-        self.names = settings.layout.names
-        self.rows, self.columns, scale = MeasuredColumns.of(settings.task)  # a rig may lack the spool sensor
+        self._measured = MeasuredColumns.of(settings.task)
+        self.rows, self.columns, scale = self._measured  # a rig may lack the spool sensor
         self.scale = np.ones(len(SIGNALS))
         self.scale[self.rows] = scale
         self.sheet = sheet_of(settings.task)
@@ -241,12 +235,8 @@ class LeakageHead:
         batch, single = as_batch(observation)
         state = self.remember(batch, state, episode_start)
         late = state.seen - self.settings.window
-        due = (late >= 0) & (late % self.interval == 0)
-        if due.any():
-            answer = state.answer.copy()
-            answer[due] = np.column_stack(self._read(state, due))
-            state = state._replace(answer=answer)
-        return (state.answer[0] if single else state.answer), state
+        answer = self._answers(state, (late >= 0) & (late % self.interval == 0), state.answer)
+        return (answer[0] if single else answer), state._replace(answer=answer)
 
     def remember(
         self, observation: Observation, state: HeadState | None, episode_start: NDArray[np.bool_] | None = None
@@ -259,47 +249,20 @@ class LeakageHead:
         if episode_start is not None and np.any(episode_start):
             seen = np.where(episode_start, 0, seen)
             answer = np.where(np.asarray(episode_start)[:, None], np.nan, answer)
-        return HeadState((*history, self._signals(observation))[-self.settings.window :], seen + 1, answer)
+        measured = np.asarray(observation[:, self.columns], dtype=np.float32)
+        return HeadState((*history, measured)[-self.settings.window :], seen + 1, answer)
 
     def estimate_remembered(self, state: HeadState) -> LeakageEstimate:
         """Estimate from the stored windows (N,); NaN for an incomplete window."""
-        full = state.seen >= self.settings.window
-        answer = np.full((len(state.seen), len(LeakageEstimate._fields)), np.nan)
-        if full.any():
-            answer[full] = np.column_stack(self._read(state, full))
-        return LeakageEstimate(*answer.T)
+        return LeakageEstimate(*self._answers(state, state.seen >= self.settings.window, np.nan).T)
 
-    def _read(self, state: HeadState, axes: NDArray[np.bool_]) -> LeakageEstimate:
-        signals = np.concatenate(state.history).reshape(self.settings.window, len(axes), len(SIGNALS))
-        return self.estimate_signals(signals[:, axes].transpose(1, 2, 0))
-
-    def estimate(self, history: Observation) -> LeakageEstimate:
-        """Estimate from windows of observations.
-
-        Args:
-            history: observations (N, T, n) or (T, n), oldest first.
-
-        Raises:
-            ConfigurationError: the history has the wrong shape, or a length that the head cannot read.
-        """
-        array = np.asarray(history)
-        if array.ndim == 2:
-            array = array[None]
-        if array.ndim != 3 or array.shape[2] != len(self.names):
-            raise ConfigurationError(
-                f"leakage head: history has shape {np.shape(history)}: must be (N, T, {len(self.names)})"
-            )
-        return self.estimate_signals(self._signals(array).transpose(0, 2, 1))
-
-    def _signals(self, observed: NDArray[Any]) -> NDArray[np.float32]:
-        """SIGNALS (…, 5) in the scales of the observation (…, n); NaN: no such sensor."""
-        signals = np.full((*observed.shape[:-1], len(SIGNALS)), np.nan, dtype=np.float32)
-        signals[..., self.rows] = observed[..., self.columns]
-        return signals
-
-    def estimate_signals(self, signals: NDArray[Any]) -> LeakageEstimate:
-        """Estimate from SIGNALS, (N, 5, T), in the scales of the observation."""
-        return self.estimate_windows(np.asarray(signals, dtype=np.float64) * self.scale[:, None])
+    def _answers(self, state: HeadState, due: NDArray[np.bool_], other: Any) -> NDArray[np.float64]:
+        """New estimates (N, 9) of the axes that are ``due``, and the ``other`` ones."""
+        answer = np.full((len(due), len(LeakageEstimate._fields)), other, dtype=np.float64)
+        if due.any():
+            seen = np.stack(state.history)[:, due].transpose(1, 2, 0)
+            answer[due] = np.column_stack(self.estimate_windows(self._measured.si(seen)))
+        return answer
 
     def estimate_windows(self, signals: NDArray[Any]) -> LeakageEstimate:
         """Estimate from SIGNALS, (N, 5, T), in SI units; NaN where a sample is lost or a sensor absent.
@@ -316,18 +279,15 @@ class LeakageHead:
                 f"{self.settings.window}"
             )
         signals = signals[:, :, -self.settings.longest :]
-        parts = [
-            self._judged(np.asarray(signals[first : first + BATCH], dtype=np.float64))
-            for first in range(0, len(signals), BATCH)
-        ]
-        return LeakageEstimate(*np.concatenate(parts).T) if parts else LeakageEstimate(*np.empty((9, 0)))
-
-    def _judged(self, signals: NDArray[np.float64]) -> NDArray[np.float64]:
-        values = self.judge(features_of(signals, self.sheet))
-        stuck = stuck_sensors(signals, self.settings.task).any(axis=1)
-        for name, value in BESIDE_STUCK_SENSOR.items():
-            values[stuck, LeakageEstimate._fields.index(name)] = value
-        return values
+        answers = np.empty((len(signals), len(LeakageEstimate._fields)))
+        for first in range(0, len(signals), BATCH):
+            part = np.asarray(signals[first : first + BATCH], dtype=np.float64)
+            answer = answers[first : first + BATCH]
+            answer[:] = self.judge(features_of(part, self.sheet))
+            stuck = stuck_sensors(part, self.settings.task).any(axis=1)
+            for name, value in BESIDE_STUCK_SENSOR.items():
+                answer[stuck, LeakageEstimate._fields.index(name)] = value
+        return LeakageEstimate(*answers.T)
 
     def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
@@ -387,8 +347,7 @@ class LeakageHead:
             raise ConfigurationError(f"{path}: was trained on other signals or features than this version reads")
         if stored.longest < stored.window:
             raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")
-        bias = tensors.get("bias_0")
-        if bias is None or bias.shape != (stored.width,):  # checked before arrays of that width take memory
+        if np.shape(tensors.get("bias_0", 0.0)) != (stored.width,):  # checked before arrays of that width take memory
             raise ConfigurationError(f"{path}: width = {stored.width}: its tensors belong to another network")
         like = tensors_like(stored.width, len(known))
         require(tensors, like, path)

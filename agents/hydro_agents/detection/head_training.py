@@ -42,6 +42,7 @@ NEVER_VARIED, INVALID = 1e-5, FEATURES.index("invalid features")
 RIDGE = 0.05  # added to the covariance of the standardised features before inversion
 
 FALSE_ALARM_RATE = 0.01
+MOST_CHUNKS = 10**6  # of a phase; more must be a mistake
 
 CHANGING_SHARE = 0.15  # share of the windows that are treated as windows with a changing leak
 LARGEST_SHIFT = 2.0  # largest size of the shift of a leak's logit at standstill
@@ -101,7 +102,7 @@ def train_head(
     torch.manual_seed(seed)
     began = time.monotonic()
     checkpoint = Path(folder) / CHECKPOINT_FILE if folder is not None else None
-    job = _Job(config, controllers, settings, seed, checkpoint, progress)
+    job = _Job(config, controllers, settings, seed, checkpoint, progress or (lambda *_: None))
     if resume:
         job.restore()
     try:
@@ -151,7 +152,7 @@ class _Job:
         settings: HeadTrainingSettings,
         seed: int,
         checkpoint: Path | None,
-        progress: Progress | None,
+        progress: Progress,
     ) -> None:
         self.settings, self.seed, self.checkpoint, self.progress = settings, seed, checkpoint, progress
         self.plans = {phase: Plan(config, controllers, settings, split) for phase, split in SPLITS.items()}
@@ -160,66 +161,60 @@ class _Job:
         rate, decay = settings.learning_rate, settings.weight_decay
         self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)
         self.epoch = 0
+        self.chunks = dict.fromkeys(SPLITS, 0)  # simulated
         self.parts: dict[str, list[Windows]] = {phase: [] for phase in SPLITS}
-        self.description = {
+        self.made_with = {
             "seed": seed,
             "settings": settings.model_dump(mode="json"),
             "task": config.model_dump(mode="json"),
+            "controllers": [_described(controller) for controller in controllers],
         }
-        self.drivers = [_described(controller) for controller in controllers]
 
     def restore(self) -> None:
         if self.checkpoint is None:
             raise ConfigurationError("resume: a folder with a checkpoint is needed")
         tensors, stored = load_checkpoint(self.checkpoint, KIND)
-        if any(stored.get(key) != value for key, value in self.description.items()):
-            raise ConfigurationError(f"{self.checkpoint}: was made with another seed, settings or task")
-        if stored.get("controllers") != self.drivers:
-            raise ConfigurationError(f"{self.checkpoint}: was trained on episodes of other controllers; cannot resume")
-        epoch: Any = stored.get("epoch")
-        counts: Any = stored.get("windows")
-        if type(epoch) is not int or not 0 <= epoch <= self.settings.epochs:
-            raise ConfigurationError(f"{self.checkpoint}: damaged: epoch = {str(epoch)[:30]}")
-        own = {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
-        require(tensors, own, self.checkpoint)
-        self.network.load_state_dict({name.removeprefix("network."): torch.from_numpy(tensors[name]) for name in own})
+        for what, own in self.made_with.items():
+            if stored.get(what) != own:
+                raise ConfigurationError(f"{self.checkpoint}: was made with other {what}; cannot resume")
+        networks = self._network_tensors()
+        require(tensors, networks, self.checkpoint)
+        self.network.load_state_dict({n.removeprefix("network."): torch.from_numpy(tensors[n]) for n in networks})
         restore_optimiser(self._optimiser, tensors, str(self.checkpoint))
-        self.epoch = epoch
         try:
-            for phase in self.parts:
-                whole = [tensors[f"{phase}.{name}"] for name in Windows._fields] if counts[phase] else []
-                if any(len(array) != sum(counts[phase]) for array in whole):
-                    raise ValueError(phase)
-                ends = np.cumsum(counts[phase])[:-1]
-                self.parts[phase] = [
-                    Windows(*part) for part in zip(*(np.split(array, ends) for array in whole), strict=True)
-                ]
-        except (KeyError, TypeError, ValueError, IndexError):
-            raise ConfigurationError(f"{self.checkpoint}: damaged: its windows do not fit together") from None
+            self.epoch = range(self.settings.epochs + 1).index(stored["epoch"])
+            for phase in SPLITS:
+                self.chunks[phase] = range(MOST_CHUNKS).index(stored["chunks"][phase])
+                if self.chunks[phase]:
+                    self.parts[phase] = [Windows(*(tensors[f"{phase}.{name}"] for name in Windows._fields))]
+            if any(len({len(array) for array in part}) > 1 for parts in self.parts.values() for part in parts):
+                raise ValueError("arrays of several lengths")
+        except (KeyError, TypeError, ValueError):
+            raise ConfigurationError(f"{self.checkpoint}: damaged: its windows or epochs do not fit") from None
+
+    def _network_tensors(self) -> dict[str, NDArray[Any]]:
+        return {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
 
     def save(self) -> None:
         if self.checkpoint is None:
             return
-        tensors = {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
-        tensors |= optimiser_tensors(self._optimiser)
+        tensors = self._network_tensors() | optimiser_tensors(self._optimiser)
         for phase, parts in self.parts.items():
             if parts:
                 tensors |= {f"{phase}.{name}": v for name, v in Windows.joined(parts)._asdict().items()}
-        counts = {phase: [len(part.size) for part in parts] for phase, parts in self.parts.items()}
-        more = {"epoch": self.epoch, "windows": counts, "controllers": self.drivers}
-        save_checkpoint(self.checkpoint, KIND, tensors, more | self.description)
+        done = {"epoch": self.epoch, "chunks": self.chunks}
+        save_checkpoint(self.checkpoint, KIND, tensors, done | self.made_with)
 
     def simulate(self, phase: str, episodes: int, first_seed: int) -> None:
-        parts, plan = self.parts[phase], self.plans[phase]
+        plan, done = self.plans[phase], self.chunks
         sizes = [chunk.axes for chunk in plan.chunks(episodes)]
-        if not parts:
+        if not done[phase]:
             self.save()
-        if self.progress is not None:
-            self.progress(phase, sum(sizes[: len(parts)]), sum(sizes), math.nan)
-        for part in plan.windows(episodes, first_seed, skip=len(parts)):
-            parts.append(part)
-            if self.progress is not None:
-                self.progress(phase, sum(sizes[: len(parts)]), sum(sizes), math.nan)
+        self.progress(phase, sum(sizes[: done[phase]]), sum(sizes), math.nan)
+        for part in plan.windows(episodes, first_seed, skip=done[phase]):
+            self.parts[phase].append(part)
+            done[phase] += 1
+            self.progress(phase, sum(sizes[: done[phase]]), sum(sizes), math.nan)
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """The tensors of the head, with the statistics of the features of the training windows."""
@@ -258,8 +253,7 @@ class _Job:
                 losses.append(float(loss.detach()))
             self.epoch += 1
             self.save()
-            if self.progress is not None:
-                self.progress("training", self.epoch, settings.epochs, float(np.mean(losses)))
+            self.progress("training", self.epoch, settings.epochs, float(np.mean(losses)))
 
 
 def size_target(size: NDArray[np.float64]) -> NDArray[np.float32]:

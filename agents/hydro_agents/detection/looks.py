@@ -42,12 +42,6 @@ class Looks(NamedTuple):
     true_flow_lpm: Floats  # (N, L), l/min at 100 bar, at the end of each window; NaN in a recording
 
     @property
-    def hours(self) -> float:
-        """Hours of all axes together."""
-        interval = self.time[1] - self.time[0] if len(self.time) > 1 else 0.0
-        return float(self.score.size * interval / 3600.0)
-
-    @property
     def answers(self) -> NDArray[np.bool_]:
         """Looks with an answer, (N, L)."""
         return np.asarray(np.isfinite(self.score) & (self.cause < Cause.UNKNOWN))

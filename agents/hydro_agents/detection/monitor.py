@@ -1,18 +1,16 @@
-"""The leakage head in use: as a detector of windows, attached to a controller, and loaded for a task."""
+"""The leakage head in use: as a detector of windows, and loaded for a task."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, Observation, as_batch, check_layout
+from hydro_agents.controllers.base import check_layout
 from hydro_agents.detection.detector import Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.features import LABELS
-from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, HeadState, LeakageEstimate, LeakageHead
+from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageHead
 from hydro_agents.learning.opponents import ANY_AXIS, shipped_weights
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
@@ -21,6 +19,9 @@ HEAD_FILE = "leakage_head"
 
 OTHER_CAUSES = tuple(cause for cause in Cause if Cause.INTERNAL_LEAK < cause < Cause.UNKNOWN)
 """Causes that the head names besides a leak past the piston."""
+
+
+_OTHER_LABELS = [cause.word.replace(" ", "_") for cause in OTHER_CAUSES]
 
 
 class HeadDetector:
@@ -67,11 +68,10 @@ class HeadDetector:
             return self.head
         if self._moved is None or self._moved[0] != task:
             general = LeakageHead.load(self._elsewhere) if self._elsewhere is not None else self.head
-            if not general.for_any_axis and own.plant != task.plant:
-                raise ConfigurationError("the leakage head was trained for another rig")
             if not general.for_any_axis:
-                period = f"{1e3 * own.control_period:g} ms"
-                raise ConfigurationError(f"the leakage head was trained for a control period of {period}")
+                other = f"a control period of {1e3 * own.control_period:g} ms"
+                other = "another rig" if own.plant != task.plant else other
+                raise ConfigurationError(f"the leakage head was trained for {other}")
             self._moved = task, general.moved_to(task)
         return self._moved[1]
 
@@ -91,7 +91,8 @@ class HeadDetector:
         found = head.estimate_windows(windows.signals)
         outside = found.outside > 0.0
         stuck = outside & (found.sensor_fault == BESIDE_STUCK_SENSOR["sensor_fault"])
-        excess = _excess(found, head)
+        thresholds = logit(head.tensors["thresholds"])[[LABELS.index(name) for name in _OTHER_LABELS]]
+        excess: Any = logit(np.column_stack([getattr(found, name) for name in _OTHER_LABELS])) - thresholds
         named = np.where(excess.max(axis=1) > 0.0, np.array(OTHER_CAUSES)[excess.argmax(axis=1)], Cause.NONE)
         evidence = logit(found.probability) + _logit(self.head.settings.threshold) - _logit(head.settings.threshold)
         return Reading.of(
@@ -101,75 +102,16 @@ class HeadDetector:
             flow_lpm=found.flow_lpm,
             low_lpm=found.low_lpm,
             high_lpm=found.high_lpm,
-            fault=tuple(
+            fault=[
                 " and ".join(cause.in_full for cause, above in zip(OTHER_CAUSES, row, strict=True) if above)
-                for row in (excess > 0.0).tolist()
-            ),
+                for row in excess > 0.0
+            ],
             why=np.where(outside, Why.OUTSIDE, Why.ANSWERED),
         )
 
 
 def _logit(probability: float) -> float:
     return float(logit(np.array([probability]))[0])
-
-
-def _excess(found: LeakageEstimate, head: LeakageHead) -> Any:
-    """Logits of the other causes above their thresholds, (N, causes)."""
-    names = [cause.word.replace(" ", "_") for cause in OTHER_CAUSES]
-    thresholds = logit(head.tensors["thresholds"])[[LABELS.index(name) for name in names]]
-    return logit(np.column_stack([getattr(found, name) for name in names])) - thresholds
-
-
-@dataclass
-class MonitorState:
-    """Memory of a monitored controller: the controller's own, and the head's."""
-
-    controller: Any
-    head: HeadState
-
-
-class MonitoredController:
-    """Any controller with the leakage head attached; its commands are those of the controller.
-
-    ``estimate(state)`` reads the last window of observations of each axis.
-
-    Example:
-        >>> from hydro_agents.detection.monitor import MonitoredController, load_head
-        >>> from hydro_agents.learning.opponents import shipped
-        >>> from hydro_env import ServoHydraulicVectorEnv, TaskConfig
-        >>> task = TaskConfig()
-        >>> monitored = MonitoredController(shipped("pid", task), load_head(None, task))
-        >>> env, state = ServoHydraulicVectorEnv(2, task), None
-        >>> options = {"leakage_flow_lpm": [0.01, 1.0], "reference": ["multi_sine"] * 2}
-        >>> observation, _ = env.reset(seed=3, options=options)
-        >>> for _ in range(task.steps):
-        ...     command, state = monitored.predict(observation, state)
-        ...     observation, *_ = env.step(command)
-        >>> (monitored.estimate(state).flow_lpm > 0.5).tolist()
-        [False, True]
-    """
-
-    def __init__(self, controller: Controller, head: LeakageHead) -> None:
-        self.controller = controller
-        self.head = head
-
-    def predict(
-        self,
-        observation: Observation,
-        state: MonitorState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], MonitorState]:
-        """The controller's commands; the state also stores the observations for the head."""
-        batch, single = as_batch(observation)
-        inner, watching = (state.controller, state.head) if state is not None else (None, None)
-        action, inner = self.controller.predict(batch, inner, episode_start, deterministic)
-        watching = self.head.remember(batch, watching, episode_start)
-        return (action[0] if single else action), MonitorState(inner, watching)
-
-    def estimate(self, state: MonitorState) -> LeakageEstimate:
-        """Estimate on each axis (N,); NaN until a whole window is known."""
-        return self.head.estimate_remembered(state.head)
 
 
 def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:

@@ -41,7 +41,6 @@ class Manner(NamedTuple):
     relay: Span = (1e-9, 1e-9)  # size of a relay command towards the reference, instead of the gain; 1e-9: none
     amplitude: Span = (1e-9, 1e-9)  # of the wave
     period: Span = (2.0, 2.0)  # of the wave, control periods
-    waves: tuple[str, ...] = WAVES
 
 
 MANNERS = {
@@ -60,6 +59,12 @@ class _Operator:
     The state holds that command (N,) and the memory of the operation.
     """
 
+    at_start: Callable[[Floats], Any]
+    """The memory at the start of an episode, from the error (N,) in strokes."""
+
+    act: Callable[[Floats, Floats, Any], tuple[Floats, Any]]
+    """Commands (N,) and the next memory, from the error, the holding command and the memory."""
+
     def __init__(self, config: TaskConfig) -> None:
         self.layout, self.control_period = ObservationLayout.of(config), config.control_period
         self.stroke = config.plant.cylinder.stroke
@@ -75,19 +80,9 @@ class _Operator:
         del episode_start, deterministic
         batch, _ = as_batch(observation)
         error = self.layout.si(batch, "tracking_error") / self.stroke
-        holding, memory = (
-            state if state is not None else (self.layout.si(batch, "previous_command"), self.at_start(error))
-        )
+        holding, memory = state or (self.layout.si(batch, "previous_command"), self.at_start(error))
         command, memory = self.act(error, holding, memory)
         return np.clip(command, -1.0, 1.0).astype(np.float32)[:, None], (holding, memory)
-
-    def at_start(self, error: Floats) -> Any:
-        """The memory at the start of an episode; ``error`` (N,) in strokes."""
-        raise NotImplementedError
-
-    def act(self, error: Floats, holding: Floats, memory: Any) -> tuple[Floats, Any]:
-        """Commands (N,), and the memory for the next call."""
-        raise NotImplementedError
 
 
 class _Decided(NamedTuple):
@@ -117,12 +112,10 @@ class Operation(_Operator):
             return np.exp(self.generator.uniform(np.log(span[0]), np.log(span[1]), count))
 
         self.gain, self.amplitude, self.relay = drawn(manner.gain), drawn(manner.amplitude), drawn(manner.relay)
-        self.has_relay = self.relay > 1e-6
         self.step = drawn(manner.step)
         self.delay = drawn(manner.delay).round().astype(int)
         self.interval, self.period = drawn(manner.interval).round(), drawn(manner.period).round()
-        self.wave = self.generator.integers(0, len(manner.waves), count)
-        self.wave = np.array([WAVES.index(name) for name in manner.waves])[self.wave]
+        self.wave = self.generator.integers(0, len(WAVES), count)
 
     def at_start(self, error: Floats) -> _Decided:
         """The memory at the start of an episode."""
@@ -133,7 +126,7 @@ class Operation(_Operator):
         time, axes = memory.time, np.arange(len(error))
         errors = np.concatenate([memory.errors[1:], error[None]])
         seen = errors[len(errors) - self.delay, axes]
-        wanted = np.where(self.has_relay, self.relay * np.sign(seen), self.gain * seen)
+        wanted = np.where(self.relay > 1e-6, self.relay * np.sign(seen), self.gain * seen)
         decided = np.where(time % self.interval == 0, np.round(wanted / self.step) * self.step, memory.command)
         phase = time % self.period / self.period
         new_level = (time % np.maximum(self.period // 2, 1)) == 0

@@ -1,8 +1,4 @@
-"""The state of a training between two rollouts, as a file from which it can be resumed.
-
-PPO's checkpoint holds the whole state: a resumed training continues bit for bit. That of SAC and TQC holds the networks
-and the number of steps: a resumed training fills a new buffer with the present policy and restarts its optimiser.
-"""
+"""The whole state of a training of PPO between two rollouts, as a file from which it continues bit for bit."""
 
 from __future__ import annotations
 
@@ -14,10 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from hydro_agents.learning.rigs_env import RigsVecEnv
-from hydro_agents.learning.vec_env import AxisVecEnv
+from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
 from hydro_agents.running.weights import (
     Tensors,
     load_checkpoint,
@@ -92,21 +86,20 @@ def take(model: Any, env: AxisVecEnv | RigsVecEnv, seconds: float) -> Checkpoint
     """Copy the state of a training at the start of a rollout.
 
     Args:
-        model: an algorithm of stable-baselines3.
+        model: PPO or RecurrentPPO.
         env: its environment.
         seconds: duration of training.
     """
     tensors = {name: value.detach().cpu().numpy().copy() for name, value in _networks(model).items()}
-    if not isinstance(model, OffPolicyAlgorithm):
-        episodes = [(episode["r"], episode["l"]) for episode in model.ep_info_buffer or ()]
-        tensors |= {
-            **optimiser_tensors(model.policy.optimizer),
-            **_axes(env),
-            **_generators(),
-            "observation": np.array(model._last_obs),
-            "episode_start": np.array(model._last_episode_starts),
-            "episodes": np.array(episodes, dtype=np.float64).reshape(-1, 2),
-        }
+    episodes = [(episode["r"], episode["l"]) for episode in model.ep_info_buffer or ()]
+    tensors |= {
+        **optimiser_tensors(model.policy.optimizer),
+        **_axes(env),
+        **_generators(),
+        "observation": np.array(model._last_obs),
+        "episode_start": np.array(model._last_episode_starts),
+        "episodes": np.array(episodes, dtype=np.float64).reshape(-1, 2),
+    }
     return Checkpoint(tensors, int(model.num_timesteps), int(model._n_updates), seconds)
 
 
@@ -118,8 +111,7 @@ def restore(model: Any, env: AxisVecEnv | RigsVecEnv, checkpoint: Checkpoint, wh
     """
     tensors, networks = checkpoint.tensors, _networks(model)
     require(tensors, {name: value.detach().numpy() for name, value in networks.items()}, where)
-    if not isinstance(model, OffPolicyAlgorithm):
-        _restore_rollout(model, env, tensors, where)
+    _restore_rollout(model, env, tensors, where)
     with torch.no_grad():
         for name, value in networks.items():
             value.copy_(torch.from_numpy(tensors[name].copy()))
@@ -127,7 +119,7 @@ def restore(model: Any, env: AxisVecEnv | RigsVecEnv, checkpoint: Checkpoint, wh
 
 
 def _restore_rollout(model: Any, env: AxisVecEnv | RigsVecEnv, tensors: Tensors, where: str | Path) -> None:
-    """Restore optimiser, environment, generators and the last observation of PPO."""
+    """Restore optimiser, environment, generators and the last observation."""
     observation = env.reset()
     require(tensors, _axes(env), where, finite=False)
     wanted = {
@@ -159,8 +151,6 @@ def _restore_rollout(model: Any, env: AxisVecEnv | RigsVecEnv, tensors: Tensors,
 def _networks(model: Any) -> dict[str, torch.Tensor]:
     """What a training changes in torch, without the optimisers; the tensors are the model's own."""
     own = {f"policy.{name}": value for name, value in model.policy.state_dict().items()}
-    if isinstance(model, OffPolicyAlgorithm):
-        own["log_entropy_weight"] = model.log_ent_coef  # type: ignore[attr-defined]
     memories = getattr(model, "_last_lstm_states", None)  # of the recurrent layers of actor and critic
     for network in ("pi", "vf") if memories is not None else ():
         own |= {f"recurrent.{network}.{n}": value for n, value in enumerate(getattr(memories, network))}

@@ -95,12 +95,8 @@ class FeatureState(NamedTuple):
     ring: NDArray[np.float32]  # ring buffer of recent signals (N, length, signals); the oldest is at ``slot``
     slot: int  # index for the next signals
     base_command: NDArray[np.float32]  # command of the corrected controller at the last call, (N, 1)
-    correction: NDArray[np.float32]
-    """The policy's correction of that controller's command in the previous period, (N, 1); after the limits."""
-
     lasting: NDArray[np.float32]  # slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)
     reference: NDArray[np.float64]  # the reference from one period ago to the farthest preview, m, (N, samples)
-    noise: np.random.Generator | None = None  # of the exploration; whoever draws from it draws from a copy
     hidden: NDArray[np.float32] | None = None  # memory of a recurrent policy, (N, 2 cells)
 
     def aligned(self) -> FeatureState:
@@ -117,7 +113,7 @@ class FeatureState(NamedTuple):
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays with one row per axis, without those of the corrected controller."""
         values = self._asdict().items()
-        return {name: value for name, value in values if name not in ("base", "slot", "noise") and value is not None}
+        return {name: value for name, value in values if name not in ("base", "slot") and value is not None}
 
 
 class PolicyFeatures:
@@ -196,11 +192,11 @@ class PolicyFeatures:
         if state is None:
             reference = self._preview.start(observation)
             ring = np.repeat(signals[:, None], self._length, axis=1)
-            state = FeatureState(None, ring, 0, zero, zero, zero, reference)
+            state = FeatureState(None, ring, 0, zero, zero, reference)
             correction = lasting = zero
         else:
             correction = inputs[:, self._command_column, None] - state.base_command
-            lasting = self.lasting_after(correction, state)
+            lasting = state.lasting + self._blend * (correction - state.lasting)
             reference = self._preview.advanced(state.reference, observation)
         ring = state.ring.copy()
         if episode_start is not None and np.any(episode_start):
@@ -219,7 +215,7 @@ class PolicyFeatures:
         own = [command, correction, lasting] if self.see_correction else [command]
         if self.see_estimates:
             own.append(self.base.estimates(memory))  # type: ignore[attr-defined]
-        state = state._replace(base=memory, base_command=command, correction=correction, lasting=lasting)
+        state = state._replace(base=memory, base_command=command, lasting=lasting)
         return self._normalised([*seen, *own, changes]), state
 
     def _columns_of(self, names: tuple[str, ...]) -> NDArray[np.int64]:
@@ -269,10 +265,6 @@ class PolicyFeatures:
         features = copy(self)
         features.normalisation = normalisation
         return features
-
-    def lasting_after(self, correction: NDArray[np.float32], state: FeatureState) -> NDArray[np.float32]:
-        """The slow average of the correction after a period with ``correction``, (N, 1)."""
-        return state.lasting + self._blend * (correction - state.lasting)
 
     def command(self, output: Observation, state: FeatureState) -> NDArray[np.float32]:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import warnings
 from contextlib import suppress
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
 
 from hydro_env.files import write_whole
@@ -44,31 +44,21 @@ class ProgressFile(KVWriter):
     def __init__(self, path: Path, steps: int = 0) -> None:
         self._path = path
         self._rows = read_progress(path, steps) if steps > 0 and path.exists() else []
-        self._columns: list[str] = list(self._rows[0]) if self._rows else []
-        self._rewrite()
+        self._write()
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
         """Append a row."""
         values = filter_excluded_keys(key_values, key_excluded, "csv")
-        row = {STEPS: float(step), **{key: float(values[key]) for key in sorted(values) if key != STEPS}}
-        self._rows.append(row)
-        new = [key for key in row if key not in self._columns]
-        if new:
-            self._columns += new
-            self._rewrite()
-            return
-        with self._path.open("a", encoding="utf-8", newline="") as file:
-            file.write(self._line(row))
+        self._rows.append({STEPS: float(step), **{key: float(values[key]) for key in sorted(values) if key != STEPS}})
+        self._write()
 
     def close(self) -> None:
         """Do nothing: the file is closed after each row."""
 
-    def _line(self, row: Row) -> str:
-        return ",".join(_text(row.get(key, math.nan)) for key in self._columns) + "\n"
-
-    def _rewrite(self) -> None:
-        lines = [",".join(self._columns) + "\n", *map(self._line, self._rows)] if self._columns else []
-        write_whole(self._path, "".join(lines).encode())
+    def _write(self) -> None:
+        columns = list(dict.fromkeys(name for row in self._rows for name in row))
+        lines = [",".join(_text(row.get(name, math.nan)) for name in columns) for row in self._rows]
+        write_whole(self._path, "".join(f"{line}\n" for line in (",".join(columns), *lines) if line).encode())
 
 
 def _text(value: float) -> str:
@@ -76,33 +66,18 @@ def _text(value: float) -> str:
 
 
 def read_progress(path: str | Path, steps: float = math.inf) -> list[Row]:
-    """The rows of ``progress.csv`` up to a number of steps; an empty field is NaN, an incomplete last line is skipped.
+    """The rows of ``progress.csv`` up to a number of steps; an empty field is NaN.
 
-    A damaged line is left out with a warning: no result depends on the log.
+    A damaged file is left out with a warning: no result depends on the log.
     """
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines(keepends=True)
-    except (OSError, UnicodeDecodeError) as error:
-        warnings.warn(f"{path}: {getattr(error, 'strerror', None) or 'not a text file'}: left out", stacklevel=2)
+        table = pd.read_csv(path, index_col=False, dtype=str).astype(float)
+        rows: list[Row] = table[table[STEPS] <= steps].to_dict("records")
+    except pd.errors.EmptyDataError:
         return []
-    rows: list[Row] = []
-    whole = [line for line in lines if line.endswith("\n")]
-    columns = next(csv.reader(whole[:1]), [])
-    if columns and (STEPS not in columns or len(set(columns)) < len(columns)):
-        warnings.warn(f"{path}: line 1 does not name the columns of a training: left out", stacklevel=2)
+    except (OSError, ValueError, KeyError) as error:
+        warnings.warn(f"{path}: is no log of a training ({type(error).__name__}): left out", stacklevel=2)
         return []
-    for number, line in enumerate(whole[1:], start=2):
-        if rows and rows[-1][STEPS] >= steps:
-            break
-        try:
-            fields = next(csv.reader([line]))
-            row = {name: float(field or "nan") for name, field in zip(columns, fields, strict=True)}
-        except (ValueError, StopIteration, csv.Error):
-            warnings.warn(f"{path}: line {number} does not hold {len(columns)} numbers: left out", stacklevel=2)
-            continue
-        if not row[STEPS] <= steps:
-            break
-        rows.append(row)
     return rows
 
 

@@ -14,18 +14,10 @@ LARGEST_ROLLOUT = 10_000_000  # largest number of samples of a rollout; it takes
 
 
 class Prices(Group):
-    """Costs of a control period in addition to the task's reward; commands are fractions of 10 V.
+    """Costs of a control period in addition to the task's reward, relative to the twin's, if there is one."""
 
-    The costs of the command are relative to the twin, if there is one.
-    """
-
-    lasting: float = Field(
-        0.0, ge=0.0, le=1e6, description="on the squared slow average of the correction; integral action opposes it"
-    )
-    change: float = Field(0.0, ge=0.0, le=1e6, description="on the squared change of the correction")
-    travel: float = Field(0.0, ge=0.0, le=1e6, description="on the size of the change of the command")
     reversal: float = Field(
-        0.0, ge=0.0, le=1e6, description="on the smaller of the two swings at a reversal of the command"
+        0.0, ge=0.0, le=1e6, description="on the smaller swing, in parts of 10 V, at a reversal of the command"
     )
 
 
@@ -36,6 +28,9 @@ class TrainingSettings(Group):
 
     algorithm: ClassVar[str]
     """Its class in stable-baselines3 or sb3-contrib."""
+
+    policy: ClassVar[str] = "MlpPolicy"
+    """The algorithm's class of networks."""
 
     residual: bool = Field(True, description="true: the policy corrects another controller; false: it acts on its own")
     residual_scale: float = Field(0.2, gt=0.0, le=2.0, description="command per 1 of the policy's output")
@@ -84,12 +79,14 @@ class TrainingSettings(Group):
     validation_every: int = Field(1_000_000, ge=0, description="steps between validations; 0: none")
     torch_threads: int = Field(1, ge=1, le=256)
 
+    def options(self) -> dict[str, Any]:
+        """Keywords of the algorithm."""
+        raise NotImplementedError
+
     @model_validator(mode="after")
     def _of_a_correction(self) -> Self:
-        of_a_correction = {name: getattr(self, name) for name in ("family_units", "see_correction", "see_estimates")}
-        of_a_correction |= {f"prices.{name}": getattr(self.prices, name) for name in ("lasting", "change")}
-        for name, value in of_a_correction.items():
-            if value and not self.residual:
+        for name in ("family_units", "see_correction", "see_estimates"):
+            if getattr(self, name) and not self.residual:
                 raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
         if self.law is not None:
             if not self.residual or not self.normalise or getattr(self, "told_critic", False):
@@ -130,6 +127,18 @@ class PPOSettings(TrainingSettings):
             )
         return self
 
+    def options(self) -> dict[str, Any]:
+        """Keywords of the algorithm."""
+        return {
+            "learning_rate": self.learning_rate_at,
+            "n_steps": self.steps_per_rollout,
+            "batch_size": self.axes * self.steps_per_rollout // self.minibatches,
+            "n_epochs": self.epochs,
+            "gae_lambda": self.advantage_decay,
+            "clip_range": self.clip_range,
+            "ent_coef": self.entropy_weight,
+        }
+
     def updates(self, steps: int) -> int:
         """Number of gradient steps in so many control periods."""
         return self.epochs * self.minibatches * -(-steps // (self.axes * self.steps_per_rollout))
@@ -148,7 +157,7 @@ class PPOSettings(TrainingSettings):
 class RecurrentPPOSettings(PPOSettings):
     """Settings of PPO with a recurrent layer (RecurrentPPO of sb3-contrib), which replaces the history of signals."""
 
-    algorithm = "RecurrentPPO"
+    algorithm, policy = "RecurrentPPO", "MlpLstmPolicy"
     lstm_cells: int = Field(64, ge=1, le=4096, description="of the recurrent layer of the actor, and of the critic's")
 
     @model_validator(mode="after")
@@ -172,6 +181,11 @@ class SACSettings(TrainingSettings):
     learning_starts: int = Field(10_000, ge=1, le=10_000_000, description="samples before the first gradient step")
     initial_entropy_weight: float = Field(0.01, gt=0.0, le=10.0, description="of the exploration; adapts in training")
     log_every: int = Field(20_000, ge=1, description="steps between rows of the log")
+
+    def options(self) -> dict[str, Any]:
+        """Keywords of the algorithm."""
+        same = {"learning_rate", "buffer_size", "learning_starts", "batch_size", "gradient_steps"}
+        return self.model_dump(include=same) | {"train_freq": 1, "ent_coef": f"auto_{self.initial_entropy_weight}"}
 
     def updates(self, steps: int) -> int:
         """Number of gradient steps in so many control periods."""

@@ -85,22 +85,11 @@ class PolicyTrainer:
     def __init__(self, settings: type[TrainingSettings]) -> None:
         self.settings: type[Group] = settings
 
-    def train(
-        self,
-        config: TaskConfig,
-        settings: Group,
-        *,
-        seed: int,
-        folder: Path,
-        resume: bool,
-        base: Controller | None,
-        progress: Callable[[Progress], None] | None,
-    ) -> PolicyController:
-        """Train a policy; the residual form corrects ``base``, a classical controller."""
+    def train(self, config: TaskConfig, settings: Any, **options: Any) -> PolicyController:
+        """Train a policy; the residual form corrects the ``base`` of the options, a classical controller."""
         from hydro_agents.learning.training import train_policy
 
-        assert isinstance(settings, TrainingSettings)
-        return train_policy(config, settings, base, seed, folder, resume=resume, progress=progress)
+        return train_policy(config, settings, **options)
 
     def load(self, path: Path) -> PolicyController:
         """Read weights that ``PolicyController.save`` wrote."""

@@ -25,9 +25,8 @@ from hydro_agents.learning.features import AnyAxisFeatures, PolicyFeatures, peri
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.privileged import ACTIVATIONS, AsymmetricPolicy
 from hydro_agents.learning.progress import Progress, training_logger
-from hydro_agents.learning.rigs_env import RigsVecEnv
 from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings, SACSettings, TrainingSettings
-from hydro_agents.learning.vec_env import AxisVecEnv
+from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
 from hydro_agents.running.cases import family_errors, validation_errors
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
@@ -98,7 +97,7 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
         paired=settings.residual and settings.paired,
         stagger=True,
         told_critic=isinstance(settings, PPOSettings) and settings.told_critic,
-        prices=settings.prices,
+        reversal_price=settings.prices.reversal,
     )
 
 
@@ -139,22 +138,25 @@ def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConf
 def make_model(env: AxisVecEnv | RigsVecEnv, settings: TrainingSettings, seed: int) -> Any:
     """A model of the settings' algorithm with nearly zero output: a correction starts at the corrected controller."""
     assert env.features is not None
-    policy: Any = "MlpPolicy"
-    network: dict[str, Any] = {"activation_fn": ACTIVATIONS[settings.activation]}
-    hidden = list(settings.hidden_sizes)
+    policy: Any = settings.policy
+    hidden: Any = list(settings.hidden_sizes)
+    network: dict[str, Any] = {"activation_fn": ACTIVATIONS[settings.activation], "net_arch": hidden}
     if isinstance(settings, PPOSettings):
-        options = _ppo_options(settings)
-        network |= {"net_arch": {"pi": hidden, "vf": hidden}, "log_std_init": settings.initial_log_standard_deviation}
+        network["net_arch"] = {"pi": hidden, "vf": hidden}
+        network["log_std_init"] = settings.initial_log_standard_deviation
         if settings.told_critic:
             policy, network["actor_inputs"] = AsymmetricPolicy, env.features.size
-        if isinstance(settings, RecurrentPPOSettings):
-            policy, network["lstm_hidden_size"] = "MlpLstmPolicy", settings.lstm_cells
-    else:
-        assert isinstance(settings, SACSettings)
-        options, network["net_arch"] = _sac_options(settings), hidden
-    gamma = discount(env.features.config, settings)
-    algorithm = ALGORITHMS[settings.algorithm]
-    model = algorithm(policy, env, gamma=gamma, policy_kwargs=network, seed=seed, device="cpu", **options)
+    if isinstance(settings, RecurrentPPOSettings):
+        network["lstm_hidden_size"] = settings.lstm_cells
+    model = ALGORITHMS[settings.algorithm](
+        policy,
+        env,
+        gamma=discount(env.features.config, settings),
+        policy_kwargs=network,
+        seed=seed,
+        device="cpu",
+        **settings.options(),
+    )
     if isinstance(env, RigsVecEnv) and isinstance(settings, PPOSettings):
         periods = env.periods_per_step()
         model.rollout_buffer.gamma = settings.discount ** (1.0 / periods)
@@ -168,24 +170,6 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: TrainingSettings, seed: i
     return model
 
 
-def _ppo_options(settings: PPOSettings) -> dict[str, Any]:
-    return {
-        "learning_rate": settings.learning_rate_at,
-        "n_steps": settings.steps_per_rollout,
-        "batch_size": settings.axes * settings.steps_per_rollout // settings.minibatches,
-        "n_epochs": settings.epochs,
-        "gae_lambda": settings.advantage_decay,
-        "clip_range": settings.clip_range,
-        "ent_coef": settings.entropy_weight,
-    }
-
-
-def _sac_options(settings: SACSettings) -> dict[str, Any]:
-    same = ("learning_rate", "buffer_size", "learning_starts", "batch_size", "gradient_steps")
-    options = {name: getattr(settings, name) for name in same}
-    return {**options, "train_freq": 1, "ent_coef": f"auto_{settings.initial_entropy_weight}"}
-
-
 def train_policy(
     config: TaskConfig,
     settings: TrainingSettings,
@@ -195,9 +179,8 @@ def train_policy(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
     checkpoint_seconds: float = 20.0,
-    check: Callable[[PolicyController, int, float], bool] | None = None,
 ) -> PolicyController:
-    """Train a new policy, or continue from a checkpoint; PPO continues as if there had been no interruption.
+    """Train a new policy; PPO continues from a checkpoint as if there had been no interruption, SAC and TQC begin anew.
 
     Args:
         config: the task.
@@ -208,8 +191,6 @@ def train_policy(
         resume: continue from the checkpoint in ``folder``.
         progress: called after every rollout, or every ``log_every`` steps of SAC and TQC.
         checkpoint_seconds: time between checkpoints; the first is written before the first rollout.
-        check: called between rollouts with the present policy, the number of steps and the seconds of training
-            (without its own); true ends the training early.
 
     Returns:
         The trained policy.
@@ -222,26 +203,20 @@ def train_policy(
         raise ConfigurationError("resume: a folder with a checkpoint is needed")
     torch.set_num_threads(settings.torch_threads)
     features = make_features(config, settings, base)
-    file, checkpoint = None, None
-    if folder is not None:
-        file = _checkpoint_file(Path(folder), config, settings, features, seed)
-        if resume:
-            checkpoint = file.read()
-        else:
-            file.path.unlink(missing_ok=True)
-    done = checkpoint.steps if checkpoint is not None else 0
+    file = _checkpoint_file(folder, config, settings, features, seed)
+    checkpoint = file.read() if file is not None and resume else None
+    if file is not None and not resume:
+        file.path.unlink(missing_ok=True)
+    done, seconds = (checkpoint.steps, checkpoint.seconds) if checkpoint is not None else (0, 0.0)
 
     env = make_axes(config, settings, features, LEARNING.training(seed, settings.axes).start)
     model = make_model(env, settings, seed)
     model.set_logger(training_logger(None if folder is None else Path(folder), done))
-    seconds = checkpoint.seconds if checkpoint is not None else 0.0
-    callback = TrainingCallback(config, settings, features, file, seconds, progress, checkpoint_seconds, check)
+    callback = TrainingCallback(config, settings, features, file, seconds, progress, checkpoint_seconds)
     try:
         if checkpoint is not None and file is not None:
             restore(model, env, checkpoint, file.path)
         if done < settings.total_steps:
-            if isinstance(settings, SACSettings):
-                model.learning_starts += done  # a resumed training fills a new buffer first
             # The callback writes the log after the update.
             model.learn(settings.total_steps - done, callback, log_interval=10**9, reset_num_timesteps=False)
     except KeyboardInterrupt:
@@ -263,20 +238,21 @@ def train_policy(
 
 
 def _checkpoint_file(
-    folder: Path, config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int
-) -> CheckpointFile:
+    folder: str | Path | None, config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int
+) -> CheckpointFile | None:
+    if folder is None or not isinstance(settings, PPOSettings):
+        return None
     made_with = {
         "seed": seed,
         "settings": {**settings.model_dump(mode="json"), "total_steps": 0},  # a resumed training may be longer
         "task": config.model_dump(mode="json"),
         "features": features.describe(),
     }
-    kind = "training checkpoint" if isinstance(settings, PPOSettings) else f"{settings.algorithm} checkpoint"
-    return CheckpointFile(folder / CHECKPOINT_FILE, kind, made_with)
+    return CheckpointFile(Path(folder) / CHECKPOINT_FILE, "training checkpoint", made_with)
 
 
 class TrainingCallback(BaseCallback):
-    """Logs, validates, writes checkpoints and calls ``check`` between rollouts; sets the exploration of PPO.
+    """Logs, validates and writes checkpoints between rollouts; sets the exploration of PPO.
 
     Its arguments are those of :func:`train_policy`; ``seconds`` is the duration of the earlier sessions.
     """
@@ -292,51 +268,43 @@ class TrainingCallback(BaseCallback):
         seconds: float,
         progress: Callable[[Progress], None] | None,
         checkpoint_seconds: float,
-        check: Callable[[PolicyController, int, float], bool] | None,
     ) -> None:
         super().__init__()
         self._config, self._settings, self._features, self._file = config, settings, features, file
-        self._progress, self._checkpoint_seconds, self._check = progress, checkpoint_seconds, check
+        self._progress, self._checkpoint_seconds = progress, checkpoint_seconds
         self._log_every = settings.log_every if isinstance(settings, SACSettings) else 1
         self._began = time.monotonic() - seconds
         self._written: float | None = None  # when the last checkpoint was written
         self._checkpoint: Checkpoint | None = None
-        self._logged = self._reported = -1  # steps
-        self._ended = False
+        self._logged = self._reported = 0  # steps
         self._base_error = math.nan  # mm, of the corrected controller; computed once
         self._rigs: list[tuple[AnyAxisFeatures, dict[str, float]]] = []  # for validation, with its errors in m
 
     @property
     def seconds(self) -> float:
-        """Duration of training, all sessions together, without the caller's checks."""
+        """Duration of training, all sessions together."""
         return time.monotonic() - self._began
 
-    def _policy(self) -> PolicyController:
-        return PolicyController.from_sb3(self.model, self._features)
+    def _policy(self, features: PolicyFeatures | None = None) -> PolicyController:
+        return PolicyController.from_sb3(self.model, features or self._features)
 
     def _on_training_start(self) -> None:
         self._logged = self._reported = self.num_timesteps
 
     def _on_rollout_start(self) -> None:
         self._between_rollouts()
-        if self._check is not None:
-            before = time.monotonic()
-            self._ended = self._check(self._policy(), self.num_timesteps, self.seconds)
-            self._began += time.monotonic() - before
 
     def _on_step(self) -> bool:
-        return not self._ended
+        return True
 
     def _on_rollout_end(self) -> None:
-        if self._passed(self._log_every, self._reported):
+        if self._progress is not None and self._passed(self._log_every, self._reported):
             self._reported = self.num_timesteps
-            if self._progress is not None:
-                total = self._settings.total_steps
-                self._progress(Progress(self.num_timesteps, total, self.seconds, self._mean_reward()))
+            total = self._settings.total_steps
+            self._progress(Progress(self.num_timesteps, total, self.seconds, self._mean_reward()))
 
     def _on_training_end(self) -> None:
-        if not self._ended:
-            self._between_rollouts()
+        self._between_rollouts()
         self.write_checkpoint()
 
     def _passed(self, every: int, since: int) -> bool:
@@ -409,16 +377,12 @@ class TrainingCallback(BaseCallback):
                 self._rigs.append((own, family_errors(task, own.base, VALIDATION_PLANTS, sensor_frame=True)))
         ratios = []
         for own, base in self._rigs:
-            errors = family_errors(
-                own.config, PolicyController.from_sb3(self.model, own), VALIDATION_PLANTS, sensor_frame=True
-            )
+            errors = family_errors(own.config, self._policy(own), VALIDATION_PLANTS, sensor_frame=True)
             ratios.append(math.exp(np.mean([math.log(errors[name] / base[name]) for name in base])))
         return {"error_to_corrected": float(np.median(ratios)), "worst_error_to_corrected": max(ratios)}
 
     def write_checkpoint(self) -> None:
         """Write the state at the start of the present rollout, or of the next rollout if none is in progress."""
         if self._file is not None and self._checkpoint is not None:
-            if isinstance(self._settings, SACSettings):
-                self._checkpoint = take(self.model, self._env, self.seconds)
             self._file.write(self._checkpoint)
             self._written = time.monotonic()

@@ -8,6 +8,7 @@ no controller sees the sensor's bias.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,83 +78,63 @@ class Score:
     equal: float  # geometric mean over the families, resting ones too, of the mean over their cases
 
 
-class Trial:
-    """Runs candidates side by side: each drives its slice of one vector environment, on the same cases.
+def costs_of(
+    config: TaskConfig, cases: TuningCases, controllers: Sequence[Controller | None], judged: float | None = None
+) -> Floats:
+    """Mean absolute error in the sensor's frame plus cost of command changes, m, (candidates, cases).
+
+    The candidates run side by side: each drives its slice of one vector environment, on the same cases. A failed axis
+    costs the length of the stroke in every remaining period. A candidate that is ``None``, raises an error or returns a
+    command that is not finite costs :data:`REFUSED`.
 
     Args:
         config: the task.
         cases: the same for every candidate.
-        candidates: number of candidates.
+        controllers: the candidates.
         judged: s, end of each episode whose errors count; default: all.
     """
-
-    def __init__(self, config: TaskConfig, cases: TuningCases, candidates: int, judged: float | None = None) -> None:
-        self.config, self.cases, self.candidates = config, cases, candidates
-        self._judged = config.steps if judged is None else round(judged / config.control_period)
-        count = candidates * len(cases)
-        self._env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
-        self._price = EFFORT_TIME * float(np.mean(speed_limits(config.plant)))
-
-    def close(self) -> None:
-        """Release the threads of the environment."""
-        self._env.close()
-
-    def costs(self, controllers: Sequence[Controller | None]) -> Floats:
-        """Mean absolute error in the sensor's frame plus cost of command changes, m, (candidates, cases).
-
-        A failed axis costs the length of the stroke in every remaining period. A candidate that is ``None``, raises an
-        error or returns a command that is not finite costs :data:`REFUSED`.
-        """
-        config, cases, size = self.config, self.cases, len(self.cases)
-        count = self.candidates * size
-        observation, _ = self._env.reset(
-            seed=list(cases.seeds) * self.candidates,
-            options={
-                "leakage_flow_lpm": np.tile(cases.leakage_flow_lpm, self.candidates),
-                "reference": list(cases.families) * self.candidates,
-            },
-        )
-        axes = self._env.axes
+    size, candidates = len(cases), len(controllers)
+    first = 0 if judged is None else config.steps - round(judged / config.control_period)
+    price = EFFORT_TIME * float(np.mean(speed_limits(config.plant)))
+    with closing(ServoHydraulicVectorEnv(candidates * size, config, autoreset_mode="NextStep", info=False)) as env:
+        leaks = np.tile(cases.leakage_flow_lpm, candidates)
+        options = {"leakage_flow_lpm": leaks, "reference": list(cases.families) * candidates}
+        observation, _ = env.reset(seed=list(cases.seeds) * candidates, options=options)
+        axes = env.axes
         reference = axes.reference[:, : config.steps + 1] - axes.column("bias")[:, _POSITION, None]
         before = axes.column("command").copy()
-        memories: list[Any] = [None] * self.candidates
-        able = [controller is not None for controller in controllers]
-        alive, total = np.ones(count, dtype=np.bool_), np.zeros(count)
-        action = np.zeros((count, 1), dtype=np.float32)
-        started = np.ones(size, dtype=np.bool_)
+        memories: list[Any] = [None] * candidates
+        able = np.array([controller is not None for controller in controllers])
+        alive, total = np.ones(len(before), dtype=np.bool_), np.zeros(len(before))
+        action = np.zeros((len(before), 1), dtype=np.float32)
         for step in range(config.steps):
+            started = np.full(size, step == 0)
+            action[:] = 0.0
             for number, controller in enumerate(controllers):
                 part = slice(number * size, (number + 1) * size)
-                action[part] = 0.0
-                if controller is not None and able[number]:
-                    try:
-                        commands, memories[number] = controller.predict(observation[part], memories[number], started)
-                        able[number] = bool(np.isfinite(commands).all())
-                    except Exception:
-                        able[number] = False
-                    if able[number]:
-                        action[part] = commands
-            observation, _, terminated, _, _ = self._env.step(action)
+                if controller is None or not able[number]:
+                    continue
+                try:
+                    commands, memories[number] = controller.predict(observation[part], memories[number], started)
+                    able[number] = np.isfinite(commands).all()
+                except Exception:
+                    able[number] = False
+                if able[number]:
+                    action[part] = commands
+            observation, _, terminated, _, _ = env.step(action)
             command = np.clip(action[:, 0].astype(np.float64), -1.0, 1.0)
             error = np.abs(reference[:, step + 1] - axes.column("position"))
-            paid = error + self._price * (command - before) ** 2
-            if step >= config.steps - self._judged:
-                total += np.where(alive, paid, config.plant.cylinder.stroke)
+            if step >= first:
+                total += np.where(alive, error + price * (command - before) ** 2, config.plant.cylinder.stroke)
             before = command
             alive &= ~terminated
-            started = np.zeros(size, dtype=np.bool_)
-        result = (total / self._judged).reshape(self.candidates, size)
-        result[~np.array(able)] = REFUSED
-        return result
-
-
-def scores(trials: Sequence[Trial], controllers: Sequence[Controller | None]) -> list[Score]:
-    """:class:`Score` of each candidate; the first trial holds the cases of the task."""
-    return scored([trial.costs(controllers) for trial in trials], [trial.cases for trial in trials])
+    result = (total / (config.steps - first)).reshape(candidates, size)
+    result[~able] = REFUSED
+    return result
 
 
 def scored(costs: Sequence[Floats], cases: Sequence[TuningCases]) -> list[Score]:
-    """:class:`Score` of each candidate from :meth:`Trial.costs`; the sums depend on the number of candidates."""
+    """:class:`Score` of each candidate from :func:`costs_of`; the sums depend on the number of candidates."""
     parts = [
         rows[:, np.array(own.families) == family].mean(axis=1)
         for own, rows in zip(cases, costs, strict=True)

@@ -6,14 +6,11 @@ Source: Hansen & Ostermeier, *Completely derandomized self-adaptation in evoluti
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import itertools
 import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -24,7 +21,7 @@ from joblib import effective_n_jobs
 
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.learning.trials import JUDGED, REST, Score, Trial, TuningCases, over_tasks, scored
+from hydro_agents.learning.trials import JUDGED, REST, Score, TuningCases, costs_of, over_tasks, scored
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.jobs import Columns, Job, run_jobs
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
@@ -226,10 +223,8 @@ def cost_candidates(
         rest = task_config(task, episode_duration=REST)
         moving, resting = _cases(task, cases, seed + number)
         controllers = [_controller(CONTROLLERS[kind][0], one, task) for one in gains]
-        with closing(Trial(task, moving, len(gains))) as trial:
-            costs[f"{number}"] = trial.costs(controllers)
-        with closing(Trial(rest, resting, len(gains), JUDGED)) as trial:
-            costs[f"{number} rest"] = trial.costs(controllers)
+        costs[f"{number}"] = costs_of(task, moving, controllers)
+        costs[f"{number} rest"] = costs_of(rest, resting, controllers, JUDGED)
     return costs
 
 
@@ -256,14 +251,10 @@ def _controller(make: Callable[[Any, TaskConfig], Controller], gains: Group | No
 
 
 def _write(log: Path, settings: Mapping[str, Any], rows: Sequence[Sequence[Score]]) -> None:
-    text = io.StringIO()
-    text.write(f"# {json.dumps(settings)}\n")
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["generation", "candidate", "mean", "equal"])
+    lines = [f"# {json.dumps(settings)}", "generation,candidate,mean,equal"]
     for generation, costed in enumerate(rows):
-        for candidate, score in enumerate(costed):
-            table.writerow([generation, candidate, repr(score.mean), repr(score.equal)])
-    write_text(log, text.getvalue())
+        lines += [f"{generation},{number},{score.mean!r},{score.equal!r}" for number, score in enumerate(costed)]
+    write_text(log, "\n".join(lines) + "\n")
 
 
 def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
@@ -272,23 +263,19 @@ def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
     Raises:
         ConfigurationError: the log is damaged or belongs to other settings.
     """
-    first, _, table = read_text(log).partition("\n")
     try:
+        first, _, *lines = read_text(log).splitlines()
         written = json.loads(first.removeprefix("# "))
-        rows: dict[int, list[Score]] = {}
-        for row in csv.DictReader(io.StringIO(table)):
-            generation = rows.setdefault(int(row["generation"]), [])
-            if int(row["candidate"]) != len(generation):
-                raise ValueError(f"candidate {row['candidate']} is out of order")
-            generation.append(Score(float(row["mean"]), float(row["equal"])))
-    except (ValueError, KeyError, TypeError) as error:
+        if not isinstance(written, dict):
+            raise ValueError("its first line holds no settings")
+        for name, value in json.loads(json.dumps(settings)).items():
+            if written.get(name) != value:
+                raise ConfigurationError(f"{log}: was written with another {name}; --overwrite begins anew")
+        rows = np.loadtxt(lines, delimiter=",", ndmin=2).reshape(-1, settings["population"], 4)
+        if not np.array_equal(rows[..., :2], np.moveaxis(np.indices(rows.shape[:2]), 0, -1)):
+            raise ValueError("a row is out of order")
+    except ConfigurationError:
+        raise
+    except ValueError as error:
         raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
-    if not isinstance(written, dict):
-        raise ConfigurationError(f"{log}: is damaged (its first line holds no settings); --overwrite begins anew")
-    other = [name for name in settings if written.get(name) != json.loads(json.dumps(settings[name]))]
-    if other:
-        raise ConfigurationError(f"{log}: was written with another {other[0]}; --overwrite begins anew")
-    complete = all(len(row) == settings["population"] for row in rows.values())
-    if not complete or sorted(rows) != list(range(len(rows))):
-        raise ConfigurationError(f"{log}: is damaged (a generation is incomplete); --overwrite begins anew")
-    return [rows[generation] for generation in sorted(rows)]
+    return [[Score(mean, equal) for mean, equal in generation] for generation in rows[..., 2:].tolist()]

@@ -1,8 +1,9 @@
-"""The native vector environment as a ``VecEnv`` of stable-baselines3, with or without the policy's features."""
+"""The native vector environment as a ``VecEnv`` of stable-baselines3: axes of one rig, or of many rigs in one batch."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from hydro_agents.learning.features import FEATURE_LIMIT, FeatureState, PolicyFeatures
+from hydro_agents.learning.features import (
+    FEATURE_LIMIT,
+    AnyAxisFeatures,
+    FeatureState,
+    PolicyFeatures,
+    periods_per_step,
+)
 from hydro_agents.learning.privileged import Privileged
-from hydro_agents.learning.settings import Prices
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import AxesState
 from hydro_env.task.rewards import REWARD_TERMS
@@ -25,7 +31,38 @@ REWARD_PARTS = (*REWARD_TERMS, "prices", "learned")
 """The terms of the task; the prices, relative to the twin; and what the policy learns from, before ``reward_scale``."""
 
 
-class AxisVecEnv(VecEnv):
+class _SharedVecEnv(VecEnv):
+    """What :class:`AxisVecEnv` and :class:`RigsVecEnv` share: all axes have the same attributes, and no wrappers."""
+
+    env: Any
+    _actions: NDArray[np.float32]
+
+    def step_async(self, actions: Array) -> None:
+        """Store the policy's outputs (N, 1) for ``step_wait``."""
+        self._actions = np.asarray(actions, dtype=np.float32)
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute of the adaptor, or of its environment; the same for every axis."""
+        value = getattr(self, attr_name) if hasattr(self, attr_name) else getattr(self.env, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the adaptor, for all axes together."""
+        del indices
+        setattr(self, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        """Call a method of the vector environment once; every axis gets the same answer."""
+        value = getattr(self.env, method_name)(*args, **kwargs)
+        return [value for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        """No axis has a wrapper of its own."""
+        del wrapper_class
+        return [False for _ in self._get_indices(indices)]
+
+
+class AxisVecEnv(_SharedVecEnv):
     """N axes in one compiled step, for any algorithm of stable-baselines3; several times faster than ``DummyVecEnv``.
 
     Observations and actions are those of the environment. With ``features`` the policy gets :class:`PolicyFeatures`
@@ -49,7 +86,7 @@ class AxisVecEnv(VecEnv):
             different times. The references jump at that moment; later episodes are whole.
         told_critic: append hidden quantities to the inputs, for the critic
             (:class:`~hydro_agents.learning.privileged.Privileged`).
-        prices: additional costs; see :class:`~hydro_agents.learning.settings.Prices`.
+        reversal_price: additional cost, per part of 10 V of the smaller swing at each reversal of the command.
         overrides: single fields of the task.
 
     Raises:
@@ -74,43 +111,36 @@ class AxisVecEnv(VecEnv):
         paired: bool = False,
         stagger: bool = False,
         told_critic: bool = False,
-        prices: Prices | None = None,
+        reversal_price: float = 0.0,
         **overrides: Any,
     ) -> None:
         if paired and (features is None or features.base is None):
             raise ConfigurationError("paired rewards need the residual form: a controller to compare with")
-        self._paired = paired
+        self.features, self.reward_scale, self._price = features, reward_scale, reversal_price
+        self._paired, self._stagger = paired, stagger
         self._total = 2 * count if paired else count
         self.env = ServoHydraulicVectorEnv(self._total, config, autoreset_mode="Disabled", info=False, **overrides)
-        self.features = features
-        self.reward_scale = reward_scale
         self.render_mode = None
-        self._first_seed: int | None = seed
-        self._next_options: dict[str, Any] | None = None
         self._state: FeatureState | None = None
         self._twins: Any = None
         self._twin_commands = np.zeros((0, 1), dtype=np.float32)
-        self._actions: NDArray[np.float32] = np.zeros((count, 1), dtype=np.float32)
         self._returns = np.zeros(count)
         self._lengths = np.zeros(count, dtype=np.int64)
         self._parts = np.zeros(len(REWARD_PARTS))
         self._periods = 0
-        self._stagger = stagger
-        self._prices = prices if prices is not None else Prices()
-        self.told_critic = told_critic
         self._privileged = Privileged(self.env.config) if told_critic else None
         observed: spaces.Space[Any] = self.env.single_observation_space
         if features is not None:
             told = self._privileged.size if self._privileged is not None else 0
             observed = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size + told,), np.float32)
         super().__init__(count, observed, self.env.single_action_space)
+        self.seed(seed)
 
     def reset(self) -> VecEnvObs:
         """Begin an episode on every axis; returns the policy's inputs (N, size)."""
-        seed = self._first_seed
-        seeds = None if seed is None else [seed + axis % self.num_envs for axis in range(self._total)]
-        observation, _ = self.env.reset(seed=seeds, options=self._next_options)
-        self._first_seed = None
+        seeds: Any = None if self._seeds[0] is None else self._seeds * (self._total // self.num_envs)
+        observation, _ = self.env.reset(seed=seeds, options=self._options[0])
+        self._reset_seeds()
         if self._stagger:
             state = self.env.get_state()
             shares = np.arange(self._total) % self.num_envs
@@ -139,10 +169,6 @@ class AxisVecEnv(VecEnv):
             inputs = np.concatenate([inputs, self._privileged(self.env.axes, axes)], axis=1)
         return np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
 
-    def step_async(self, actions: Array) -> None:
-        """Store the policy's outputs (N, 1) for ``step_wait``."""
-        self._actions = np.asarray(actions, dtype=np.float32)
-
     def step_wait(self) -> VecEnvStepReturn:
         """Advance all axes by one control period."""
         count = self.num_envs
@@ -153,22 +179,19 @@ class AxisVecEnv(VecEnv):
         if self._paired:
             command = np.concatenate([command, self._twin_commands])
         axes = self.env.axes
-        change = axes.column("change").copy()
+        before = axes.column("change").copy()
         observation, rewards, terminated, truncated, _ = self.env.step(command)
-        price = self._prices_of_commands(change, axes.column("change"))
+        price = self._price * _smaller_swing(before, axes.column("change"))
         worth, costs = rewards - price, axes.column("costs")[:count].mean(axis=0)
-        reward = rewards[:count]
         ended = terminated | truncated
         done = ended[:count]
-        self._returns += reward
+        self._returns += rewards[:count]
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(count)]
         if self._paired:  # an axis and its twin restart together
             worth, price = (part[:count] - part[count:] for part in (worth, price))
             done = done | ended[count:]
-        correction = self._prices_of_correction(axes.column("command")[:count])
-        worth = worth - correction
-        self._parts += [*-costs, -(price + correction).mean(), worth.mean()]
+        self._parts += [*-costs, -price.mean(), worth.mean()]
         self._periods += 1
         if done.any():
             self._fill_infos(infos, np.flatnonzero(done), observation, terminated)
@@ -184,24 +207,6 @@ class AxisVecEnv(VecEnv):
         means = self._parts / max(self._periods, 1)
         self._parts[:], self._periods = 0.0, 0
         return dict(zip(REWARD_PARTS, means.tolist(), strict=True))
-
-    def _prices_of_commands(self, before: Array, change: Array) -> Array:
-        """Cost of a period's change of each command, given the previous change."""
-        prices = self._prices
-        reversed_swing = np.where(change * before < 0.0, np.minimum(np.abs(change), np.abs(before)), 0.0)
-        price: Array = prices.travel * np.abs(change) + prices.reversal * reversed_swing
-        return price
-
-    def _prices_of_correction(self, command: Array) -> Array:
-        """Cost of each correction that led to ``command``."""
-        prices, state = self._prices, self._state
-        if state is None or not (prices.lasting or prices.change):
-            return np.zeros(self.num_envs)
-        assert self.features is not None
-        correction = command[:, None].astype(np.float32) - state.base_command
-        lasting, change = self.features.lasting_after(correction, state), correction - state.correction
-        price: Array = (prices.lasting * lasting**2 + prices.change * change**2)[:, 0]
-        return price
 
     def _fill_infos(
         self, infos: list[dict[str, Any]], ended: NDArray[np.int64], last: Array, terminated: NDArray[np.bool_]
@@ -222,13 +227,19 @@ class AxisVecEnv(VecEnv):
     def get_state(self) -> dict[str, Array]:
         """Complete state as copies of named arrays, for :meth:`set_state`."""
         arrays = {f"{ENV}{name}": array for name, array in self.env.get_state().arrays.items()}
-        arrays |= {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
+        arrays |= {
+            "returns": self._returns.copy(),
+            "lengths": self._lengths.copy(),
+            "twin_command": self._twin_commands,
+        }
+        memories = {"twin": self._twins}
         if self._state is not None:
             arrays |= self._state.arrays() | {"slot": np.asarray(self._state.slot)}
-        for name, memory in (("base", self._state.base if self._state is not None else None), ("twin", self._twins)):
+            memories["base"] = self._state.base
+        for name, memory in memories.items():
             if memory is not None:
                 arrays |= {f"{name}.{field}": value for field, value in memory._asdict().items()}
-        return arrays | {"twin_command": self._twin_commands}
+        return arrays
 
     def set_state(self, state: Mapping[str, Array]) -> None:
         """Restore a state of :meth:`get_state`, from this or another ``AxisVecEnv`` with the same arguments.
@@ -244,64 +255,86 @@ class AxisVecEnv(VecEnv):
         self.env.set_state(AxesState(self.env.config, arrays))
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
         self._twin_commands = state["twin_command"]
-
-        def memory(name: str) -> Any:
-            base = self.features.base if self.features is not None else None
-            if base is None or f"{name}.{base.memory._fields[0]}" not in state:
-                return None
-            return base.memory(*(state[f"{name}.{field}"] for field in base.memory._fields))
-
-        self._twins = memory("twin")
         if self.features is not None:
+            self._twins = _memory(self.features.base, "twin.", state)
             slot = int(state["slot"])
             if not 0 <= slot < state["ring"].shape[1]:
                 raise ConfigurationError(f"slot = {slot}: must be within 0 to {state['ring'].shape[1] - 1}")
-            names = [name for name in FeatureState._fields if name not in ("base", "slot", "noise", "hidden")]
-            stored: dict[str, Any] = {name: state[name] for name in names}
-            self._state = FeatureState(base=memory("base"), slot=slot, **stored)
+            stored: dict[str, Any] = {name: state[name] for name in FeatureState._fields if name in state}
+            self._state = FeatureState(**stored | {"base": _memory(self.features.base, "base.", state), "slot": slot})
 
     def close(self) -> None:
         """Stop the worker threads."""
         self.env.close()
 
+
+def _smaller_swing(before: Array, change: Array) -> Array:
+    """The smaller of two successive changes of each command where it reverses; else 0."""
+    smaller = np.minimum(np.abs(change), np.abs(before))
+    return np.where(change * before < 0.0, smaller, 0.0)
+
+
+def _memory(controller: Any, start: str, state: Mapping[str, Array]) -> Any:
+    """A controller's memory from arrays whose names begin with ``start``; ``None``: there is none."""
+    if controller is None or start + controller.memory._fields[0] not in state:
+        return None
+    return controller.memory(*(state[start + field] for field in controller.memory._fields))
+
+
+class RigsVecEnv(_SharedVecEnv):
+    """The axes of several :class:`AxisVecEnv`, one per rig, in one batch; their inputs mean the same on every rig.
+
+    Args:
+        envs: one per rig.
+        features: of the task that the weights' file names.
+    """
+
+    def __init__(self, envs: Sequence[AxisVecEnv], features: AnyAxisFeatures) -> None:
+        self.envs, self.features = list(envs), features
+        self.render_mode = None
+        ends = np.cumsum([env.num_envs for env in envs])
+        self._parts = [slice(end - env.num_envs, end) for env, end in zip(envs, ends, strict=True)]
+        inputs = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size,), np.float32)
+        super().__init__(int(ends[-1]), inputs, spaces.Box(-1.0, 1.0, (1,), np.float32))
+
+    def periods_per_step(self) -> NDArray[np.float64]:
+        """Control periods in a step of the rig, of each axis, (N,)."""
+        return np.concatenate([np.full(env.num_envs, periods_per_step(env.env.config)) for env in self.envs])
+
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Set the seed of the next reset; axis i gets ``seed + i``."""
-        self._first_seed = seed
-        return [None if seed is None else seed + axis for axis in range(self.num_envs)]
+        """The axes of each rig get their seeds in turn."""
+        seeds = super().seed(seed)
+        for env, part in zip(self.envs, self._parts, strict=True):
+            env.seed(seeds[part.start])
+        return seeds
 
-    def set_options(self, options: Any = None) -> None:
-        """Set the options of the next reset; see :meth:`hydro_env.ServoHydraulicVectorEnv.reset`."""
-        self._next_options = options
+    def reset(self) -> VecEnvObs:
+        """Begin an episode on every axis."""
+        return np.concatenate([env.reset() for env in self.envs])
 
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute, the same for every axis."""
-        value = getattr(self, attr_name) if hasattr(self, attr_name) else getattr(self.env, attr_name)
-        return [value for _ in self._indices(indices)]
+    def step_wait(self) -> VecEnvStepReturn:
+        """Advance all axes by one control period of their rig."""
+        results = [env.step(self._actions[part]) for env, part in zip(self.envs, self._parts, strict=True)]
+        inputs, rewards, done, infos = zip(*results, strict=True)
+        return np.concatenate(inputs), np.concatenate(rewards), np.concatenate(done), [*chain(*infos)]
 
-    def has_attr(self, attr_name: str) -> bool:
-        """Whether the adaptor or its environment has an attribute."""
-        return hasattr(self, attr_name) or hasattr(self.env, attr_name)
+    def mean_rewards(self) -> dict[str, float]:
+        """Mean over the rigs of :meth:`AxisVecEnv.mean_rewards`."""
+        means = [env.mean_rewards() for env in self.envs]
+        return {name: float(np.mean([each[name] for each in means])) for name in means[0]}
 
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the adaptor, for all axes together."""
-        del indices
-        setattr(self, attr_name, value)
+    def get_state(self) -> dict[str, Array]:
+        """Complete state as copies of named arrays, for :meth:`set_state`."""
+        states = enumerate(env.get_state() for env in self.envs)
+        return {f"rig{number}.{name}": array for number, state in states for name, array in state.items()}
 
-    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Call a method of the vector environment once; every axis gets the same answer."""
-        value = getattr(self.env, method_name)(*args, **kwargs)
-        return [value for _ in self._indices(indices)]
+    def set_state(self, state: Mapping[str, Array]) -> None:
+        """Restore a state of :meth:`get_state`; errors as :meth:`AxisVecEnv.set_state`."""
+        for number, env in enumerate(self.envs):
+            start = f"rig{number}."
+            env.set_state({name.removeprefix(start): array for name, array in state.items() if name.startswith(start)})
 
-    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        """No axis has a wrapper of its own."""
-        del wrapper_class
-        return [False for _ in self._indices(indices)]
-
-    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """The vector environment does not draw."""
-        return [None for _ in range(self.num_envs)]
-
-    def _indices(self, indices: VecEnvIndices) -> Iterable[int]:
-        if indices is None:
-            return range(self.num_envs)
-        return [indices] if isinstance(indices, int) else indices
+    def close(self) -> None:
+        """Stop the worker threads."""
+        for env in self.envs:
+            env.close()

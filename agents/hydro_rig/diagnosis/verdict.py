@@ -224,6 +224,6 @@ def _why_nothing(window: float, *readings: Reading) -> str:
             continue
         why = Why(reasons.most_common(1)[0][0])
         if why is not Why.NO_COMMANDS:
-            return why.words
+            return why.word
         return f"commands are missing in every window; {SHORTER if window > SHORT else 'record without gaps'}"
     return "the recording is shorter than one window"

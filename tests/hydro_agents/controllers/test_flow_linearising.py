@@ -94,20 +94,6 @@ def test_at_the_start_the_uncertainties_share_the_speed_that_the_data_sheet_does
     np.testing.assert_allclose(np.einsum("ni,nij,nj->n", slope, p[:, 1:, 1:], slope), 0.0, atol=1e-18)
 
 
-def test_without_measurements_the_unknowns_return_to_the_data_sheet_and_their_spread_stays():
-    spread, memory, period = np.array([3e-5, 0.1, 1e-12, 0.01]), np.array([2.0, 10.0, 0.5]), 0.005
-    watched = MotionFilter(1e3, spread, 1e-4, memory, period)  # m; the position tells nothing
-    x, p = watched.start(np.zeros(1), np.zeros(1), np.zeros(1), np.array([0.02]))
-    assert x[0, 3] == 0.02  # alone explains the speed, which leaves no doubt
-    assert p[0, 3, 3] == 0.0
-    zero = np.zeros(1)
-    for _ in range(200):
-        x, p = watched.advanced(x, p, zero, zero, zero, zero)
-    assert x[0, 3] == pytest.approx(0.02 * np.exp(-1.0 / memory[2]), rel=1e-6)
-    np.testing.assert_allclose(np.sqrt(np.diag(p[0])[1:3]), spread[1:3], rtol=0.02)
-    assert np.sqrt(p[0, 3, 3]) == pytest.approx(spread[3] * np.sqrt(1.0 - np.exp(-2.0 / memory[2])), rel=0.02)
-
-
 @pytest.mark.parametrize("speed", [0.05, -0.05])
 def test_in_steady_motion_it_holds_the_speed(speed):
     config = TaskConfig(
@@ -146,33 +132,19 @@ def test_it_sets_off_before_a_jump_by_about_half_the_time_that_the_jump_takes():
     assert first_command(-0.015, 1.0) == 8  # as soon as the preview shows it
 
 
-@pytest.mark.parametrize("options", [{"references": {"preview_times": []}}, {"control_period": 2e-3},
-                                     {"control_period": 0.01}, {"command_latency": 5e-3}])  # fmt: skip
-def test_untuned_it_holds_the_axis_without_preview_at_other_periods_and_latencies(options):
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"references": {"preview_times": []}},
+        {"control_period": 2e-3},
+        {"control_period": 0.01},
+        {"command_latency": 5e-3},
+        *({"plant": read_yaml(rig), "randomisation": {}} for rig in RIGS),
+    ],
+)
+def test_untuned_it_controls_every_rig_without_preview_at_other_periods_and_latencies(options):
     config = TaskConfig(**options)
-    controller = make_controller("flow_linearising", config)
-    cases = Cases(np.arange(8), np.array([0.01, 4.0] * 4), np.array(["sine", "ramp"] * 4))
-    run = run_cases(config, controller, cases)
-    assert (run.failed_at < 0).all()
-    assert 1e3 * np.abs(run.position - run.reference).mean() < 0.35
-
-
-@pytest.mark.parametrize("rig", RIGS, ids=[rig.stem for rig in RIGS])
-def test_untuned_it_controls_every_rig(rig):
-    config = TaskConfig(plant=read_yaml(rig), randomisation={})
     controller = make_controller("flow_linearising", config)
     run = run_cases(config, controller, Cases(np.arange(4), np.array([0.01, 1.0] * 2), np.array(["sine", "ramp"] * 2)))
     assert (run.failed_at < 0).all()
-    assert 1e3 * np.abs(run.position - run.reference).mean() < 0.5
-
-
-def test_shipped_gains_beat_the_pid():
-    config = TaskConfig()
-    names = np.array(["step", "point_to_point", "ramp", "sine", "multi_sine", "start_stop"] * 2)
-    cases = Cases(np.arange(12), np.repeat([0.01, 4.0], 6), names)
-    errors = {}
-    for kind in ("pid", "flow_linearising"):
-        controller = make_controller(kind, config, read_yaml(config_folder() / "agents" / f"{kind}.yaml"))
-        run = run_cases(config, controller, cases)
-        errors[kind] = np.abs(run.position - run.reference).mean(axis=1)
-    assert errors["flow_linearising"].mean() < 0.85 * errors["pid"].mean()
+    assert 1e3 * np.abs(run.position - run.reference).mean() < 0.4

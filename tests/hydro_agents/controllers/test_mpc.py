@@ -10,7 +10,7 @@ from hydro_agents.controllers.observer_feedback import ObserverState
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.tasks import noiseless, own_reference
-from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 
 TASK = TaskConfig()
@@ -78,18 +78,6 @@ def test_within_limits_its_speed_is_that_of_a_bounded_least_squares_problem_of_m
         assert answer[axis] == pytest.approx(best, abs=1e-4 * mpc.full_speed)
         bounded += abs(lsq_linear(matrix, target).x[0] - best) > 0.01 * mpc.full_speed
     assert bounded >= 3
-
-
-def test_a_large_step_saturates_the_valve_and_no_command_exceeds_it():
-    env, controller = ServoHydraulicVectorEnv(8, TASK), MPC(MPCGains(), TASK)
-    observation, _ = env.reset(seed=3, options={"reference": "step"})
-    memory, commands = None, []
-    for _ in range(TASK.steps):
-        action, memory = controller.predict(observation, memory)
-        commands.append(action[:, 0])
-        observation, *_ = env.step(action)
-    assert np.abs(commands).max() == 1.0
-    assert (np.abs(commands).max(axis=0) == 1.0).mean() >= 0.5
 
 
 def test_on_the_plant_of_the_data_sheet_a_move_settles_without_overshoot():

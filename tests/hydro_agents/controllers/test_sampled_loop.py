@@ -44,15 +44,6 @@ def test_below_the_largest_gain_the_plant_settles_and_above_it_swings_up(leak):
         assert (late < 0.5 * early) if share < 1.0 else (late > 2.0 * early)
 
 
-def test_growth_is_the_spectral_radius():
-    parameters = leaking(1.0)
-    loop = sampled_loop(parameters)
-    gain = 1.05 * loop.largest_stable_gain()
-    errors = closed_loop_errors(parameters, gain, 200, start=1e-8)
-    growth = (errors[150:190].max() / errors[60:100].max()) ** (1 / 90)
-    assert growth == pytest.approx(loop.spectral_radius(gain), rel=3e-3)
-
-
 def test_a_fast_loop_follows_the_rule_of_thumb():
     """Ideal valve, no sampling, a symmetric cylinder with a mass: the velocity gain may reach 2 ζ ω (Merritt 1967)."""
     parameters = leaking(

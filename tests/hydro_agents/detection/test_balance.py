@@ -3,22 +3,22 @@
 import numpy as np
 import pytest
 
-from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection.balance import COUNT, INTERNAL, PARTS, TRACED, fit_balance
 from hydro_agents.detection.balance_parts import factor, hold, substitute
 from hydro_agents.detection.damaged_signals import repaired, stuck_sensors
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.features import CHANGE, FEATURES, features_of
+from hydro_agents.detection.operations import MANNERS, Operation
 from hydro_agents.detection.sheet import Unknowns, sheet_of
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import TaskConfig
-from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import SENSORS, SPOOL
 
 CONFIG = TaskConfig(references={"weights": {"multi_sine": 1.0, "point_to_point": 1.0}})
-CONTROLLER = PID(PIDGains.from_yaml(config_file("agents", "pid")), CONFIG)
+CONTROLLER = shipped("pid", CONFIG)
 FLOW = np.tile([0.01, 0.1, 1.0, 3.0], 12)
 SHEET = sheet_of(CONFIG)
 FITTED = [getattr(CONFIG.sensors, name) for name in SENSORS]
@@ -184,3 +184,16 @@ def test_a_sensor_without_noise_may_repeat_its_reading(sensors):
     signals = resting(1)
     signals[:, 0] = 0.02
     assert not stuck_sensors(signals, task_config(CONFIG, sensors=sensors)).any()
+
+
+def test_without_a_spool_sensor_the_nominal_valve_answers_the_commands():
+    task = task_config(randomisation={}, sensors={"enabled": False})
+    seeds = TRAINING_SEEDS.start + 945_000 + np.arange(3)
+    signals, _ = measured_run(task, Operation(MANNERS["dithering"], task, 3, 0), Cases(seeds))
+    blind = signals.copy()
+    blind[:, SPOOL] = np.nan
+    filled, lost = repaired(blind, sheet_of(task))
+    assert lost[:, SPOOL].tolist() == [1.0, 1.0, 1.0]
+    assert np.ptp(signals[:, SPOOL]) > 0.05
+    np.testing.assert_allclose(filled[:, SPOOL], signals[:, SPOOL], atol=2e-3)
+    np.testing.assert_array_equal(np.delete(filled, SPOOL, axis=1), np.delete(signals, SPOOL, axis=1))

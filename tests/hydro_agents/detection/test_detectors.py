@@ -134,7 +134,7 @@ def test_a_reading_of_some_windows_among_others():
     whole = some.among(np.array([2, 0]), 3, Why.NOT_READ)
     np.testing.assert_array_equal(whole.score, [np.nan, np.nan, 1.0])
     np.testing.assert_array_equal(whole.flow_lpm, [0.3, np.nan, 0.2])
-    assert whole.fault == ("", "", "worn")
+    assert whole.fault.tolist() == ["", "", "worn"]
     assert whole.why.tolist() == [Why.ANSWERED, Why.NOT_READ, Why.ANSWERED]
     assert whole.answers.tolist() == [False, False, True]
 

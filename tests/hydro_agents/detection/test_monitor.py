@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.detection.detector import Windows, measured_run
+from hydro_agents.detection.detector import MeasuredColumns, Windows, measured_run
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.monitor import HeadDetector, MonitoredController, load_head
+from hydro_agents.detection.monitor import HeadDetector, load_head
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.evaluation.detection import area_under_roc
 from hydro_agents.running.cases import Cases
@@ -53,14 +53,16 @@ def test_windows_keep_their_duration():
 def test_a_head_reads_what_a_rig_without_a_spool_sensor_has():
     head = ANY.moved_to(BLIND)
     env = ServoHydraulicVectorEnv(2, BLIND)
-    watched = MonitoredController(FlowLinearising(FlowLinearisingGains(), BLIND), head)
-    observation, state, seen = env.reset(seed=5)[0], None, []
+    controller = FlowLinearising(FlowLinearisingGains(), BLIND)
+    observation, state, memory, seen = env.reset(seed=5)[0], None, None, []
     for _ in range(head.settings.window):
         seen.append(observation)
-        action, state = watched.predict(observation, state)
+        answer, state = head.predict(observation, state)
+        action, memory = controller.predict(observation, memory)
         observation, *_ = env.step(action)
-    whole = head.estimate(np.stack(seen, axis=1))
-    np.testing.assert_array_equal(np.array(whole), np.array(watched.estimate(state)))
+    layout = MeasuredColumns.of(BLIND)
+    whole = head.estimate_windows(layout.si(np.stack(seen, axis=2)[:, layout.columns]))
+    np.testing.assert_array_equal(np.column_stack(whole), answer)
     assert np.isfinite(whole.probability).all()
 
 

@@ -131,7 +131,7 @@ def test_every_case_is_in_the_table_with_its_own_error_and_seen_by_the_head(eval
     own, watched = result.detection[result.detection["controller"] == name], detection_cases(CONFIG, 100)
     signals = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
     run = run_cases(CONFIG, controller, watched, [LAYOUT.index(signal) for signal in signals], states=False)
-    estimate = head.estimate_signals(run.signals)
+    estimate = head.estimate_windows(run.signals.astype(float) * head.scale[:, None])
     np.testing.assert_array_equal(own["probability"], estimate.probability)
     np.testing.assert_array_equal(own["estimated_flow_lpm"], estimate.flow_lpm)
     np.testing.assert_array_equal(own["flagged"], estimate.probability >= head.settings.threshold)

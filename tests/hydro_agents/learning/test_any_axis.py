@@ -4,16 +4,17 @@ from copy import copy
 
 import numpy as np
 import pytest
+from driven import commands
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_PACES, PREVIEW_SCALE, USUAL_ERROR, AnyAxisFeatures
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.rigs_env import RigsVecEnv
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
 from hydro_agents.learning.tuning import chosen_gains, gain_sets, rig_scores
+from hydro_agents.learning.vec_env import RigsVecEnv
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import validate
@@ -51,17 +52,6 @@ def policy(tmp_path_factory):
     trained = train_policy(TASK, SETTINGS, untuned(TASK), seed=1, folder=folder)
     trained.save(folder / "policy")
     return folder, trained
-
-
-def commands(controller, task, count=4, steps=30):
-    env = ServoHydraulicVectorEnv(count, task, info=False)
-    observation, _ = env.reset(seed=3)
-    memory, given = None, []
-    for step in range(steps):
-        action, memory = controller.predict(observation, memory, np.full(count, step == 0))
-        given.append(action)
-        observation, *_ = env.step(action)
-    return np.array(given)
 
 
 def test_inputs_have_the_same_number_on_every_rig():
@@ -143,7 +133,13 @@ def test_stored_weights_serve_another_rig(policy):
 
 def test_training_continues_bit_for_bit(policy, tmp_path):
     options = {"base": untuned(TASK), "seed": 1, "folder": tmp_path}
-    train_policy(TASK, SETTINGS, **options, check=lambda _, steps, seconds: steps >= 192)
+
+    def stop(progress):
+        if progress.steps >= 384:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_policy(TASK, SETTINGS, **options, progress=stop)
     again = train_policy(TASK, SETTINGS, **options, resume=True)
     for (weight, bias), (same, also) in zip(again.layers, policy[1].layers, strict=True):
         np.testing.assert_array_equal(weight, same)

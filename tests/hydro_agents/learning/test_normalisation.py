@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 import yaml
+from driven import commands
 from refusal import refused
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
@@ -26,17 +27,6 @@ def policy(features):
         for inputs, out in itertools.pairwise(sizes)
     ]
     return PolicyController(features, layers, activation="relu")
-
-
-def commands(controller, count=5, steps=40):
-    env = ServoHydraulicVectorEnv(count, CONFIG)
-    observation, _ = env.reset(seed=3)
-    memory, given = None, []
-    for step in range(steps):
-        action, memory = controller.predict(observation, memory, np.full(count, step == 0))
-        given.append(action)
-        observation, *_ = env.step(action)
-    return np.array(given)
 
 
 def test_a_normalisation_is_linear_near_its_centre_and_logarithmic_far_away():
@@ -102,9 +92,9 @@ def test_stored_weights_keep_normalisation_and_estimates(tmp_path):
     before = policy(features)
     before.save(tmp_path / "policy")
     after = PolicyController.load(tmp_path / "policy")
-    np.testing.assert_array_equal(commands(before), commands(after))
+    np.testing.assert_array_equal(commands(before, CONFIG), commands(after, CONFIG))
     plain = policy(PolicyFeatures(CONFIG, BASE, 0.2, see_estimates=True))
-    assert (commands(plain) != commands(after)).any()
+    assert (commands(plain, CONFIG) != commands(after, CONFIG)).any()
 
 
 def test_a_damaged_normalisation_and_a_controller_that_estimates_nothing_are_refused(tmp_path):

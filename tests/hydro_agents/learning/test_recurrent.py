@@ -62,8 +62,6 @@ def test_a_kept_state_goes_on_alike_and_each_axis_has_its_own(tmp_path):
     assert fresh[1] == first[1]
     alone, _ = policy.predict(rows[10, 0], memory.rows(np.array([0])))
     np.testing.assert_allclose(alone, first[0], atol=1e-6)
-    with refused("must be a policy of PPO or A2C"):
-        policy.to_sb3(None)
 
 
 def test_an_interrupted_training_ends_as_an_uninterrupted_one_bit_for_bit(tmp_path):

@@ -1,11 +1,5 @@
 """A training that was interrupted and resumed ends bit for bit as one that was not."""
 
-import json
-import signal
-import subprocess
-import sys
-import time
-
 import numpy as np
 import pytest
 from refusal import refused
@@ -33,7 +27,7 @@ def train(folder, **options):
 
 def result(policy, folder):
     """Weights and curve, times left out."""
-    layers = [array for network in (policy.layers, policy.critic) for layer in network for array in layer]
+    layers = [array for layer in policy.layers for array in layer]
     rows = [[value for name, value in row.items() if name != "time/time_elapsed"] for row in read_progress(folder)]
     return np.concatenate([array.ravel() for array in layers]), np.array(rows)
 
@@ -57,7 +51,7 @@ ALL = {
     "see_correction": True,
     "full_preview": True,
     "family_units": True,
-    "prices": Prices(lasting=1.0, change=1.0, travel=1.0, reversal=1.0),
+    "prices": Prices(reversal=1.0),
 }
 
 
@@ -81,8 +75,8 @@ def test_a_finished_training_resumes_to_the_same_policy_and_may_be_made_longer(t
     with pytest.raises(KeyboardInterrupt):
         train(tmp_path, progress=interrupt_at(768))
     curve = tmp_path / PROGRESS_FILE
-    with curve.open("a") as file:  # as a killed training leaves it: a row after the checkpoint, and half a row
-        file.write(curve.read_text().splitlines()[-1].replace("512", "768", 1) + "\n1024,0.1")
+    with curve.open("a") as file:  # as a killed training leaves it: a row after the checkpoint
+        file.write(curve.read_text().splitlines()[-1].replace("512", "768", 1) + "\n")
     np.testing.assert_equal(result(train(tmp_path, resume=True), curve), whole)
     assert load_checkpoint(tmp_path / CHECKPOINT_FILE, KIND)[1]["steps"] == 1280
     np.testing.assert_array_equal(result(train(tmp_path, resume=True), curve)[0], whole[0])
@@ -131,22 +125,15 @@ def changed(tensors, name, value):
     [
         (lambda t, d: (t, d | {"steps": "many"}), "damaged: steps"),
         (lambda t, d: (t, d | {"steps": -5}), "damaged: steps"),
-        (lambda t, d: (t, d | {"seconds": float("inf")}), "damaged: steps"),
         (lambda t, d: (t, d | {"made_with": []}), "its conditions"),
         (lambda t, d: (changed(t, "episodes", np.zeros((3, 5))), d), "'episodes' holds float64 of shape"),
-        (lambda t, d: (changed(t, "episodes", np.full((3, 2), np.nan)), d), "'episodes' holds values that are not"),
         (lambda t, d: (changed(t, "axes.env.record", np.zeros((2, 2))), d), "'axes.env.record' holds"),
-        (lambda t, d: (changed(t, "axes.env.record", ~t["axes.env.record"]), d), "env.record: holds no possible state"),
         (lambda t, d: (changed(t, "axes.env.record", t["axes.env.record"] + np.uint8(1)), d), "env.record"),
-        (lambda t, d: (changed(t, "axes.slot", np.array(40)), d), "slot = 40: must be within 0 to 36"),
-        (lambda t, d: (changed(t, "axes.slot", np.array(-1)), d), "slot = -1: must be within 0 to 36"),
         (lambda t, d: (changed(t, "axes.slot", np.array(37)), d), "slot = 37: must be within 0 to 36"),
-        (lambda t, d: (changed(t, "torch_generator", t["torch_generator"][:9]), d), "'torch_generator' holds"),
         (lambda t, d: (changed(t, "torch_generator", t["torch_generator"] * 0), d), "torch_generator"),
         (lambda t, d: (changed(t, "numpy_generator_position", np.array(9999)), d), "numpy_generator"),
         (lambda t, d: ({k.replace("exp_avg_sq", "momentum"): v for k, v in t.items()}, d), "no tensor 'optimiser"),
         (lambda t, d: (changed(t, "optimiser.x.step", np.zeros(())), d), "optimiser.x.step"),
-        (lambda t, d: ({k: v for k, v in t.items() if k != "policy.log_std"}, d), "holds no tensor 'policy.log_std'"),
     ],
 )
 def test_a_checkpoint_that_was_tampered_with_is_refused_with_one_line(tmp_path, stored, change, message):
@@ -156,64 +143,10 @@ def test_a_checkpoint_that_was_tampered_with_is_refused_with_one_line(tmp_path, 
         train(tmp_path, resume=True)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("one,two\n1,2\n", "line 1 does not name the columns"),
-        (f"{STEPS},b\n1,x\n", "line 2 does not hold 2 numbers"),
-        (f"{STEPS},b\n1\n", "line 2 does not hold 2 numbers"),
-    ],
-)
-def test_a_garbled_curve_is_left_out_with_a_warning_and_the_training_resumes(tmp_path, stored, content, message):
+@pytest.mark.parametrize("content", ["one,two\n1,2\n", f"{STEPS},b\n1,x\n"])
+def test_a_garbled_curve_is_left_out_with_a_warning_and_the_training_resumes(tmp_path, stored, content):
     save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, *stored)
     (tmp_path / PROGRESS_FILE).write_text(content)
-    with pytest.warns(UserWarning, match=message):
+    with pytest.warns(UserWarning, match="is no log of a training"):
         train(tmp_path, resume=True)
     assert read_progress(tmp_path / PROGRESS_FILE)[-1][STEPS] == SETTINGS.total_steps
-
-
-PROGRAM = """
-import sys
-sys.path.insert(0, {tests!r})
-from pathlib import Path
-from test_resume import CHECKPOINT_FILE, SETTINGS, train
-folder = Path(sys.argv[1])
-settings = SETTINGS.model_copy(update={{"total_steps": 40_000}})
-policy = train(folder, settings=settings, resume=(folder / CHECKPOINT_FILE).exists(), checkpoint_seconds=0.05)
-policy.save(folder / "policy")
-"""
-
-
-@pytest.mark.slow
-def test_ten_kills_at_random_moments_change_nothing(tmp_path):
-    from pathlib import Path
-
-    from hydro_agents.learning.policy import PolicyController
-
-    program = PROGRAM.format(tests=str(Path(__file__).parent))
-
-    def start(folder):
-        folder.mkdir(exist_ok=True)
-        return subprocess.Popen([sys.executable, "-c", program, str(folder)])
-
-    assert start(tmp_path / "whole").wait() == 0
-    expected = result(PolicyController.load(tmp_path / "whole" / "policy"), tmp_path / "whole" / PROGRESS_FILE)
-    generator, kills, folder = np.random.default_rng(), 0, tmp_path / "killed"
-    while kills < 10:
-        process = start(folder)
-        rows = len(read_progress(folder / PROGRESS_FILE)) if (folder / PROGRESS_FILE).exists() else 0
-        goal = rows + int(generator.integers(0, 12))  # rows of the log that it may add before the kill
-        while process.poll() is None:
-            text = (folder / PROGRESS_FILE).read_text() if (folder / PROGRESS_FILE).exists() else ""
-            if text.count("\n") - 1 >= goal and (folder / CHECKPOINT_FILE).exists():
-                time.sleep(generator.uniform(0.0, 0.05))
-                process.send_signal(signal.SIGKILL)
-                break
-        assert process.wait() == -signal.SIGKILL, "the training ended before it was killed ten times"
-        kills += 1
-    assert start(folder).wait() == 0
-    assert json.loads((folder / "policy.json").read_text())["training"]["steps"] >= 40_000
-    for found, wanted in zip(
-        result(PolicyController.load(folder / "policy"), folder / PROGRESS_FILE), expected, strict=True
-    ):
-        np.testing.assert_array_equal(found, wanted)

@@ -8,8 +8,8 @@ from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.features import LASTING_TIME, PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.settings import PPOSettings, Prices
-from hydro_agents.learning.training import in_family_units, make_env, make_features, make_model, train_policy
+from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.training import in_family_units, make_env, make_features, make_model
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import family_errors
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
@@ -66,19 +66,6 @@ def test_told_are_leak_plant_state_bias_family_and_time():
     assert np.all(last[:, -1] == 0.0)
 
 
-def test_weights_with_such_a_critic_go_to_a_file_and_to_stable_baselines3_and_back(tmp_path):
-    policy = train_policy(CONFIG, SMALL, BASE)
-    policy.save(tmp_path / "policy")
-    again = PolicyController.load(tmp_path / "policy")
-    env = AxisVecEnv(CONFIG, 4, again.features, told_critic=True)
-    model = again.to_sb3(env, n_steps=16, batch_size=32)
-    back = PolicyController.from_sb3(model)
-    np.testing.assert_equal((policy.layers, policy.critic), (back.layers, back.critic))
-    model.learn(64)
-    with refused("told_critic=True"):
-        again.to_sb3(AxisVecEnv(CONFIG, 4, again.features))
-
-
 def test_the_policy_sees_what_it_did():
     env = axes()
     env.reset()
@@ -95,25 +82,21 @@ def test_the_policy_sees_what_it_did():
     assert np.all(inputs[:, place : place + 2] == 0.0)
 
 
-def test_prices_by_hand():
-    plain, priced = axes(), axes(prices=Prices(lasting=3.0, change=5.0, travel=0.7, reversal=0.4))
+def test_the_price_of_a_reversal_by_hand():
+    plain, priced = axes(), axes(reversal_price=0.4)
     plain.reset()
     priced.reset()
-    correction, slow, before = 0.0, 0.0, None
-    blend = CONFIG.control_period / (CONFIG.control_period + LASTING_TIME)
-    outputs = np.random.default_rng(0).uniform(-0.4, 0.4, 15)
-    for output in outputs:
+    before = None
+    for output in np.random.default_rng(0).uniform(-0.4, 0.4, 15):
         start = plain.env.axes.column("command").copy()
         _, reward, _, _ = plain.step(np.full((6, 1), output))
         _, less, _, _ = priced.step(np.full((6, 1), output))
         change = plain.env.axes.column("command") - start
-        slow += blend * (0.5 * output - slow)
-        expected = 3.0 * slow**2 + 5.0 * (0.5 * output - correction) ** 2 + 0.7 * np.abs(change)
         if before is not None:
-            expected = expected + 0.4 * np.where(change * before < 0.0, np.minimum(abs(change), abs(before)), 0.0)
-        correction, before = 0.5 * output, change
-        np.testing.assert_allclose(reward - less, expected, atol=2e-5)
-    twins = axes(paired=True, prices=Prices(lasting=1.0, change=1.0, travel=1.0, reversal=1.0))
+            swing = np.where(change * before < 0.0, np.minimum(abs(change), abs(before)), 0.0)
+            np.testing.assert_allclose(reward - less, 0.4 * swing, atol=2e-5)
+        before = change
+    twins = axes(paired=True, reversal_price=1.0)
     twins.reset()  # a twin pays for its commands too
     assert all((twins.step(np.zeros((6, 1)))[1] == 0.0).all() for _ in range(25))
 
@@ -156,7 +139,7 @@ def test_units_of_the_family_in_the_frame_of_the_sensor():
 
 @pytest.mark.parametrize(
     "change",
-    [{"family_units": True}, {"see_correction": True}, {"prices": {"lasting": 1.0}}, {"prices": {"change": 1.0}}],
+    [{"family_units": True}, {"see_correction": True}, {"see_estimates": True}],
 )
 def test_what_only_a_correction_has_is_refused_for_a_policy_on_its_own(change):
     with refused("needs residual: true"):

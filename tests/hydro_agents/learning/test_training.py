@@ -1,7 +1,6 @@
 """Training is reproducible, survives interruption, and its weights carry everything that inference needs."""
 
 import json
-import time
 
 import numpy as np
 import pandas as pd
@@ -13,8 +12,7 @@ from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import discount, make_env, make_features, make_model, train_policy
-from hydro_agents.running.cases import validation_cases, validation_errors
-from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.running.cases import validation_errors
 from hydro_env import TaskConfig
 from hydro_env.files import validate
 from hydro_env.task.configuration import task_config
@@ -31,33 +29,14 @@ def weights_of(policy):
     return np.concatenate([np.concatenate([weight.ravel(), bias]) for weight, bias in policy.layers])
 
 
-def test_same_seed_gives_the_same_weights_and_another_does_not():
-    first, second = (train_policy(CONFIG, SETTINGS, BASE, seed=1) for _ in range(2))
+def test_same_seed_gives_the_same_weights_whatever_is_logged_and_another_does_not(tmp_path):
+    first = train_policy(CONFIG, SETTINGS.model_copy(update={"validation_every": 0}), BASE, seed=1)
+    logged = SETTINGS.model_copy(update={"validation_every": 256})
+    second = train_policy(CONFIG, logged, BASE, seed=1, folder=tmp_path, checkpoint_seconds=0.0)
     other = train_policy(CONFIG, SETTINGS, BASE, seed=2)
     np.testing.assert_array_equal(weights_of(first), weights_of(second))
     assert not np.array_equal(weights_of(first), weights_of(other))
     assert first.training["steps"] == 1024
-    smallest = {"axes": 4, "steps_per_rollout": 4, "minibatches": 8, "total_steps": 16, "hidden_sizes": [4]}
-    began = time.monotonic()
-    policy = train_policy(CONFIG, validate(PPOSettings, smallest, "ppo.yaml"), BASE)
-    assert 0.0 <= policy.training["seconds"] <= time.monotonic() - began + 0.1
-
-
-def test_check_sees_the_policy_between_rollouts_and_may_end_the_training():
-    seen = []
-
-    def check(policy, steps, seconds):
-        seen.append((steps, seconds, weights_of(policy)))
-        return steps >= 512
-
-    plain = train_policy(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), BASE, seed=1, check=lambda *_: False)
-    reference = train_policy(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), BASE, seed=1)
-    np.testing.assert_array_equal(weights_of(plain), weights_of(reference))
-    policy = train_policy(CONFIG, SETTINGS, BASE, seed=1, check=check)
-    assert [steps for steps, _, _ in seen] == [0, 256, 512]
-    assert all(second >= 0.0 for _, second, _ in seen)
-    assert not np.array_equal(seen[0][2], seen[1][2])
-    assert policy.training["steps"] < 1024
 
 
 @pytest.mark.parametrize("residual", [True, False])
@@ -90,7 +69,6 @@ def test_log_of_a_training(tmp_path):
     assert settings.learning_rate_at(1.0) == 0.01
     assert settings.learning_rate_at(0.0) == settings.learning_rate_at(-0.1) == pytest.approx(0.001)
     np.testing.assert_allclose([row["train/std"] for row in rows], np.exp(-1.5 - 1.5 * (share - 0.25)), rtol=1e-6)
-    assert policy.log_standard_deviation == -3.0
     for name in ("approx_kl", "clip_fraction", "explained_variance", "entropy_loss", "value_loss", "loss"):
         assert np.isfinite([row[f"train/{name}"] for row in rows]).all()
     assert rows[-1]["train/approx_kl"] > 0.0
@@ -128,22 +106,6 @@ def test_the_discount_is_that_of_a_time_relative_to_the_rig():
         assert discount(task, settings) ** periods == pytest.approx(0.97**1.54)
 
 
-def test_logs_validation_and_checkpoints_leave_the_weights_as_they_are(tmp_path):
-    silent, logged = (SETTINGS.model_copy(update={"validation_every": every}) for every in (0, 256))
-    policies = [train_policy(CONFIG, silent, BASE, seed=3)]
-    policies.append(train_policy(CONFIG, logged, BASE, seed=3, folder=tmp_path, checkpoint_seconds=0.0))
-    np.testing.assert_array_equal(*map(weights_of, policies))
-
-
-def test_validation_covers_families_and_leaks_on_validation_plants():
-    cases = validation_cases(TaskConfig())
-    assert len(cases) == 18
-    assert all(int(seed) in VALIDATION_SEEDS for seed in cases.seeds)
-    assert sorted(set(cases.leakage_flow_lpm)) == pytest.approx([np.sqrt(0.003 * 0.03), 0.3, 4.0])
-    few = validation_cases(TaskConfig(references={"weights": {"step": 1.0, "sine": 0.0}}))
-    assert list(few.families) == ["step"] * 3
-
-
 def test_the_residual_form_starts_as_the_pid():
     features = make_features(CONFIG, SETTINGS, BASE)
     env = make_env(CONFIG, SETTINGS, features, 0)
@@ -179,15 +141,11 @@ def test_practice_changes_what_occurs_and_not_what_the_policy_sees():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"learning_rate": float("inf")}, "learning_rate = inf"),
         ({"reward_scale": float("nan")}, "reward_scale = nan"),
-        ({"steps_per_rollout": 10**12}, "steps_per_rollout = 1000000000000"),
         ({"axes": 65536, "steps_per_rollout": 65536}, "axes × steps_per_rollout = 4294967296 must not exceed"),
         ({"axes": 4, "steps_per_rollout": 4, "minibatches": 16}, "into parts of at least 2"),
         ({"axes": 4, "steps_per_rollout": 5, "minibatches": 3}, "minibatches = 3 must divide"),
         ({"hidden_sizes": []}, "hidden_sizes"),
-        ({"clip_range": 1e300}, "clip_range"),
-        ({"total_steps": 10**20}, "total_steps"),
     ],
 )
 def test_impossible_settings_are_refused_with_one_line(change, message):
@@ -196,12 +154,8 @@ def test_impossible_settings_are_refused_with_one_line(change, message):
 
 
 def test_foreign_and_damaged_weights_are_refused(tmp_path):
-    from hydro_agents.detection.head import LeakageHead
-
     saved = tmp_path / "policy"
     train_policy(CONFIG, SETTINGS.model_copy(update={"total_steps": 256}), BASE).save(saved)
-    with refused("holds 'hydro_env policy': must be 'hydro_env leakage head'"):
-        LeakageHead.load(saved)
     with refused("cannot be read"):
         PolicyController.load(tmp_path / "absent")
     description = undigested(saved.with_suffix(".json"))
@@ -214,14 +168,3 @@ def test_foreign_and_damaged_weights_are_refused(tmp_path):
         saved.with_suffix(".json").write_text(json.dumps(description | change))
         with refused(message):
             PolicyController.load(saved)
-
-
-def test_tensorboard_gets_the_same_figures_where_it_is_installed(tmp_path):
-    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    train_policy(CONFIG, SETTINGS, BASE, folder=tmp_path)
-    stored = events.EventAccumulator(str(tmp_path))
-    stored.Reload()
-    rows = read_progress(tmp_path / PROGRESS_FILE)
-    for name in ("train/approx_kl", "rollout/mean_reward", "reward/tracking", "reward/learned"):
-        assert [scalar.step for scalar in stored.Scalars(name)] == [row[STEPS] for row in rows]
-        np.testing.assert_allclose([s.value for s in stored.Scalars(name)], [row[name] for row in rows], rtol=1e-5)

@@ -8,9 +8,8 @@ from gymnasium.wrappers import RecordVideo
 from PIL import Image
 
 import hydro_env  # noqa: F401
-from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.report.film import Panel, film, film_size, frame_rate, panel_frames, panels, write_film
-from hydro_agents.running.folders import config_folder
 from hydro_env import ConfigurationError, TaskConfig, rendering
 
 CONFIG = TaskConfig(episode_duration=0.2)
@@ -18,7 +17,7 @@ CONFIG = TaskConfig(episode_duration=0.2)
 
 @pytest.fixture(scope="module")
 def pid():
-    return PID(PIDGains.from_yaml(config_folder() / "agents" / "pid.yaml"), CONFIG)
+    return shipped("pid", CONFIG)
 
 
 def test_a_panel_shows_the_episode_of_the_environment(pid):

@@ -99,8 +99,9 @@ def no_json(content, generator):
 def changed_tensors(content, generator):
     """Tensors of another type or shape, that are not finite, or gone."""
     tensors = load(content)
+    known = sorted(name for name in tensors if not name.startswith("critic"))  # of earlier versions, not read
     for case in range(CASES):
-        name = sorted(tensors)[generator.integers(len(tensors))]
+        name = known[generator.integers(len(known))]
         array = tensors[name]
         changes = (
             lambda array=array: array.astype(ODD_DTYPES[generator.integers(len(ODD_DTYPES))]),
@@ -218,10 +219,10 @@ def test_logs_that_were_changed(tmp_path):
             rows = read_progress(file)  # no result depends on the log: what is damaged is left out
         assert all(isinstance(value, float) for row in rows for value in row.values())
     file.write_text(good.replace("300,", "3?0,"))
-    with pytest.warns(UserWarning, match=r"progress.csv: line 4 does not hold 3 numbers: left out"):
-        assert [row[STEPS] for row in read_progress(file, 500)] == [100.0, 200.0, 400.0, 500.0]
+    with pytest.warns(UserWarning, match=r"progress.csv: is no log of a training"):
+        assert not read_progress(file, 500)
     file.write_bytes(b"\xff" * 9)
-    with pytest.warns(UserWarning, match="not a text file"):
+    with pytest.warns(UserWarning, match="is no log of a training"):
         assert not ProgressFile(file, 500)._rows
     assert file.read_bytes() == b""  # the resumed training begins a new log
 

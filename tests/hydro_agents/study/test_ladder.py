@@ -26,7 +26,7 @@ LADDER = {
     "rungs": {
         "alone": {"kind": "ppo", "settings": {**SMALL, "residual": False, "paired": False, "validation_every": 1}},
         "correction": {"kind": "ppo", "corrects": "PID", "settings": SMALL},
-        "told": {"after": "correction", "settings": {"told_critic": True, "prices": {"lasting": 1.0}}},
+        "told": {"after": "correction", "settings": {"told_critic": True, "prices": {"reversal": 1.0}}},
     },
 }
 

@@ -123,15 +123,15 @@ def test_another_rig_ends_in_cannot_tell_after_any_duration(wrong_rig, tmp_path,
     assert answer.returncode == UNKNOWN, answer.stderr
     assert own_lines(answer.stdout)[-1].startswith("cannot tell: the model does not describe this rig")
     remarks = pd.read_csv(tmp_path / "out" / "leak.csv")["estimator_remark"].tolist()
-    assert remarks.count(Why.MISFIT.words) == min(seconds, 2)
-    assert remarks.count(Why.NOT_READ.words) == max(seconds - 2, 0)
+    assert remarks.count(Why.MISFIT.word) == min(seconds, 2)
+    assert remarks.count(Why.NOT_READ.word) == max(seconds - 2, 0)
 
 
 def test_one_value_of_a_reading_holds_for_all_windows():
     one = Reading.of([0.1, np.nan], Cause.UNKNOWN, flow_lpm=0.3, why=Why.MISFIT)
     assert [len(values) for values in one] == [2] * len(Reading._fields)
     assert one.followed_by(one).cause.tolist() == [Cause.UNKNOWN] * 4
-    assert one.remarks == [Why.MISFIT.words] * 2
+    assert one.remarks == [Why.MISFIT.word] * 2
     assert one.flow_lpm.tolist() == [0.3, 0.3]
     with pytest.raises(ValueError, match="shape"):
         Reading.of([0.1, 0.2], flow_lpm=[1.0, 2.0, 3.0])

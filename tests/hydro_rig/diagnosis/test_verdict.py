@@ -64,7 +64,7 @@ CASES = {
     "worn valve": ([], reading(0.01, 0.01, fault="worn edges"), None, Kind.OTHER, "something else: worn edges;"),
     "worn valve and leak": ([], reading(1.0, 1.0, fault="worn edges"), None, Kind.LEAK, "besides, worn edges"),
     "nothing read": ([], None, None, Kind.UNKNOWN, "cannot tell: the recording is shorter than one window"),
-    "standstill": ([], UNDETERMINED, None, Kind.UNKNOWN, f"cannot tell: {Why.UNDETERMINED.words}"),
+    "standstill": ([], UNDETERMINED, None, Kind.UNKNOWN, f"cannot tell: {Why.UNDETERMINED.word}"),
     "gaps": (
         [],
         GAPS,
@@ -81,7 +81,7 @@ CASES = {
         UNDETERMINED,
         LEAK,
         Kind.UNKNOWN,
-        f"cannot tell: {Why.UNDETERMINED.words}",
+        f"cannot tell: {Why.UNDETERMINED.word}",
     ),
     "head does not lead where half of the windows misfit": ([], HALF_MISFIT, LEAK, Kind.UNKNOWN, "cannot tell: "),
     "head leads where the estimator reads nothing": ([], GAPS, LEAK, Kind.LEAK, "internal leak"),
