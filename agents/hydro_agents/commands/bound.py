@@ -37,8 +37,8 @@ def bound(
 ) -> None:
     """Find the smallest errors that a controller could reach, and compare them with those of the shipped controllers.
 
-    A search plans the commands with the simulator itself. It knows the plant with its leak, and either the true state
-    or what a Kalman filter makes of the measured signals: the bound that a controller can reach. The command prints
+    A search plans the commands with the simulator itself. It knows the plant with its leak, and the true state. The
+    command prints
     the mean error for each family of references and each leak, and writes all cases as CSV. It takes some minutes; the
     first seconds of the search show how many on your machine.
     """

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 
 import pandas as pd
 from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.best_found import BoundSettings, Told, best_found
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.robustness_protocol import PairedCases, PairedCondition, RobustnessProtocol
 from hydro_agents.evaluation.runner import run
+from hydro_agents.evaluation.tracking import BEST_FOUND
 from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
 
-TRUTH, MEASURED = "told the truth", "measured state"
 COLUMNS = {
     "leakage_flow_lpm": "leakage_flow_lpm",
     "family": "family",
@@ -31,11 +29,10 @@ COLUMNS = {
 
 
 class ComparisonSettings(PairedCases):
-    """Cases of a comparison, and the size of the search."""
+    """Cases of a comparison."""
 
     leak_levels: tuple[float, ...] = Field((0.01, 0.3, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
     plants: int = Field(3, ge=3, le=1000, description="per level and family")
-    search: BoundSettings = BoundSettings()
 
 
 def compare(
@@ -57,23 +54,22 @@ def compare(
         seeds="EVALUATION",
         bound_conditions=("task",),
         bound_plants=settings.plants,
-        **settings.model_dump(exclude={"search"}),
+        chunk=8,
+        **settings.model_dump(),
     )
-    told: dict[str, Told] = {MEASURED: "measured", TRUTH: "truth"}
-    searches = {name: partial(best_found, told=which, settings=settings.search) for name, which in told.items()}
-    rows = run(protocol, Participants(controllers, searches=searches), jobs=1, progress=progress).rows
+    rows = run(protocol, Participants(controllers), jobs=-1, progress=progress).rows
     return pd.concat([rows["tracking"], rows["best_found"]], ignore_index=True)[list(COLUMNS)].rename(columns=COLUMNS)
 
 
 def summary(frame: pd.DataFrame, by: str) -> pd.DataFrame:
     """Mean errors in mm by ``family`` or ``leakage_flow_lpm``, one column per controller; last row: over all.
 
-    The column ``floor`` holds the true error of the best found that knows the true plant, but not the sensor's bias.
+    The column ``floor`` holds the true error of the best found, which follows the biased sensor.
     """
     table = means_by(frame, "error_mm", by)
     true = means_by(frame, "true_error_mm", by)
     base = str(frame["controller"].iloc[0])
-    return table.assign(**{f"{base}, true position": true[base], "floor, true position": true[TRUTH]})
+    return table.assign(**{f"{base}, true position": true[base], "floor, true position": true[BEST_FOUND]})
 
 
 def means_by(frame: pd.DataFrame, column: str, by: str = "family") -> pd.DataFrame:
