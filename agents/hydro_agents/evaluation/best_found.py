@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hydro_agents.evaluation.prediction import (
     Prediction,
@@ -22,18 +21,12 @@ from hydro_agents.evaluation.prediction import (
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
-from hydro_env.files import Group, validate
 from hydro_env.task.signals import POSITION
 from hydro_env.types import Floats
 
-
-class BoundSettings(Group):
-    """Size of the search for the best commands."""
-
-    horizon: int = Field(20, ge=2, le=200, description="control periods that are planned ahead")
-    iterations: int = Field(2, ge=0, le=50, description="Gauss-Newton steps per control period")
-    samples: int = Field(8, ge=0, le=10_000, description="random changes of the plan tried in each iteration")
-
+HORIZON = 20  # control periods that are planned ahead
+ITERATIONS = 2  # Gauss–Newton steps per control period
+SAMPLES = 8  # random changes of the plan that are tried in each iteration
 
 EFFORT = 2e-7  # m; cost of a change of the command by 1, squared
 
@@ -44,12 +37,7 @@ STEP_LENGTHS = (1.0, 0.4)  # fractions of each Gauss–Newton step that are trie
 CHANGE_SIZES = (2.0, 0.5, 0.1, 0.02)  # largest random changes of the plan, as a fraction of 10 V
 
 
-def best_found(
-    config: TaskConfig,
-    cases: Cases,
-    settings: BoundSettings | dict[str, Any] | None = None,
-    chunk: int = 64,
-) -> Rollout:
+def best_found(config: TaskConfig, cases: Cases, chunk: int = 64) -> Rollout:
     """Run every case under the best commands that the search finds in each control period.
 
     The search knows the state and the plant of the episode, its leak and its forces, present and future, and the
@@ -59,15 +47,9 @@ def best_found(
     Args:
         config: the task.
         cases: the episodes. A case's result depends on neither the others nor the chunk.
-        settings: :class:`BoundSettings` or its fields.
         chunk: cases that run together.
-
-    Raises:
-        ConfigurationError: impossible settings.
     """
-    if not isinstance(settings, BoundSettings):
-        settings = validate(BoundSettings, settings or {}, "best found")
-    return run_cases(config, BestFound(config, settings), cases, chunk=chunk)
+    return run_cases(config, BestFound(config), cases, chunk=chunk)
 
 
 class BestFound:
@@ -75,25 +57,23 @@ class BestFound:
 
     Args:
         config: the task.
-        settings: size of the search.
     """
 
-    def __init__(self, config: TaskConfig, settings: BoundSettings) -> None:
+    def __init__(self, config: TaskConfig) -> None:
         self.config = config
-        self.settings = settings
         self._known = max(config.preview_samples, default=0)
         self._prediction: Prediction | None = None
 
     def begin(self, axes: Axes) -> None:
         """Prepare for the episodes of the axes, which have just been reset."""
-        config, settings = self.config, self.settings
+        config = self.config
         plants, latency = axes.coefficient.copy(), axes.column("latency").copy()
-        schedule = true_schedule(config, axes, config.steps + settings.horizon)
+        schedule = true_schedule(config, axes, config.steps + HORIZON)
         self._axes = axes
         self._prediction = Prediction(config, plants, latency, schedule)
         offset = axes.column("bias")[:, POSITION] if config.sensors.enabled else 0.0
         self._target = axes.reference - np.reshape(offset, (-1, 1))
-        self._plan = np.repeat(axes.column("command")[:, None], settings.horizon, axis=1)
+        self._plan = np.repeat(axes.column("command")[:, None], HORIZON, axis=1)
         self._generator = np.random.default_rng(0)
 
     def predict(
@@ -101,15 +81,15 @@ class BestFound:
     ) -> tuple[NDArray[np.float32], None]:
         """The first command of the plan, (N, 1); it reads the axes themselves, not the observation."""
         del observation, state, episode_start, deterministic
-        prediction, settings = self._prediction, self.settings
+        prediction = self._prediction
         if prediction is None:
             raise ConfigurationError("best found: reads the true states of the axes; run it with run_cases")
         axes = self._axes
         step = int(axes.column("step").max())
         now, before = axes.state.copy(), axes.column("command").copy()
-        target = continued(self._target, step, self._known, settings.horizon)
+        target = continued(self._target, step, self._known, HORIZON)
         plan = np.concatenate([self._plan[:, 1:], self._plan[:, -1:]], axis=1)
-        for _ in range(max(settings.iterations, 1)):
+        for _ in range(ITERATIONS):
             tried = self._candidates(now, before, plan, target, step)
             positions = prediction.positions(now, before, tried, step)
             cost = np.abs(target[:, None, :] - positions).mean(axis=2)
@@ -121,16 +101,14 @@ class BestFound:
 
     def _candidates(self, now: Floats, before: Floats, plan: Floats, target: Floats, step: int) -> Floats:
         """Candidate sequences of commands, (N, M, H); the first is the present plan."""
-        settings = self.settings
         assert self._prediction is not None
         tried = [plan]
-        if settings.iterations > 0:
-            positions, jacobian = self._prediction.sensitivities(now, before, plan, step)
-            error = target - positions
-            for even in EVEN_ERRORS:
-                weight = 1.0 / np.maximum(np.abs(error), even)
-                found = bounded_least_squares(jacobian, error, weight, plan, before, EFFORT)
-                tried += [plan + length * (found - plan) for length in STEP_LENGTHS]
-        changes = random_changes(self._generator, settings.samples, settings.horizon, CHANGE_SIZES)
+        positions, jacobian = self._prediction.sensitivities(now, before, plan, step)
+        error = target - positions
+        for even in EVEN_ERRORS:
+            weight = 1.0 / np.maximum(np.abs(error), even)
+            found = bounded_least_squares(jacobian, error, weight, plan, before, EFFORT)
+            tried += [plan + length * (found - plan) for length in STEP_LENGTHS]
+        changes = random_changes(self._generator, SAMPLES, HORIZON, CHANGE_SIZES)
         random = np.clip(plan[:, None, :] + changes, -1.0, 1.0)
         return np.concatenate([np.stack(tried, axis=1), random], axis=1)

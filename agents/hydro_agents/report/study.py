@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.evaluate import Evaluation
-from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text, is_broken
+from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
 from hydro_agents.report.content import Content, interval, shown, verdict
 from hydro_agents.report.findings import findings_of
@@ -94,12 +94,8 @@ def study_findings(content: Content) -> list[Block]:
 
 
 def warnings_of(content: Content) -> list[str]:
-    """A baseline that cannot hold the axis, few plants, and runs with seeds that may have trained a controller."""
+    """Few plants, and runs with seeds that may have trained a controller."""
     warnings = []
-    base = content.controllers[0]
-    standstills = content.row("limit_cycle_summary", controller=base)
-    if standstills and is_broken(standstills):
-        warnings.append(f"{base} cannot hold this axis: ratios to it compare with a broken controller.")
     plants = content.table("cases")["plant"].nunique()
     if plants < FEW_PLANTS:
         what = "without intervals" if plants < LEAST_SAMPLES else "with rough intervals"

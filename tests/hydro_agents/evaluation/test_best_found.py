@@ -8,7 +8,7 @@ from published import assert_published
 from refusal import refused
 from scipy.optimize import lsq_linear
 
-from hydro_agents.evaluation.best_found import BestFound, BoundSettings, best_found
+from hydro_agents.evaluation.best_found import BestFound, best_found
 from hydro_agents.evaluation.bound_comparison import means_by, summary
 from hydro_agents.evaluation.prediction import Prediction, bounded_least_squares, continued, true_schedule
 from hydro_agents.evaluation.tracking import BEST_FOUND
@@ -124,10 +124,8 @@ def test_the_reference_beyond_the_preview():
 
 
 def test_wrong_input_gets_one_line(tmp_path):
-    with refused("best found: horizon = 0"):
-        best_found(SHORT, CASES, settings={"horizon": 0})
     with refused("reads the true states"):
-        BestFound(SHORT, BoundSettings()).predict(np.zeros((1, 13)))
+        BestFound(SHORT).predict(np.zeros((1, 13)))
     assert_one_clear_line(hydro("bound", "--task", "none.yaml", "--output", tmp_path / "out"), "none.yaml")
     assert_one_clear_line(hydro("bound", "--leak", "-1", "--output", tmp_path / "out"), "leak_levels", "-1")
     assert not (tmp_path / "out").exists()

@@ -120,10 +120,10 @@ def strong(config, cases):
     return run_cases(config, Proportional(60.0), cases)
 
 
-def test_the_best_found_runs_on_some_cases_and_gives_the_gap():
+def test_the_best_found_runs_on_some_cases_and_gives_the_gap(monkeypatch):
+    monkeypatch.setattr("hydro_agents.evaluation.tracking.best_found", strong)
     protocol = small(bound_conditions=["late"], bound_plants=2)
-    chosen = Participants({"P": Proportional(), "Q": Proportional(45.0)}, searches={"best found": strong})
-    results = run(protocol, chosen, jobs=1)
+    results = run(protocol, Participants({"P": Proportional(), "Q": Proportional(45.0)}), jobs=1)
     assert set(results.part("best_found")["condition"]) == {"late"}
     assert len(results.part("best_found")) == 2 * 2 * 2
     row = results.table("comparison").set_index("condition").loc["late"]
