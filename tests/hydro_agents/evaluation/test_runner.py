@@ -11,9 +11,9 @@ from small_protocol import Broken, Proportional, small
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.participants import Participants, participants, sees, split_name
 from hydro_agents.evaluation.runner import DONE, FAILED, NOT_APPLICABLE, run
-from hydro_agents.evaluation.tracking import replay, tracked
+from hydro_agents.evaluation.tracking import replay
 from hydro_agents.running.cases import ControllerError, run_cases
-from hydro_agents.running.jobs import JOBS_FOLDER, Job, fingerprint, load_result, save_result
+from hydro_agents.running.jobs import JOBS_FOLDER, fingerprint
 from hydro_env import TaskConfig
 
 ROOM = {"standstill_leak_levels": [1.0], "standstill_plants": 3}
@@ -90,19 +90,6 @@ def test_another_controller_of_the_same_name_takes_no_old_results(tmp_path):
     other = run(small(), Participants({"P": Proportional(20.0)}), tmp_path, jobs=1)
     assert other.reused == 0
     assert not first.part("tracking")["mean_error_mm"].equals(other.part("tracking")["mean_error_mm"])
-
-
-def test_a_result_is_read_as_it_was_written(tmp_path):
-    protocol = small()
-    cases, _ = protocol.cases_in("plain")
-    job = Job(tracked, Proportional(), (protocol.task, cases), digest="d")
-    result = job.run()
-    save_result(tmp_path / job.file, result)
-    stored = load_result(tmp_path / job.file)
-    assert list(stored.metrics) == list(METRICS)
-    for name, values in result.metrics.items():
-        np.testing.assert_array_equal(stored.metrics[name], values)
-    assert load_result(tmp_path / "none.npz") is None
 
 
 def test_conditions_that_change_nothing_at_standstill_share_their_search(tmp_path):
