@@ -182,29 +182,25 @@ def test_other_periods_and_rigs_need_controllers_of_their_own():
     assert status.loc["slow", "status"] == status.loc["rig", "status"] == NOT_APPLICABLE
     assert "10 ms" in status.loc["slow", "message"]
     assert not results.errors
-    tuned = participants({"PID": "pid"}, protocol, {"PID@slow": "pid"})
-    assert set(run(protocol, tuned, jobs=1).part("tracking")["condition"]) == {"plain", "slow"}
     choice = {"PID": {"kind": "pid", "settings": {"proportional": 15.0}}}
     named = small(conditions={"plain": {}, "slow": {**conditions["slow"], "controllers": choice}})
     ready = participants({"PID": "pid"}, named)
+    assert set(run(named, ready, jobs=1).part("tracking")["condition"]) == {"plain", "slow"}
     assert ready.of("PID", "slow", named).gains.proportional == 15.0
     assert ready.of("PID", "slow", named).layout.control_period == 0.01
     assert ready.of("PID", "plain", named).layout.control_period == 0.005
 
 
 @pytest.mark.parametrize(
-    ("names", "special", "message"),
+    ("names", "message"),
     [
-        (["PID"], {"PID@never": "pid"}, "PID@never: must be NAME@CONDITION"),
-        (["PID"], {"PPO@plain": "pid"}, "PPO@plain: must be NAME@CONDITION"),
-        (["PID"], {"PID@plain": "nothing"}, "PID@plain"),
-        (["PID", "PID#0"], {}, "same training seed"),
-        *(([name], {}, "must be NAME") for name in ("PPO#", "PPO#x", "#1", "PPO#-1")),
+        (["PID", "PID#0"], "same training seed"),
+        *(([name], "must be NAME") for name in ("PPO#", "PPO#x", "#1", "PPO#-1")),
     ],
 )
-def test_names_hold_training_seeds_and_known_conditions(names, special, message):
+def test_names_hold_training_seeds(names, message):
     with refused(message):
-        participants(dict.fromkeys(names, "pid"), small(), special)
+        participants(dict.fromkeys(names, "pid"), small())
     assert (split_name("PPO#12"), split_name("PPO")) == (("PPO", 12), ("PPO", 0))
 
 
