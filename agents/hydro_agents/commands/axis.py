@@ -71,7 +71,7 @@ FRAMES_PER_SECOND = 25.0  # about
 
 
 def render(
-    output: Annotated[Path, typer.Option("--output", "-o", help="The film: .mp4, .gif or .webp.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The film: .mp4.")],
     task: Task = None,
     rig: Rig = None,
     agent: Agents = None,
@@ -94,19 +94,18 @@ def render(
     `--task`, or without `--rig`, the task draws the parameters that are not known exactly.
     """
     from hydro_agents.learning.opponents import opponent
-    from hydro_agents.report.film import FORMATS, check_mp4, film, film_size, frame_rate, panels, write_film
+    from hydro_agents.report.film import check_encoder, film, film_size, panels, write_film
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.tasks import named_faults
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
 
-    if output.suffix.lower() not in FORMATS:
-        raise ConfigurationError(f"--output {output}: must end in {', '.join(FORMATS)}")
+    if output.suffix.lower() != ".mp4":
+        raise ConfigurationError(f"--output {output}: must end in .mp4")
     if output.is_dir() or not output.parent.is_dir():
         raise ConfigurationError(f"--output {output}: must be a file in a folder that exists")
     check_new_file(output, overwrite)
-    if output.suffix.lower() == ".mp4":
-        check_mp4()
+    check_encoder()
     config = task_config(exact_task(task, rig), rig=rig, episode_duration=duration)
     controllers = {name: opponent(what, config, name) for name, what in named_agents(agent).items()}
     if not controllers:
@@ -118,11 +117,12 @@ def render(
     shown = panels(controllers, leakage or [])
     if len(shown) > MOST_PANELS:
         raise ConfigurationError(f"{len(shown)} panels: must be at most {MOST_PANELS}; give fewer --agent or --leakage")
-    rate = frame_rate(output, config.control_period, FRAMES_PER_SECOND, speed)
+    periods = max(round(speed / (FRAMES_PER_SECOND * config.control_period)), 1)
+    rate = speed / (periods * config.control_period)
     side_by_side = math.ceil(math.sqrt(len(shown)))
     options = {"reference": family, "faults": named_faults(fault or [])}
-    count = config.steps // rate.periods_per_frame + 1
-    frames = film(config, shown, seed, options, rate.periods_per_frame, width, side_by_side)
+    count = config.steps // periods + 1
+    frames = film(config, shown, seed, options, periods, width, side_by_side)
     with ProgressDisplay() as progress:
 
         def counted() -> Iterator[Image]:
@@ -131,9 +131,9 @@ def render(
                 yield frame
             progress.update("film", count, count)
 
-        write_film(output, counted(), rate.milliseconds)
+        write_film(output, counted(), rate)
     pixels = film_size(len(shown), width, side_by_side)
     say(
-        f"{output}: {count} frames of {pixels[0]} × {pixels[1]} pixels, {1e3 / rate.milliseconds:.3g} per second, "
+        f"{output}: {count} frames of {pixels[0]} × {pixels[1]} pixels, {rate:.3g} per second, "
         f"{output.stat().st_size / 1e6:.2g} MB"
     )

@@ -70,9 +70,8 @@ def evaluate(
     names what was made for another rig, and what is left out.
 
     With `--protocol` the shipped controllers (or those of `--config`) and your own run under every condition of a
-    protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--agent NAME@CONDITION=…` gives a
-    controller that was made for this condition. `--task` and `--rig` replace those of the protocol. Ctrl-C keeps the
-    finished jobs, and `--resume` goes on.
+    protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--task` and `--rig`
+    replace those of the protocol. Ctrl-C keeps the finished jobs, and `--resume` goes on.
 
     With `--protocol leakage` the leakage head (that of `--head`, or the shipped one) and the estimator read windows of
     healthy, leaking and otherwise faulty axes under many motions and controllers. The command writes tables and a page

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, TypeVar
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Protocol, file_sha256
 from hydro_agents.evaluation.participants import (
-    CONDITION_MARK,
     Participants,
     participants,
     shipped_controllers,
@@ -68,7 +67,7 @@ def evaluate_protocol(file: Path, agents: Mapping[str, str], study_file: Path | 
 
     Args:
         file: of the protocol.
-        agents: more controllers, by NAME, NAME#SEED or NAME@CONDITION, as texts of ``opponent``.
+        agents: more controllers, by NAME or NAME#SEED, as texts of ``opponent``.
         study_file: a study whose controllers take part; default: all shipped controllers.
         options: how it runs.
 
@@ -140,18 +139,16 @@ def run_protocol(
 
 def _participants(protocol: RobustnessProtocol, agents: Mapping[str, str], study_file: Path | None) -> Participants:
     """The controllers of the protocol; an agent replaces the one of the same name, with all its training seeds."""
-    special = {name: what for name, what in agents.items() if CONDITION_MARK in name}
-    general = {name: what for name, what in agents.items() if name not in special}
     if study_file is None:
-        controllers: dict[str, Controller | str | Path] = {**shipped_controllers(protocol.task), **general}
+        controllers: dict[str, Controller | str | Path] = {**shipped_controllers(protocol.task), **agents}
     else:
         from hydro_agents.study.settings import StudySettings
 
         study = StudySettings.from_yaml(config_file("studies", study_file)).model_copy(update={"task": protocol.task})
-        controllers = dict(study.with_weights(general))
-    seeded = {split_name(name)[0] for name in general if SEED_MARK in name}
-    controllers = {name: what for name, what in controllers.items() if name not in seeded or name in general}
-    return participants(controllers, protocol, special)
+        controllers = dict(study.with_weights(agents))
+    seeded = {split_name(name)[0] for name in agents if SEED_MARK in name}
+    controllers = {name: what for name, what in controllers.items() if name not in seeded or name in agents}
+    return participants(controllers, protocol)
 
 
 def _ranking(results: Results) -> Table:

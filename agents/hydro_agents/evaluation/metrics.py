@@ -246,17 +246,21 @@ def case_metrics(
         if is_step:
             beyond.append(overshoot(position[first:last], float(reference[first - 1]), float(reference[first])))
     settled = [value for value in settling if not math.isnan(value)]
+
+    def mean(values: list[float]) -> float:
+        return float(np.mean(values)) if values else math.nan
+
     return {
         "mean_error_mm": 1e3 * float(np.mean(np.abs(error))),
         "rms_error_mm": 1e3 * float(np.sqrt(np.mean(error**2))),
         "peak_error_mm": 1e3 * float(np.max(np.abs(error))),
-        "settling_time_s": float(np.mean(settled)) if settled else math.nan,
+        "settling_time_s": mean(settled),
         "unsettled_share": 1.0 - len(settled) / len(settling) if settling else math.nan,
-        "overshoot_percent": float(np.mean(beyond)) if beyond else math.nan,
-        "steady_state_error_mm": 1e3 * float(np.mean(steady)) if steady else math.nan,
+        "overshoot_percent": mean(beyond),
+        "steady_state_error_mm": 1e3 * mean(steady),
         "mean_error_sensor_mm": 1e3 * float(np.mean(np.abs(error - bias))),
         "peak_error_sensor_mm": 1e3 * float(np.max(np.abs(error - bias))),
-        "steady_state_error_sensor_mm": 1e3 * float(np.mean(steady_sensor)) if steady_sensor else math.nan,
+        "steady_state_error_sensor_mm": 1e3 * mean(steady_sensor),
         "itae_mm_s2": 1e3 * float(np.sum(time * np.abs(error)) * period),
         "control_effort": float(np.sqrt(np.mean(np.asarray(command, dtype=np.float64) ** 2))),
         "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,18 +15,14 @@ from hydro_agents.evaluation.robustness_protocol import ControllerChoice, Paired
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.learning.trainers import TRAINERS
-from hydro_agents.running.cases import Cases, Rollout, check_predict
+from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
-from hydro_env.mistakes import did_you_mean
 
 if TYPE_CHECKING:
     from hydro_agents.detection.head import LeakageHead
-
-CONDITION_MARK = "@"
-"""Separates a name from the condition for which a controller was tuned or trained, as in ``PID@period_2ms``."""
 
 
 class Sees(Group):
@@ -78,7 +74,6 @@ class Participants:
     controllers: Mapping[str, Controller]
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
     head: LeakageHead | None = None  # watches the episodes of a study
-    searches: Mapping[str, Callable[[TaskConfig, Cases], Rollout]] | None = None  # default: the best found, by name
 
     @property
     def corrected(self) -> dict[str, str]:
@@ -106,7 +101,6 @@ class Participants:
 def participants(
     controllers: Mapping[str, Controller | str | Path],
     protocol: PairedProtocol,
-    special: Mapping[str, Controller | str | Path] | None = None,
 ) -> Participants:
     """Make the controllers of a protocol.
 
@@ -114,7 +108,6 @@ def participants(
         controllers: by name, objects with ``predict`` or texts of :func:`~hydro_agents.learning.opponents.opponent`.
             The first one is the baseline. ``NAME#0``, ``NAME#1``, … are training seeds of one controller.
         protocol: the protocol, which may name controllers for single conditions.
-        special: more of these, by ``NAME@CONDITION``; they replace those of the protocol.
 
     Raises:
         ConfigurationError: there is no controller, a name is wrong, or a controller cannot be made for its task.
@@ -133,14 +126,6 @@ def participants(
             if name in ready:
                 task = protocol.task_in(condition)
                 made[name, condition] = _chosen(choice, task, f"conditions.{condition}.controllers.{name}")
-    for text, what in (special or {}).items():
-        name, _, condition = text.partition(CONDITION_MARK)
-        if name not in ready or condition not in protocol.conditions:
-            raise ConfigurationError(
-                f"{text}: must be NAME@CONDITION of a controller ({', '.join(ready)}) and a condition of the protocol"
-                f"{did_you_mean(condition, protocol.conditions)}"
-            )
-        made[name, condition] = opponent(what, protocol.task_in(condition), text)
     return Participants(ready, made)
 
 

@@ -112,16 +112,10 @@ def _inline(file: bytes, key: str, alt: str) -> str:
     svg = file.decode()
     own = r'(\bid="|url\(#|href="#)(?!DejaVuSans)'
     text = re.sub(own, lambda match: f"{match.group(0)}{key}-", svg[svg.index("<svg") :])
-    short = re.sub(r'(?<= )(d|x|y)="[^"]*"', lambda match: _shortened(match.group(0)), text)
+    rounded = re.compile(r"\.(\d)\d+")  # to a tenth of a point
+    short = re.sub(r'(?<= )(d|x|y)="[^"]*"', lambda match: rounded.sub(r".\1", match[0]), text)
     label = f'role="img" aria-label="{escape(alt)}"'
     return themed(re.sub(r'width="[^"]*" height="[^"]*"', lambda _: label, short, count=1))
-
-
-def _shortened(path: str) -> str:
-    """An SVG path rounded to a tenth of a point, without the letters of its straight lines."""
-    rounded = re.sub(r"\.(\d)\d+", r".\1", path)
-    lines = r"[ML][^A-Za-z]+(?:L[^A-Za-z]+)+"
-    return re.sub(lines, lambda match: re.sub(r"\s+L ", " ", match.group(0)), rounded)
 
 
 def one_panel(

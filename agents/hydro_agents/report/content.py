@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -12,7 +12,7 @@ import pandas as pd
 
 from hydro_agents.report.palette import Look, looks_of
 from hydro_agents.running.statistics import Interval
-from hydro_agents.running.text import correction_name, decimals_for, number
+from hydro_agents.running.text import decimals_for, number
 from hydro_env import TaskConfig
 
 if TYPE_CHECKING:
@@ -22,12 +22,6 @@ Kind = TypeVar("Kind")
 
 ALL = "all"
 """Name of the row over all conditions."""
-
-NAME_COLUMNS = ("controller", "against")
-"""Columns that hold names of controllers."""
-
-RUNS = {"examples", "traces"}
-"""Parts with single runs, which hold names of controllers too."""
 
 CORRECTS = "corrects "
 """Beginning of a note about the inputs of a controller that corrects another one."""
@@ -111,21 +105,6 @@ class Content:
         notes = {} if table.empty else table.dropna(subset=["note"]).set_index("controller")["note"].to_dict()
         noted = {who: note.removeprefix(CORRECTS) for who, note in notes.items() if note.startswith(CORRECTS)}
         return noted | self.other("corrects", {})
-
-    def with_full_names(self) -> Content:
-        """The same with names that tell what a policy corrects: "PPO on flow linearisation" instead of "PPO"."""
-        names = {name: correction_name(name, base) for name, base in self.corrects.items()}
-        if not names:
-            return self
-        columns = {"protocol": ("value",)}  # one of the facts is the baseline
-        tables = {
-            key: table.assign(**{c: table[c].replace(names) for c in columns.get(key, NAME_COLUMNS) if c in table})
-            for key, table in self.tables.items()
-        }
-        others = dict(self.others) | {"corrects": {names[name]: base for name, base in self.corrects.items()}}
-        for key in self.others.keys() & RUNS:
-            others[key] = [run.renamed(names) for run in self.others[key]]
-        return replace(self, tables=tables, others=others)
 
     # Conditions -------------------------------------------------------------------------------------------------------
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import chain
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -29,16 +28,46 @@ def leaks_of(table: pd.DataFrame) -> list[float]:
     return leaks
 
 
+def ends_of(table: pd.DataFrame) -> list[float]:
+    """The smallest and the largest leak of a table; one if they are the same."""
+    leaks = leaks_of(table)
+    return list(dict.fromkeys((leaks[0], leaks[-1])))
+
+
 def by_controller(content: Content, table: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """The rows of each controller that a table contains."""
     parts = {name: table[table["controller"] == name] for name in content.looks}
     return {name: part for name, part in parts.items() if len(part)}
 
 
-def by_leak(table: pd.DataFrame) -> Iterator[tuple[str, list[pd.DataFrame]]]:
-    """The rows of each controller at each leak of a table."""
+def spread(
+    caption: str,
+    table: pd.DataFrame,
+    cells: Mapping[str, Callable[[pd.DataFrame], str]],
+    by: str = "leakage_flow_lpm",
+    unit: str = " l/min",
+    style: str = "",
+) -> Table:
+    """A row per controller, and for each value of the column ``by`` some cells, by their titles."""
+    values, rows = table[by].unique(), []
     for name, own in table.groupby("controller", sort=False):
-        yield name, [own[own["leakage_flow_lpm"] == leak] for leak in leaks_of(table)]
+        parts = (own[own[by] == value] for value in values)
+        rows.append((name, *(cell(part) for part in parts for cell in cells.values())))
+    labels = [value if isinstance(value, str) else f"{setting(value)}{unit}" for value in values]
+    if len(cells) == 1:
+        return Table(caption, ("Controller", *labels), rows, style=style)
+    groups = tuple((label, len(cells)) for label in labels)
+    return Table(caption, ("Controller", *list(cells) * len(labels)), rows, groups, style)
+
+
+def median_of(column: str, decimals: int) -> Callable[[pd.DataFrame], str]:
+    """The cell with the median of a column."""
+    return lambda part: number(part[column].median(), decimals)
+
+
+def mean_of(column: str, decimals: int = 0) -> Callable[[pd.DataFrame], str]:
+    """The cell with the mean of a column."""
+    return lambda part: number(part[column].mean(), decimals)
 
 
 # Frequency response -------------------------------------------------------------------------------------------------
@@ -51,18 +80,17 @@ def frequency(content: Content) -> list[Block]:
         "A small sine as reference, one frequency after the other, on drawn plants with sensor noise; least-squares "
         "fit of the true position. With preview, a controller knows the sine ahead and can start early; with the "
         "preview hidden, it sees only the present reference. The controllers were not tuned again: without preview, "
-        "its lead is missing."
+        "its lead is missing. ∞: beyond the sweep."
     )
     return [Text(note), *bode_plots(content), *bandwidth_tables(content)]
 
 
 def bode_plots(content: Content) -> list[Plot]:
     """Gain and phase over frequency for the tightest and the most leaking seal, with and without preview."""
-    leaks = leaks_of(content.table("frequency"))
     return [
         _bode(content, part, preview, leak)
         for preview in (True, False)
-        for leak in dict.fromkeys((leaks[0], leaks[-1]))
+        for leak in ends_of(content.table("frequency"))
         if len(part := content.rows("frequency", preview=preview, leakage_flow_lpm=leak))
     ]
 
@@ -94,24 +122,16 @@ def _bode(content: Content, table: pd.DataFrame, preview: bool, leak: float) -> 
 
 
 def bandwidth_tables(content: Content) -> list[Table]:
-    """Frequencies at −3 dB and −90°, by leak, with and without preview."""
-    table = content.table("frequency")
-    highest = f"> {setting(table['frequency_hz'].max())}"
-    found = bandwidths(table)
-    tables = []
-    for preview, text in ((True, "with the preview that the controller sees"), (False, "with the preview hidden")):
-        rows = []
-        part = found[found["preview"] == preview]
-        for name, parts in by_leak(part):
-            ends = pd.concat(parts)[["minus_3_db_hz", "minus_90_deg_hz"]].to_numpy().ravel()
-            cells = (highest if np.isinf(value) else number(value, 1) for value in ends)
-            rows.append((name, *cells, number(parts[0]["peak_gain"].iloc[0], 2)))
-        leaks = leaks_of(part)
-        header = ("Controller", *("−3 dB, Hz", "−90°, Hz") * len(leaks), "at the tight seal")
-        groups = (*((f"{setting(leak)} l/min", 2) for leak in leaks), ("largest gain", 1))
-        if rows:
-            tables.append(Table(f"Bandwidth {text}; median of the plants", header, rows, groups))
-    return tables
+    """Frequencies at −3 dB and −90°, and the largest gain, by leak, with and without preview."""
+    cells = {"−3 dB, Hz": median_of("minus_3_db_hz", 1), "−90°, Hz": median_of("minus_90_deg_hz", 1)}
+    cells["largest gain"] = median_of("peak_gain", 2)
+    found = bandwidths(content.table("frequency"))
+    texts = {True: "with the preview that the controller sees", False: "with the preview hidden"}
+    return [
+        spread(f"Bandwidth {text}; median of the plants", part, cells, style="dense")
+        for preview, text in texts.items()
+        if len(part := found[found["preview"] == preview])
+    ]
 
 
 # Stiffness ----------------------------------------------------------------------------------------------------------
@@ -142,8 +162,8 @@ def stiffness_plots(content: Content) -> list[Plot]:
         }
         named = (f"by-leak-{column}", f"Force step: {title}", note)
         plots.append(curve_plot(*named, curves, content.looks, " mm/kN", apart=0.04, drawn="levels", **options))
-    leaks = leaks_of(content.table("force_sine")) if content.has("force_sine") else []
-    return plots + [_compliance(content, leak) for leak in dict.fromkeys((*leaks[:1], *leaks[-1:]))]
+    leaks = ends_of(content.table("force_sine")) if content.has("force_sine") else []
+    return plots + [_compliance(content, leak) for leak in leaks]
 
 
 def _compliance(content: Content, leak: float) -> Plot:
@@ -166,17 +186,13 @@ def _compliance(content: Content, leak: float) -> Plot:
 def stiffness_table(content: Content) -> Table:
     """Static and dynamic stiffness by leak, medians of the plants."""
     table = content.table("force_step")
-    rows = []
-    for name, parts in by_leak(table):
-        cells = [
-            (stiffness_text(part, "remaining_mm"), stiffness_text(part, "peak_mm"), _recovery(part)) for part in parts
-        ]
-        rows.append((name, *chain.from_iterable(cells)))
-    leaks = leaks_of(table)
-    header = ("Controller", *("static, N/mm", "dynamic, N/mm", "recovered after, ms") * len(leaks))
-    groups = tuple((f"{setting(leak)} l/min", 3) for leak in leaks)
     caption = f"Stiffness against a force step of {number(table['force_n'].iloc[0], 0)} N; median of the plants"
-    return Table(caption, header, rows, groups, "dense")
+    cells: dict[str, Callable[[pd.DataFrame], str]] = {
+        "static, N/mm": lambda part: stiffness_text(part, "remaining_mm"),
+        "dynamic, N/mm": lambda part: stiffness_text(part, "peak_mm"),
+        "recovered after, ms": _recovery,
+    }
+    return spread(caption, table, cells, style="dense")
 
 
 def _recovery(part: pd.DataFrame) -> str:
@@ -216,16 +232,14 @@ def standstill(content: Content) -> list[Block]:
 def standstill_tables(content: Content) -> list[Table]:
     """Limit cycles by leak, and residual motion, offset and valve travel with noise."""
     table = content.table("standstill")
-    cycles = [(name, *map(_cycles, parts)) for name, parts in by_leak(table)]
-    decimals = {"unrest_um": 1, "offset_um": 1, "valve_travel_per_s": 2}
-    means = table.groupby("controller", sort=False)[list(decimals)].mean()
-    rest = [(name, *map(number, own, decimals.values())) for name, own in means.iterrows()]
-    leaks = (f"{setting(leak)} l/min" for leak in leaks_of(table))
-    words = ("residual motion, µm RMS", "offset, µm", "valve travel, strokes per s")
-    return [
-        Table("Held positions with a limit cycle (largest amplitude, its frequency)", ("Controller", *leaks), cycles),
-        Table("At rest under sensor noise, mean over all leaks", ("Controller", *words), rest),
-    ]
+    words = {
+        "residual motion, µm RMS": mean_of("unrest_um", 1),
+        "offset, µm": mean_of("offset_um", 1),
+        "valve travel, strokes per s": mean_of("valve_travel_per_s", 2),
+    }
+    caption = "Held positions with a limit cycle (largest amplitude, its frequency)"
+    noisy = spread("At rest under sensor noise, mean over all leaks", table.assign(all="all leaks"), words, "all")
+    return [spread(caption, table, {"cycles": _cycles}), noisy]
 
 
 def _cycles(part: pd.DataFrame) -> str:
@@ -266,27 +280,18 @@ def transitions(content: Content) -> list[Block]:
 
 
 def _pauses_table(pauses: pd.DataFrame) -> Table:
-    lengths, rows = pauses["pause_s"].unique(), []
-    for name, own in pauses.groupby("controller", sort=False):
-        by_pause = own.groupby("pause_s", sort=False)
-        peaks = by_pause["peak_um"].agg(["mean", "max"]).loc[lengths]
-        cells = (f"{number(mean, 0)} ({largest:.0f})" for mean, largest in peaks.to_numpy())
-        rows.append((name, *cells, number(by_pause["rest_um"].mean()[lengths[-1]], 1)))
     caption = "Largest error in the first 0.3 s of a move after a pause (worst case); error at rest"
-    return Table(caption, ("Controller", *(f"{setting(pause)} s" for pause in lengths), "at rest"), rows)
+    cells: dict[str, Callable[[pd.DataFrame], str]] = {
+        "in the move": lambda part: f"{number(part['peak_um'].mean(), 0)} ({part['peak_um'].max():.0f})",
+        "at rest": mean_of("rest_um", 1),
+    }
+    return spread(caption, pauses, cells, "pause_s", " s")
 
 
 def _take_over_table(changes: pd.DataFrame) -> Table:
     words = {"largest_um": "largest", "never_switched_um": "never switched", "handed_over_um": "handed over"}
-    families = changes["family"].unique()
-    means = changes.groupby(["controller", "family"], sort=False)[list(words)].mean()
-    rows = []
-    for name in changes["controller"].unique():
-        rows.append((name, *(number(value, 0) for value in means.loc[name].reindex(families).to_numpy().ravel())))
     caption = (
         "Largest error in the 0.2 s after a controller takes over; the same of a controller that drove from the start; "
         "error that the first controller hands over"
     )
-    return Table(
-        caption, ("Controller", *(f"{family}: {word}" for family in families for word in words.values())), rows
-    )
+    return spread(caption, changes, {word: mean_of(column) for column, word in words.items()}, "family")

@@ -1,14 +1,16 @@
-"""Films of the same episode under several controllers and leaks, one panel each: GIF, WebP or MP4."""
+"""Films of the same episode under several controllers and leaks, one panel each, as MP4."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +24,6 @@ Pixels = NDArray[np.uint8]
 
 TITLE, TITLE_SIZE = 44, 24
 """Height of the strip above each panel and size of its text, in pixels of a full panel."""
-
-FORMATS = (".mp4", ".gif", ".webp")
-
-GIF_COLOURS = 96
-TICKS = {".gif": 10, ".webp": 1}  # ms; durations of frames are multiples of it
 
 
 @dataclass(frozen=True)
@@ -120,63 +117,28 @@ def film_size(panel_count: int, width: int, columns: int) -> tuple[int, int]:
     return width // 2 * 2, round(height / 2) * 2
 
 
-# Files --------------------------------------------------------------------------------------------------------------
-
-
-class Rate(NamedTuple):
-    """Frames of a film."""
-
-    periods_per_frame: int
-    milliseconds: float  # duration of a frame
-
-
-def frame_rate(path: Path, control_period: float, frames_per_second: float, speed: float) -> Rate:
-    """The rate nearest to the desired one with exact durations in the file's format and frames at samples.
+def write_film(path: Path, frames: Iterator[Image.Image], frames_per_second: float) -> None:
+    """Write a film as MP4; the file appears when it is complete.
 
     Args:
-        path: of the film; its ending sets the format.
-        control_period: s
-        frames_per_second: desired rate.
-        speed: simulated seconds per second of film.
-
-    Raises:
-        ConfigurationError: the format has no such rate.
-    """
-    ideal = speed / (frames_per_second * control_period)
-    tick = TICKS.get(path.suffix.lower(), 0)
-    for periods in sorted(range(1, int(4 * ideal) + 40), key=lambda count: abs(count - ideal)):
-        shown = 1e3 * periods * control_period / speed
-        if not tick or (shown >= tick and abs(shown / tick - round(shown / tick)) < 1e-6):
-            return Rate(periods, shown)
-    raise ConfigurationError(
-        f"{path.name}: a frame in this format lasts a whole multiple of {tick} ms, but no multiple of the control "
-        f"period ({1e3 * control_period:g} ms at {speed:g} times the speed) does; write MP4"
-    )
-
-
-def write_film(path: Path, frames: Iterator[Image.Image], milliseconds: float) -> None:
-    """Write a film; the file appears when it is complete.
-
-    Args:
-        path: the file; its ending sets the format.
+        path: the file.
         frames: all of the same size.
-        milliseconds: duration of each frame.
+        frames_per_second: their rate.
 
     Raises:
-        ConfigurationError: MP4 needs ``imageio-ffmpeg``, or the file cannot be written.
+        ConfigurationError: the file cannot be written.
     """
+    import imageio_ffmpeg
+
     unfinished = path.with_name(f".unfinished-{path.name}")
-    first = next(frames)
-    loop: dict[str, Any] = {"save_all": True, "duration": round(milliseconds), "loop": 0}
+    options = {"codec": "libx264", "quality": 7, "macro_block_size": 2, "ffmpeg_log_level": "error"}
     try:
-        if path.suffix.lower() == ".mp4":
-            _write_mp4(unfinished, chain([first], frames), first.size, milliseconds)
-        elif path.suffix.lower() == ".gif":
-            octree = Image.Quantize.FASTOCTREE  # keeps the colours of small things, such as the arrows of the leak
-            later = (frame.quantize(GIF_COLOURS, octree) for frame in frames)
-            first.quantize(GIF_COLOURS, octree).save(unfinished, append_images=later, optimize=True, **loop)
-        else:
-            first.save(unfinished, append_images=frames, quality=70, method=4, **loop)
+        first = next(frames)
+        film = imageio_ffmpeg.write_frames(str(unfinished), first.size, fps=frames_per_second, **options)
+        film.send(None)  # starts the encoder
+        with closing(film):
+            for frame in chain([first], frames):
+                film.send(np.ascontiguousarray(frame))
         os.replace(unfinished, path)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror or error}") from error
@@ -184,26 +146,11 @@ def write_film(path: Path, frames: Iterator[Image.Image], milliseconds: float) -
         unfinished.unlink(missing_ok=True)
 
 
-def check_mp4() -> None:
-    """Check that MP4 can be written, before any work.
+def check_encoder() -> None:
+    """Check that a film can be written, before any work.
 
     Raises:
         ConfigurationError: the package that brings ffmpeg is missing.
     """
-    try:
-        import imageio_ffmpeg  # noqa: F401
-    except ImportError:
-        raise ConfigurationError('MP4 needs ffmpeg: pip install "hydro_env[video]"; GIF and WebP do not') from None
-
-
-def _write_mp4(path: Path, frames: Iterator[Image.Image], size: tuple[int, int], milliseconds: float) -> None:
-    import imageio_ffmpeg
-
-    options = {"codec": "libx264", "quality": 7, "macro_block_size": 2, "ffmpeg_log_level": "error"}
-    film = imageio_ffmpeg.write_frames(str(path), size, fps=1e3 / milliseconds, **options)
-    film.send(None)  # starts the encoder
-    try:
-        for frame in frames:
-            film.send(np.ascontiguousarray(frame))
-    finally:
-        film.close()
+    if find_spec("imageio_ffmpeg") is None:
+        raise ConfigurationError('a film needs ffmpeg: pip install "hydro_env[video]"')

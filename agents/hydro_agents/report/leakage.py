@@ -21,7 +21,7 @@ from hydro_agents.report.leak_plots import (
     size_plot,
 )
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.sections import Block, Cards, Fold, Points, Text, section
+from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import problems
 from hydro_agents.running.text import Cell, Table, number, setting
 
@@ -78,7 +78,7 @@ def leak_findings(content: Content) -> list[Block]:
     sentence = f"A leak of {setting(smallest)} l/min is found within {duration} s of ordinary motion."
     if not np.isfinite(smallest):
         sentence = "No size of leak is found reliably."
-    return [Cards([sentence]), findings_table(content), Text(limits, "caution"), *problems(content)]
+    return [Text(sentence, "verdict"), findings_table(content), Text(limits, "caution"), *problems(content)]
 
 
 @section("Smallest detectable leak, and accuracy of its size", needs=("detection", "sizes"))

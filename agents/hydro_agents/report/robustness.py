@@ -15,9 +15,9 @@ from hydro_agents.report.canvas import INK, Plot, curve_plot, ticks
 from hydro_agents.report.content import ALL, Content, interval, interval_text, shown, verdict
 from hydro_agents.report.findings import COSTS, findings_of
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.sections import Block, Fold, Key, Points, Text, section
+from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import problems, score_plot, score_text
-from hydro_agents.report.traces import Trace, example_plot
+from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.text import Cell, Table, family_name, number, setting
 
@@ -44,9 +44,6 @@ PROFILE_TICKS = (0.25, 0.5, 0.71, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 
 FULL_COLOUR = 2.0
 """A ratio of 2 or 1/2 has the strongest colour."""
-
-SCALE = (0.5, 0.75, 1.0, 1.4, 2.0)
-"""Ratios of the legend."""
 
 GROUPS = {
     "leak": "Leak past the piston",
@@ -81,13 +78,13 @@ def comparison(content: Content) -> list[Block]:
     base = content.baseline
     note = (
         f"Error ÷ error of {base} under the same condition; every kind of reference has the same weight. A cell has a "
-        "colour only if its whole 95 % interval is on one side of 1. Bold: the best of its row. The first column is "
+        "colour only if its whole 95 % interval is on one side of 1: blue is better, orange "
+        "is worse. Bold: the best of its row. The first column is "
         f"the mean error of {base}."
     )
     sensed = heat_map(content, "Ratio of errors in the frame of the sensor, equal weights", "equal_weight_sensor")
     return [
         Text(note),
-        Key([Cell(setting(r), "better" if r < 1.0 else "worse", colour_share(r)) for r in SCALE]),
         *heat_map(content, "Ratio of errors, equal weights", "equal_weight"),
         Fold("The same in the frame of the sensor (repeatability)", sensed),
         Fold("The same with mean errors, which steps dominate", heat_map(content, "Ratio of mean errors", "ratio")),
@@ -104,7 +101,7 @@ def costs(content: Content) -> list[Block]:
 @section("Where each controller fails")
 def failures(content: Content) -> list[Block]:
     """Traces of the worst cases, with the baseline beside each; the same colours as elsewhere."""
-    traces: list[Trace] = content.other("traces", [])
+    traces: list[Example] = content.other("traces", [])
     worst, base = worst_table(content), content.baseline
     if not traces and not worst:
         return []
@@ -112,7 +109,7 @@ def failures(content: Content) -> list[Block]:
         f"The cases in which a controller is worst against {base}, and those in which {base} is worst against the "
         "best of the others. Both ran on the same plant, reference and noise."
     )
-    plots = [example_plot(trace.titled, f"worst-{count}", content.looks) for count, trace in enumerate(traces, 1)]
+    plots = [example_plot(trace, f"worst-{count}", content.looks) for count, trace in enumerate(traces, 1)]
     return [Text(note), *plots, *([Fold("More of the worst cases", worst)] if worst else [])]
 
 

@@ -12,11 +12,9 @@ names the section in lists and files; a section without a title belongs into the
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
-from itertools import chain
 from pathlib import Path
 from typing import ClassVar, NamedTuple, TypeAlias
 
@@ -24,7 +22,7 @@ from hydro_agents.report.canvas import Plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import Page, make_page
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import Cell, Table, unbroken
+from hydro_agents.running.text import Table
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
 
@@ -52,27 +50,6 @@ class Points:
 
 
 @dataclass(frozen=True)
-class Cards:
-    """Findings side by side, a sentence each."""
-
-    kind: ClassVar[str] = "cards"
-    sentences: Sequence[str]
-
-    @property
-    def lines(self) -> list[str]:
-        """The sentences with every number on one line with its unit or its ×."""
-        return [re.sub(r"(?<=\d) (?=×|µm|ms\b|Hz|W\b)", "\u00a0", unbroken(text)) for text in self.sentences]
-
-
-@dataclass(frozen=True)
-class Key:
-    """Coloured cells in a row, which explain the colours of a table."""
-
-    kind: ClassVar[str] = "key"
-    cells: Sequence[Cell]
-
-
-@dataclass(frozen=True)
 class Code:
     """A text with fixed line breaks, such as a file of settings."""
 
@@ -92,16 +69,6 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class Choice:
-    """Blocks by a value; a slider shows those of one value."""
-
-    kind: ClassVar[str] = "choice"
-    label: str
-    unit: str
-    blocks: Mapping[str, Sequence[Block]]
-
-
-@dataclass(frozen=True)
 class Grid:
     """Figures side by side, as many as the page has room for."""
 
@@ -109,7 +76,7 @@ class Grid:
     plots: Sequence[Plot]
 
 
-Block: TypeAlias = Text | Points | Cards | Key | Code | Fold | Choice | Grid | Plot | Table
+Block: TypeAlias = Text | Points | Code | Fold | Grid | Plot | Table
 
 
 class Section(NamedTuple):
@@ -176,14 +143,13 @@ def render_page(
     Args:
         title: of the page.
         names: of its sections, in order.
-        content: what they show; a policy that corrects another controller gets its full name.
+        content: what they show.
         origin: command, date and version; default: those of the facts.
         sources: sentence about the files that hold the numbers; default: the tables beside the page.
 
     Raises:
         ConfigurationError: a section is unknown.
     """
-    content = content.with_full_names()
     parts = [
         (part, blocks)
         for part in sections_named(names)
@@ -195,7 +161,6 @@ def render_page(
         title=title,
         head=[block for part, blocks in parts if not part.title for block in blocks],
         sections=[(part, blocks) for part, blocks in parts if part.title],
-        choices=any(isinstance(block, Choice) for _, blocks in parts for block in blocks),
         plots=[plot for _, blocks in parts for plot in plots_of(blocks)],
         sources=sources,
     )
@@ -207,8 +172,6 @@ def arranged(blocks: Sequence[Block]) -> list[Block]:
     for block in blocks:
         if isinstance(block, Fold):
             block = replace(block, blocks=arranged(block.blocks))
-        elif isinstance(block, Choice):
-            block = replace(block, blocks={value: arranged(part) for value, part in block.blocks.items()})
         elif isinstance(block, Plot) and not block.wide:
             last = result[-1] if result else None
             block = Grid((*last.plots, block) if isinstance(last, Grid) else (block,))
@@ -227,6 +190,4 @@ def plots_of(blocks: Iterable[Block]) -> list[Plot]:
             plots += block.plots
         elif isinstance(block, Fold):
             plots += plots_of(block.blocks)
-        elif isinstance(block, Choice):
-            plots += plots_of(chain.from_iterable(block.blocks.values()))
     return plots

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.evaluate import Evaluation
-from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text, is_broken
+from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
 from hydro_agents.report.content import Content, interval, shown, verdict
 from hydro_agents.report.findings import findings_of
-from hydro_agents.report.sections import Block, Choice, Fold, Points, Text, section
+from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import problems, score_plot, score_text
 from hydro_agents.report.study_plots import tracking_plots
 from hydro_agents.report.traces import Example, example_limits, example_plot
@@ -94,12 +94,8 @@ def study_findings(content: Content) -> list[Block]:
 
 
 def warnings_of(content: Content) -> list[str]:
-    """A baseline that cannot hold the axis, few plants, and runs with seeds that may have trained a controller."""
+    """Few plants, and runs with seeds that may have trained a controller."""
     warnings = []
-    base = content.controllers[0]
-    standstills = content.row("limit_cycle_summary", controller=base)
-    if standstills and is_broken(standstills):
-        warnings.append(f"{base} cannot hold this axis: ratios to it compare with a broken controller.")
     plants = content.table("cases")["plant"].nunique()
     if plants < FEW_PLANTS:
         what = "without intervals" if plants < LEAST_SAMPLES else "with rough intervals"
@@ -147,9 +143,12 @@ def one_leak(content: Content) -> list[Block]:
     for count, example in enumerate(examples):
         limits = example_limits([other for other in examples if other.title == example.title])
         plots.setdefault(example.leak, []).append(example_plot(example, f"run-{count}", content.looks, limits))
-    note = "Means over all runs with this leak. Single runs: the same plant, reference and noise at every leak."
-    blocks = {setting(leak): [table, *plots.get(leak, [])] for leak, table in level_tables(content).items()}
-    return [Text(note), Choice("Leak", "l/min at 100 bar", blocks)]
+    note = "Single runs: the same plant, reference and noise at every leak."
+    folds = (
+        Fold(f"Leak of {setting(leak)} l/min", [table, *plots.get(leak, [])], opened=not plots)
+        for leak, table in level_tables(content).items()
+    )
+    return [Text(note), *folds]
 
 
 @section("How it was measured", needs=("cases",))
@@ -242,7 +241,7 @@ def level_tables(content: Content) -> dict[float, Table]:
     for leak, cases in content.table("cases").groupby("leakage_flow_lpm"):
         rows = [(name, *_means(cases[cases["controller"] == name])) for name in content.controllers]
         header = ("Controller", *_overview_header())
-        tables[float(leak)] = Table(f"Leak of {setting(leak)} l/min", header, rows, style="dense")
+        tables[float(leak)] = Table("Means over all runs with this leak", header, rows, style="dense")
     return tables
 
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from hydro_agents.report.canvas import INK, PALE, Array, Plot, curve_plot, ticks
+from hydro_agents.report.canvas import INK, PALE, Array, Plot, curve_plot
 from hydro_agents.report.content import Content, intervals
 from hydro_agents.running.statistics import mean_interval
-from hydro_agents.running.text import family_name, number, setting
-
-RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+from hydro_agents.running.text import family_name, setting
 
 
 def tracking_plots(content: Content) -> list[Plot]:
@@ -99,16 +95,21 @@ def _by_family(content: Content) -> Plot:
 
 def _error_scale(axes: Axes, values: Array, which: str) -> None:
     """Scale an axis from zero, or logarithmically if the values differ by a factor of more than 20."""
+    axis = axes.yaxis if which == "y" else axes.xaxis
     positive = values[values > 0.0]
     if len(positive) and positive.max() > 20.0 * positive.min():
-        axes.set(**{f"{which}scale": "log"})
-        axis = axes.yaxis if which == "y" else axes.xaxis
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_minor_locator(NullLocator())
-        axis.set_major_formatter(FuncFormatter(lambda value, _: setting(value)))
+        _log_scale(axes, which)
         axis.set_label_text(f"{axis.get_label_text()} (logarithmic)")
     else:
         axes.set(**{f"{which}lim": (0.0, 1.07 * float(np.nanmax(values)) or None)})
+
+
+def _log_scale(axes: Axes, which: str) -> None:
+    axes.set(**{f"{which}scale": "log"})
+    axis = axes.yaxis if which == "y" else axes.xaxis
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: setting(value)))
 
 
 def _ratios(content: Content) -> Plot:
@@ -118,33 +119,15 @@ def _ratios(content: Content) -> Plot:
     looks, base = content.looks, table["against"].iloc[0]
     table = table.assign(value=table["value"].map(lambda value: family_name(value) or "all runs"))
     parts = {name: intervals(own, "ratio", "value") for name, own in table.groupby("controller", sort=False)}
-    alone = next(iter(parts)) if len(parts) == 1 else ""
 
     def finish(axes: Axes) -> None:
         axes.axvline(1.0, color=INK, linewidth=1.0)
         axes.axhline(0.5, color=PALE, linewidth=0.8)
-        if alone:
-            axes.containers[0].set_label("")  # the axis label names it
-            text: dict[str, Any] = {"color": looks[alone].colour, "va": "center", "fontsize": 8.5}
-            for row, value in enumerate(parts[alone]["value"]):
-                axes.text(1.01, row, number(value), transform=axes.get_yaxis_transform(), **text)
-        _ratio_scale(axes, pd.concat(parts).to_numpy())
-        axes.set_xlabel(f"error{f' of {alone}' if alone else ''} ÷ error of {base}")
+        values = pd.concat(parts).to_numpy()
+        if np.nanmax(values) > 3.0 * np.nanmin(values):
+            _log_scale(axes, "x")
+        axes.set_xlabel(f"error ÷ error of {base}")
 
     title = "Ratio of errors by kind of reference"
     note = f"Mean error over that of {base} on the same runs; bars: 95 % interval. Left of the line is better."
     return curve_plot("ratio", title, note, parts, looks, f" × {base}", finish, drawn="rows")
-
-
-def _ratio_scale(axes: Axes, values: Array) -> None:
-    finite = np.append(values[np.isfinite(values) & (values > 0.0)], 1.0)
-    low, high = float(finite.min()), float(finite.max())
-    if high > 3.0 * low:
-        axes.set_xscale("log")
-        ticks(axes.xaxis, [tick for tick in RATIO_TICKS if 0.8 * low <= tick <= 1.25 * high])
-        axes.set_xlim(low / 1.15, high * 1.15)
-    else:
-        room = max(0.08 * (high - low), 0.02)
-        axes.set_xlim(low - room, high + room)
-        axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))

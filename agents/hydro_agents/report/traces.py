@@ -42,38 +42,6 @@ class Example:
     preview: float = 0.0  # s; the observation shows the reference this far ahead
     leak: float = 0.0  # l/min at 100 bar
 
-    def renamed(self, names: Mapping[str, str]) -> Example:
-        """The episode with new names of controllers."""
-        return replace(
-            self,
-            position={names.get(name, name): trace for name, trace in self.position.items()},
-            command={names.get(name, name): trace for name, trace in self.command.items()},
-        )
-
-
-@dataclass(frozen=True)
-class Trace:
-    """One of the worst cases of a controller, with its rival on the same case."""
-
-    controller: str
-    rival: str
-    rank: int
-    ratio: float  # error over that of the rival
-    example: Example  # its title says where
-
-    @property
-    def titled(self) -> Example:
-        """The episode with a whole title."""
-        times = f"{number(self.ratio)} times the error of {self.rival}"
-        return replace(
-            self.example, title=f"Worst case {self.rank} of {self.controller}: {times} ({self.example.title})"
-        )
-
-    def renamed(self, names: Mapping[str, str]) -> Trace:
-        """The case with new names of controllers."""
-        controller, rival = (names.get(name, name) for name in (self.controller, self.rival))
-        return replace(self, controller=controller, rival=rival, example=self.example.renamed(names))
-
 
 def worst_rows(cases: pd.DataFrame, baseline: str, count: int = 2) -> pd.DataFrame:
     """The cases in which every controller has its largest ratio of errors, from different conditions.
@@ -106,14 +74,16 @@ def worst_rows(cases: pd.DataFrame, baseline: str, count: int = 2) -> pd.DataFra
     return worst.sort_values("controller", key=lambda names: names.map(order.index), kind="stable")
 
 
-def worst_traces(replay: Replay, content: Content, count: int = 2) -> list[Trace]:
-    """Run the worst cases of every controller again, each with its rival (see :func:`worst_rows`).
+def with_traces(content: Content, replay: Replay, count: int = 2) -> Content:
+    """The content with the worst cases of every controller, each run again with its rival (see :func:`worst_rows`).
 
     Args:
-        replay: runs one case.
         content: with the table ``cases`` of the protocol.
+        replay: runs one case.
         count: number of cases per controller.
     """
+    if len(content.controllers) < 2:
+        return content
     preview = max(content.task.references.preview_times, default=0.0)
     with_leak = content.in_groups(*LEAK_GROUPS)
     traces = []
@@ -124,23 +94,18 @@ def worst_traces(replay: Replay, content: Content, count: int = 2) -> list[Trace
         where = [content.label(case["condition"]), family_name(family)]
         if case["condition"] not in with_leak:
             where.append(f"leak of {setting(case['leakage_flow_lpm'])} l/min")
+        where.append(f"seed {case['seed']}")
+        times = f"{number(case['ratio'])} times the error of {rival}"
         example = Example(
-            title=", ".join([*where, f"seed {case['seed']}"]),
+            title=f"Worst case {case['rank']} of {name}: {times} ({', '.join(where)})",
             time=runs[name].time,
             reference=runs[name].reference[0],
             position={who: np.asarray(run.position[0]) for who, run in runs.items()},
             command={who: np.asarray(run.command[0]) for who, run in runs.items()},
             preview=preview if family == "step" else 0.0,
         )
-        traces.append(Trace(name, rival, case["rank"], case["ratio"], example))
-    return traces
-
-
-def with_traces(content: Content, replay: Replay) -> Content:
-    """The content with the worst cases of every controller, run again (see :func:`worst_traces`)."""
-    if len(content.controllers) < 2:
-        return content
-    return replace(content, others={**content.others, "traces": worst_traces(replay, content)})
+        traces.append(example)
+    return replace(content, others={**content.others, "traces": traces})
 
 
 def example_limits(examples: Sequence[Example]) -> tuple[float, float]:

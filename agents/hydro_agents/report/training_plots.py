@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -29,9 +30,6 @@ ERROR = "validation/mean_error_mm"
 BASE_ERROR = "validation/base_mean_error_mm"
 """Error of the controller that is corrected, on the same plants."""
 
-CLOSE = 1.3
-"""Curves below this multiple of the corrected controller's error are drawn on a scale that does not begin at zero."""
-
 DISCARDED = 0.05
 """First share of the training, which does not set the scale: values of the untrained policy would flatten the rest."""
 
@@ -47,10 +45,9 @@ NOTE = (
 def training(content: Content) -> list[Block]:
     """Error, reward and updates of the policy while it learned."""
     curve, error = content.table("training_curve"), content.other("validation_error_mm", float("nan"))
-    learning = learning_plots(curve, content.baseline, error, content.looks)
+    learning: list[Block] = [*learning_plots(curve, content.baseline, error, content.looks)]
     plots = training_plots(curve, content.looks)
-    more = [Fold("More of the training", plots, not learning)] if plots else []
-    return [*learning, *more]
+    return [*learning, Fold("More of the training", plots, not learning)] if plots else learning
 
 
 def _checked(curve: pd.DataFrame) -> pd.DataFrame:
@@ -79,44 +76,32 @@ def learning_plots(
         return []
     curve = curve.dropna(subset=[ERROR])
     factor, unit = _unit(curve)
-    curve = curve.assign(
-        ratio=curve[ERROR] / baseline_error_mm,
-        name=curve["controller"].str.partition(SEED_MARK)[0],
-        steps=curve["steps"] / factor,
-    )
-    seeds = curve.groupby("name", sort=False)["controller"].nunique()
-    all_bands = curve.groupby(["name", "steps"])["ratio"].agg(["median", "min", "max"])
-    bands = {name: all_bands.loc[name] for name in seeds.index}
-    looks = looks_of([baseline, *seeds.index]) | dict(looks or {})
+    names = curve["controller"].str.partition(SEED_MARK)[0]
+    steps, ratio = curve["steps"] / factor, curve[ERROR] / baseline_error_mm
+    bands = {name: ratio[names == name].groupby(steps).agg(["median", "min", "max"]) for name in names.unique()}
+    seeds = curve["controller"].groupby(names).nunique().max()
+    looks = looks_of([baseline, *bands]) | dict(looks or {})
     corrected = (curve[BASE_ERROR].dropna() / baseline_error_mm).unique() if BASE_ERROR in curve else np.array([])
-    late = pd.concat([band.iloc[min(1, len(band) - 1) :] for band in bands.values()])
-    lowest, highest = late["min"].min(), late["max"].max()
-    near = len(corrected) > 0 and highest < CLOSE * corrected.max()
 
     def paint(axes: Axes) -> None:
         for name, band in bands.items():
             look = looks[name]
             axes.fill_between(band.index, band["min"], band["max"], color=look.colour, alpha=0.2, linewidth=0)
             axes.plot(band.index, band["median"], label=name, marker=look.marker, **look.stroke)
-        if len(corrected):
-            axes.hlines(corrected, 0.0, curve["steps"].max(), color=GREY, linestyle=":", label="corrected controller")
-        if near:
-            low, high = min(lowest, *corrected), max(highest, *corrected)
-            room = 0.15 * (high - low) or 0.01
-            axes.set_ylim(low - room, high + room)
+        if len(corrected):  # a correction is small: the scale does not begin at zero
+            axes.hlines(corrected, 0.0, steps.max(), color=GREY, linestyle=":", label="corrected controller")
         else:
             axes.axhline(1.0, color=INK, linewidth=1.0, label=baseline)
-            axes.set_ylim(0.0, 1.1 * max(1.0, highest))
+            later = [band["max"].iloc[min(1, len(band) - 1) :].max() for band in bands.values()]
+            axes.set_ylim(0.0, 1.1 * max(1.0, *later))
         axes.set(xlabel=f"training, {unit}", ylabel=f"error ÷ error of {baseline}")
         axes.set_xlim(left=0.0)
 
     note = f"Mean error on validation plants over that of {baseline} on the same plants; no policy is trained on them."
-    if seeds.max() > 1:
-        note += f" Line: median of {seeds.max()} training seeds; band: from the lowest to the highest."
+    if seeds > 1:
+        note += f" Line: median of {seeds} training seeds; band: from the lowest to the highest."
     if len(corrected):
-        note += " Dotted: the controller that is corrected."
-    if near:
-        note += " The scale does not begin at zero."
+        note += " Dotted: the controller that is corrected. The scale does not begin at zero."
     ends = {name: band["median"].iloc[[0, -1]].items() for name, band in bands.items()}
     rows = {name: [(f"after {number(x)} {unit}", y) for x, y in both] for name, both in ends.items()}
     title = f"Error while learning, against {baseline}"
@@ -132,23 +117,17 @@ def training_plots(curve: pd.DataFrame, looks: Mapping[str, Look] | None = None)
         looks: of the controllers in the other figures of the page; default: by their order here.
     """
     curve = _checked(curve)
-    panels = {"mean_reward": "mean reward"}
-    for name in curve:
-        kind, _, what = name.partition("/")
-        if kind == "validation" and what.endswith("_mm"):
-            panels[name] = what.removesuffix("_mm").replace("_", " ") + ", mm"
-    panels |= UPDATES
-    panels = {name: words for name, words in panels.items() if name in curve and curve[name].notna().any()}
+    errors = [name for name in curve if re.fullmatch(r"validation/\w+_mm", name)]
+    words = {name: f"{name[11:-3].replace('_', ' ')}, mm" for name in errors}
+    panels = {"mean_reward": "mean reward", **words, **UPDATES}
+    panels = {name: text for name, text in panels.items() if name in curve and curve[name].notna().any()}
     if not panels:
         return []
     factor, unit = _unit(curve)
     names = curve["controller"].unique()
     looks = looks_of(names) | dict(looks or {})
-    lines = {
-        (column, name): curve[curve["controller"] == name].set_index("steps")[column].dropna()
-        for column in panels
-        for name in names
-    }
+    by_name = curve.set_index(["controller", "steps"])
+    lines = {(column, name): by_name.loc[name, column].dropna() for column in panels for name in names}
 
     def paint(figure: Figure) -> None:
         rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]

@@ -64,11 +64,6 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
 
 
-def unbroken(text: str) -> str:
-    """The text with every number kept on one line with its unit."""
-    return re.sub(r"(?<=[\d×]) (?=(%|mm|l/min)(?!\w)|\d)", "\u00a0", text)
-
-
 FAMILY_NAMES = {
     "step": "steps",
     "point_to_point": "point-to-point moves",

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import mannwhitneyu
+import sklearn.metrics
 
 from hydro_agents.detection.detector import Reading, threshold_at_false_alarm_rate
 from hydro_agents.evaluation.detection import (
@@ -34,53 +34,29 @@ def scores_with_ties(seed, decimals=1):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("decimals", [0, 1, 9])
-def test_area_under_roc_is_the_statistic_of_mann_and_whitney(seed, decimals):
+def test_curves_and_areas_are_those_of_scikit_learn(seed, decimals):
     scores, positive = scores_with_ties(seed, decimals)
-    expected = mannwhitneyu(scores[positive], scores[~positive]).statistic / (positive.sum() * (~positive).sum())
-    assert area_under_roc(scores, positive) == pytest.approx(expected, rel=1e-12)
-    assert area_under_roc(-scores, positive) == pytest.approx(1.0 - expected, rel=1e-12)
+    roc, recall = roc_curve(scores, positive), precision_recall_curve(scores, positive)
+    for own, other in zip(roc, sklearn.metrics.roc_curve(positive, scores, drop_intermediate=False), strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-12)
+    precision, share, thresholds = sklearn.metrics.precision_recall_curve(positive, scores)
+    np.testing.assert_allclose(recall.y[:0:-1], precision[:-1], rtol=1e-12)
+    np.testing.assert_allclose(recall.x[:0:-1], share[:-1], rtol=1e-12)
+    np.testing.assert_array_equal(recall.threshold[:0:-1], thresholds)
+    assert area_under_roc(scores, positive) == pytest.approx(sklearn.metrics.roc_auc_score(positive, scores))
+    assert average_precision(scores, positive) == pytest.approx(
+        sklearn.metrics.average_precision_score(positive, scores)
+    )
 
 
 def test_areas_and_curves_at_their_ends():
-    positive = np.array([False, False, True, True])
-    for scores, area in (([0.1, 0.2, 0.3, 0.4], 1.0), ([0.4, 0.3, 0.2, 0.1], 0.0), ([0.5] * 4, 0.5)):
-        assert area_under_roc(np.array(scores), positive) == area
     for same in (True, False):
         assert math.isnan(area_under_roc(np.array([0.1, 0.2]), np.full(2, same)))
+    assert math.isnan(average_precision(np.array([0.1, 0.2]), np.full(2, False)))
     for positive in (np.array([True, False, True]), np.zeros(3, dtype=bool)):  # nothing is flagged at first
         curve = precision_recall_curve(np.array([0.2, 0.9, 0.5]), positive)
         assert (curve.x[0], curve.y[0], curve.threshold[0], curve.y[1]) == (0.0, 1.0, np.inf, 0.0)
         assert curve.x[-1] == float(positive.any())
-
-
-def test_roc_curve_by_hand():
-    curve = roc_curve(np.array([0.9, 0.8, 0.8, 0.4, 0.1]), np.array([True, True, False, False, True]))
-    np.testing.assert_allclose(curve.x, [0.0, 0.0, 0.5, 1.0, 1.0])
-    np.testing.assert_allclose(curve.y, [0.0, 1 / 3, 2 / 3, 2 / 3, 1.0])
-    np.testing.assert_array_equal(curve.threshold, [np.inf, 0.9, 0.8, 0.4, 0.1])
-    few = np.array([0.8, 0.3]), np.array([True, False])
-    assert roc_curve(*few).x.tolist() == [0.0, 0.0, 1.0]
-    assert precision_recall_curve(*few).x.tolist() == [0.0, 1.0, 1.0]
-
-
-def test_curves_say_what_their_thresholds_do():
-    scores, positive = scores_with_ties(11)
-    roc, recall = roc_curve(scores, positive), precision_recall_curve(scores, positive)
-    for index in range(1, len(roc.threshold)):
-        flagged = scores >= roc.threshold[index]
-        assert roc.x[index] == pytest.approx(flagged[~positive].mean())
-        assert roc.y[index] == pytest.approx(flagged[positive].mean())
-        assert recall.y[index] == pytest.approx(positive[flagged].mean())
-    np.testing.assert_array_equal(recall.x, roc.y)
-
-
-def test_average_precision_by_hand():
-    scores = np.array([0.6, 0.9, 0.7, 0.8])
-    positive = np.array([False, True, True, False])
-    assert average_precision(scores, positive) == pytest.approx(0.5 * 1.0 + 0.5 * 2 / 3)
-    assert average_precision(np.full(8, 0.5), np.arange(8) < 2) == pytest.approx(0.25)  # no knowledge: their share
-    assert average_precision(scores, np.full(4, True)) == 1.0
-    assert math.isnan(average_precision(scores, np.full(4, False)))
 
 
 @pytest.mark.parametrize("count", [1, 99, 100, 101, 1000])

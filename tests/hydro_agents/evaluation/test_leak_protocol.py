@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 import yaml
 from command_line import ROOT
-from joblib import parallel_config
 from refusal import refused
 from small_leaks import SMALL, Spread, ran, small
 
@@ -37,11 +36,6 @@ def test_every_window_has_its_row(alone):
     plain = alone.table("windows")[alone.table("windows")["condition"] == "plain"]
     np.testing.assert_allclose(plain.loc[plain["level"] == 1.0, "leak_lpm"], 1.0, rtol=1e-6)
     assert (alone.table("windows")["error_mm"] > 0.0).all()
-
-
-def test_jobs_side_by_side_give_the_same_bits(alone):
-    with parallel_config(backend="loky", n_jobs=2):
-        assert_same(ran(jobs=None), alone)
 
 
 def test_a_run_is_used_again_and_another_detector_begins_anew(alone, tmp_path):

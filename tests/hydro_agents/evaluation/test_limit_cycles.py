@@ -11,7 +11,6 @@ from hydro_agents.evaluation.limit_cycles import (
     comes_to_rest,
     counted,
     find_limit_cycle,
-    is_broken,
     rest_text,
     rest_warning,
     standstill_metrics,
@@ -104,19 +103,10 @@ def test_standstills_are_counted_with_the_largest_limit_cycle():
 
 
 @pytest.mark.parametrize(
-    ("amplitudes", "failed", "broken"),
-    [
-        ([45.0], 0, False),
-        ([199.0] * 16, 0, False),  # each settles within ±0.2 mm
-        ([201.0] * 7, 0, False),
-        ([201.0] * 8, 0, True),
-        ([], 9, True),
-        ([20.0], 7, True),
-    ],
+    ("amplitudes", "failed"), [([45.0], 0), ([199.0] * 16, 0), ([201.0] * 8, 0), ([], 9), ([20.0], 7)]
 )
-def test_a_controller_is_broken_that_often_leaves_the_settling_band_at_rest(amplitudes, failed, broken):
+def test_a_warning_counts_limit_cycles_and_failures(amplitudes, failed):
     found = counted(standstills(amplitudes, failed))
-    assert is_broken(found) == broken
     assert not comes_to_rest(found)
     for part in [f"{len(amplitudes)} of 16"] * bool(amplitudes) + [f"{failed} of 16"] * bool(failed):
         assert part in rest_text(found)
@@ -134,7 +124,6 @@ def test_an_evaluation_finds_the_limit_cycles_of_a_high_gain_and_none_of_flow_li
     wild, calm = result.limit_cycle_summary.to_dict("records")
     assert (wild["controller"], wild["limit_cycles"], wild["standstills"]) == ("PID", 4, 4)
     assert wild["largest_amplitude_um"] > 500.0
-    assert is_broken(wild)
     assert (calm["controller"], calm["limit_cycles"], calm["standstills"]) == ("calm", 0, 4)
     one_leak = SIZE | {"leak_levels": (0.3,)}
     assert set(evaluate(CONFIG, {"PID": WILD}, settings=one_leak).limit_cycles["leakage_flow_lpm"]) == {0.3}

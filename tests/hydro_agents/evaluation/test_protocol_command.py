@@ -108,7 +108,6 @@ def test_tables_page_and_the_shares_found_on_the_console(place):
         (("--protocol", "own.yaml", "--rig", "nowhere"), ("rig 'nowhere': unknown", "symmetric_eha")),
         (("--protocol", "own.yaml", "--task", "hard"), ("task 'hard': unknown", "no_preview")),
         (("--protocol", "own.yaml", "--plants", "9"), ("--plants", "from its file")),
-        (("--protocol", "own.yaml", "--agent", "PID@noon=pid"), ("PID@noon", "NAME@CONDITION")),
         (("--protocol", "own.yaml", "--agent", "mine=nowhere:Agent"), ("mine", "nowhere")),
         (("--resume",), ("--resume: needs --protocol",)),
         (("--protocol", "own.yaml", "--jobs", "0"), ("--jobs", "equal to 1")),

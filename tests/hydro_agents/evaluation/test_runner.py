@@ -11,9 +11,9 @@ from small_protocol import Broken, Proportional, small
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.participants import Participants, participants, sees, split_name
 from hydro_agents.evaluation.runner import DONE, FAILED, NOT_APPLICABLE, run
-from hydro_agents.evaluation.tracking import replay, tracked
+from hydro_agents.evaluation.tracking import replay
 from hydro_agents.running.cases import ControllerError, run_cases
-from hydro_agents.running.jobs import JOBS_FOLDER, Job, fingerprint, load_result, save_result
+from hydro_agents.running.jobs import JOBS_FOLDER, fingerprint
 from hydro_env import TaskConfig
 
 ROOM = {"standstill_leak_levels": [1.0], "standstill_plants": 3}
@@ -92,19 +92,6 @@ def test_another_controller_of_the_same_name_takes_no_old_results(tmp_path):
     assert not first.part("tracking")["mean_error_mm"].equals(other.part("tracking")["mean_error_mm"])
 
 
-def test_a_result_is_read_as_it_was_written(tmp_path):
-    protocol = small()
-    cases, _ = protocol.cases_in("plain")
-    job = Job(tracked, Proportional(), (protocol.task, cases), digest="d")
-    result = job.run()
-    save_result(tmp_path / job.file, result)
-    stored = load_result(tmp_path / job.file)
-    assert list(stored.metrics) == list(METRICS)
-    for name, values in result.metrics.items():
-        np.testing.assert_array_equal(stored.metrics[name], values)
-    assert load_result(tmp_path / "none.npz") is None
-
-
 def test_conditions_that_change_nothing_at_standstill_share_their_search(tmp_path):
     conditions = {"few": {"families": ["step"]}, "more": {"families": ["sine"]}}
     results = run(small(**ROOM, conditions=conditions), Participants({"P": Proportional()}), tmp_path, jobs=1)
@@ -120,10 +107,10 @@ def strong(config, cases):
     return run_cases(config, Proportional(60.0), cases)
 
 
-def test_the_best_found_runs_on_some_cases_and_gives_the_gap():
+def test_the_best_found_runs_on_some_cases_and_gives_the_gap(monkeypatch):
+    monkeypatch.setattr("hydro_agents.evaluation.tracking.best_found", strong)
     protocol = small(bound_conditions=["late"], bound_plants=2)
-    chosen = Participants({"P": Proportional(), "Q": Proportional(45.0)}, searches={"best found": strong})
-    results = run(protocol, chosen, jobs=1)
+    results = run(protocol, Participants({"P": Proportional(), "Q": Proportional(45.0)}), jobs=1)
     assert set(results.part("best_found")["condition"]) == {"late"}
     assert len(results.part("best_found")) == 2 * 2 * 2
     row = results.table("comparison").set_index("condition").loc["late"]
@@ -195,29 +182,25 @@ def test_other_periods_and_rigs_need_controllers_of_their_own():
     assert status.loc["slow", "status"] == status.loc["rig", "status"] == NOT_APPLICABLE
     assert "10 ms" in status.loc["slow", "message"]
     assert not results.errors
-    tuned = participants({"PID": "pid"}, protocol, {"PID@slow": "pid"})
-    assert set(run(protocol, tuned, jobs=1).part("tracking")["condition"]) == {"plain", "slow"}
     choice = {"PID": {"kind": "pid", "settings": {"proportional": 15.0}}}
     named = small(conditions={"plain": {}, "slow": {**conditions["slow"], "controllers": choice}})
     ready = participants({"PID": "pid"}, named)
+    assert set(run(named, ready, jobs=1).part("tracking")["condition"]) == {"plain", "slow"}
     assert ready.of("PID", "slow", named).gains.proportional == 15.0
     assert ready.of("PID", "slow", named).layout.control_period == 0.01
     assert ready.of("PID", "plain", named).layout.control_period == 0.005
 
 
 @pytest.mark.parametrize(
-    ("names", "special", "message"),
+    ("names", "message"),
     [
-        (["PID"], {"PID@never": "pid"}, "PID@never: must be NAME@CONDITION"),
-        (["PID"], {"PPO@plain": "pid"}, "PPO@plain: must be NAME@CONDITION"),
-        (["PID"], {"PID@plain": "nothing"}, "PID@plain"),
-        (["PID", "PID#0"], {}, "same training seed"),
-        *(([name], {}, "must be NAME") for name in ("PPO#", "PPO#x", "#1", "PPO#-1")),
+        (["PID", "PID#0"], "same training seed"),
+        *(([name], "must be NAME") for name in ("PPO#", "PPO#x", "#1", "PPO#-1")),
     ],
 )
-def test_names_hold_training_seeds_and_known_conditions(names, special, message):
+def test_names_hold_training_seeds(names, message):
     with refused(message):
-        participants(dict.fromkeys(names, "pid"), small(), special)
+        participants(dict.fromkeys(names, "pid"), small())
     assert (split_name("PPO#12"), split_name("PPO")) == (("PPO", 12), ("PPO", 0))
 
 

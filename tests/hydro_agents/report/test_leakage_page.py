@@ -23,7 +23,7 @@ def page(content):
 
 
 def test_findings_say_how_small_how_surely_and_when_nothing_can_be_said(content):
-    assert leak_findings(content)[0].sentences == ["A leak of 0.2 l/min is found within 2 s of ordinary motion."]
+    assert leak_findings(content)[0].text == "A leak of 0.2 l/min is found within 2 s of ordinary motion."
     head, estimator = (row[1:] for row in findings_table(content).rows)
     assert head[:3] == ("0.2", "1.0 (0.2 to 5.4)", "18")
     assert head[3].startswith("4.0 (1.6 to 9.8), ADRC")

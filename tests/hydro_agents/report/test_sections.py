@@ -8,7 +8,6 @@ from hydro_agents.report.content import Content
 from hydro_agents.report.leakage import LEAKAGE
 from hydro_agents.report.robustness import ROBUSTNESS
 from hydro_agents.report.sections import (
-    Choice,
     Fold,
     Grid,
     Text,
@@ -66,7 +65,7 @@ def test_neighbouring_figures_stand_side_by_side_and_all_become_files():
     blocks = arranged([one, two, Text("between"), Fold("more", [three])])
     assert [type(block) for block in blocks] == [Grid, Text, Fold]
     assert blocks[0].plots == (one, two)
-    assert plots_of([*blocks, Choice("Leak", "l/min", {"1": [three]})]) == [one, two, three, three]
+    assert plots_of(blocks) == [one, two, three]
 
 
 def test_a_table_shows_colours_groups_and_reasons():
