@@ -123,22 +123,37 @@ def _verdict_rows(table: pd.DataFrame) -> list[dict[str, str]]:
     ]
 
 
-LADDER = ("mean", "geo", "travel", "reversals", "failed", "gradient steps")
-"""Figures of a ladder that a page shows."""
+TRAININGS = {
+    "all": "mean",
+    "equal_weight": "geo",
+    "valve_travel_per_s": "travel",
+    "reversals_per_s": "reversals",
+    "failed": "failed",
+    "training": "gradient steps",
+}
+"""Groups of figures of a study over seeds that a page shows, with their columns."""
 
 
-def _ladder(table: pd.DataFrame) -> pd.DataFrame:
-    return table[["rung", "seeds", *LADDER, "mean sd", "geo sd"]]
+def _trainings(table: pd.DataFrame) -> pd.DataFrame:
+    """One row per controller: the first figure of each group, and the standard deviations over the seeds."""
+    first = table[table["group"].isin(TRAININGS)].drop_duplicates(["of", "group"])
+    wide = first.pivot(index="of", columns="group").reindex(first["of"].unique())
+    seeds = sum(name.startswith("seed ") for name in table)
+    rows = wide["mean"].rename(columns=TRAININGS)
+    spread = wide["sd"].rename(columns=TRAININGS)[["mean", "geo"]].add_suffix(" sd")
+    counts = rows["gradient steps"].notna() * seeds
+    kept = pd.concat([counts.rename("seeds"), rows[list(TRAININGS.values())], spread], axis=1)
+    return kept.rename_axis("controller").reset_index()
 
 
-def _ladder_rows(table: pd.DataFrame) -> list[dict[str, str]]:
+def _training_rows(table: pd.DataFrame) -> list[dict[str, str]]:
     def with_spread(row: pd.Series, name: str) -> str:
         spread = row[f"{name} sd"]
         return f"{row[name]:.3f}" + ("" if pd.isna(spread) else f" ± {spread:.3f}")
 
     return [
         {
-            "rung": row["rung"],
+            "controller": row["controller"],
             "seeds": f"{row['seeds']:.0f}" if row["seeds"] else "–",
             "accuracy ÷ PID's": with_spread(row, "mean"),
             "kinds of reference weigh the same": with_spread(row, "geo"),
@@ -166,8 +181,8 @@ SOURCES = {
     "learning_curves": Source("seeds/tables/learning_curves.csv", pd.DataFrame.copy),
     "robustness": Source("robustness/tables/ranking.csv", pd.DataFrame.copy, _robustness_rows),
     "detectors": Source("leakage/tables/detection.csv", _detectors, _detector_rows),
-    "alone": Source("alone/ladder.csv", _ladder, _ladder_rows),
-    "baselines": Source("baselines/ladder.csv", _ladder, _ladder_rows),
+    "alone": Source("alone/tables/over_seeds.csv", _trainings, _training_rows),
+    "baselines": Source("baselines/tables/over_seeds.csv", _trainings, _training_rows),
     "verdicts": Source("reproduce/verdicts.csv", pd.DataFrame.copy, _verdict_rows),
 }
 

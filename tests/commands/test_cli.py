@@ -34,7 +34,6 @@ COMMANDS = (
     "bound",
     "alarms",
     "study",
-    "ladder",
     "export",
 )
 

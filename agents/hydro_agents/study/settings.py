@@ -6,7 +6,7 @@ On another task or rig gains are tuned first, and controllers that need a sensor
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,6 +27,7 @@ from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
 from hydro_env.task.configuration import task_config
+from hydro_env.task.rig import merged
 from hydro_env.task.sensors import SENSORS
 
 Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]
@@ -54,6 +55,11 @@ class ControllerEntry(Group):
     )
     settings: dict[str, Any] = Field(
         default_factory=dict, description="settings of the controller or its training; or the path of a YAML file"
+    )
+    after: str | None = Field(
+        None,
+        exclude=True,
+        description="an earlier entry, whose kind, settings and corrected controller apply where this one says nothing",
     )
     corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
     tune: TuningSettings | None = Field(
@@ -85,19 +91,35 @@ class StudySettings(Group):
     controllers: dict[Name, ControllerEntry] = Field(
         min_length=1, description="by name; the first one is the baseline of the comparison"
     )
+    training: dict[str, Any] = Field(
+        default_factory=dict,
+        exclude=True,
+        description="settings of every training, unless its controller says otherwise",
+    )
     leakage_head: HeadTrainingSettings | None = Field(
         default_factory=HeadTrainingSettings, description="null: the study trains no leakage head"
     )
     evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """Give each entry what it takes over from the one that it comes ``after``, and from ``training``."""
+        if not isinstance(values.get("controllers"), dict):
+            return values
+        entries: dict[str, Any] = {}
+        for name, entry in values["controllers"].items():
+            if isinstance(entry, dict):
+                _refuse_later(name, "after", entry.get("after"), entries)
+                entry = _following(entry, entries.get(entry.get("after")), values.get("training"))
+            entries[name] = entry
+        return {**values, "controllers": entries, "training": {}}
+
     @model_validator(mode="after")
     def _corrections(self) -> StudySettings:
         earlier: list[str] = []
         for name, entry in self.controllers.items():
-            if entry.corrects is not None and entry.corrects not in earlier:
-                must = f"must be a controller before it ({', '.join(earlier) or 'none'})"
-                guess = did_you_mean(entry.corrects, earlier)
-                raise ValueError(f"controllers.{name}: corrects = '{entry.corrects}': {must}{guess}")
+            _refuse_later(name, "corrects", entry.corrects, earlier)
             earlier.append(name)
         return self
 
@@ -180,6 +202,7 @@ class StudySettings(Group):
                     f"{here}: is trained as a correction (residual: true): give 'corrects: NAME' of the controller "
                     "that it corrects"
                 )
+            task_config(self.task, **getattr(settings, "practice", {}))
 
     def make(self, name: str) -> Controller:
         """A controller of the study that needs no training."""
@@ -255,6 +278,25 @@ class StudySettings(Group):
                     others = {key: value for key, value in study.controllers.items() if key != name}
                     study = study.model_copy(update={"controllers": others})
         return study.with_weights(agents), reasons
+
+
+def _refuse_later(name: str, key: str, named: str | None, earlier: Collection[str]) -> None:
+    """Refuse an entry that names another one in a field if that one does not stand before it."""
+    if named is not None and named not in earlier:
+        must = f"must be a controller before it ({', '.join(earlier) or 'none'})"
+        raise ValueError(f"controllers.{name}: {key} = '{named}': {must}{did_you_mean(named, earlier)}")
+
+
+def _following(entry: dict[str, Any], before: dict[str, Any] | None, training: Any) -> dict[str, Any]:
+    """An entry with what it takes over; the settings are merged group by group."""
+    whole = (before or {}) | entry | {"after": None}
+    first = (before or {}).get("settings", {})
+    if before is None and whole.get("kind") not in CONTROLLERS:
+        first = training
+    own = entry.get("settings", {})
+    if isinstance(first, dict) and isinstance(own, dict):
+        whole["settings"] = merged(first, own)
+    return whole
 
 
 def default_study(
