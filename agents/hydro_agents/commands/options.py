@@ -51,9 +51,8 @@ Jobs = Annotated[
 Backend = Annotated[
     str,
     typer.Option(
-        metavar="loky|dask[=HOST:PORT]|ray[=HOST:PORT]",
-        help="Where the jobs run: processes of this machine (loky), Dask or Ray; with an address on a running cluster, "
-        "such as dask=scheduler:8786 or ray=ray://head:10001.",
+        metavar="loky|dask[=HOST:PORT]",
+        help="Where the jobs run: processes of this machine (loky), or Dask; dask=scheduler:8786 is a running cluster.",
     ),
 ]
 

@@ -234,7 +234,7 @@ def _gains(
 ) -> Path:
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.tuning import EVALUATIONS
-    from hydro_agents.study.settings import TuningSettings
+    from hydro_agents.study.entries import TuningSettings
     from hydro_agents.study.training import TUNING_LOG, tune_gains
     from hydro_env.files import read_yaml, validate
 

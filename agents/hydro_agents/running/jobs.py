@@ -28,7 +28,7 @@ from typing import Any
 
 import joblib
 import numpy as np
-from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+from joblib import Parallel, delayed, parallel_config
 from joblib.parallel import get_active_backend
 from numpy.typing import NDArray
 from pydantic_core import to_json
@@ -44,12 +44,11 @@ CODE = (
 )
 """Rooms whose code may change the result of a job."""
 
-_JOBS_PER_ROUND = 4
 MOST_KILLED = 3
 """A pool whose workers are killed (for their memory, say) begins again so often."""
 
-_KILLED = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker", "RayActorError", "WorkerCrashedError")
-"""Names of the errors with which the pools of loky, Dask and Ray answer: only one of them is installed always."""
+_KILLED = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
+"""Names of the errors with which the pools of loky and Dask answer: only loky is installed always."""
 
 Columns = dict[str, NDArray[Any]]  # numbers by name, arrays of any shape
 Report = Callable[[str, int, int], None]
@@ -278,13 +277,5 @@ def _pooled(calls: Sequence[Any], jobs: int | None) -> Generator[tuple[str, JobR
     limit = jobs if jobs is not None else get_active_backend()[1]
     # Dask has as many jobs under way as the cluster has cores; what is sent to it can be fewer.
     sent = {"pre_dispatch": limit} if limit is not None and limit > 0 else {}
-    pool: Any
-    try:
-        pool = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered", **sent)
-    except ValueError:  # a backend that returns all results together
-        pool = Parallel(n_jobs=jobs, batch_size=1)
-        size = _JOBS_PER_ROUND * effective_n_jobs(jobs)
-        for start in range(0, len(calls), size):
-            yield from pool(calls[start : start + size])
-        return
+    pool = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered", **sent)
     yield from side_by_side(pool, calls)

@@ -6,80 +6,27 @@ On another task or rig gains are tuned first, and controllers that need a sensor
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Mapping
-from functools import cached_property
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import AfterValidator, Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
 from hydro_agents.controllers.base import ClassicalController, Controller
-from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
+from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import ANY_RIG, SHIPPED_WEIGHTS, gains_file, opponent, usual_gains
-from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import read_settings, read_task
-from hydro_agents.running.text import NAME_RULE, correction_name
+from hydro_agents.running.text import correction_name
+from hydro_agents.study.entries import ControllerEntry, Name, TuningSettings, following, refuse_later
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
+from hydro_env.mistakes import kept, refuse
 from hydro_env.task.configuration import task_config
-from hydro_env.task.rig import merged
 from hydro_env.task.sensors import SENSORS
-
-Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]
-
-
-class TuningSettings(Group):
-    """Tuning of a classical controller (:func:`hydro_agents.learning.tuning.tune`) before it takes part in a study."""
-
-    objective: Literal["mean", "equal"] = Field("equal", description="mean error, or each family with equal weight")
-    evaluations: int = Field(840, ge=1, le=10_000_000, description="total number of candidates")
-    cases: int = Field(42, ge=1, le=100_000, description="training cases per candidate")
-
-
-def _known_kind(kind: str) -> str:
-    if ":" not in kind and kind not in (*CONTROLLERS, *TRAINERS):
-        raise ValueError(f"{unknown(kind, (*CONTROLLERS, *TRAINERS))}, or 'module:attribute'")
-    return kind
-
-
-class ControllerEntry(Group):
-    """One controller of a study."""
-
-    kind: Annotated[str, AfterValidator(_known_kind)] = Field(
-        description="pid, ppo, or module:attribute for your own controller or trainer"
-    )
-    settings: dict[str, Any] = Field(
-        default_factory=dict, description="settings of the controller or its training; or the path of a YAML file"
-    )
-    after: str | None = Field(
-        None,
-        exclude=True,
-        description="an earlier entry, whose kind, settings and corrected controller apply where this one says nothing",
-    )
-    corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
-    tune: TuningSettings | None = Field(
-        None,
-        description="for a classical controller: tune its gains first, beginning with its settings; --rig always does",
-    )
-
-    @cached_property
-    def trainer(self) -> Trainer | None:
-        """Its trainer; ``None`` for a controller that needs no training.
-
-        Raises:
-            ConfigurationError: its module cannot be imported.
-        """
-        if self.kind in CONTROLLERS:
-            return None
-        if ":" in self.kind:
-            given = imported(self.kind)
-            return trainer(self.kind) if hasattr(given, "train") and hasattr(given, "load") else None
-        return TRAINERS[self.kind]
 
 
 class StudySettings(Group):
@@ -110,8 +57,8 @@ class StudySettings(Group):
         entries: dict[str, Any] = {}
         for name, entry in values["controllers"].items():
             if isinstance(entry, dict):
-                _refuse_later(name, "after", entry.get("after"), entries)
-                entry = _following(entry, entries.get(entry.get("after")), values.get("training"))
+                refuse_later(name, "after", entry.get("after"), entries)
+                entry = following(entry, entries.get(entry.get("after")), values.get("training"))
             entries[name] = entry
         return {**values, "controllers": entries, "training": {}}
 
@@ -119,7 +66,7 @@ class StudySettings(Group):
     def _corrections(self) -> StudySettings:
         earlier: list[str] = []
         for name, entry in self.controllers.items():
-            _refuse_later(name, "corrects", entry.corrects, earlier)
+            refuse_later(name, "corrects", entry.corrects, earlier)
             earlier.append(name)
         return self
 
@@ -278,25 +225,6 @@ class StudySettings(Group):
                     others = {key: value for key, value in study.controllers.items() if key != name}
                     study = study.model_copy(update={"controllers": others})
         return study.with_weights(agents), reasons
-
-
-def _refuse_later(name: str, key: str, named: str | None, earlier: Collection[str]) -> None:
-    """Refuse an entry that names another one in a field if that one does not stand before it."""
-    if named is not None and named not in earlier:
-        must = f"must be a controller before it ({', '.join(earlier) or 'none'})"
-        raise ValueError(f"controllers.{name}: {key} = '{named}': {must}{did_you_mean(named, earlier)}")
-
-
-def _following(entry: dict[str, Any], before: dict[str, Any] | None, training: Any) -> dict[str, Any]:
-    """An entry with what it takes over; the settings are merged group by group."""
-    whole = (before or {}) | entry | {"after": None}
-    first = (before or {}).get("settings", {})
-    if before is None and whole.get("kind") not in CONTROLLERS:
-        first = training
-    own = entry.get("settings", {})
-    if isinstance(first, dict) and isinstance(own, dict):
-        whole["settings"] = merged(first, own)
-    return whole
 
 
 def default_study(
