@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
@@ -57,10 +59,23 @@ def _client(jobs: int | None, address: str | None, stack: ExitStack) -> Any:
     for name in ("shuffle", "nanny", "worker", "scheduler"):  # a cluster that ends says so in a dozen lines
         logging.getLogger(f"distributed.{name}").setLevel(logging.ERROR)
     where: Any = address
-    if address is None:
+    if address is not None:
+        _try_out(address)
+    else:
         size = {"n_workers": jobs or cpu_count(), "threads_per_worker": 1}
         where = distributed.LocalCluster(**size, dashboard_address=None, silence_logs=logging.ERROR)
         stack.enter_context(where)
     client = stack.enter_context(distributed.Client(where, timeout=SECONDS))
     client.wait_for_workers(1, timeout=SECONDS)
     return client
+
+
+def _try_out(address: str) -> None:
+    """Connect and leave, in a process of its own: beside a port that says nothing, Dask waits without an end."""
+    line = [sys.executable, "-c", "import sys; from distributed import Client; Client(sys.argv[1]).close()", address]
+    try:
+        subprocess.run(line, capture_output=True, text=True, timeout=SECONDS, check=True)
+    except subprocess.TimeoutExpired:
+        raise OSError(f"not within {SECONDS} s") from None
+    except subprocess.CalledProcessError as error:
+        raise OSError(error.stderr.strip().splitlines()[-1]) from None
