@@ -88,7 +88,7 @@ def read_voltage(path: Path) -> Floats:
     commas = column.str.contains(",")
     if commas.any() and column.str.contains(".", regex=False).any():
         raise ConfigurationError(f"{path}: decimals have commas in some rows and points in others")
-    values = pd.to_numeric(column.str.replace(",", "."), errors="coerce").to_numpy(dtype=np.float64)
+    values: Floats = pd.to_numeric(column.str.replace(",", "."), errors="coerce").to_numpy(dtype=np.float64)
     if len(values) == 0:
         raise ConfigurationError(f"{path}: holds no numbers")
     for row in np.flatnonzero(~np.isfinite(values)):

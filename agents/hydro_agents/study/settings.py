@@ -58,7 +58,7 @@ class StudySettings(Group):
         for name, entry in values["controllers"].items():
             if isinstance(entry, dict):
                 refuse_later(name, "after", entry.get("after"), entries)
-                entry = following(entry, entries.get(entry.get("after")), values.get("training"))
+                entry = following(entry, entries.get(str(entry.get("after"))), values.get("training"))
             entries[name] = entry
         return {**values, "controllers": entries, "training": {}}
 
