@@ -17,8 +17,9 @@ from hydro_agents.evaluation.evaluate import evaluate
 from hydro_agents.learning.opponents import ANY_AXIS
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import config_folder, pretrained_folder
+from hydro_agents.study.entries import ControllerEntry
 from hydro_agents.study.model_cards import controller_card, head_card
-from hydro_agents.study.settings import ControllerEntry, StudySettings, default_study
+from hydro_agents.study.settings import StudySettings, default_study
 from hydro_env.files import read_yaml, write_text
 
 POLICY, CORRECTED = "PPO on flow linearisation", "Flow linearisation"

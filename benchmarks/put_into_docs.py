@@ -86,13 +86,31 @@ def _by_seed(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
-def _ladder(table: pd.DataFrame) -> pd.DataFrame:
-    figures = ("mean", "geo", "travel", "reversals", "failed", "gradient steps")
-    return table[["rung", "seeds", *figures, "mean sd", "geo sd"]]
+TRAININGS = {
+    "all": "mean",
+    "equal_weight": "geo",
+    "valve_travel_per_s": "travel",
+    "reversals_per_s": "reversals",
+    "failed": "failed",
+    "training": "gradient steps",
+}
+"""Groups of figures of a study over seeds that a page shows, with their columns."""
 
 
-LADDER = {
-    "rung": "{rung}",
+def _trainings(table: pd.DataFrame) -> pd.DataFrame:
+    """One row per controller: the first figure of each group, and the standard deviations over the seeds."""
+    first = table[table["group"].isin(TRAININGS)].drop_duplicates(["of", "group"])
+    wide = first.pivot(index="of", columns="group").reindex(first["of"].unique())
+    seeds = sum(name.startswith("seed ") for name in table)
+    rows = wide["mean"].rename(columns=TRAININGS)
+    spread = wide["sd"].rename(columns=TRAININGS)[["mean", "geo"]].add_suffix(" sd")
+    counts = rows["gradient steps"].notna() * seeds
+    kept = pd.concat([counts.rename("seeds"), rows[list(TRAININGS.values())], spread], axis=1)
+    return kept.rename_axis("controller").reset_index()
+
+
+TRAINED = {
+    "controller": "{controller}",
     "seeds": "{seeds:.0f}",
     "accuracy ÷ PID's": "{mean:.3f} ± {mean sd:.3f}",
     "kinds of reference weigh the same": "{geo:.3f} ± {geo sd:.3f}",
@@ -103,7 +121,7 @@ LADDER = {
 }
 
 
-def _rungs(table: pd.DataFrame) -> pd.DataFrame:
+def _trained(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(seeds=table["seeds"].replace(0, float("nan")))
 
 
@@ -160,8 +178,8 @@ SOURCES = {
         _by_level,
         _detectors,
     ),
-    "alone": Source("alone/ladder.csv", LADDER, _rungs, _ladder),
-    "baselines": Source("baselines/ladder.csv", LADDER, _rungs, _ladder),
+    "alone": Source("alone/tables/over_seeds.csv", TRAINED, _trained, _trainings),
+    "baselines": Source("baselines/tables/over_seeds.csv", TRAINED, _trained, _trainings),
     "verdicts": Source(
         "reproduce/verdicts.csv",
         {

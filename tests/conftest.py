@@ -26,11 +26,9 @@ LONG = (
         "test_tuning.py",
         "test_rates.py",
         "test_job.py",
-        "test_ladder.py",
     ),
     *("test_structured_text.py", "test_controller_folder.py", "test_diagnose.py", "test_identify.py", "test_errors.py"),
     *(
-        "test_ladder.py",
         "test_runs_anywhere.py",
         "test_pages.py",
         "test_examples.py",

@@ -34,7 +34,6 @@ COMMANDS = (
     "bound",
     "alarms",
     "study",
-    "ladder",
     "export",
 )
 
@@ -154,8 +153,8 @@ FILES = {
         ("simulate --duration inf", ["--duration = inf", "3600 s"]),
         ("simulate --sample-time 0", ["--sample-time = 0", "above 0"]),
         ("simulate --rig absent.yaml", ["absent.yaml: cannot be read: No such file"]),
-        ("simulate --input ragged.csv", ["ragged.csv: line 2 has 4 columns", "decimals need a point"]),
-        ("simulate --input high.csv", ["high.csv: line 3: 12 V", "-10 to 10 V"]),
+        ("simulate --input ragged.csv", ["ragged.csv: is not a table of numbers", "saw 4"]),
+        ("simulate --input high.csv", ["high.csv: row 3: 12 V", "-10 to 10 V"]),
         ("evaluate --agent PPO=foreign", ["foreign.json", "must be 'hydro_env policy'"]),
         ("evaluate --agent =SUM(A1)=pid", ["--agent", "must be NAME=module:attribute"]),
         ("evaluate --agent @x=pid", ["--agent", "must be a name of at most 40 letters"]),

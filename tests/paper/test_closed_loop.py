@@ -93,8 +93,6 @@ def test_response_is_the_transform_of_the_pulse_response():
     assert loop.final_value(gain) == pytest.approx(step_response(loop, gain, 4000)[-1], rel=1e-3)
 
 
-
-
 def test_the_gain_keeps_the_margin_at_every_place():
     axis = with_leak(PlantParameters(), 0.01, "laminar")
     limits = [sampled_loop(axis, place).largest_stable_gain() for place in places_in_reach(axis)]

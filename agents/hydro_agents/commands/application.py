@@ -48,7 +48,6 @@ GROUPS = {
         "train": "hydro_agents.commands.study:train",
         "evaluate": "hydro_agents.commands.evaluate:evaluate",
         "bound": "hydro_agents.commands.bound:bound",
-        "ladder": "hydro_agents.commands.study:ladder",
         "render": "hydro_agents.commands.axis:render",
     },
     "A rig": {

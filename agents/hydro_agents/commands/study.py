@@ -1,4 +1,4 @@
-"""``hydro study``, ``hydro ladder`` and ``hydro train``: whole studies, ladders of trainings, and one training."""
+"""``hydro study`` and ``hydro train``: whole studies, and one training."""
 
 from __future__ import annotations
 
@@ -58,6 +58,7 @@ def study(
     With `--seeds 5` the whole study runs five times, with training seeds 0 to 4, each in a folder `seed 0`, `seed 1`,
     … on the same test plants. `tables/over_seeds.csv` then holds every figure by seed, with mean and 95 % interval over
     the seeds, and `learning_curve.svg` the error while learning. `--resume` keeps the studies that are finished.
+    With `--config training_choices` it tells what each choice of a training is worth.
 
     With `--rig` the task is adapted to another rig: references, sensors and reward follow from its stroke, speed and
     pressure. Gains belong to a rig; the command therefore tunes the classical controllers first.
@@ -73,38 +74,6 @@ def study(
         return
     folder = output or Path("results/seeds")
     say(f"written: {run_over_seeds(settings, folder, range(first, first + seeds), resume, overwrite, command_line())}")
-
-
-@side_by_side
-def ladder(
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            "--config", "-c", metavar="NAME|FILE", help="A ladder: a name in `configs/ladders` or a YAML file."
-        ),
-    ] = None,
-    output: Output = Path("results/ladder"),
-    rung: Annotated[
-        list[str] | None, typer.Option("--rung", help="Train this rung alone; repeat the option for several.")
-    ] = None,
-    seeds: Annotated[int | None, typer.Option(min=1, max=1000, help="Trainings per rung.")] = None,
-    test: Annotated[
-        bool, typer.Option("--test", help="Evaluate on test plants; use it only after every choice is made.")
-    ] = False,
-    resume: Resume = False,
-    overwrite: Overwrite = False,
-) -> None:
-    """Train every rung of a ladder on several seeds, and write one table of the effect of each change.
-
-    A ladder is a list of trainings, its rungs; each rung changes a few settings of an earlier one. The trainings are
-    independent jobs. Ctrl-C keeps finished trainings and checkpoints; `--resume` continues.
-    """
-    from hydro_agents.study.ladder import LadderSettings, run_ladder
-    from hydro_env.folders import config_file
-
-    settings = LadderSettings.from_yaml(config_file("ladders", config or "default"))
-    file = run_ladder(settings, output, rung, seeds, test, resume, overwrite)
-    say(file.read_text(encoding="utf-8"), f"written: {file}")
 
 
 class Objective(StrEnum):
@@ -265,7 +234,7 @@ def _gains(
 ) -> Path:
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.tuning import EVALUATIONS
-    from hydro_agents.study.settings import TuningSettings
+    from hydro_agents.study.entries import TuningSettings
     from hydro_agents.study.training import TUNING_LOG, tune_gains
     from hydro_env.files import read_yaml, validate
 

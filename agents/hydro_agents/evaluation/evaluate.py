@@ -55,6 +55,10 @@ class ProtocolSettings(PairedCases):
     )
     families: tuple[Annotated[str, known_name(tuple(FAMILIES), "family")], ...] = Field(MOVING_FAMILIES, min_length=1)
     plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
+    seeds: PlantSeeds = Field(
+        "EVALUATION",
+        description="of the plants, from the ledger; CHOICES: validation plants, to choose among trainings",
+    )
     standstill_plants: int = Field(
         8,
         ge=0,

@@ -168,7 +168,7 @@ class RecurrentPPOSettings(PPOSettings):
 
 
 class SACSettings(TrainingSettings):
-    """Settings of SAC; ``configs/agents/sac.yaml`` holds those of the ladders."""
+    """Settings of SAC; ``configs/agents/sac.yaml`` holds an example."""
 
     algorithm = "SAC"
     paired: bool = Field(False, description="reward relative to a twin under the corrected controller")

@@ -47,7 +47,7 @@ def detection(content: Content) -> list[Block]:
     tables = [
         _rate_table(content, "class", "Share of episodes flagged, by class of leak", "Class"),
         _rate_table(content, "range", "Share of leaks flagged, by size", "Leak, l/min"),
-        _summary_table(content),
+        summary_table(content),
     ]
     return [
         Text(
@@ -74,7 +74,8 @@ def _rate_table(content: Content, group: str, caption: str, first: str) -> Table
     return Table(caption, (first, *content.controllers, "episodes"), rows)
 
 
-def _summary_table(content: Content) -> Table:
+def summary_table(content: Content) -> Table:
+    """Areas under the curves, rates and errors of the size, one column per controller."""
     summary, bounds = content.table("detection_summary"), content.bounds
     names = {"above": bounds.leaking_above, "moderate": bounds.moderate_from}
     rows = [

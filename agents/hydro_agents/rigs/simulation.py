@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
+import io
 import math
 import re
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from hydro_agents.report.canvas import WIDE, render
 from hydro_agents.report.palette import looks_of
@@ -37,77 +36,6 @@ LONGEST_RUN = 3600.0
 LARGEST_VOLTAGE = 10.0
 
 LARGEST_TABLE = 50_000_000  # largest size in bytes; about a million rows of four columns
-_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
-
-
-class NumberTable(NamedTuple):
-    """Columns of a file."""
-
-    names: tuple[str, ...]  # headings, empty without a line of headings
-    values: Floats  # (rows, columns)
-    lines: NDArray[np.int64]  # (rows,), line of the file, from 1
-
-
-def read_table(path: Path) -> NumberTable:
-    """Read a table; the first line may hold headings; empty lines and lines that begin with ``#`` are skipped.
-
-    If the file has semicolons or tabs, these separate columns, and decimals may have commas; otherwise commas separate
-    columns. A file with an ambiguous comma (``0,5`` without headings) is an error.
-
-    Raises:
-        ConfigurationError: the file is unreadable or empty, a cell is not a number, rows have different lengths, or a
-            comma is ambiguous; the message names the line.
-    """
-    text = read_text(path, LARGEST_TABLE)
-    separator = next((mark for mark in ";\t" if mark in text), ",")
-    rows = _rows(path, text, separator)
-    first, headings = next(iter(rows.items()), (0, []))
-    if any(map(_NUMBER.fullmatch, headings)):
-        headings = []
-    rows = {line: cells for line, cells in rows.items() if line != first or not headings}
-    if not rows:
-        raise ConfigurationError(f"{path}: holds no numbers")
-    width, start = len(headings), first
-    if not headings:
-        width = len(rows[first])
-    for line, cells in rows.items():
-        if len(cells) != width:
-            comma = "; if commas separate columns, decimals need a point" if separator == "," else ""
-            message = f"line {line} has {len(cells)} columns, line {start} has {width}{comma}"
-            raise ConfigurationError(f"{path}: {message}")
-    everything = [cell for cells in rows.values() for cell in cells]
-    if separator == "," and not headings and width > 1 and not any("." in cell for cell in everything):
-        raise ConfigurationError(
-            f"{path}: line {first}: '{','.join(rows[first])}' may be {width} columns or decimals with a comma; "
-            "write decimals with a point, or separate columns by semicolons"
-        )
-    commas = any("," in cell for cell in everything)
-    values = [[_parsed(path, line, cell, commas) for cell in cells] for line, cells in rows.items()]
-    return NumberTable(tuple(headings), np.array(values), np.array(list(rows), dtype=np.int64))
-
-
-def _rows(path: Path, text: str, separator: str) -> dict[int, list[str]]:
-    """Cells by line of the file, without empty lines and comments."""
-    rows = {}
-    reader = csv.reader(text.splitlines(), delimiter=separator)
-    try:
-        for row in reader:
-            cells = [cell.strip() for cell in row]
-            if any(cells) and not cells[0].startswith("#"):
-                rows[reader.line_num] = cells
-    except csv.Error as error:
-        raise ConfigurationError(f"{path}: is not a table: {error}") from None
-    return rows
-
-
-def _parsed(path: Path, line: int, cell: str, commas: bool) -> float:
-    """The number of a cell; with ``commas`` its decimals follow a comma."""
-    if commas and "." in cell and _NUMBER.fullmatch(cell):
-        raise ConfigurationError(f"{path}: line {line}: '{cell}' has a decimal point, other lines have commas")
-    value = float(cell.replace(",", ".")) if _NUMBER.fullmatch(cell) else math.nan
-    if not math.isfinite(value):
-        raise ConfigurationError(f"{path}: line {line}: {cell[:40]!r} is not a number")
-    return value
 
 
 def input_voltage(signal: str, voltage: float, samples: int, sample_time: float, holding: float) -> Floats:
@@ -134,18 +62,39 @@ def input_voltage(signal: str, voltage: float, samples: int, sample_time: float,
 def read_voltage(path: Path) -> Floats:
     """Voltages of a table, one row per sample: the column headed ``voltage``, otherwise the last one.
 
+    If the file has semicolons or tabs, these separate columns, and decimals may have commas; otherwise commas separate
+    columns. Empty lines and lines that begin with ``#`` are skipped.
+
     Raises:
-        ConfigurationError: the file is not a table of numbers (:func:`read_table`), or a
-            voltage is outside ±10 V.
+        ConfigurationError: the file is unreadable or empty, a voltage is not a number or outside ±10 V, or a comma is
+            ambiguous, as in ``0,5`` without headings; the message names the row.
     """
-    table = read_table(path)
-    names = [re.sub(r"\s*\[.*\]$", "", name).lower() for name in table.names]
-    values = table.values[:, names.index("voltage") if "voltage" in names else -1]
-    wrong = np.flatnonzero(np.abs(values) > LARGEST_VOLTAGE)
-    if len(wrong):
+    text = read_text(path, LARGEST_TABLE)
+    separator = next((mark for mark in ";\t" if mark in text), ",")
+    layout: Any = {"header": None, "dtype": str, "comment": "#", "skipinitialspace": True, "keep_default_na": False}
+    try:
+        cells = pd.read_csv(io.StringIO(text), sep=separator, **layout)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        raise ConfigurationError(f"{path}: is not a table of numbers: {str(error).strip()[:100]}") from None
+    headings = [re.sub(r"\s*\[.*\]$", "", str(name)).lower() for name in cells.iloc[0]]
+    place = headings.index("voltage") if "voltage" in headings else -1
+    named = not pd.to_numeric(cells.iloc[0].astype(str).str.replace(",", "."), errors="coerce").notna().any()
+    column = cells.iloc[int(named) :, place].astype(str)
+    if separator == "," and not named and cells.shape[1] > 1 and "." not in text:
         raise ConfigurationError(
-            f"{path}: line {table.lines[wrong[0]]}: {values[wrong[0]]:g} V: must be within -10 to 10 V"
+            f"{path}: row 1: '{','.join(cells.iloc[0])}' may be {cells.shape[1]} columns or decimals with a comma; "
+            "write decimals with a point, or separate columns by semicolons"
         )
+    commas = column.str.contains(",")
+    if commas.any() and column.str.contains(".", regex=False).any():
+        raise ConfigurationError(f"{path}: decimals have commas in some rows and points in others")
+    values: Floats = pd.to_numeric(column.str.replace(",", "."), errors="coerce").to_numpy(dtype=np.float64)
+    if len(values) == 0:
+        raise ConfigurationError(f"{path}: holds no numbers")
+    for row in np.flatnonzero(~np.isfinite(values)):
+        raise ConfigurationError(f"{path}: row {row + 1 + named}: {column.iloc[row][:40]!r} is not a number")
+    for row in np.flatnonzero(np.abs(values) > LARGEST_VOLTAGE):
+        raise ConfigurationError(f"{path}: row {row + 1 + named}: {values[row]:g} V: must be within -10 to 10 V")
     return values
 
 

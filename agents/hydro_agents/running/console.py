@@ -6,10 +6,8 @@ import contextlib
 import math
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable, Collection
-from types import TracebackType
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -22,7 +20,6 @@ from rich.text import Text
 from hydro_agents.running.text import Table, duration
 
 SECONDS_BETWEEN_LINES = 10.0
-SECONDS_OF_SILENCE = 20.0  # off a terminal a line says that the work goes on when nothing has been printed for so long
 ESTIMATED_FROM = 600.0  # s of a phase from which its remaining time follows
 
 
@@ -75,7 +72,7 @@ class ProgressDisplay:
     """Progress of one or more phases, each with its remaining time; use as a context manager.
 
     On a terminal each phase is a bar. Elsewhere (a log, CI, a terminal that cannot move its cursor) a line appears at
-    most every ten seconds while work is reported, and every twenty while none is.
+    most every ten seconds while work is reported.
 
     Args:
         console: where to show it; default: standard output.
@@ -88,21 +85,15 @@ class ProgressDisplay:
         self._progress = _progress(self.console, clock)
         self._tasks: dict[str, TaskID] = {}
         self._printed: dict[str, float] = {}  # time of the latest line about a phase
-        self._ended = threading.Event()
         # FORCE_COLOR makes Rich believe in a terminal at the other end of a pipe.
         self._live = self.console.is_interactive and self.console.file.isatty()
 
     def __enter__(self) -> ProgressDisplay:
         if self._live:
             self._progress.start()
-        else:
-            threading.Thread(target=self._watch, daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._ended.set()
+    def __exit__(self, *error: object) -> None:
         self._progress.stop()
 
     def update(self, phase: str, done: int, total: int, note: str = "") -> None:
@@ -110,52 +101,38 @@ class ProgressDisplay:
         if phase not in self._tasks:
             self._tasks[phase] = self._progress.add_task(phase, completed=done, total=total, note=note)
         self._progress.update(self._tasks[phase], completed=done, total=total, note=note)
-        if not self._live and (done >= total or self._silent_for(phase) >= SECONDS_BETWEEN_LINES):
-            self._show_line(phase)
-
-    def remind(self) -> None:
-        """Off a terminal: say how far the latest phase is if nothing was printed about it for a while."""
-        phase = next(reversed(self._tasks), None)
-        if phase is not None and self._silent_for(phase) >= SECONDS_OF_SILENCE:
+        silence = self._clock() - self._printed.get(phase, -math.inf)
+        if not self._live and (done >= total or silence >= SECONDS_BETWEEN_LINES):
             self._show_line(phase)
 
     def say(self, text: str) -> None:
         """Print a separate line."""
         self.console.lines(text, soft_wrap=True)
 
-    def _watch(self) -> None:
-        while not self._ended.wait(SECONDS_BETWEEN_LINES):
-            self.remind()
-
-    def _silent_for(self, phase: str) -> float:
-        return self._clock() - self._printed.get(phase, -math.inf)
-
     def _show_line(self, phase: str) -> None:
-        """Print how far a phase is: as much as fits into one line, the most important first."""
+        """Print how far a phase is."""
         self._printed[phase] = self._clock()
         task = self._progress.tasks[self._tasks[phase]]
         done, total = int(task.completed), int(task.total or 0)
         if total <= 1:
-            line, count = f"{phase}: {'done' if done else 'begun'}", ""
+            line = f"{phase}: {'done' if done else 'begun'}"
         else:
-            line, count = f"{phase}: {task.percentage:3.0f} %", f"{done:,} of {total:,}"
-        left = f"{duration(task.time_remaining)} left" if task.time_remaining else ""
-        for part in (left, task.fields["note"], count):
-            if part and len(line) + 2 + len(part) <= self.console.width:
-                line += f", {part}"
-        self.console.lines(line[: self.console.width], soft_wrap=True)
+            line = f"{phase}: {task.percentage:3.0f} %, {done:,} of {total:,}"
+        if task.time_remaining:
+            line += f", {duration(task.time_remaining)} left"
+        self.say(f"{line}, {task.fields['note']}" if task.fields["note"] else line)
 
 
 def _progress(console: PlainConsole, clock: Callable[[], float]) -> Progress:
-    """Bars that fit into the terminal: a narrow one cuts the note first, then the name, and has shorter bars."""
-    bar = 20 if console.width >= 76 else 10
-    name = Column(no_wrap=True, overflow="ellipsis", max_width=max(console.width - bar - 24, 8))
+    """Bars that fit into the terminal: a narrow one cuts the note first, then the name."""
+    whole = Column(no_wrap=True)
+    name = Column(no_wrap=True, overflow="ellipsis", max_width=max(console.width - 44, 8))
     note = Column(ratio=1, no_wrap=True, overflow="ellipsis")
     return Progress(
         TextColumn("{task.description}", markup=False, table_column=name),
-        BarColumn(bar_width=bar),
-        TextColumn("{task.percentage:3.0f} %", markup=False, table_column=Column(no_wrap=True)),
-        TimeRemainingColumn(compact=True, table_column=Column(no_wrap=True)),
+        BarColumn(bar_width=20),
+        TextColumn("{task.percentage:3.0f} %", markup=False, table_column=whole),
+        TimeRemainingColumn(compact=True, table_column=whole),
         TextColumn("{task.fields[note]}", markup=False, table_column=note),
         console=console,
         expand=True,

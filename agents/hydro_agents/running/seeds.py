@@ -60,7 +60,7 @@ SCALES = SeedRange(999_760, 240, "the scales of a policy's inputs and errors")
 
 # Validation -----------------------------------------------------------------------------------------------------------
 THRESHOLDS = SeedRange(1_000_000, 100_000, "the thresholds of detectors and the settings of searches")
-LADDER = SeedRange(1_100_000, 120_000, "the rungs of a ladder")
+CHOICES = SeedRange(1_100_000, 120_000, "choices among the trainings of a study")
 BENCHMARK_TRAINING = SeedRange(1_220_000, 200_000, "training recordings of the benchmark of leaking axes")
 BENCHMARK_VALIDATION = SeedRange(1_420_000, 80_000, "validation recordings of that benchmark")
 ALARM_CALIBRATION = SeedRange(1_500_000, 100_000, "the calibration of alarms")

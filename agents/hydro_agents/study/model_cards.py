@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ ENVIRONMENT = "ServoHydraulic-v0"
 
 _TEMPLATE = Path(__file__).parent / "model_card.md.j2"
 
-Metric = dict[str, Any]
+Figure = tuple[str, Interval]
 
 
 def controller_card(
@@ -58,8 +58,8 @@ def controller_card(
     return _card(
         title=f"{shipped if weights is None else name}: {called}, for a hydraulic servo axis",
         tags=["reinforcement-learning", "deep-reinforcement-learning", "hydraulics", ENVIRONMENT],
-        task={"type": "reinforcement-learning", "name": "positioning of a hydraulic servo axis"},
-        metrics=list(_tracking(evaluation, name, against, corrects)),
+        kind="reinforcement-learning",
+        metrics=_tracking(evaluation, name, against, corrects),
         training=training,
         values={
             "axis": _axis(features.config, features.for_any_axis) if isinstance(features, PolicyFeatures) else "",
@@ -81,17 +81,16 @@ def head_card(
 ) -> str:
     """Card of a leakage head, see :func:`controller_card`."""
     metrics = []
-    first = evaluation.detection_rates["controller"].iloc[0]
     for _, row in evaluation.detection_rates.iterrows():
         kind = "false alarms" if (row["group"], row["value"]) == ("class", "healthy") else "leaks flagged"
         unit = "l/min" if row["group"] == "range" else "seal"
         share = Interval(row["flagged_share"], row["low"], row["high"])
         what = f"{kind} under {row['controller']}, {row['value']} {unit}"
-        metrics.append(_metric(what, share, main=row["controller"] == first))
+        metrics.append((what, share))
     return _card(
         title="Leakage head of a hydraulic servo axis",
         tags=["tabular-classification", "fault-diagnosis", "hydraulics", ENVIRONMENT],
-        task={"type": "tabular-classification", "name": "leak past the piston, from 2 s of measured signals"},
+        kind="tabular-classification",
         metrics=metrics,
         training=head.settings.training,
         values={
@@ -119,28 +118,27 @@ def card_file(name: str) -> str:
     return re.sub(r"[^\w.-]+", "_", name).strip(".") + ".md"
 
 
-def _tracking(evaluation: Evaluation, name: str, against: str, corrects: str | None) -> Iterator[Metric]:
+def _tracking(evaluation: Evaluation, name: str, against: str, corrects: str | None) -> Iterator[Figure]:
     """Errors against the first and the corrected controller, and what they cost."""
     cases = evaluation.cases
     for row in evaluation.score.to_dict("records"):
         if row["controller"] == name:
-            yield _metric(f"score (0: {against}, 100: best found)", Interval(row["score"], row["low"], row["high"]))
+            yield f"score (0: {against}, 100: best found)", Interval(row["score"], row["low"], row["high"])
     ratios = [evaluation.ratios[evaluation.ratios["controller"] == name]]
     if corrects not in (None, against) and corrects in evaluation.controllers:
         further = ratio_table(cases, [corrects, name])
         ratios.append(further[further["group"].isin(("all", "equal_weight"))])
     for _, row in pd.concat(ratios).iterrows():
         ratio = Interval(row["ratio"], row["low"], row["high"])
-        main = row["group"] in ("all", "equal_weight")
-        yield _metric(f"mean error / {row['against']}'s, {_group(row)}", ratio, main)
-        if main:
+        yield f"mean error / {row['against']}'s, {_group(row)}", ratio
+        if row["group"] in ("all", "equal_weight"):
             sensed = Interval(*(row[f"ratio_sensor{end}"] for end in ("", "_low", "_high")))
-            yield _metric(f"mean error in the sensor's frame / {row['against']}'s, {_group(row)}", sensed, main)
+            yield f"mean error in the sensor's frame / {row['against']}'s, {_group(row)}", sensed
     own, grid = cases[cases["controller"] == name], Grid(cases)
     for metric in METRICS.values():
         if metric.cost and metric.ratio:
-            yield _metric(f"{metric.word.lower()} / {against}'s, all", grid.ratio(name, against, metric.name))
-    yield _metric("share of runs that failed", share_interval(int(own["failed"].sum()), len(own)))
+            yield f"{metric.word.lower()} / {against}'s, all", grid.ratio(name, against, metric.name)
+    yield "share of runs that failed", share_interval(int(own["failed"].sum()), len(own))
 
 
 def _group(row: pd.Series[Any]) -> str:
@@ -150,53 +148,26 @@ def _group(row: pd.Series[Any]) -> str:
     return {"all": "all", "equal_weight": "every kind of reference weighs the same"}.get(group, f"reference {value}")
 
 
-def _metric(name: str, found: Interval, main: bool = True) -> Metric:
-    """A row of the results; hubs get the main ones."""
-    return {"name": name, "main": main, **{key: float(f"{value:.4g}") for key, value in found._asdict().items()}}
-
-
 def _card(
     *,
     title: str,
     tags: list[str],
-    task: dict[str, str],
-    metrics: list[Metric],
+    kind: str,
+    metrics: Iterable[Figure],
     training: Mapping[str, Any],
     values: Mapping[str, Any],
 ) -> str:
     """The card: a head that hubs read, and the text of the template; ``values`` are those of the template."""
-    hub = [
-        {"type": _type(one["name"]), "name": one["name"], "value": one["value"], "verified": False}
-        for one in metrics
-        if one["main"]
-    ]
     front = {
         "library_name": "hydro_env",  # it loads the weights, whichever library trained them
-        "pipeline_tag": task["type"],
+        "pipeline_tag": kind,
         "license": "mit",
         "tags": tags,
-        "metrics": [one["type"] for one in hub],
-        "model-index": [
-            {
-                "name": title,
-                "results": [{"task": task, "dataset": {"name": ENVIRONMENT, "type": ENVIRONMENT}, "metrics": hub}],
-            }
-        ],
     }
     text = Environment(trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)
     return text.from_string(_TEMPLATE.read_text(encoding="utf-8")).render(
-        {
-            "head": None,
-            "environment": ENVIRONMENT,
-            "version": __version__,
-            "title": title,
-            "metrics": metrics,
-            **values,
-        },
+        {"head": None, "environment": ENVIRONMENT, "version": __version__, "title": title, **values},
+        metrics=[(name, *(f"{number:.4g}" for number in found)) for name, found in metrics],
         front=yaml.safe_dump(front, sort_keys=False, allow_unicode=True),
         settings=yaml.safe_dump(dict(training), sort_keys=False, allow_unicode=True),
     )
-
-
-def _type(name: str) -> str:
-    return "_".join("".join(c if c.isalnum() else " " for c in name.lower().replace("'s", "")).split())

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from joblib import effective_n_jobs
 
-from hydro_agents.report.training_plots import BASE_ERROR, ERROR, learning_plots
+from hydro_agents.evaluation.metrics import ERROR, METRICS
+from hydro_agents.report.training_plots import BASE_ERROR, learning_plots
+from hydro_agents.report.training_plots import ERROR as VALIDATION_ERROR
 from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
@@ -31,10 +34,17 @@ JOB = "study --seeds"
 FIRST_ERROR = "first_mean_error_mm"
 """Column of the learning curves: error of the first controller on the same validation plants."""
 
-RATIOS = {"all": "mean error", "equal_weight": "mean error, kinds of reference weigh the same"}
-"""Groups of the table of ratios that the summary shows, with their names."""
+MAIN = ("score", "all", "equal_weight", "training", "head")
+"""Groups of figures that the console shows; the table holds all."""
 
-Figure = tuple[str, str, float]
+
+class Figure(NamedTuple):
+    """A figure of one study."""
+
+    of: str  # what was trained, or a controller that was not
+    group: str
+    figure: str
+    value: float
 
 
 def run_over_seeds(
@@ -125,17 +135,18 @@ def one_study(_: None, study: StudySettings, folder: str, seed: int, command: st
 
 
 def over_seeds(study: StudySettings, folder: Path, seeds: range) -> pd.DataFrame:
-    """Figures (``figure``) of what was trained (``of``): ``mean``, ``low``, ``high`` and a column per seed."""
-    columns = {
-        f"{SEED} {seed}": {(of, figure): value for of, figure, value in _figures(study, folder / f"{SEED} {seed}")}
-        for seed in seeds
-    }
-    table = pd.DataFrame(columns).rename_axis(["of", "figure"])
+    """Figures of the controllers and the head: ``mean`` with interval ``low``, ``high``, ``sd``, a column per seed."""
+    keys = list(Figure._fields[:3])
+    columns = []
+    for seed in seeds:
+        found = pd.DataFrame(_figures(study, folder / f"{SEED} {seed}"), columns=Figure._fields)
+        columns.append(found.set_index(keys)["value"].rename(f"{SEED} {seed}"))
+    table = pd.concat(columns, axis=1)
     intervals = [seeds_interval(row)._asdict() for row in table.to_numpy(dtype=np.float64)]
     spread = pd.DataFrame(intervals, index=table.index).rename(columns={"value": "mean"})
     shares = table.index.get_level_values("figure").str.endswith("%")
     spread[shares] = spread[shares].clip(0.0, 100.0)
-    return pd.concat([spread, table], axis=1).reset_index()
+    return pd.concat([spread, table.std(axis=1, ddof=1).rename("sd"), table], axis=1).reset_index()
 
 
 def learning_curves(study: StudySettings, folder: Path, seeds: range) -> pd.DataFrame:
@@ -148,58 +159,86 @@ def learning_curves(study: StudySettings, folder: Path, seeds: range) -> pd.Data
         first_error = validation_errors(study.task, acting)[0]
         for name in study.trained:
             curve = read_curve(own / "controllers" / name).rename(columns={"time/total_timesteps": "steps"})
-            if ERROR in curve:
-                kept = curve[[column for column in ("steps", ERROR, BASE_ERROR) if column in curve]]
+            if VALIDATION_ERROR in curve:
+                kept = curve[[column for column in ("steps", VALIDATION_ERROR, BASE_ERROR) if column in curve]]
                 kept = kept.assign(controller=f"{name}{SEED_MARK}{seed}", **{FIRST_ERROR: first_error})
-                parts.append(kept.dropna(subset=[ERROR]))
+                parts.append(kept.dropna(subset=[VALIDATION_ERROR]))
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
 
 
 def relative(curves: pd.DataFrame) -> pd.DataFrame:
     """Learning curves in parts of the first controller's error."""
-    errors = [name for name in (ERROR, BASE_ERROR) if name in curves]
+    errors = [name for name in (VALIDATION_ERROR, BASE_ERROR) if name in curves]
     return curves.assign(**{name: curves[name] / curves[FIRST_ERROR] for name in errors})
 
 
 def _figures(study: StudySettings, folder: Path) -> Iterator[Figure]:
-    """The figures of one study: what was trained, name of the figure, value."""
+    """The figures of one study: of every controller relative to the first, of every training, and of the head."""
     seconds = Phases(folder).seconds
-    ratios = pd.read_csv(folder / "tables" / "ratios.csv")
-    first, scores = next(iter(study.controllers)), folder / "tables" / "score.csv"
+    ratios, cases = (pd.read_csv(folder / "tables" / f"{name}.csv") for name in ("ratios", "cases"))
+    scores = folder / "tables" / "score.csv"
     score = pd.read_csv(scores).set_index("controller")["score"] if scores.exists() else {}
-    for name in study.trained:
+    first, *others = study.controllers
+    of_controller = {str(name): own.reset_index(drop=True) for name, own in cases.groupby("controller", sort=False)}
+    for name in others:
         if name in score:
-            yield name, "score", float(score[name])
-        for group, words in RATIOS.items():
-            own, corrected = (_ratio(ratios, who, group) for who in (name, study.controllers[name].corrects))
-            yield name, f"{words} ÷ {first}'s", own
-            if not np.isnan(corrected):
-                yield name, f"{words} ÷ that of {study.controllers[name].corrects}", own / corrected
-        yield name, "training, s", seconds[f"train {name}"]
+            yield Figure(name, "score", "score", float(score[name]))
+        yield from _ratios(name, first, study.controllers[name].corrects, ratios)
+        yield from _costs(name, first, of_controller[name], of_controller[first])
+    for name in study.trained:
+        settings = study.training_settings(name)
+        updates = getattr(settings, "updates", None)
+        if updates is not None:
+            yield Figure(name, "training", "gradient steps", float(updates(getattr(settings, "total_steps", 0))))
+        yield Figure(name, "training", "training, s", seconds[f"train {name}"])
     if study.leakage_head is not None:
-        summary = pd.read_csv(folder / "tables" / "detection_summary.csv").iloc[0]
-        rates = pd.read_csv(folder / "tables" / "detection_rates.csv")
-        rates = rates[(rates["controller"] == first) & (rates["group"] == "range")]
-        head = f"leakage head, under {first}"
-        for _, row in rates.iterrows():
-            yield head, f"leaks of {row['value']} l/min flagged, %", 100.0 * row["flagged_share"]
-        yield head, "false alarms, %", 100.0 * summary["false_alarm_rate"]
-        yield head, "area under the ROC curve", summary["auroc"]
-        yield head, "size of the leak, median error as a factor", summary["median_size_error_factor"]
-        yield head, "training, s", seconds[HEAD_PHASE]
+        for figure, value in _of_head(folder / "tables", first):
+            yield Figure(f"leakage head, under {first}", "head", figure, value)
+        yield Figure(f"leakage head, under {first}", "head", "training, s", seconds[HEAD_PHASE])
 
 
-def _ratio(ratios: pd.DataFrame, name: str | None, group: str) -> float:
-    """Ratio of a controller to the first one; NaN for the first one and for none."""
-    rows = ratios[(ratios["controller"] == name) & (ratios["group"] == group)]["ratio"]
-    return float(rows.iloc[0]) if len(rows) else float("nan")
+def _ratios(name: str, first: str, corrected: str | None, ratios: pd.DataFrame) -> Iterator[Figure]:
+    """Mean error of a controller over that of the first: over all cases, by leak and family; and over the corrected."""
+    corrects = ratios[ratios["controller"] == corrected].set_index("group")["ratio"]
+    for row in ratios[ratios["controller"] == name].to_dict("records"):
+        group, ratio = str(row["group"]), float(row["ratio"])
+        words = {
+            "equal_weight": "mean error, kinds of reference weigh the same",
+            "level": f"mean error, leak of {row['value']} l/min",
+            "family": f"mean error, {row['value']}",
+        }.get(group, "mean error")
+        yield Figure(name, group, f"{words} ÷ {first}'s", ratio)
+        if group in ("all", "equal_weight") and group in corrects:
+            yield Figure(name, group, f"{words} ÷ that of {corrected}", ratio / float(corrects[group]))
+
+
+def _costs(name: str, first: str, own: pd.DataFrame, base: pd.DataFrame) -> Iterator[Figure]:
+    """The worst case of a controller, what its errors cost relative to the first, and its failures."""
+    yield Figure(name, "worst", f"largest ratio of a case, error ÷ {first}'s", float((own[ERROR] / base[ERROR]).max()))
+    for metric in METRICS.values():
+        there = base[metric.name].mean() if metric.ratio else 0.0
+        if there > 0.0:
+            yield Figure(
+                name, metric.name, f"{metric.word.lower()} ÷ {first}'s", float(own[metric.name].mean() / there)
+            )
+    yield Figure(name, "failed", "failed cases", float(own["failed"].sum()))
+
+
+def _of_head(tables: Path, first: str) -> Iterator[tuple[str, float]]:
+    """Figures of the leakage head under the first controller."""
+    summary = pd.read_csv(tables / "detection_summary.csv").iloc[0]
+    rates = pd.read_csv(tables / "detection_rates.csv")
+    for row in rates[(rates["controller"] == first) & (rates["group"] == "range")].to_dict("records"):
+        yield f"leaks of {row['value']} l/min flagged, %", 100.0 * row["flagged_share"]
+    yield "false alarms, %", 100.0 * summary["false_alarm_rate"]
+    yield "area under the ROC curve", summary["auroc"]
+    yield "size of the leak, median error as a factor", summary["median_size_error_factor"]
 
 
 def _summary(table: pd.DataFrame, count: int) -> Table:
-    """Mean and interval of every figure."""
+    """Mean and interval of the main figures."""
     rows = []
-    for _, row in table.iterrows():
+    for row in table[table["group"].isin(MAIN)].to_dict("records"):
         mean, low, high = (number(row[name], digits=4) for name in ("mean", "low", "high"))
-        rows.append((str(row["of"]), str(row["figure"]), f"{mean} [{low}, {high}]"))
-    header = ("trained", "figure", "mean [95 %, Student's t]")
-    return Table(f"Over {count} training seeds (test plants)", header, rows)
+        rows.append((row["of"], row["figure"], f"{mean} [{low}, {high}]"))
+    return Table(f"Over {count} training seeds", ("of", "figure", "mean [95 %, Student's t]"), rows)

@@ -18,14 +18,13 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
-from hydro_agents.evaluation.limit_cycles import amplitude_text, rest_warning
-from hydro_agents.evaluation.metrics import FRAMES
+from hydro_agents.evaluation.limit_cycles import rest_warning
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import shipped_weights
-from hydro_agents.report.content import interval, interval_text
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.sections import render_page
-from hydro_agents.report.study import STUDY, content_of, tables_of
+from hydro_agents.report.study import STUDY, content_of, overview, tables_of
+from hydro_agents.report.study_detection import summary_table
 from hydro_agents.report.traces import Example
 from hydro_agents.running.cases import Cases, run_cases, validation_errors
 from hydro_agents.running.console import ProgressDisplay, console_table
@@ -41,7 +40,7 @@ REPORT_FILE = "report.html"
 CARDS = "model_cards"
 REPORT_FILES = (REPORT_FILE, "tables/*.csv", FIGURE_FILES, f"{CARDS}/*.md")
 MOST_COLUMNS = 4
-"""Largest number of controllers side by side in the table of leaks on the console; more have no such table."""
+"""Largest number of controllers side by side on the console; more stand below each other."""
 
 EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop moves"}
 
@@ -192,83 +191,15 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
 
 
 def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
-    """Print the main figures as tables on the console, and one line for each controller that does not come to rest."""
-    display.console.lines(console_table(_scores(evaluation)))
-    if len(evaluation.controllers) <= MOST_COLUMNS:
-        display.console.lines(console_table(_errors_by_leak(evaluation)))
-    display.console.lines(console_table(_errors_in_all(evaluation)))
-    if not evaluation.detection_summary.empty:
-        display.console.lines(console_table(_detection(evaluation)))
-    if not evaluation.limit_cycle_summary.empty:
-        display.console.lines(console_table(_standstills(evaluation)))
+    """Print the page's main tables on the console, and one line for each controller that does not come to rest."""
+    content = content_of(evaluation)
+    errors = overview(content)
+    if len(content.controllers) <= MOST_COLUMNS:
+        columns = [errors.header, *errors.rows]
+        errors = Table(errors.caption, ("", *content.controllers), list(zip(*columns, strict=True))[1:])
+    display.console.lines(console_table(errors))
+    if content.has("detection_summary"):
+        display.console.lines(console_table(summary_table(content)))
     for row in evaluation.limit_cycle_summary.to_dict("records"):
         if warning := rest_warning(row["controller"], row, baseline=row["controller"] == evaluation.controllers[0]):
             display.say(warning)
-
-
-def _errors_in_all(evaluation: Evaluation) -> Table:
-    """One row per controller, with its ratio to the first."""
-    first, content = evaluation.controllers[0], content_of(evaluation)
-    rows = []
-    for name, mean in evaluation.cases.groupby("controller", sort=False)["mean_error_mm"].mean().items():
-        found = (content.row("ratios", controller=name, group=group) for group in ("all", "equal_weight"))
-        ratios = (f"{row['ratio']:.3f} [{row['low']:.3f}, {row['high']:.3f}]" if row else "" for row in found)
-        rows.append((str(name), f"{mean:.4f}", *ratios))
-    header = ("controller", "mm", f"÷ {first} [95 %]", "references weighted equally")
-    return Table("Mean absolute tracking error (test plants)", header, rows)
-
-
-def _scores(evaluation: Evaluation) -> Table:
-    """One row per controller: its score, and the mean errors in both frames."""
-    content = content_of(evaluation)
-    errors = evaluation.cases.groupby("controller", sort=False)[list(FRAMES)].mean()
-    rows = []
-    for name in evaluation.controllers:
-        score = interval_text(interval(content.row("score", controller=name), "score"), decimals=0)
-        rows.append((name, score, *(f"{errors.loc[name, metric]:.4f}" for metric in FRAMES)))
-    scale = f"0 is {evaluation.controllers[0]}, 100 the best found"
-    if not content.has("score"):
-        scale = "not given without a best found (bound_plants: 0)"
-    header = ("controller", "score", *(f"{word}, mm" for word in FRAMES.values()))
-    return Table(f"Score: {scale}", header, rows)
-
-
-def _errors_by_leak(evaluation: Evaluation) -> Table:
-    """One row per leak, one column per controller."""
-    errors = evaluation.cases.groupby(["controller", "leakage_flow_lpm"])["mean_error_mm"].mean()
-    rows = [
-        (f"{level:g}", *(f"{errors[name, level]:.4f}" for name in evaluation.controllers))
-        for level in evaluation.cases["leakage_flow_lpm"].unique()
-    ]
-    return Table("Mean absolute tracking error, mm (test plants)", ("leak, l/min", *evaluation.controllers), rows)
-
-
-def _standstills(evaluation: Evaluation) -> Table:
-    rows = [
-        (
-            str(row["controller"]),
-            f"{row['limit_cycles']} of {row['standstills']}",
-            amplitude_text(row["largest_amplitude_um"]) if row["limit_cycles"] else "–",
-            str(row["failures"]),
-        )
-        for row in evaluation.limit_cycle_summary.to_dict("records")
-    ]
-    header = ("controller", "limit cycles", "largest amplitude", "failures")
-    return Table("Standstills without sensor noise, after a small step and back (test plants)", header, rows)
-
-
-def _detection(evaluation: Evaluation) -> Table:
-    bounds = evaluation.bounds
-    rows = [
-        (
-            str(entry["controller"]),
-            f"{entry['auroc']:.4f}",
-            f"{100 * entry['false_alarm_rate']:.2f} %",
-            f"{100 * entry['detection_rate_moderate']:.2f} %",
-            f"× {entry['median_size_error_factor']:.2f}",
-        )
-        for _, entry in evaluation.detection_summary.iterrows()
-    ]
-    auroc, moderate = f"AUROC > {bounds.leaking_above:g}", f"detected {bounds.moderate_label} l/min"
-    header = ("controller", auroc, "false alarms", moderate, "size error, median")
-    return Table("Leakage head, one episode of observations (test plants)", header, rows)

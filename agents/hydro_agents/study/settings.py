@@ -7,73 +7,26 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import AfterValidator, Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
 from hydro_agents.controllers.base import ClassicalController, Controller
-from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
+from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import ANY_RIG, SHIPPED_WEIGHTS, gains_file, opponent, usual_gains
-from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import read_settings, read_task
-from hydro_agents.running.text import NAME_RULE, correction_name
+from hydro_agents.running.text import correction_name
+from hydro_agents.study.entries import ControllerEntry, Name, TuningSettings, following, refuse_later
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
+from hydro_env.mistakes import kept, refuse
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
-
-Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]
-
-
-class TuningSettings(Group):
-    """Tuning of a classical controller (:func:`hydro_agents.learning.tuning.tune`) before it takes part in a study."""
-
-    objective: Literal["mean", "equal"] = Field("equal", description="mean error, or each family with equal weight")
-    evaluations: int = Field(840, ge=1, le=10_000_000, description="total number of candidates")
-    cases: int = Field(42, ge=1, le=100_000, description="training cases per candidate")
-
-
-def _known_kind(kind: str) -> str:
-    if ":" not in kind and kind not in (*CONTROLLERS, *TRAINERS):
-        raise ValueError(f"{unknown(kind, (*CONTROLLERS, *TRAINERS))}, or 'module:attribute'")
-    return kind
-
-
-class ControllerEntry(Group):
-    """One controller of a study."""
-
-    kind: Annotated[str, AfterValidator(_known_kind)] = Field(
-        description="pid, ppo, or module:attribute for your own controller or trainer"
-    )
-    settings: dict[str, Any] = Field(
-        default_factory=dict, description="settings of the controller or its training; or the path of a YAML file"
-    )
-    corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
-    tune: TuningSettings | None = Field(
-        None,
-        description="for a classical controller: tune its gains first, beginning with its settings; --rig always does",
-    )
-
-    @cached_property
-    def trainer(self) -> Trainer | None:
-        """Its trainer; ``None`` for a controller that needs no training.
-
-        Raises:
-            ConfigurationError: its module cannot be imported.
-        """
-        if self.kind in CONTROLLERS:
-            return None
-        if ":" in self.kind:
-            given = imported(self.kind)
-            return trainer(self.kind) if hasattr(given, "train") and hasattr(given, "load") else None
-        return TRAINERS[self.kind]
 
 
 class StudySettings(Group):
@@ -85,19 +38,35 @@ class StudySettings(Group):
     controllers: dict[Name, ControllerEntry] = Field(
         min_length=1, description="by name; the first one is the baseline of the comparison"
     )
+    training: dict[str, Any] = Field(
+        default_factory=dict,
+        exclude=True,
+        description="settings of every training, unless its controller says otherwise",
+    )
     leakage_head: HeadTrainingSettings | None = Field(
         default_factory=HeadTrainingSettings, description="null: the study trains no leakage head"
     )
     evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """Give each entry what it takes over from the one that it comes ``after``, and from ``training``."""
+        if not isinstance(values.get("controllers"), dict):
+            return values
+        entries: dict[str, Any] = {}
+        for name, entry in values["controllers"].items():
+            if isinstance(entry, dict):
+                refuse_later(name, "after", entry.get("after"), entries)
+                entry = following(entry, entries.get(str(entry.get("after"))), values.get("training"))
+            entries[name] = entry
+        return {**values, "controllers": entries, "training": {}}
+
     @model_validator(mode="after")
     def _corrections(self) -> StudySettings:
         earlier: list[str] = []
         for name, entry in self.controllers.items():
-            if entry.corrects is not None and entry.corrects not in earlier:
-                must = f"must be a controller before it ({', '.join(earlier) or 'none'})"
-                guess = did_you_mean(entry.corrects, earlier)
-                raise ValueError(f"controllers.{name}: corrects = '{entry.corrects}': {must}{guess}")
+            refuse_later(name, "corrects", entry.corrects, earlier)
             earlier.append(name)
         return self
 
@@ -180,6 +149,7 @@ class StudySettings(Group):
                     f"{here}: is trained as a correction (residual: true): give 'corrects: NAME' of the controller "
                     "that it corrects"
                 )
+            task_config(self.task, **getattr(settings, "practice", {}))
 
     def make(self, name: str) -> Controller:
         """A controller of the study that needs no training."""

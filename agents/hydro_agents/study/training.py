@@ -19,7 +19,8 @@ from hydro_agents.learning.tuning import Tuned, tune
 from hydro_agents.rigs.stable_gain import stable_start
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.seeds import STANDSTILLS
-from hydro_agents.study.settings import StudySettings, TuningSettings
+from hydro_agents.study.entries import TuningSettings
+from hydro_agents.study.settings import StudySettings
 from hydro_env import TaskConfig
 from hydro_env.files import Group, validate, write_text
 

@@ -78,7 +78,7 @@ def test_a_worker_with_other_code_is_refused(monkeypatch):
         run_jobs({str(number): Job(nested, None, (number,)) for number in range(4)}, None, None, None)
 
 
-COMMANDS = ("study", "ladder", "evaluate", "alarms", "train pid", "trend data", "record")
+COMMANDS = ("study", "evaluate", "alarms", "train pid", "trend data", "record")
 
 
 @pytest.mark.parametrize(

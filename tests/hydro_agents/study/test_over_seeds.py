@@ -9,6 +9,7 @@ import pytest
 from command_line import assert_one_clear_line, hydro
 from joblib import parallel_config
 
+from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.statistics import seeds_interval
 from hydro_agents.study import over_seeds
@@ -31,12 +32,17 @@ def made(folder, seed):
     log = {"time/total_timesteps": [50, 75, 100], "validation/mean_error_mm": [0.2, np.nan, 0.1 + 0.01 * seed]}
     tables = {
         "tables/ratios": {
-            "controller": ["Flow linearisation"] * 2 + ["PPO"] * 2,
+            "controller": ["Flow linearisation"] * 2 + ["PPO"] * 4,
             "against": "PID",
-            "group": ["all", "equal_weight"] * 2,
-            "value": "",
-            "ratio": [0.7, 0.6, 0.70 - 0.01 * seed, 0.54],
+            "group": [*["all", "equal_weight"] * 2, "level", "family"],
+            "value": ["", "", "", "", "0.3", "step"],
+            "ratio": [0.7, 0.6, 0.70 - 0.01 * seed, 0.54, 0.5, 0.8],
         },
+        "tables/cases": {
+            "controller": [name for name in STUDY.controllers for _ in range(2)],
+            "mean_error_mm": [1.0, 2.0, 0.5, 1.0, 0.4, 1.0 + seed],
+            "failed": [0.0, 0.0, 0.0, 1.0, 0.0, 0.0],
+        } | {metric.name: [1.0, 1.0, 0.6, 0.6, 1.5, 2.5] for metric in METRICS.values() if metric.ratio},
         "tables/score": {"controller": ["PID", "PPO"], "score": [0.0, 60.0 + seed]},
         "tables/detection_rates": {
             "controller": ["PID", "PPO"], "group": "range", "value": "0.1–0.2",
@@ -73,7 +79,8 @@ def test_the_table_holds_every_seed_with_the_interval_of_student(runs, tmp_path)
     file = over_seeds.run_over_seeds(STUDY, tmp_path, range(3))
     assert runs == [(f"seed {seed}", seed, False, False) for seed in range(3)]
     table = pd.read_csv(file).set_index(["of", "figure"])
-    row = table.loc["PPO", "mean error ÷ PID's"].astype(float)
+    assert list(table.columns[:5]) == ["group", "mean", "low", "high", "sd"]
+    row = table.loc["PPO", "mean error ÷ PID's"].drop("group").astype(float)
     half = 4.302652729911275 * 0.01 / np.sqrt(3.0)  # Student's t for two degrees of freedom, from a table
     expected = [0.70, 0.69, 0.68, 0.69, 0.69 - half, 0.69 + half]
     np.testing.assert_allclose(row[["seed 0", "seed 1", "seed 2", "mean", "low", "high"]], expected)
@@ -82,6 +89,14 @@ def test_the_table_holds_every_seed_with_the_interval_of_student(runs, tmp_path)
     np.testing.assert_allclose(equal[["mean", "low", "high"]].astype(float), 0.9)
     assert table.loc["PPO", "training, s"]["mean"] == 101.0
     assert table.loc["PPO", "score"]["mean"] == 61.0
+    assert table.loc["PPO", "mean error, leak of 0.3 l/min ÷ PID's"]["mean"] == pytest.approx(0.5)
+    assert table.loc["PPO", "mean error, step ÷ PID's"]["mean"] == pytest.approx(0.8)
+    worst = table.loc["PPO", "largest ratio of a case, error ÷ PID's"]
+    np.testing.assert_allclose(worst[["seed 0", "seed 1", "seed 2", "sd"]].astype(float), [0.5, 1.0, 1.5, 0.5])
+    assert table.loc["PPO", "valve travel ÷ PID's"]["mean"] == 2.0
+    assert table.loc["Flow linearisation", "failed cases"]["mean"] == 1.0
+    updates = STUDY.training_settings("PPO").updates(100)
+    assert table.loc["PPO", "gradient steps"]["mean"] == updates
     head = table.loc["leakage head, under PID"]
     flagged = head.loc["leaks of 0.1–0.2 l/min flagged, %"]
     assert (flagged["seed 1"], flagged["high"]) == (95.0, 100.0)  # no more than all

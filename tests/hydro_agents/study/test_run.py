@@ -240,7 +240,7 @@ def test_a_controller_that_oscillates_at_rest_is_named_on_the_console_and_on_the
 def test_evaluate_leaves_detection_out_and_joins_training_seeds(algorithm, tmp_path, capsys):
     file, seeds = study_file(tmp_path), ["mine#0=pid", "mine#1=flow_linearising"]
     evaluate(tmp_path / "out", file, seeds, head=Path("none"))
-    assert "Leakage head" not in capsys.readouterr().out
+    assert "Detection, summary" not in capsys.readouterr().out
     tables = tmp_path / "out" / "tables"
     assert not (tables / "detection.csv").exists()
     assert pd.read_csv(tables / "limit_cycle_summary.csv")["standstills"].tolist() == [16, 32]

@@ -3,10 +3,16 @@
 import pytest
 
 from hydro_agents.controllers.pid import PID
+from hydro_agents.evaluation.evaluate import ProtocolSettings, StudyProtocol
+from hydro_agents.evaluation.robustness_protocol import PairedCondition
 from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.folders import config_folder
+from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_agents.study.settings import StudySettings, default_study
 from hydro_env import ConfigurationError
+from hydro_env.files import read_yaml, validate
 from hydro_env.task.configuration import task_config
 
 POLICY = "PPO on flow linearisation"
@@ -84,6 +90,9 @@ WRONG = (
     ("controllers: {PPO: {kind: ppo, settings: {total_steps: -1}, corrects: PID}}\n", r"corrects = 'PID'.*\(none\)"),
     (BESIDE.format("kind: ppo, corrects: other"), r"corrects = 'other': must be a controller before it \(PID\)"),
     (BESIDE.format("kind: ppo, settings: {total_steps: -1}, corrects: PID"), r"other.settings.total_steps = -1"),
+    (BESIDE.format("after: none"), r"other: after = 'none': must be a controller before it \(PID\)"),
+    (BESIDE.format("settings: {gain: 1}"), r"controllers.other.kind"),
+    (BESIDE.format("kind: ppo, corrects: PID, settings: {practice: {nonsense: 1}}"), r"nonsense"),
     (BESIDE.format("kind: ppo"), r"controllers.other: is trained as a correction .residual: true.: give 'corrects"),
     (BESIDE.format("kind: ppo, corrects: PID, tune: {}"), r"controllers.other: tune: a trained one cannot be tuned"),
     (BESIDE.format("kind: pid, corrects: PID"), r"controllers.other: corrects: only a trained one"),
@@ -144,3 +153,49 @@ def test_another_rig_changes_the_task_and_asks_for_tuning(tmp_path):
     assert StudySettings(**moved.model_dump(mode="json")) == moved
     assert default_study(file, task="no_preview").task == task_config("no_preview")
     assert default_study(file, task="no_preview").tuned == ["PID"]
+
+
+def test_an_entry_takes_over_what_it_does_not_change(tmp_path):
+    found = study(
+        tmp_path,
+        PLAIN.replace("controllers:", "training: {total_steps: 64, axes: 8}\ncontrollers:")
+        + "  alone: {kind: ppo, settings: {residual: false, paired: false, axes: 16}}\n"
+        "  correction: {kind: ppo, corrects: PID, settings: {prices: {travel: 2.0}}}\n"
+        "  told: {after: correction, settings: {told_critic: true, prices: {lasting: 1.0}}}\n",
+    )
+    alone, correction, told = (found.training_settings(name) for name in ("alone", "correction", "told"))
+    assert found.controllers["PID"].settings == {}
+    assert (alone.total_steps, alone.axes, correction.axes, told.axes) == (64, 16, 8, 8)
+    assert (found.controllers["alone"].corrects, found.controllers["told"].corrects) == (None, "PID")
+    assert (told.told_critic, told.prices.travel, told.prices.lasting) == (True, 2.0, 1.0)
+    assert (correction.told_critic, correction.prices.lasting) == (False, 0.0)
+    assert StudySettings(**found.model_dump(mode="json")) == found
+
+
+@pytest.mark.parametrize("name", ["alone", "baselines", "training_choices"])
+def test_the_trainings_that_ship_can_be_trained(name):
+    found = StudySettings.from_yaml(config_folder() / "studies" / f"{name}.yaml")
+    settings = {each: found.training_settings(each).model_dump() for each in found.trained}
+    published = validate(PPOSettings, read_yaml(config_folder() / "agents" / "ppo_direct.yaml"), "").model_dump()
+    lengths = {"total_steps", "validation_every"}
+    assert changed(settings["PPO alone"], published) <= lengths, "one set of settings for all pages"
+    if name == "alone":
+        whole = settings["1 million periods"]
+        assert changed(whole, published) == lengths
+        for each in found.trained[2:]:
+            own = changed(settings[each], whole)
+            assert own <= {"axes", "steps_per_rollout", "minibatches", "epochs"} or len(own) == 1
+    if name == "baselines":
+        assert {each["total_steps"] for each in settings.values()} == {1_000_000}
+        assert {entry.kind for entry in found.controllers.values()} >= set(TRAINERS)
+
+
+def changed(settings, others):
+    return {key for key in settings if settings[key] != others[key]}
+
+
+@pytest.mark.parametrize(("seeds", "expected"), [("CHOICES", VALIDATION_SEEDS), ("EVALUATION", TEST_SEEDS)])
+def test_choices_are_made_on_validation_plants(seeds, expected):
+    settings = ProtocolSettings(seeds=seeds, plants=3)
+    cases, _ = StudyProtocol(conditions={"task": PairedCondition()}, **settings.model_dump()).cases_in("task")
+    assert all(int(seed) in expected for seed in cases.seeds)
