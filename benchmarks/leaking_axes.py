@@ -1,152 +1,190 @@
-"""This project's detectors on the benchmark of leaking axes, beside simple ones; and how well their ranking holds.
+"""The challenge's opponents of equal knowledge, all trained by one command on the training split alone, and scored.
 
-    python benchmarks/leaking_axes.py FOLDER [--split test] [--predictions FOLDER]
+    python benchmarks/leaking_axes.py DATA [--output FOLDER] [--only NAME ...] [--split test]
 
-FOLDER is the one of ``hydro record --benchmark``. Every detector writes its predictions as anyone would; finished ones
-stay. The ranking is repeated on random halves of the recordings (Kendall's tau). ``outsider.py`` is the
-detector of somebody who does not know this project.
+DATA is the folder of ``hydro record --benchmark``. The programs of ``challenge/entries`` know no code of this project:
+they are copied, trained, and run row by row by ``hydro score --code``. The project's own detectors read windows of 2 s
+with the task that follows from the nameplate (track "knows the axis"); they were trained on other rigs. Finished
+predictions stay. At the end stand the scores, and how well the ranking holds on halves (Kendall's tau).
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from joblib import Parallel, delayed
 from numpy.typing import NDArray
 from scipy.stats import kendalltau
 
-from hydro_agents.detection.detector import Cause, Detector, Windows
-from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
-from hydro_agents.running.folders import pretrained_folder
+from hydro_agents.detection.detector import Cause, Detector, Reading, Windows
+from hydro_agents.detection.monitor import HeadDetector
+from hydro_agents.running.machine import Origin
 from hydro_env import TaskConfig
+from hydro_env.files import write_text
 from hydro_env.types import Floats
 from hydro_rig.challenge.axes import DURATION
-from hydro_rig.challenge.scores import labels_of, score, text_of
+from hydro_rig.challenge.files import read_plates, read_table
+from hydro_rig.challenge.plates import read_plate, task_of
+from hydro_rig.challenge.score_page import render_scores
+from hydro_rig.challenge.scores import Score, bounds, labels_of, score, table_of, text_of
+from hydro_rig.challenge.submitted import run_program
 from hydro_rig.estimation.estimator import EstimatorDetector
+from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.recordings.columns import MEASURED, factor
 from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
-TASK = TaskConfig()
+ENTRIES = Path(__file__).parents[1] / "challenge/entries"
 WINDOW = 2.0  # s
 LASTING = 10  # looks whose mean is the score
 HALVES = 100
 
-Numbers = NDArray[np.int64]
+PROGRAMS: dict[str, tuple[str, bool]] = {
+    "random forest, signals only": ("forest", True),
+    "random forest": ("forest", False),
+    "CUSUM on an observer": ("cusum", False),
+    "convolution": ("convolution", False),
+    "MiniRocket": ("minirocket", False),
+}
+"""Folder of each program, and whether it gets the signals only."""
+
+OWN: dict[str, tuple[Callable[[], Detector], float]] = {
+    "leakage head": (HeadDetector.load, 1.0),
+    "estimator, every 20 s": (lambda: EstimatorDetector({}), 20.0),
+    "two-stage": (lambda: TwoStageDetector(HeadDetector.load()), 1.0),
+}
+"""The project's own detectors, and the seconds between two looks."""
 
 
-def read_axes(folder: Path, split: str) -> tuple[Numbers, Floats]:
-    """Numbers and signals (N, 5, T) of all recordings of a split, in SI units; NaN: lost, or after the end."""
-    table = pd.read_parquet(folder / split)
-    numbers = table["recording"].unique()
-    signals = np.full((len(numbers), len(MEASURED), round(DURATION / TASK.control_period)), np.nan)
-    for axis, (_, rows) in enumerate(table.groupby("recording", sort=False)):
-        places = np.round(rows[heading("time")].to_numpy() / TASK.control_period).astype(int)
-        for row, name in enumerate(MEASURED):
-            signals[axis, row, places] = rows[heading(name)].to_numpy() * factor(name, WRITTEN_UNITS[name], name)
-    return numbers, signals
+def axes_of(data: Path, split: str) -> Iterator[tuple[TaskConfig, float, NDArray[np.int64], Floats]]:
+    """Per axis the task that follows from its plate, its smallest leak, numbers and signals (N, 5, T) in SI units."""
+    plates = {row["axis"]: row for row in read_plates(data).to_dict("records")}
+    for axis, table in read_table(data / split).groupby("axis"):
+        row: Any = plates[axis]
+        task = task_of(TaskConfig(), read_plate(row))
+        numbers = table["recording"].unique()
+        signals = np.full((len(numbers), len(MEASURED), round(DURATION / task.control_period)), np.nan)
+        for place, (_, rows) in enumerate(table.groupby("recording", sort=False)):
+            samples = np.round(rows[heading("time")].to_numpy() / task.control_period).astype(int)
+            for channel, name in enumerate(MEASURED):
+                values = rows[heading(name)].to_numpy() * factor(name, WRITTEN_UNITS[name], name)
+                signals[place, channel, samples] = values
+        yield task, row["smallest_leak"], numbers, signals
 
 
-def last_sample(signals: Floats) -> NDArray[np.int64]:
-    """Index of the last sample of each axis, (N,)."""
-    present = np.asarray(np.isfinite(signals).any(axis=1))
-    return np.asarray(signals.shape[2] - 1 - present[:, ::-1].argmax(axis=1))
-
-
-def looks(
-    numbers: Numbers, signals: Floats, length: float, every: float, see: Callable[[Floats], pd.DataFrame]
+def read_axis(
+    make: Callable[[], Detector],
+    every: float,
+    task: TaskConfig,
+    unit: float,
+    numbers: NDArray[np.int64],
+    signals: Floats,
 ) -> pd.DataFrame:
-    """What is seen in windows of a length (s; 0: all since the start) that end every so many seconds, a row per axis.
-
-    An axis that ended before is not looked at, one that failed before the first look has an empty row.
-    """
-    step, whole = round(every / TASK.control_period), round(length / TASK.control_period)
-    last, parts = last_sample(signals), []
-    for end in range(max(whole, step), signals.shape[2] + 1, step):
-        running = last > end - (whole // 2 or step)
-        if running.any():
-            table = see(signals[running, :, end - whole if whole else 0 : end])
-            time = np.minimum(end, last[running]) * TASK.control_period
-            parts.append(table.assign(recording=numbers[running], time=time))
-    missing = numbers[~np.isin(numbers, pd.concat(parts)["recording"])] if whole else numbers[:0]
-    parts.append(pd.DataFrame({"recording": missing, "time": 0.0, "score": np.nan}))
+    """The looks of a detector at windows of WINDOW that end every ``every`` seconds, on the recordings of one axis."""
+    detector, length, step = make(), round(WINDOW / task.control_period), round(every / task.control_period)
+    present = np.asarray(np.isfinite(signals).any(axis=1))
+    last = signals.shape[2] - 1 - present[:, ::-1].argmax(axis=1)
+    parts = [pd.DataFrame({"recording": numbers, "time": 0.0, "score": np.nan})]
+    if reason := detector.refuses(task, length):
+        print(f"{task.plant.cylinder.bore_diameter * 1e3:g} mm: {reason}", flush=True)
+        return parts[0]
+    for end in range(max(length, step), signals.shape[2] + 1, step):
+        begin, stop = (end - length) * task.control_period, end * task.control_period
+        times = np.full(len(numbers), begin), np.full(len(numbers), stop)
+        reading = detector.read(Windows(signals[:, :, end - length : end], *times), task)
+        running = last > end - length // 2
+        time = np.minimum(end - 1, last) * task.control_period
+        parts.append(_looks(reading, numbers, time, unit)[running])
     return pd.concat(parts, ignore_index=True)
 
 
-def difference_of_pressures(signals: Floats) -> pd.DataFrame:
-    """The simplest detector: a leak lowers the difference of the pressures for the same opening of the valve."""
-    a, b, spool = (signals[:, MEASURED.index(name)] for name in ("pressure_a", "pressure_b", "spool_position"))
-    with np.errstate(all="ignore"):
-        return pd.DataFrame({"score": -np.log(np.nanmedian(np.abs(a - b) / (np.abs(spool) + 0.01), axis=1))})
+def _looks(reading: Reading, numbers: NDArray[np.int64], time: Floats, unit: float) -> pd.DataFrame:
+    words = [tuple(Cause)[each].word if each < Cause.UNKNOWN else None for each in reading.cause]
+    leaks = reading.answers & ((reading.probability > 0.5) | (reading.low_lpm > unit))
+    return pd.DataFrame(
+        {
+            "recording": numbers,
+            "time": time,
+            "score": np.where(reading.answers, reading.score, np.nan),
+            "probability": reading.probability,
+            "cause": np.where(leaks, Cause.INTERNAL_LEAK.word, np.array(words, dtype=object)),
+            "size": reading.flow_lpm,
+            "low": reading.low_lpm,
+            "high": reading.high_lpm,
+        }
+    )
 
 
-def read_by(detector: Detector, numbers: Numbers, signals: Floats, every: float) -> pd.DataFrame:
-    """The looks of a detector; the score is the mean of the last looks that have an answer."""
-
-    def see(window: Floats) -> pd.DataFrame:
-        reading = detector.read(Windows.of(window), TASK)
-        words = [tuple(Cause)[each].word if each < Cause.UNKNOWN else None for each in reading.cause]
-        leaks = reading.answers & (reading.probability > 0.5)
-        return pd.DataFrame(
-            {
-                "score": np.where(reading.answers, reading.score, np.nan),
-                "probability": reading.probability,
-                "cause": np.where(leaks, Cause.INTERNAL_LEAK.word, np.array(words, dtype=object)),
-                "size": reading.flow_lpm,
-                "low": reading.low_lpm,
-                "high": reading.high_lpm,
-            }
-        )
-
-    table = looks(numbers, signals, WINDOW, every, see).sort_values(["recording", "time"], ignore_index=True)
+def own_predictions(name: str, data: Path, split: str, jobs: int) -> pd.DataFrame:
+    """The predictions of one of the project's own detectors; the score is the mean of the last looks."""
+    make, every = OWN[name]
+    work = (delayed(read_axis)(make, every, *axis) for axis in axes_of(data, split))
+    table = pd.concat(Parallel(jobs)(work), ignore_index=True).sort_values(["recording", "time"], ignore_index=True)
     table["score"] = table.groupby("recording")["score"].transform(lambda s: s.rolling(LASTING, 1).mean())
     return table
 
 
-OWN: dict[str, Callable[[Numbers, Floats], pd.DataFrame]] = {
-    "difference of pressures": lambda n, s: looks(n, s, 0.0, 1.0, difference_of_pressures),
-    "leakage head": lambda n, s: read_by(HeadDetector(LeakageHead.load(pretrained_folder() / HEAD_FILE)), n, s, 1.0),
-    "estimator, every 20 s": lambda n, s: read_by(EstimatorDetector({}), n, s, 20.0),
-}
+def program_predictions(name: str, data: Path, split: str, output: Path) -> pd.DataFrame:
+    """The predictions of a program of ``challenge/entries``, trained on the training split if it learns."""
+    entry, signals_only = PROGRAMS[name]
+    folder = output / "programs" / name.replace(",", "").replace(" ", "_")
+    if not folder.exists():
+        shutil.copytree(ENTRIES / entry, folder)
+    script = folder / "detect.py"
+    if "--train" in script.read_text(encoding="utf-8") and not list(folder.glob("model.*")):
+        only = ["--signals-only"] if signals_only else []
+        subprocess.run([sys.executable, script, "--train", data, *only], check=True)
+    run = run_program(folder, data, split, signals_only=signals_only)
+    for remark in run.remarks:
+        print(f"{name}: {remark}", flush=True)
+    return run.predictions
 
-OUTSIDE = {"random forest": [], "logistic regression": ["--linear"]}
 
-
-def main() -> None:
-    """Predict, score, rank."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--split", default="test")
-    parser.add_argument("--predictions", type=Path, default=Path("results/leaking_axes"))
-    given = parser.parse_args()
-    given.predictions.mkdir(parents=True, exist_ok=True)
-    labels = labels_of(given.folder, given.split)
-    numbers, signals = read_axes(given.folder, given.split)
-    scores = []
-    for name in (*OWN, *OUTSIDE):
-        file = given.predictions / f"{name}.parquet"
-        if not file.exists() and name in OWN:
-            OWN[name](numbers, signals).to_parquet(file, index=False)
-        elif not file.exists():
-            script = str(Path(__file__).parent / "outsider.py")
-            options = ["--split", given.split, "--output", str(file), *OUTSIDE[name]]
-            subprocess.run([sys.executable, script, str(given.folder), *options], check=True)
-        scores.append(score(name, pd.read_parquet(file), labels))
-        print(f"{name}: done", flush=True)
-    print(text_of(scores))
-    generator = np.random.default_rng(0)
-    taus = []
+def ranking_on_halves(scores: list[Score]) -> str:
+    """Kendall's tau between the rankings of two halves of the recordings."""
+    generator, taus = np.random.default_rng(0), []
     for _ in range(HALVES):
-        first = generator.random(len(labels)) < 0.5
+        first = generator.random(len(scores[0].outcomes.tier)) < 0.5
         ranks = [[one.outcomes.part(half).found_share for one in scores] for half in (first, ~first)]
         taus.append(kendalltau(*ranks).statistic)
     low = np.quantile(taus, 0.1)
-    print(f"\nKendall's tau of the ranking on two halves: mean {np.mean(taus):.2f}, a tenth below {low:.2f}")
+    return f"Kendall's tau of the ranking on two halves: mean {np.mean(taus):.2f}, a tenth below {low:.2f}"
+
+
+def main() -> None:
+    """Train, predict, score, rank."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--split", default="test")
+    parser.add_argument("--output", type=Path, default=Path("results/leaking_axes"))
+    parser.add_argument("--only", nargs="*", default=[*PROGRAMS, *OWN])
+    parser.add_argument("--jobs", type=int, default=2)
+    given = parser.parse_args()
+    data, labels, scores = given.data.absolute(), labels_of(given.data, given.split), []
+    for name in given.only:
+        file = given.output.absolute() / given.split / f"{name}.parquet"
+        if not file.exists():
+            file.parent.mkdir(parents=True, exist_ok=True)
+            if name in OWN:
+                table = own_predictions(name, data, given.split, given.jobs)
+            else:
+                table = program_predictions(name, data, given.split, given.output.absolute())
+            table.to_parquet(file, index=False)
+        scores.append(score(name, pd.read_parquet(file), labels))
+        print(f"{name}: done", flush=True)
+    whole = [*scores, *bounds(labels)]
+    print(text_of(whole), f"\n{ranking_on_halves(scores)}" if len(scores) > 1 else "", sep="\n")
+    write_text(given.output / "scores.csv", table_of(whole).to_csv(index=False))
+    render_scores(whole, Origin.now(f"python benchmarks/leaking_axes.py {given.data}")).write(
+        given.output / "scores.html"
+    )
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest, ttest_1samp
+from scipy.stats import binomtest, chi2, ttest_1samp
 
 from hydro_env.types import Floats
 
@@ -65,6 +65,15 @@ def share_interval(hits: int, total: int) -> Interval:
         return Interval(np.nan, np.nan, np.nan)
     interval = binomtest(int(hits), int(total)).proportion_ci(CONFIDENCE, method="wilson")
     return Interval(hits / total, float(interval.low), float(interval.high))
+
+
+def poisson_interval(count: int, exposure: float) -> Interval:
+    """Rate of events per unit of exposure, with its exact interval (Garwood, Biometrika 28, 1936); NaN without any."""
+    if not exposure > 0.0:
+        return Interval(np.nan, np.nan, np.nan)
+    outside = 0.5 * (1.0 - CONFIDENCE)
+    low = 0.5 * float(chi2.ppf(outside, 2 * count)) if count else 0.0
+    return Interval(count / exposure, low / exposure, 0.5 * float(chi2.ppf(1.0 - outside, 2 * count + 2)) / exposure)
 
 
 # Bootstrap ----------------------------------------------------------------------------------------------------------

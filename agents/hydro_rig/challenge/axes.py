@@ -1,4 +1,4 @@
-"""The axes of the public benchmark of leaking axes: what each draws, in three tiers of difficulty, and their labels.
+"""The recordings of the challenge: what each draws, in three tiers of difficulty, and their labels.
 
 Every block of recordings follows from the version, the split, its number and the key of the test split: any size can be
 made, continued, and made again.
@@ -16,22 +16,27 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.pid import PID
+from hydro_agents.detection.dataset import EXTERNAL
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause, measured_run
 from hydro_agents.detection.disturbances import KINDS as MOVING
 from hydro_agents.detection.disturbances import PRESSURES, Disturbed, drawn
 from hydro_agents.detection.operations import ACTING, MOTIONS
+from hydro_agents.detection.sheet import leak_scale
+from hydro_agents.rigs.stable_gain import pid_from_figures
 from hydro_agents.running.cases import Cases, TrueStateController
 from hydro_agents.running.seeds import BENCHMARK_TEST, BENCHMARK_TRAINING, BENCHMARK_VALIDATION
 from hydro_env import TaskConfig
 from hydro_env.axes import Axes
-from hydro_env.task.configuration import task_config
-from hydro_env.task.faults import SIGNED_KINDS, faults_of
+from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
+from hydro_env.task.faults import SIGNED_KINDS, fault_limits, faults_of
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
+from hydro_rig.challenge.plates import FIRST_NEW, KNOWN, Plate, axis_numbers, plate_of, seed_of, task_of
 from hydro_rig.recordings.columns import MEASURED, factor
 from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
-VERSION = 1
+VERSION = 2
 """Of the recordings: whatever changes one of them is a new version."""
 
 SPLITS = {"train": 0.5, "validation": 0.2, "test": 0.3}
@@ -39,12 +44,14 @@ SPLITS = {"train": 0.5, "validation": 0.2, "test": 0.3}
 
 _SEEDS = {"train": BENCHMARK_TRAINING, "validation": BENCHMARK_VALIDATION, "test": BENCHMARK_TEST}
 
-BLOCK, CREWS = 300, 3
-"""Recordings per file, and groups of them per tier: a group shares its manner of operation, motion and noise."""
+BLOCK, CREWS = 300, 8
+"""Recordings per file, and groups of them per tier: a group shares its axis, who moves it, motion and noise."""
 
 DURATION = 60.0  # s, of a recording
-LEAKS = (0.05, 2.0)  # l/min at 100 bar; of a leaking seal, log-uniform
-BOUND = 0.03  # l/min at 100 bar; the largest leak of a healthy seal
+LEAKS = (1.0 / 0.6, 2.0 / 0.03)
+"""Of a leaking seal over the largest leak of a healthy one, log-uniform; that grows with the flow of the axis."""
+
+HEALTHY = (0.1, 1.0)  # of a healthy seal, log-uniform
 
 FAULTS = (
     *("valve_null_shift", "valve_underlap", "valve_flow", "external_leak", "tank_pressure"),
@@ -70,7 +77,7 @@ TIERS: Mapping[int, Tier] = {
     2: Tier(
         0.3,
         0.3,
-        ("PID", "PPO on flow linearisation", "by hand", "open loop"),
+        ("PID", "flow-linearising", "by hand", "open loop"),
         ("ordinary", "slow", "standing still", "changing loads"),
         (0.7, 1.0, 1.6),
     ),
@@ -81,7 +88,7 @@ TIERS: Mapping[int, Tier] = {
         ("ordinary", "standing still"),
         (1.0, 1.6),
         True,
-        ("ADRC", "three-step switch"),
+        ("sliding mode", "three-step switch"),
     ),
 }
 """The tiers: 1 a well-kept machine, 2 an ordinary one, 3 a difficult one."""
@@ -93,6 +100,8 @@ HARSH = (*MOVING, *DAMAGED)
 
 LABELS = {
     "recording": "number; the same in both tables",
+    "axis": "number of the axis in `axes.parquet`",
+    "new_axis": "whether no other split has recordings of this axis",
     "tier": "1 to 3",
     "seconds": "length",
     "leak": "whether the piston seal leaks at the end",
@@ -100,6 +109,7 @@ LABELS = {
     "schedule": "constant, onset (sudden) or growth (from the onset in proportion to the logarithm)",
     "size": "l/min at 100 bar, at the end",
     "size_before": "l/min at 100 bar, at the start",
+    "size_share": "size over the largest leak of a healthy seal of this axis",
     "cause": "none, internal leak, external leak, valve fault, sensor fault or return line",
     "fault": "name of the other fault; empty: none",
     "harsh": "what the recording suffers from (tier 3)",
@@ -115,11 +125,16 @@ class Benchmark:
 
     Args:
         recordings: of all splits together.
-        key: of the test split; empty: its seeds are public, and so are its labels for those who make them.
+        key: of the test split and of the axes that it alone has; empty: its seeds are public, and so are its labels
+            for those who make them.
     """
 
     recordings: int
     key: str = ""
+
+    def plate(self, axis: int) -> Plate:
+        """The nameplate of an axis."""
+        return plate_of(seed_of(axis, self.key))
 
     def blocks(self, split: str) -> list[int]:
         """The number of recordings in each block of a split."""
@@ -161,30 +176,23 @@ class _Noted:
         return self.controller.predict(observation, state, episode_start, deterministic)
 
 
-@dataclass(frozen=True)
-class _Crew:
-    """Axes of a block that are simulated together: they share who moves them, motion, schedule and noise."""
+class _Crew(NamedTuple):
+    """What some recordings of a block have in common; they are simulated together."""
 
+    axis: int
     tier: int
     acting: str
     motion: str
     schedule: str
     noise: float
-    moving: bool  # whether supply or return line move, or a transducer drifts
-    numbers: NDArray[np.int64]  # of the recordings, (N,)
-    seeds: NDArray[np.int64]  # (N,)
-    states: NDArray[np.int64]  # (N,), sound, with another fault, or leaking
-    harsh: NDArray[np.str_]  # (N,), what each suffers from; empty: nothing
-
-
-_SOUND, _OTHER, _LEAKS = range(3)
+    moving: bool
 
 
 def simulated_block(config: TaskConfig, benchmark: Benchmark, split: str, block: int) -> Block:
     """Simulate one block of a split.
 
     Args:
-        config: the task, whose rig, ranges and sensors all axes share.
+        config: the task, which moves to every axis.
         benchmark: size and key.
         split: a name in SPLITS.
         block: its number.
@@ -195,82 +203,103 @@ def simulated_block(config: TaskConfig, benchmark: Benchmark, split: str, block:
     tier = 1 + np.arange(count) % len(TIERS)
     crew = np.arange(count) // len(TIERS) % CREWS
     numbers = BLOCK * block + generator.permutation(count)  # the number of a recording tells nothing
+    axes = iter(_axes_of_crews(generator, split))
     parts = []
     for level, settings in TIERS.items():
         acting = settings.acting + (settings.unseen if split == "test" else ())
         hands = generator.choice(acting, CREWS, replace=len(acting) < CREWS)
         schedules = generator.permutation(np.resize(SCHEDULES, CREWS))
-        shares = (settings.sound, settings.other, 1.0 - settings.sound - settings.other)
         for turn in range(CREWS):
             members = np.flatnonzero((tier == level) & (crew == turn))
             moving = settings.harsh and bool(turn % 2)
-            kinds = list(MOVING) if moving else list(DAMAGED) if settings.harsh else [""]
             shared = _Crew(
-                tier=level,
-                acting=str(hands[turn]),
-                motion=str(generator.choice(settings.motions)),
-                schedule=str(schedules[turn]),
-                noise=float(generator.choice(settings.noise)),
-                moving=moving,
-                numbers=numbers[members],
-                seeds=seeds[members],
-                states=generator.choice(3, len(members), p=shares),
-                harsh=generator.choice(kinds, len(members)),
+                next(axes),
+                level,
+                str(hands[turn]),
+                str(generator.choice(settings.motions)),
+                str(schedules[turn]),
+                float(generator.choice(settings.noise)),
+                moving,
             )
+            kinds = list(MOVING) if moving else list(DAMAGED) if settings.harsh else [""]
+            shares = (settings.sound, settings.other, 1.0 - settings.sound - settings.other)
+            states, harsh = generator.choice(3, len(members), p=shares), generator.choice(kinds, len(members))
             if len(members):
-                parts += _run(config, shared, generator)
+                task = task_of(config, benchmark.plate(shared.axis))
+                parts += _run(task, shared, seeds[members], states, harsh, numbers[members], generator)
     parts.sort(key=lambda part: int(part[1]["recording"]))
     return Block(pd.concat([part[0] for part in parts], ignore_index=True), pd.DataFrame([part[1] for part in parts]))
 
 
-def _run(config: TaskConfig, crew: _Crew, generator: np.random.Generator) -> list[tuple[pd.DataFrame, dict[str, Any]]]:
+def _axes_of_crews(generator: np.random.Generator, split: str) -> list[int]:
+    """The axis of each crew of a block; in the test split every other crew has an axis that no other split has."""
+    known, new = (np.array(part) for part in (range(KNOWN), axis_numbers(split)[KNOWN:]))
+    total = len(TIERS) * CREWS
+    axes = generator.permutation(np.resize(known, total))
+    if len(new):
+        axes[::2] = generator.permutation(np.resize(new, len(axes[::2])))
+    return [int(axis) for axis in axes]
+
+
+_SOUND, _OTHER, _LEAKS = range(3)
+
+
+def _run(
+    config: TaskConfig,
+    crew: _Crew,
+    seeds: NDArray[np.int64],
+    states: NDArray[np.int64],
+    harsh: NDArray[np.str_],
+    numbers: NDArray[np.int64],
+    generator: np.random.Generator,
+) -> list[tuple[pd.DataFrame, dict[str, Any]]]:
     """Simulate the axes of one crew; per axis its rows and its labels."""
-    count = len(crew.seeds)
+    count = len(seeds)
     sensors = config.sensors.model_dump()
     for name in SENSORS:
         sensors[name]["noise"] *= crew.noise
-    low, high = config.leakage.healthy_range
     leakage = config.leakage.model_dump() | {"schedule": crew.schedule, "start_range": (0.1, 0.7)}
     task = task_config(config, episode_duration=DURATION, leakage=leakage, sensors=sensors)
     task = MOTIONS[crew.motion].change(task)
-    healthy, leaking = (
-        np.exp(generator.uniform(np.log(least), np.log(most), count))
-        for least, most in ((low, min(high, BOUND)), LEAKS)
-    )
-    flow = np.where(crew.states == _LEAKS, leaking, healthy)
-    faults, names = _faults(config, generator, crew.states)
-    controller = ACTING[crew.acting].make(task, count, int(crew.seeds[0]))
+    bound = config.leakage.class_bounds[0] * leak_scale(config)
+    shares = np.where(states[:, None] == _LEAKS, LEAKS, HEALTHY)
+    flow = np.minimum(bound * np.exp(generator.uniform(*np.log(shares).T)), LEAKAGE_LIMIT)
+    faults, names = _faults(config, generator, states)
+    controller = _acting(crew.acting, task, count, int(seeds[0]))
     moves = None
     if crew.moving:
-        moves = drawn(generator, crew.harsh, task.steps, task.control_period)
+        moves = drawn(generator, harsh, task.steps, task.control_period)
         controller = Disturbed(controller, moves)
     noted = _Noted(controller)
-    signals, run = measured_run(task, noted, Cases(crew.seeds, flow, faults=faults))
+    signals, run = measured_run(task, noted, Cases(seeds, flow, faults=faults))
     if moves is not None:
         moves.read(signals)
-    constant = crew.schedule == "constant"
     parts = []
     for axis in range(count):
         rows = task.steps if run.failed_at[axis] < 0 else int(run.failed_at[axis]) + 1
-        onset, end = 0.0 if constant else float(noted.onset[axis]), rows * task.control_period
-        leaks = bool(crew.states[axis] == _LEAKS and onset < end)
+        onset = noted.onset[axis] if crew.schedule != "constant" else 0.0
+        end = rows * task.control_period
+        leaks = bool(states[axis] == _LEAKS and onset < end)
         if crew.schedule == "growth" and leaks:  # the seal leaks once it passes more than a healthy one
             first, last = np.log(noted.before[axis]), np.log(flow[axis])
-            onset += (DURATION - onset) * np.clip((np.log(BOUND) - first) / (last - first), 0.0, 1.0)
+            onset += (DURATION - onset) * np.clip((np.log(bound) - first) / (last - first), 0.0, 1.0)
             leaks = bool(onset < end)
         other = CAUSE_OF_FAULT[names[axis]] if names[axis] else Cause.NONE
         label = {
-            "recording": int(crew.numbers[axis]),
+            "recording": int(numbers[axis]),
+            "axis": crew.axis,
+            "new_axis": crew.axis >= FIRST_NEW,
             "tier": crew.tier,
             "seconds": end,
             "leak": leaks,
-            "onset": onset if leaks else np.nan,
+            "onset": float(onset) if leaks else np.nan,
             "schedule": crew.schedule,
             "size": float(run.leakage_flow_lpm[axis]),
-            "size_before": float(flow[axis] if constant else noted.before[axis]),
+            "size_before": float(noted.before[axis] if crew.schedule != "constant" else flow[axis]),
+            "size_share": float(run.leakage_flow_lpm[axis]) / bound,
             "cause": Cause.INTERNAL_LEAK.word if leaks else other.word,
             "fault": names[axis],
-            "harsh": str(crew.harsh[axis]),
+            "harsh": str(harsh[axis]),
             "acting": crew.acting,
             "motion": crew.motion,
         }
@@ -278,18 +307,27 @@ def _run(config: TaskConfig, crew: _Crew, generator: np.random.Generator) -> lis
     return parts
 
 
+def _acting(name: str, task: TaskConfig, count: int, seed: int) -> Controller:
+    """Who moves the axes; the gains of a PID follow from the figures of the axis."""
+    figures = pid_from_figures(task) if name == "PID" else None
+    return PID(figures, task) if figures is not None else ACTING[name].make(task, count, seed)
+
+
 def _faults(
     config: TaskConfig, generator: np.random.Generator, states: NDArray[np.int64]
 ) -> tuple[dict[str, Floats], list[str]]:
     """Other faults of axes: magnitudes by name, and the name of each axis's fault."""
     sizes: dict[str, Floats] = {}
-    names = [""] * len(states)
+    names, sensors = [""] * len(states), [name for name in SENSORS if getattr(config.sensors, name).fitted]
+    hangs, scale = config.plant.load.external_force != 0.0, leak_scale(config)
     for axis in np.flatnonzero(states == _OTHER):
-        kind = str(generator.choice(FAULTS))
+        # Beside a leak from chamber b, a valve without underlap holds no weight: it lets chamber a run empty.
+        kind = str(generator.choice([kind for kind in FAULTS if kind != EXTERNAL or not hangs]))
         low, high = getattr(config.faults, kind).range
         size = generator.uniform(low, high) * (generator.choice((-1.0, 1.0)) if kind in SIGNED_KINDS else 1.0)
         # An offset of the position is the same as another place of the axis.
-        visible = [name for name in faults_of(kind, SENSORS) if name != "position_offset"]
+        visible = [name for name in faults_of(kind, sensors) if name != "position_offset"]
+        size = min(scale * size, fault_limits(EXTERNAL)[1]) if kind == EXTERNAL else size
         names[axis] = str(generator.choice(visible))
         sizes.setdefault(names[axis], np.zeros(len(states)))[axis] = size
     return sizes, names
@@ -304,7 +342,8 @@ def _rows(signals: Floats, task: TaskConfig, label: Mapping[str, Any], generator
     kept = np.ones(count, dtype=bool)
     if label["harsh"] == "lost rows":
         kept = np.asarray(generator.random(count) >= 0.05)
-    table = pd.DataFrame({"recording": np.full(count, label["recording"], dtype=np.int32)})
+    numbers = {name: np.full(count, label[name], dtype=np.int32) for name in ("recording", "axis")}
+    table = pd.DataFrame(numbers)
     table[heading("time")] = np.round(np.arange(count) * task.control_period, 6)
     for name, values in zip(MEASURED, signals, strict=True):
         table[heading(name)] = (values / factor(name, WRITTEN_UNITS[name], name)).astype(np.float32)

@@ -1,7 +1,8 @@
-"""The public benchmark of leaking axes: recordings of many simulated axes, with labels, as files.
+"""The challenge as files: recordings of many simulated axes, the nameplates of these axes, and labels.
 
 A split is a folder of Parquet files, each a block of recordings; its labels are another folder. The labels of the test
-split stand apart, so that the rest can be published; ``benchmark.json`` holds their SHA-256.
+split stand apart, so that the rest can be published; ``benchmark.json`` holds their SHA-256, ``SHA256SUMS`` that of
+every public file.
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ from hydro_env.errors import reason
 from hydro_env.files import read_json, read_text, write_text, write_whole
 from hydro_rig.challenge import axes as benchmark_axes
 from hydro_rig.challenge.axes import SPLITS, TIERS, VERSION, Benchmark, simulated_block
+from hydro_rig.challenge.plates import KNOWN, NEW, columns_described, plates_table
 from hydro_rig.recordings.columns import MEASURED
 from hydro_rig.recordings.simulated import heading
 
-MANIFEST, CARD = "benchmark.json", "README.md"
+MANIFEST, CARD, PLATES, SUMS = "benchmark.json", "README.md", "axes.parquet", "SHA256SUMS"
 
 HIDDEN = "hidden"
 """The folder of the labels of the test split."""
@@ -58,6 +60,7 @@ def write_benchmark(
         raise ConfigurationError(f"--count {benchmark.recordings}: must be at least {least}")
     manifest: dict[str, Any] = {
         "name": "leaking axes",
+        "licence": "CC-BY-4.0",
         "version": VERSION,
         "hydro_env": __version__,
         "recordings": {split: sum(benchmark.blocks(split)) for split in SPLITS},
@@ -71,6 +74,7 @@ def write_benchmark(
         if other:
             raise ConfigurationError(f"{folder}: holds another benchmark ({', '.join(other)}); choose another folder")
     write_text(place, json.dumps(manifest, indent=2))
+    _write_table(folder / PLATES, plates_table(benchmark.key))
     waiting = {
         f"{split} {block}": Job(_write_block, None, (config, benchmark, str(folder.absolute()), split, block))
         for split in SPLITS
@@ -83,8 +87,33 @@ def write_benchmark(
         manifest.setdefault("labels_sha256", {})[split] = digest_of_labels(labels)
         manifest.setdefault("hours", {})[split] = round(float(labels["seconds"].sum()) / 3600.0, 3)
     write_text(place, json.dumps(manifest, indent=2))
-    write_text(folder / CARD, data_card(config, manifest))
+    write_text(folder / CARD, data_card(manifest))
+    write_text(folder / SUMS, checksums(folder, benchmark))
     return manifest
+
+
+def checksums(folder: Path, benchmark: Benchmark) -> str:
+    """The SHA-256 of every public file, in the form of ``sha256sum``: ``sha256sum -c SHA256SUMS`` checks the folder."""
+    public = [folder / name for name in (MANIFEST, CARD, PLATES)]
+    for split in SPLITS:
+        for block in range(len(benchmark.blocks(split))):
+            recordings, labels = block_files(folder, split, block)
+            public += [recordings] if split == "test" else [recordings, labels]
+    lines = []
+    for path in public:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        lines.append(f"{digest}  {path.relative_to(folder).as_posix()}\n")
+    return "".join(lines)
+
+
+def read_plates(folder: Path) -> pd.DataFrame:
+    """The nameplates of a challenge, a row per axis.
+
+    Raises:
+        ConfigurationError: they are not there, or not readable.
+    """
+    return read_table(folder / PLATES)
 
 
 def block_files(folder: Path, split: str, block: int) -> tuple[Path, Path]:
@@ -103,10 +132,14 @@ def _write_block(
     """Simulate a block and write its files, the labels last."""
     made = simulated_block(config, benchmark, split, block)
     for path, table in zip(block_files(Path(folder), split, block), made, strict=True):
-        buffer = io.BytesIO()
-        table.to_parquet(buffer, index=False, compression="zstd")
-        write_whole(path, buffer.getvalue())
+        _write_table(path, table)
     return {"rows": np.array([len(made.signals)])}
+
+
+def _write_table(path: Path, table: pd.DataFrame) -> None:
+    buffer = io.BytesIO()
+    table.to_parquet(buffer, index=False, compression="zstd")
+    write_whole(path, buffer.getvalue())
 
 
 def read_labels(folder: Path, split: str) -> pd.DataFrame:
@@ -142,7 +175,7 @@ def digest_of_labels(labels: pd.DataFrame) -> str:
     return hashlib.sha256(labels.to_csv(index=False, lineterminator="\n").encode()).hexdigest()
 
 
-def data_card(config: TaskConfig, manifest: Mapping[str, Any]) -> str:
+def data_card(manifest: Mapping[str, Any]) -> str:
     """The description that stands beside the data, as Markdown."""
     environment = jinja2.Environment(trim_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined)
     return environment.from_string(read_text(_CARD)).render(
@@ -150,5 +183,7 @@ def data_card(config: TaskConfig, manifest: Mapping[str, Any]) -> str:
         axes=benchmark_axes,
         places={split: labels_folder(Path(), split).as_posix() for split in SPLITS},
         headings=[heading(name) for name in ("time", *MEASURED)],
-        rate=f"{1.0 / config.control_period:g}",
+        known=KNOWN,
+        new=NEW,
+        plates=columns_described(),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ import typer
 
 from hydro_agents.commands.options import (
     Faults,
+    Overwrite,
     OverwriteFile,
     OwnTask,
     PlantSeed,
@@ -93,7 +95,9 @@ def record(
     if sum(place is not None for place in (output, minari, benchmark)) != 1:
         raise ConfigurationError("record: needs one of --output FILE, --minari NAME or --benchmark FOLDER")
     if benchmark is not None:
-        _record_benchmark(benchmark, task_config(task, rig=rig), 600 if count is None else count, key)
+        if rig is not None:
+            raise ConfigurationError("record: --benchmark draws its axes; leave out --rig")
+        _record_benchmark(benchmark, task_config(task), 600 if count is None else count, key)
         return
     faults = named_faults(fault or [])
     if minari is not None:
@@ -145,27 +149,68 @@ def _record_benchmark(folder: Path, config: TaskConfig, recordings: int, key: Pa
 
 
 def score(
+    data: Annotated[Path, typer.Option(metavar="FOLDER", help="The challenge, from `hydro record --benchmark`.")],
     predictions: Annotated[
-        list[Path], typer.Argument(metavar="PREDICTIONS...", help="Parquet files, one for each detector.")
-    ],
-    data: Annotated[Path, typer.Option(metavar="FOLDER", help="The benchmark, from `hydro record --benchmark`.")],
+        list[Path] | None, typer.Argument(metavar="[PREDICTIONS]...", help="Parquet files, one for each detector.")
+    ] = None,
+    code: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FOLDER", help="Run the detect.py of this folder on the recordings first; may be repeated."
+        ),
+    ] = None,
+    signals_only: Annotated[
+        bool, typer.Option("--signals-only", help="The program of --code gets no nameplates.")
+    ] = False,
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Also write a page, CSV, and predictions.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print all numbers as JSON instead of tables.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
-    """Score anyone's leak detector on the benchmark: leaks found, false alarms, delay, causes, calibration.
+    """Score anyone's leak detector in the challenge: leaks found, false alarms, delay, causes, calibration.
 
     A prediction is a table with a row for each look at a recording: recording, time, score, and what else the detector
-    says. `docs/benchmark.md` describes the columns and shows a detector in forty lines.
+    says. `--code` runs a program instead, which gets the rows one after another. `docs/benchmark.md` describes both.
     """
     import json
 
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.machine import Origin
+    from hydro_env import ConfigurationError
+    from hydro_env.files import write_text
     from hydro_rig.challenge.files import read_table
-    from hydro_rig.challenge.scores import labels_of, table_of, text_of
+    from hydro_rig.challenge.score_page import render_scores
+    from hydro_rig.challenge.scores import bounds, labels_of, table_of, text_of
     from hydro_rig.challenge.scores import score as scored
+    from hydro_rig.challenge.submitted import command_of, run_program
 
+    folders = [folder.absolute() for folder in code or []]
+    if not predictions and not folders:
+        raise ConfigurationError("score: needs a table of predictions, or --code FOLDER")
+    for folder in folders:
+        command_of(folder)
     truth = labels_of(data, split)
-    scores = [scored(path.stem, read_table(path), truth) for path in predictions]
+    writes = ["scores.csv", "scores.html", "figures/*.svg", "predictions/*.parquet"]
+    place = output_folder(output, "score", writes, overwrite=overwrite) if output else contextlib.nullcontext()
+    with place:
+        scores = [scored(path.stem, read_table(path), truth) for path in predictions or []]
+        for folder in folders:
+            with ProgressDisplay() as display:
+                run = run_program(folder, data, split, signals_only=signals_only, progress=display.update)
+            one = scored(folder.name, run.predictions, truth)
+            scores.append(one._replace(remarks=[*one.remarks, *run.remarks]))
+            if output is not None:
+                (output / "predictions").mkdir(exist_ok=True)
+                run.predictions.to_parquet(output / "predictions" / f"{folder.name}.parquet", index=False)
+        scores += bounds(truth)
+        table = table_of(scores)
+        if output is not None:
+            write_text(output / "scores.csv", table.to_csv(index=False))
+            render_scores(scores, Origin.now(command_line())).write(output / "scores.html")
     if as_json:
-        say(json.dumps(json.loads(table_of(scores).to_json(orient="records")), indent=2))
+        say(json.dumps(json.loads(table.to_json(orient="records")), indent=2))
     else:
         show(text_of(scores))
