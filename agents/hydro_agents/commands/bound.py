@@ -37,26 +37,27 @@ def bound(
 ) -> None:
     """Find the smallest errors that a controller could reach, and compare them with those of the shipped controllers.
 
-    A search plans the commands with the simulator itself. It knows the plant with its leak, and the true state. The
-    command prints
+    A search plans the commands with the simulator itself. It knows the plant with its leak, and either the true state
+    or what a Kalman filter makes of the measured signals: the bound that a controller can reach. The command prints
     the mean error for each family of references and each leak, and writes all cases as CSV. It takes some minutes; the
     first seconds of the search show how many on your machine.
     """
-    from hydro_agents.evaluation.bound_comparison import compare, comparison_protocol, means_by, summary
+    from hydro_agents.evaluation.bound_comparison import ComparisonSettings, compare, means_by, summary
     from hydro_agents.running.text import frame_markdown
     from hydro_agents.study.settings import StudySettings
+    from hydro_env.files import validate
     from hydro_env.folders import config_file
     from hydro_env.task.configuration import task_config
 
     study = StudySettings.from_yaml(config_file("studies", "opponents"))
     config = task_config(task, rig=rig)
-    protocol = comparison_protocol(config, leak or [0.01, 0.3, 1.0, 4.0], plants)
+    settings = validate(ComparisonSettings, {"leak_levels": leak or [0.01, 0.3, 1.0, 4.0], "plants": plants}, "bound")
 
     def compared(display: ProgressDisplay) -> Written:
         controllers, unfit = study.model_copy(update={"task": config}).fitting(named_agents(agent))
         for reason in unfit:
             display.say(f"left out: {reason}")
-        frame = compare(protocol, controllers, display.update)
+        frame = compare(config, controllers, settings, display.update)
         parts = [frame_markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
         travel = frame_markdown(means_by(frame, "valve_travel_per_s"), 2)
         text = "\n\n".join(["Mean |error|, mm:", *parts, "Valve travel, full strokes per second:", travel])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from hydro_env import ConfigurationError, TaskConfig
 
 BEST_FOUND = "best found"
 
+BestFound = Callable[[TaskConfig, Cases], Rollout]  # runs cases under the best commands that a search finds
+
 
 def tracking(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller on the cases of every condition."""
@@ -38,10 +41,12 @@ def standstill(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]
 
 def best(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Searches for the best commands, on some cases of the conditions that the protocol names."""
-    del chosen
+    # One thread: as many jobs as cores run side by side.
+    searches = chosen.searches or {BEST_FOUND: partial(best_found, settings={"threads": 1})}
     for condition in protocol.bound_conditions:
         task, cases = protocol.task_in(condition), protocol.bound_cases_in(condition)
-        yield _cell(protocol, BEST_FOUND, condition, best_found, searched, task, *cases)
+        for name, search in searches.items():
+            yield _cell(protocol, name, condition, search, searched, task, *cases)
 
 
 def _of_controllers(protocol: PairedProtocol, chosen: Participants, condition: str, *measured: Any) -> Iterator[Cell]:
@@ -88,7 +93,7 @@ def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns
     return _metrics(_begun(run_cases, config, controller, cases), config, cases)
 
 
-def searched(search: Callable[..., Rollout], config: TaskConfig, cases: Cases) -> Columns:
+def searched(search: BestFound, config: TaskConfig, cases: Cases) -> Columns:
     """The same under the best commands that a search finds."""
     return _metrics(_begun(search, config, cases), config, cases)
 

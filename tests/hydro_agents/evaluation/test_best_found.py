@@ -8,10 +8,10 @@ from published import assert_published
 from refusal import refused
 from scipy.optimize import lsq_linear
 
-from hydro_agents.evaluation.best_found import BestFound, best_found
-from hydro_agents.evaluation.bound_comparison import means_by, summary
+from hydro_agents.evaluation.best_found import BestFound, BoundSettings, best_found
+from hydro_agents.evaluation.bound_comparison import MEASURED, TRUTH, means_by, summary
 from hydro_agents.evaluation.prediction import Prediction, bounded_least_squares, continued, true_schedule
-from hydro_agents.evaluation.tracking import BEST_FOUND
+from hydro_agents.evaluation.state_filter import StateFilter
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.text import frame_markdown
@@ -42,14 +42,19 @@ def truth():
 
 
 @pytest.fixture(scope="module")
+def measured():
+    return best_found(SHORT, CASES, "measured")
+
+
+@pytest.fixture(scope="module")
 def pid():
     return run_cases(SHORT, shipped("pid", SHORT), CASES)
 
 
-def prediction_of(config, env, horizon):
+def prediction_of(config, env, horizon, threads=1):
     axes = env.axes
     schedule = true_schedule(config, axes, config.steps + horizon)
-    return Prediction(config, axes.coefficient.copy(), axes.column("latency").copy(), schedule)
+    return Prediction(config, axes.coefficient.copy(), axes.column("latency").copy(), schedule, threads)
 
 
 @pytest.mark.parametrize("config", [SHORT, CHANGING], ids=["constant", "changing leak, force, latency"])
@@ -99,16 +104,70 @@ def test_a_step_finds_the_optimum_within_the_limits():
     np.testing.assert_allclose(found, known, atol=1e-4)
 
 
-def test_told_the_truth_it_is_never_worse_than_the_pid_and_than_without_it(truth, pid):
+def test_told_the_truth_it_is_never_worse_than_the_pid_and_than_without_it(truth, measured, pid):
     assert np.all(truth.failed_at < 0)
     assert np.all(errors(truth) <= errors(pid))
+    assert np.all(errors(truth) <= errors(measured) + 1e-6)
     smooth = np.isin(CASES.families, ("point_to_point", "sine", "multi_sine"))
     assert errors(truth)[smooth].max() < 2e-6
 
 
-def test_a_case_depends_on_neither_its_neighbours_nor_the_chunk(truth):
-    again = best_found(SHORT, CASES.part(4, 6), chunk=1)
-    np.testing.assert_array_equal(again.position, truth.position[4:6])
+def test_the_state_is_worth_something(truth, measured):
+    assert np.all(errors(truth) <= errors(measured) + 1e-6)
+
+
+@pytest.mark.parametrize("told", ["truth", "measured"])
+def test_a_case_depends_on_neither_its_neighbours_nor_threads(told, truth, measured):
+    again = best_found(SHORT, CASES.part(4, 6), told, {"threads": 3}, chunk=1)
+    whole = {"truth": truth, "measured": measured}[told]
+    np.testing.assert_array_equal(again.position, whole.position[4:6])
+
+
+def test_with_a_measured_state_it_is_better_than_the_pid(measured, pid):
+    assert np.mean(errors(measured) < errors(pid)) > 0.9
+    assert errors(measured).mean() < 0.8 * errors(pid).mean()
+    assert np.all(measured.failed_at < 0)
+
+
+@pytest.mark.parametrize("config", [SHORT, CHANGING], ids=["constant", "changing leak, force, latency"])
+def test_the_filter_finds_the_state_below_the_noise_of_the_sensors(config):
+    """Position in the sensor's frame, speed, and pressures without the offsets of their sensors."""
+    env = ServoHydraulicVectorEnv(8, config, info=False)
+    env.reset(seed=list(range(40, 48)), options={"leakage_flow_lpm": 2.0})
+    axes, prediction = env.axes, prediction_of(config, env, 1)
+    estimate = StateFilter(config, axes)
+    wrong = []
+    for period in range(config.steps - 1):
+        state, truth = estimate.updated(axes, prediction), axes.state.copy()
+        truth[:, 0] += axes.column("bias")[:, 0]
+        wrong.append(state - truth)
+        env.step(np.full((8, 1), 0.1 * np.sin(0.2 * period)))
+    position, speed, pressure_a, pressure_b = np.sqrt(np.mean(np.square(wrong[20:]), axis=(0, 1)))[:4]
+    sensors = config.sensors
+    assert position < 0.3 * sensors.position.noise
+    assert speed < 0.1 * sensors.position.noise / config.control_period
+    assert pressure_a < sensors.pressure_a.bias
+    assert pressure_b < 0.5 * sensors.pressure_b.bias
+
+
+def test_the_filter_derives_as_the_integrator_does():
+    """The derivative of the next state, by a change of the first state that is ten times as large."""
+    env = ServoHydraulicVectorEnv(3, SHORT, info=False)
+    env.reset(seed=[1, 2, 3])
+    axes, prediction = env.axes, prediction_of(SHORT, env, 1)
+    state, command = axes.state.copy(), np.full(3, 0.1)
+    after, change = prediction.next_state(state, command, command, 0)
+    moved = state.copy()
+    moved[:, 2] += 1e3  # Pa
+    np.testing.assert_allclose(
+        prediction.next_state(moved, command, command, 0)[0] - after, 1e3 * change[:, :, 2], rtol=0.1
+    )
+
+
+def test_without_the_sensors_aim_the_true_position_follows():
+    case = CASES.part(3, 4)
+    rollout = best_found(SHORT, case, settings={"aim": "axis"})
+    assert np.abs(rollout.reference - rollout.position)[:, 40:].mean() < 2e-6 < 10e-6 < np.abs(rollout.position_bias[0])
 
 
 def test_the_reference_beyond_the_preview():
@@ -124,8 +183,12 @@ def test_the_reference_beyond_the_preview():
 
 
 def test_wrong_input_gets_one_line(tmp_path):
+    with refused(r"told = 'half': must be 'truth' or 'measured'"):
+        best_found(SHORT, CASES, "half")
+    with refused("best found: horizon = 0"):
+        best_found(SHORT, CASES, settings={"horizon": 0})
     with refused("reads the true states"):
-        BestFound(SHORT).predict(np.zeros((1, 13)))
+        BestFound(SHORT, "truth", BoundSettings()).predict(np.zeros((1, 13)))
     assert_one_clear_line(hydro("bound", "--task", "none.yaml", "--output", tmp_path / "out"), "none.yaml")
     assert_one_clear_line(hydro("bound", "--leak", "-1", "--output", tmp_path / "out"), "leak_levels", "-1")
     assert not (tmp_path / "out").exists()
@@ -138,21 +201,21 @@ def test_the_command_writes_every_case_and_a_table(tmp_path):
     assert_published("bound", tmp_path / "out")
     cases = pd.read_csv(tmp_path / "out" / "bound.csv")
     shipped = {"PID", "PID mended", "ADRC", "LQG", "Flow linearisation", "PPO on flow linearisation"}
-    assert set(cases["controller"]) == {*shipped, BEST_FOUND}
-    assert len(cases) == (len(shipped) + 1) * 2 * 6 * 3  # controllers, leaks, families, plants
-    mean = cases[cases["controller"] == BEST_FOUND]["error_mm"].mean()
+    assert set(cases["controller"]) == {*shipped, TRUTH, MEASURED}
+    assert len(cases) == (len(shipped) + 2) * 2 * 6 * 3  # controllers, leaks, families, plants
+    mean = cases[cases["controller"] == TRUTH]["error_mm"].mean()
     assert f"| {mean:.4f} |" in answer.stdout
     assert (tmp_path / "out" / "bound.md").read_text(encoding="utf-8").count("| mean |") == 3
     assert_one_clear_line(hydro("bound", "--task", task, "--output", tmp_path / "out"), "holds results already")
 
 
 def test_the_summary_has_both_frames():
-    rows = pd.DataFrame([("PID", 0.2), (BEST_FOUND, 0.0)] * 2, columns=["controller", "error_mm"])
+    rows = pd.DataFrame([("PID", 0.2), (MEASURED, 0.1), (TRUTH, 0.0)] * 2, columns=["controller", "error_mm"])
     rows = rows.assign(
-        family=np.repeat(["step", "sine"], 2), true_error_mm=rows["error_mm"] + 0.03, valve_travel_per_s=2.0
+        family=np.repeat(["step", "sine"], 3), true_error_mm=rows["error_mm"] + 0.03, valve_travel_per_s=2.0
     )
     table = summary(rows, "family")
-    assert list(table.columns) == ["PID", BEST_FOUND, "PID, true position", "floor, true position"]
-    np.testing.assert_allclose(table.loc["mean"], [0.2, 0.0, 0.23, 0.03])
-    assert frame_markdown(means_by(rows, "valve_travel_per_s"), 1).splitlines()[-1] == "| mean | 2.0 | 2.0 |"
-    assert frame_markdown(table).splitlines()[-1] == "| mean | 0.2000 | 0.0000 | 0.2300 | 0.0300 |"
+    assert list(table.columns) == ["PID", MEASURED, TRUTH, "PID, true position", "floor, true position"]
+    np.testing.assert_allclose(table.loc["mean"], [0.2, 0.1, 0.0, 0.23, 0.03])
+    assert frame_markdown(means_by(rows, "valve_travel_per_s"), 1).splitlines()[-1] == "| mean | 2.0 | 2.0 | 2.0 |"
+    assert frame_markdown(table).splitlines()[-1] == "| mean | 0.2000 | 0.1000 | 0.0000 | 0.2300 | 0.0300 |"
