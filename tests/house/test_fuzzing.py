@@ -18,7 +18,7 @@ from command_line import hydro, own_lines
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hydro_agents.rigs.simulation import read_table
+from hydro_agents.rigs.simulation import read_voltage
 from hydro_agents.running.folders import config_folder
 from hydro_agents.study.settings import StudySettings
 from hydro_env import (
@@ -254,7 +254,7 @@ def use_command_line(folder: Path, drawn: Any) -> None:
 
 
 def use_table(folder: Path, content: bytes) -> None:
-    refused_or_done(read_table, file_of(folder, "a.csv", content))
+    refused_or_done(read_voltage, file_of(folder, "a.csv", content))
 
 
 def use_recording(folder: Path, drawn: Any) -> None:

@@ -10,6 +10,7 @@ import yaml
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.learning.opponents import opponent
+from hydro_agents.study.settings import StudySettings
 from hydro_env import ServoHydraulicEnv, TaskConfig
 from hydro_rig.export.c_files import c_compiler
 from hydro_rig.export.controller_folder import exported_files
@@ -36,6 +37,7 @@ def test_every_block_has_a_test():
         ("trend.md", "yaml"),
         ("robustness.md", "yaml"),
         ("results.md", "yaml"),
+        ("learning.md", "yaml"),
         ("export.md", "c"),
     }
     assert {(page, kind) for page, kind, _ in BLOCKS} == tested
@@ -117,3 +119,11 @@ def test_the_lines_of_c_compile(tmp_path):
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     assert subprocess.run([tmp_path / "page"], check=False).returncode == 0
+
+
+def test_the_trainings_of_the_page_are_a_study(tmp_path):
+    file = tmp_path / "study.yaml"
+    file.write_text(blocks("learning.md", "yaml")[0], encoding="utf-8")
+    study = StudySettings.from_yaml(file)
+    preview = study.training_settings("with full preview")
+    assert (preview.full_preview, preview.total_steps, preview.discount) == (True, 1_000_000, 0.97)

@@ -78,7 +78,7 @@ def following(entry: dict[str, Any], before: dict[str, Any] | None, training: An
     """An entry with what it takes over; the settings are merged group by group."""
     whole = (before or {}) | entry | {"after": None}
     first = (before or {}).get("settings", {})
-    if before is None and whole.get("kind") not in CONTROLLERS:
+    if before is None and str(whole.get("kind")) not in CONTROLLERS:
         first = training
     own = entry.get("settings", {})
     if isinstance(first, dict) and isinstance(own, dict):

@@ -74,7 +74,7 @@ def test_changes_of_the_task_and_further_unknowns_reach_the_fit():
     )
     detector = make_detector(choice)
     assert isinstance(detector, EstimatorDetector)
-    assert "spool_position_gain" in detector.names(CONFIG, False)
+    assert detector.unknowns == ("spool_position_gain",)
     assert detector.refuses(TaskConfig(control_period=0.01), 10) == ""
     assert detector.threshold is None
     reading = detector.read(made("none", 0.5), CONFIG)

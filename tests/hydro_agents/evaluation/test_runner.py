@@ -102,7 +102,7 @@ def test_conditions_that_change_nothing_at_standstill_share_their_search(tmp_pat
     assert len(files) == 2 * 2 + 1  # two jobs for each condition, one search
 
 
-def strong(config, cases):
+def strong(config, cases, **_):
     """Stands for the best found."""
     return run_cases(config, Proportional(60.0), cases)
 

@@ -224,11 +224,11 @@ def test_a_controller_that_oscillates_at_rest_is_named_on_the_console_and_on_the
     warned = [line for line in capsys.readouterr().out.splitlines() if "ratios to it compare" in line]
     assert len(warned) == 1
     assert re.fullmatch(
-        r"PID: limit cycle at 16 of 16 standstills, up to 1\.\d mm: ratios to it compare with a broken controller",
+        r"PID: limit cycle at 16 of 16 standstills, up to 1\.\d mm: ratios to it compare with .*",
         warned[0],
     )
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "PID cannot hold this axis: ratios to it compare with a broken controller." in page
+    assert "PID does not come to rest" in page
     file.write_text(yaml.safe_dump({**VALUES, "controllers": {"calm": entries["calm"]}, "leakage_head": None}))
     run_study(default_study(file), tmp_path / "calm", seed=0)
     printed = capsys.readouterr().out
@@ -247,7 +247,7 @@ def test_evaluate_leaves_detection_out_and_joins_training_seeds(algorithm, tmp_p
     cases = pd.read_csv(tables / "cases.csv")  # the seeds replace the study's controller, which has no weights
     assert cases.groupby("controller", sort=False)["training_seed"].nunique().to_dict() == {"PID": 1, "mine": 2}
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "PID 1, mine on PID 2" in page
+    assert "PID 1, mine 2" in page
     for options, message in (
         ({"head": Path("none"), "protocol": "quick"}, "--head: a protocol takes it from its file"),
         ({"head": Path("none"), "agent": ["mine#a=pid"]}, r"'mine#a': must be NAME, or NAME#0"),
