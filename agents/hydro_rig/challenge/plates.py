@@ -16,6 +16,7 @@ import pandas as pd
 from hydro_agents.detection.sheet import leak_scale
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.drawn_rigs import TRIES, drawn_answers
 from hydro_env.task.law import FIRST_SEEDS, RigLaw
 from hydro_env.task.nameplates import QUESTIONS, answers_from, new_rig
@@ -63,12 +64,20 @@ def plate_of(seed: int) -> Plate:
 def task_of(config: TaskConfig, plate: Plate) -> TaskConfig:
     """A task on the axis of a plate: what the plate does not say is typical, with its range.
 
+    What counts as a leak grows with the flow of the axis.
+
     Raises:
         ConfigurationError: the figures contradict each other, or the axis cannot work.
     """
     _, rig = new_rig(answers_from(plate.texts), plate.texts, "nameplate")
     values = moved(config.model_dump(), TaskConfig().model_dump(), rig) | plate.timing
-    return TaskConfig.model_validate(values | {"law": None, "command_latency_range": None})
+    task = TaskConfig.model_validate(values | {"law": None, "command_latency_range": None})
+    scale = leak_scale(task)
+    sizes = {
+        name: tuple(min(scale * size, LEAKAGE_LIMIT) for size in getattr(task.leakage, name))
+        for name in ("healthy_range", "faulty_range", "class_bounds")
+    }
+    return task_config(task, leakage=sizes)
 
 
 def seed_of(axis: int, key: str = "") -> int:
@@ -95,7 +104,7 @@ def plates_table(key: str = "") -> pd.DataFrame:
             "area_a": float(coefficients.area_a),
             "area_b": float(coefficients.area_b),
             "full_flow": float(coefficients.area_a * full_speed(task.plant)),
-            "smallest_leak": task.leakage.class_bounds[0] * leak_scale(task),
+            "smallest_leak": task.leakage.class_bounds[0],
         }
         answers = answers_from(plate.texts)
         written = {f"{name} plate": text for name, text in plate.texts.items()}
