@@ -184,8 +184,8 @@ class ClassicalController:
         config: the task.
     """
 
-    memory: type[Any]
-    """Class of its memory."""
+    estimate_names: tuple[str, ...] = ()
+    """Names of the values of :meth:`estimates`."""
 
     def __init__(self, gains: Any, config: TaskConfig) -> None:
         self.gains, self.config, self.layout = gains, config, ObservationLayout.of(config)
@@ -208,6 +208,10 @@ class ClassicalController:
         self, batch: Observation, state: Any, episode_start: NDArray[np.bool_] | None
     ) -> tuple[NDArray[np.float64], Any]:
         """Commands before their limits, (N,), for a batch of observations, and the new memory."""
+        raise NotImplementedError
+
+    def estimates(self, memory: Any) -> NDArray[np.float32]:
+        """What the controller estimates, (N, estimates), numbers of order 1."""
         raise NotImplementedError
 
 
@@ -248,9 +252,11 @@ def search_space(gains: type[Group], plant: PlantParameters) -> dict[str, tuple[
     return space
 
 
-def rows(memory: Memory, axes: NDArray[Any]) -> Memory:
-    """The memory of some axes."""
-    return type(memory)(*(array[axes] for array in memory))
+def rows(memory: Any, axes: NDArray[Any]) -> Any:
+    """The memory of some axes: arrays, nested in named tuples; ``None`` stays."""
+    if isinstance(memory, tuple):
+        return type(memory)(*(rows(part, axes) for part in memory))
+    return None if memory is None else memory[axes]
 
 
 def restarted(memory: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:

@@ -121,9 +121,7 @@ class FlowLinearising(ClassicalController):
     between flow gain, leak and offset according to their uncertainty. The supply pressure follows from the pressures.
     """
 
-    memory = FlowLinearisingState
     estimate_names = ("position_error", "flow_gain", "leak", "offset", "speed")
-    """Names of the values of :meth:`estimates`."""
 
     def __init__(self, gains: FlowLinearisingGains, config: TaskConfig) -> None:
         super().__init__(gains, config)

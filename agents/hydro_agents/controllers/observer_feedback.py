@@ -109,7 +109,6 @@ class ObserverFeedback(ClassicalController):
         config: the task; its plant is the nominal rig.
     """
 
-    memory = ObserverState
     model: SampledModel
     correction: Floats
     disturbance: int
