@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
-from hydro_agents.controllers.base import ClassicalController, Controller, ObservationLayout
+from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
 from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, restore, take
 from hydro_agents.learning.features import AnyAxisFeatures, PolicyFeatures, periods_per_step
@@ -43,14 +43,12 @@ def make_features(config: TaskConfig, settings: TrainingSettings, base: Controll
     Raises:
         ConfigurationError: the residual form has no controller to correct, or one that is not classical.
     """
-    corrected: ClassicalController | None = None
+    corrected: Any = base if settings.residual else None
     if settings.residual:
         if base is None:
             raise ConfigurationError("residual: true needs a controller that the policy corrects")
-        corrected = cast(ClassicalController, base)
         kind_of(corrected)  # the weights' file must be able to name it
     if settings.law is not None:
-        assert corrected is not None
         return AnyAxisFeatures(config, corrected, settings.residual_scale, settings.sheet).normalised()
     features = PolicyFeatures(
         config,
@@ -278,9 +276,6 @@ class TrainingCallback(BaseCallback):
         """Duration of training, all sessions together."""
         return time.monotonic() - self._began
 
-    def _policy(self, features: PolicyFeatures | None = None) -> PolicyController:
-        return PolicyController.from_sb3(self.model, features or self._features)
-
     def _on_training_start(self) -> None:
         self._logged = self.num_timesteps
 
@@ -341,7 +336,7 @@ class TrainingCallback(BaseCallback):
         base = self._features.base
         if base is not None and math.isnan(self._base_error):
             self._base_error = validation_errors(self._config, base)[0]
-        mean, worst, failures = validation_errors(self._config, self._policy())
+        mean, worst, failures = validation_errors(self._config, PolicyController.from_sb3(self.model))
         return {
             "mean_error_mm": mean,
             "worst_error_mm": worst,
@@ -360,7 +355,8 @@ class TrainingCallback(BaseCallback):
                 self._rigs.append((own, family_errors(task, own.base, VALIDATION_PLANTS, sensor_frame=True)))
         ratios = []
         for own, base in self._rigs:
-            errors = family_errors(own.config, self._policy(own), VALIDATION_PLANTS, sensor_frame=True)
+            policy = PolicyController.from_sb3(self.model, own)
+            errors = family_errors(own.config, policy, VALIDATION_PLANTS, sensor_frame=True)
             ratios.append(math.exp(np.mean([math.log(errors[name] / base[name]) for name in base])))
         return {"error_to_corrected": float(np.median(ratios)), "worst_error_to_corrected": max(ratios)}
 

@@ -154,13 +154,11 @@ class AxisVecEnv(_SharedVecEnv):
 
     def _inputs(self, observation: NDArray[np.float32], restarted: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         """Process the observations of all axes and twins; returns the policy's inputs (N, size)."""
-        if self._paired:
-            assert self.features is not None
-            assert self.features.base is not None
-            twins = observation[self.num_envs :]
-            self._twin_commands, self._twins = self.features.base.predict(twins, self._twins, restarted)
         if self.features is None:
             return observation
+        if self._paired and self.features.base is not None:
+            twins = observation[self.num_envs :]
+            self._twin_commands, self._twins = self.features.base.predict(twins, self._twins, restarted)
         inputs, self._state = self.features(observation[: self.num_envs], self._state, restarted)
         return self._with_privileged(inputs, slice(self.num_envs))
 
@@ -174,8 +172,7 @@ class AxisVecEnv(_SharedVecEnv):
         """Advance all axes by one control period."""
         count = self.num_envs
         command = self._actions
-        if self.features is not None:
-            assert self._state is not None
+        if self.features is not None and self._state is not None:
             command = self.features.command(command, self._state)
         if self._paired:
             command = np.concatenate([command, self._twin_commands])
@@ -215,7 +212,6 @@ class AxisVecEnv(_SharedVecEnv):
         """Fill ``infos`` of the ended episodes; their last inputs combine their history with the last observation."""
         inputs = last[ended]
         if self.features is not None:
-            assert self._state is not None
             inputs, _ = self.features(inputs, rows(self._state, ended), None)
             inputs = self._with_privileged(inputs, ended)
         for row, axis in enumerate(ended):
