@@ -201,7 +201,8 @@ class ClassicalController:
         del deterministic
         batch, single = as_batch(observation)
         command, state = self.act(batch, state, episode_start)
-        action = np.clip(command, -1.0, 1.0).astype(np.float32)[:, None]
+        command = np.clip(command, -1.0, 1.0)
+        action = command.astype(np.float32)[:, None]
         return (action[0] if single else action), state
 
     def act(

@@ -186,7 +186,8 @@ class PolicyFeatures:
             ring[started] = signals[started, None]
             correction, lasting = (np.where(episode_start[:, None], zero, a) for a in (correction, lasting))
             reference[started] = self._preview.start(observation[started])
-        changes = np.tile(signals, len(self.lags)) - ring[:, self._past].reshape(len(signals), -1)
+        past = ring[:, self._past].reshape(len(signals), -1)
+        changes = np.tile(signals, len(self.lags)) - past
         state = state._replace(ring=ring, reference=reference)
         seen = self._seen(inputs, signals, reference)
         if self.base is None:
