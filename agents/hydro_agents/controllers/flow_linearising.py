@@ -184,7 +184,6 @@ class FlowLinearising(ClassicalController):
         now = self._observed(state, batch, flow, position, spool)
         if begins:
             now = restarted(now, state, started)
-            now = now._replace(speed=self._model.speed(spool, flow), leak=flow.leak)
 
         estimate = now.estimate
         flow_gain = np.maximum(1.0 + estimate[:, FLOW_GAIN], _LEAST_GAIN)
