@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -171,22 +172,48 @@ def surely_zero(array: Any) -> bool:
 Memory = TypeVar("Memory", bound=NamedTuple)
 
 
-class ClassicalController(Controller, Protocol):
+class ClassicalController:
     """A controller that is tuned, not trained; :data:`~hydro_agents.controllers.registry.CONTROLLERS` lists them.
 
     The task gives it the knowledge of an engineer: the layout of the observations, the control period, the latency, and
     the data sheet of the rig (``config.plant``). It does not know the plant that an episode draws. Its memory is a
-    ``NamedTuple`` of arrays whose first axis counts the N axes.
+    ``NamedTuple`` of arrays whose first axis counts the N axes. A subclass defines :meth:`act`.
+
+    Args:
+        gains: read at each call: the exported code lets them change while the machine runs.
+        config: the task.
     """
 
-    memory: type[Any]
-    """Class of its memory."""
+    estimate_names: tuple[str, ...] = ()
+    """Names of the values of :meth:`estimates`."""
 
-    gains: Any
-    config: TaskConfig
-    layout: ObservationLayout
+    def __init__(self, gains: Any, config: TaskConfig) -> None:
+        self.gains, self.config, self.layout = gains, config, ObservationLayout.of(config)
 
-    def __init__(self, gains: Any, config: TaskConfig) -> None: ...
+    def predict(
+        self,
+        observation: Observation,
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Commands for the observations; see :class:`Controller`."""
+        del deterministic
+        batch, single = as_batch(observation)
+        command, state = self.act(batch, state, episode_start)
+        command = np.clip(command, -1.0, 1.0)
+        action = command.astype(np.float32)[:, None]
+        return (action[0] if single else action), state
+
+    def act(
+        self, batch: Observation, state: Any, episode_start: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[np.float64], Any]:
+        """Commands before their limits, (N,), for a batch of observations, and the new memory."""
+        raise NotImplementedError
+
+    def estimates(self, memory: Any) -> NDArray[np.float32]:
+        """What the controller estimates, (N, estimates), numbers of order 1."""
+        raise NotImplementedError
 
 
 def gain(
@@ -212,7 +239,7 @@ def gain(
         logarithmic: whether tuning searches over its logarithm.
         needs: parameter of the plant, ``group.field``, without which the gain has no effect and tuning leaves it alone.
     """
-    extra: Any = {"unit": unit, "search": list(search), "logarithmic": logarithmic, "needs": needs}
+    extra: Any = {"unit": unit, "search": search, "logarithmic": logarithmic, "needs": needs}
     return Field(default, ge=low, le=high, description=f"{unit}; {description}", json_schema_extra=extra)
 
 
@@ -220,24 +247,17 @@ def search_space(gains: type[Group], plant: PlantParameters) -> dict[str, tuple[
     """The fields that tuning searches on a plant: lower bound, upper bound, and whether over the logarithm."""
     space = {}
     for name, info in gains.model_fields.items():
-        extra: Any = info.json_schema_extra
-        if isinstance(extra, Mapping) and "search" in extra and _has(plant, str(extra["needs"])):
-            low, high = extra["search"]
-            space[name] = (float(low), float(high), bool(extra["logarithmic"]))
+        extra: Any = info.json_schema_extra or {}
+        if "search" in extra and (not extra["needs"] or attrgetter(extra["needs"])(plant) != 0.0):
+            space[name] = (*extra["search"], extra["logarithmic"])
     return space
 
 
-def _has(plant: PlantParameters, path: str) -> bool:
-    """Whether a parameter, ``group.field``, of a plant differs from 0; true for an empty path."""
-    value: Any = plant
-    for name in path.split("."):
-        value = getattr(value, name) if name else 1.0
-    return bool(value != 0.0)
-
-
-def rows(memory: Memory, axes: NDArray[Any]) -> Memory:
-    """The memory of some axes."""
-    return type(memory)(*(array[axes] for array in memory))
+def rows(memory: Any, axes: NDArray[Any]) -> Any:
+    """The memory of some axes: arrays, nested in named tuples; ``None`` stays."""
+    if isinstance(memory, tuple):
+        return type(memory)(*(rows(part, axes) for part in memory))
+    return None if memory is None else memory[axes]
 
 
 def restarted(memory: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:

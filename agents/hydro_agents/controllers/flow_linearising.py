@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch, gain, restarted
+from hydro_agents.controllers.base import ClassicalController, Observation, gain, restarted
 from hydro_agents.controllers.flow_model import Flow, FlowModel
 from hydro_agents.controllers.motion_filter import FLOW_GAIN, LEAK, OFFSET, POSITION, MotionFilter
 from hydro_agents.controllers.preview import Jumps, Preview, braked, path_weights
@@ -104,7 +104,7 @@ class FlowLinearisingState(NamedTuple):
     covariance: Floats  # (N, 4, 4)
 
 
-class FlowLinearising:
+class FlowLinearising(ClassicalController):
     """command = opening(desired speed), desired speed = reference speed + φ(error) + friction − damping.
 
     * The opening inverts the flow of the valve at the measured pressures (:class:`FlowModel`), with corrections from
@@ -121,14 +121,10 @@ class FlowLinearising:
     between flow gain, leak and offset according to their uncertainty. The supply pressure follows from the pressures.
     """
 
-    memory = FlowLinearisingState
     estimate_names = ("position_error", "flow_gain", "leak", "offset", "speed")
-    """Names of the values of :meth:`estimates`."""
 
     def __init__(self, gains: FlowLinearisingGains, config: TaskConfig) -> None:
-        self.gains = gains
-        self.config = config
-        self.layout = ObservationLayout.of(config)
+        super().__init__(gains, config)
         self.layout.needs(("pressure_a", "pressure_b"), "flow linearisation")
         # Without a spool sensor, the last command replaces the spool position.
         self._spool = "spool_position" if "spool_position" in self.layout.names else "previous_command"
@@ -145,13 +141,7 @@ class FlowLinearising:
         self._full_speed = full_speed(plant)
         self._ahead = g.prediction * self.delay
         self._weights = self._reference_weights()
-        self._jumps = Jumps(
-            self._model,
-            jump,
-            g.set_off_delay * self.delay,
-            g.set_off_share,
-            self._preview.times,
-        )
+        self._jumps = Jumps(self._model, jump, g.set_off_delay * self.delay, g.set_off_share, self._preview.times)
         self._oscillation, self._mass = oscillation, mass
         self._turned = _REVERSAL * plant.friction.stribeck_velocity
         noise = max(config.sensors.position.noise, config.sensors.position.resolution, 1e-9)
@@ -177,36 +167,23 @@ class FlowLinearising:
         speeds = [speed(lead), speed(lead - period), speed(lead + period)]
         return np.stack([path_weights(self._ahead, horizon, period), *speeds], axis=1)
 
-    def predict(
-        self,
-        observation: Observation,
-        state: FlowLinearisingState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], FlowLinearisingState]:
-        """Commands for the observations; see :class:`~hydro_agents.controllers.base.Controller`."""
-        del deterministic
-        batch, single = as_batch(observation)
+    def act(
+        self, batch: Observation, state: FlowLinearisingState | None, episode_start: NDArray[np.bool_] | None
+    ) -> tuple[Floats, FlowLinearisingState]:
+        """See :meth:`~hydro_agents.controllers.base.ClassicalController.act`."""
         si = self.layout.si
-        position, spool, command_before = (
-            si(batch, "position"),
-            si(batch, self._spool),
-            si(batch, "previous_command"),
-        )
+        position, spool, command_before = (si(batch, name) for name in ("position", self._spool, "previous_command"))
         pressures = np.stack([si(batch, "pressure_a"), si(batch, "pressure_b")])
 
+        begins = state is None or (episode_start is not None and np.any(episode_start))
         started = np.ones(len(batch), np.bool_) if state is None else episode_start
-        old = state
-        if old is None or (started is not None and np.any(started)):
-            old = restarted(state, self._fresh(batch, position, pressures, spool), started)
-            started = np.asarray(started, dtype=np.bool_)
-        else:
-            started = None
-        flow = self._model.at(position, pressures, old.supply)
-        now = self._observed(old, batch, flow, position, spool)
-        if started is not None:
-            now = restarted(now, old, started)
-            now = now._replace(speed=self._model.speed(spool, flow), leak=flow.leak)
+        if begins:
+            state = restarted(state, self._fresh(batch, position, pressures, spool), started)
+        assert state is not None
+        flow = self._model.at(position, pressures, state.supply)
+        now = self._observed(state, batch, flow, position, spool)
+        if begins:
+            now = restarted(now, state, started)
 
         estimate = now.estimate
         flow_gain = np.maximum(1.0 + estimate[:, FLOW_GAIN], _LEAST_GAIN)
@@ -214,12 +191,11 @@ class FlowLinearising:
         speed_ahead = flow_gain * self._model.speed(0.5 * (spool + command_before), flow) + other_speed
         position_ahead = estimate[:, POSITION] + self._ahead * speed_ahead
         wanted_speed, error = self._wanted(now, position_ahead, flow)
-        g = self.gains  # read at each call: the exported code lets them change while the machine runs
+        g = self.gains
         wanted_speed += g.position_gain / self.pace * braked(error, g.braking * self._full_speed * self.pace)
         wanted_speed -= g.damping * self._oscillation / flow.stiffness * (flow.force - now.slow_force)
-        command = np.clip(self._model.opening((wanted_speed - other_speed) / flow_gain, flow), -1.0, 1.0)
-        action = command.astype(np.float32)[:, None]
-        return (action[0] if single else action), now
+        command = self._model.opening((wanted_speed - other_speed) / flow_gain, flow)
+        return command, now
 
     def estimates(self, memory: FlowLinearisingState) -> NDArray[np.float32]:
         """Estimates of the controller, (N, 5), numbers of order 1.

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch, gain, restarted
+from hydro_agents.controllers.base import ClassicalController, Observation, gain, restarted
 from hydro_agents.controllers.flow_model import Flow, FlowModel
 from hydro_agents.controllers.preview import Jumps, Preview, braked
-from hydro_agents.controllers.sampled_loop import zero_order_hold
+from hydro_agents.controllers.sampled_loop import held_inputs
 from hydro_env import TaskConfig, linearise
 from hydro_env.files import Group
 from hydro_env.plant.analysis import reachable_range, speed_limits
@@ -89,12 +89,10 @@ def sampled(a: Floats, b: Floats, outputs: Floats, config: TaskConfig) -> Sample
         outputs: (m, n).
         config: gives control period and latency.
     """
-    first, held_first = zero_order_hold(a, b, config.command_latency)
-    rest, held_rest = zero_order_hold(a, b, config.control_period - config.command_latency)
-    return SampledModel(rest @ first, rest @ held_first, held_rest, outputs)
+    return SampledModel(*held_inputs(a, b, config.control_period, config.command_latency), outputs)
 
 
-class ObserverFeedback:
+class ObserverFeedback(ClassicalController):
     """Base of the controllers with an observer.
 
     A subclass sets ``model`` and ``correction`` (n, m), the gain of its observer on the innovations of the measured
@@ -111,15 +109,12 @@ class ObserverFeedback:
         config: the task; its plant is the nominal rig.
     """
 
-    memory = ObserverState
     model: SampledModel
     correction: Floats
     disturbance: int
 
     def __init__(self, gains: Any, config: TaskConfig) -> None:
-        self.gains = gains
-        self.config = config
-        self.layout = ObservationLayout.of(config)
+        super().__init__(gains, config)
         self.layout.needs(("pressure_a", "pressure_b", "spool_position"), type(self).__name__)
         plant, period, c = config.plant, config.control_period, plant_coefficients(config.plant)
         self.flow = FlowModel(plant)
@@ -141,8 +136,8 @@ class ObserverFeedback:
         self.jump = JUMP * self.full_speed * period
         if isinstance(gains, JumpGains):
             self._near = gains.braking * self.full_speed * self.delay
-            delay, share = gains.set_off_delay * self.delay, gains.set_off_share
-            self._jumps = Jumps(self.flow, self.jump, delay, share, self.preview.times)
+            delay = gains.set_off_delay * self.delay
+            self._jumps = Jumps(self.flow, self.jump, delay, gains.set_off_share, self.preview.times)
 
     def following(self, measured: Floats, command: Floats, speed: Floats) -> Floats:
         """Estimate (N, n) of an axis at a known speed from its measured signals and its speed command.
@@ -167,16 +162,10 @@ class ObserverFeedback:
         """
         raise NotImplementedError
 
-    def predict(
-        self,
-        observation: Observation,
-        state: ObserverState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], ObserverState]:
-        """Commands for the observations; see :class:`~hydro_agents.controllers.base.Controller`."""
-        del deterministic
-        batch, single = as_batch(observation)
+    def act(
+        self, batch: Observation, state: ObserverState | None, episode_start: NDArray[np.bool_] | None
+    ) -> tuple[Floats, ObserverState]:
+        """See :meth:`~hydro_agents.controllers.base.ClassicalController.act`."""
         si = self.layout.si
         position, pressures = si(batch, "position"), np.stack([si(batch, "pressure_a"), si(batch, "pressure_b")])
         openings = np.stack([si(batch, "spool_position"), si(batch, "previous_command")])
@@ -208,9 +197,7 @@ class ObserverFeedback:
 
         new = ObserverState(estimate, command, now.supply, adapted, now.reference)
         scaled, leak = _scaled(flow, adapted), self._leak(adapted, difference)
-        opening = np.clip(self.flow.opening(self.wanted(new, scaled, leak) - leak, scaled), -1.0, 1.0)
-        action = opening.astype(np.float32)[:, None]
-        return (action[0] if single else action), new
+        return self.flow.opening(self.wanted(new, scaled, leak) - leak, scaled), new
 
     def wanted(self, now: ObserverState, flow: Flow, leak: Floats) -> Floats:
         """The next speed command, m/s, (N,).

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch, gain, restarted
+from hydro_agents.controllers.base import ClassicalController, Observation, gain, restarted
 from hydro_env import TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
+from hydro_env.types import Floats
 
 NOISES = 2.0
 """Half width of the ramp across the dead band of a valve, in standard deviations of the command's noise."""
@@ -52,13 +53,13 @@ class PIDGains(Group):
 class PIDState(NamedTuple):
     """Memory of the controller, each (N,)."""
 
-    integral: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    position: NDArray[np.float64]
-    reference: NDArray[np.float64]
+    integral: Floats
+    velocity: Floats
+    position: Floats
+    reference: Floats
 
 
-class PID:
+class PID(ClassicalController):
     """u = K_p e + K_i ∫e dt + K_d (ẋ_ref − ẋ) + K_ff ẋ_ref, limited to ±1.
 
     The preview gives e and ẋ_ref with a lead that compensates latency and valve. Without a preview there is no lead,
@@ -78,12 +79,8 @@ class PID:
         (2, 1)
     """
 
-    memory = PIDState
-
     def __init__(self, gains: PIDGains, config: TaskConfig) -> None:
-        self.gains = gains
-        self.config = config
-        self.layout = ObservationLayout.of(config)
+        super().__init__(gains, config)
         counts, self._shown = np.unique(np.array(config.preview_samples, dtype=np.int64), return_index=True)
         self._times = config.control_period * np.array([0, *counts])
         self._jump = max(speed_limits(config.plant))
@@ -95,16 +92,10 @@ class PID:
             noise = gains.proportional * max(sensor.noise, sensor.resolution)
             self._ramp = max(NOISES * noise, valve.underlap, 1e-6)
 
-    def predict(
-        self,
-        observation: Observation,
-        state: PIDState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], PIDState]:
-        """Commands for the observations; see :class:`~hydro_agents.controllers.base.Controller`."""
-        del deterministic
-        batch, single = as_batch(observation)
+    def act(
+        self, batch: Observation, state: PIDState | None, episode_start: NDArray[np.bool_] | None
+    ) -> tuple[Floats, PIDState]:
+        """See :meth:`~hydro_agents.controllers.base.ClassicalController.act`."""
         g, period = self.gains, self.layout.control_period
         error = self.layout.si(batch, "tracking_error")
         position = self.layout.si(batch, "position")
@@ -132,40 +123,38 @@ class PID:
         lasting = feedback + g.derivative * smooth + self._feedforward(smooth)
         bounded = np.clip(lasting, -self._limit, self._limit)
         integral = integral + (bounded - lasting) * np.minimum(period / g.anti_windup_time, 1.0)
-        command = np.clip(self._compensated(wanted), -1.0, 1.0)
-        action = command.astype(np.float32)[:, None]
-        return (action[0] if single else action), PIDState(integral, velocity, position, reference)
+        return self._compensated(wanted), PIDState(integral, velocity, position, reference)
 
-    def _compensated(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _compensated(self, command: Floats) -> Floats:
         """The command with the part of the overlap that the valve needs before it opens, (N,)."""
         if not self._added:
             return command
-        added: NDArray[np.float64] = self._added * np.clip((command - self._null) / self._ramp, -1.0, 1.0)
+        added: Floats = self._added * np.clip((command - self._null) / self._ramp, -1.0, 1.0)
         return command + added
 
-    def _before_compensation(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _before_compensation(self, command: Floats) -> Floats:
         """The inverse of :meth:`_compensated`."""
         if not self._added:
             return command
         opening = command - self._null
         on_ramp = opening * (self._ramp / (self._ramp + self._added))
         beyond = opening - np.copysign(self._added, opening)
-        inverse: NDArray[np.float64] = self._null + np.where(np.abs(on_ramp) < self._ramp, on_ramp, beyond)
+        inverse: Floats = self._null + np.where(np.abs(on_ramp) < self._ramp, on_ramp, beyond)
         return inverse
 
-    def _feedforward(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _feedforward(self, speed: Floats) -> Floats:
         """Command for a speed of the reference in m/s, (N,)."""
         per_speed = np.where(speed > 0.0, self.gains.feedforward_extending, self.gains.feedforward_retracting)
-        command: NDArray[np.float64] = per_speed * speed
+        command: Floats = per_speed * speed
         return command
 
 
-def _interpolate(time: float, times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _interpolate(time: float, times: Floats, values: Floats) -> Floats:
     """Each row of ``values`` (N, times) at ``time``, interpolated; constant beyond the ends."""
     if len(times) == 1:
         return values[:, 0]
     at = min(max(time, float(times[0])), float(times[-1]))
     column = min(max(int(np.searchsorted(times, at)), 1), len(times) - 1)
     weight = (at - times[column - 1]) / (times[column] - times[column - 1])
-    result: NDArray[np.float64] = values[:, column - 1] * (1.0 - weight) + values[:, column] * weight
+    result: Floats = values[:, column - 1] * (1.0 - weight) + values[:, column] * weight
     return result

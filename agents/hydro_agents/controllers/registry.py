@@ -10,6 +10,7 @@ import inspect
 import os
 import sys
 from collections.abc import Mapping
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -55,10 +56,10 @@ def kind_of(controller: ClassicalController) -> str:
     Raises:
         ConfigurationError: its class is not registered.
     """
-    for kind, (registered, _) in CONTROLLERS.items():
-        if type(controller) is registered:
-            return kind
-    raise ConfigurationError(f"{type(controller).__name__}: must be one of CONTROLLERS ({', '.join(CONTROLLERS)})")
+    kinds = {registered: kind for kind, (registered, _) in CONTROLLERS.items()}
+    if type(controller) not in kinds:
+        raise ConfigurationError(f"{type(controller).__name__}: must be one of CONTROLLERS ({', '.join(CONTROLLERS)})")
+    return kinds[type(controller)]
 
 
 def imported(name: str) -> Any:
@@ -75,13 +76,11 @@ def imported(name: str) -> Any:
     try:
         value: Any = importlib.import_module(module)
     except (Exception, SystemExit) as error:
-        moved = f"; since version 0.3 it is hydro_{module}" if module.startswith("agents.") else ""
-        raise ConfigurationError(f"'{name}': module '{module}' cannot be imported: {reason(error)}{moved}") from error
-    for part in attribute.split("."):
-        if not hasattr(value, part):
-            raise ConfigurationError(f"'{name}': module '{module}' has no '{attribute}'")
-        value = getattr(value, part)
-    return value
+        raise ConfigurationError(f"'{name}': module '{module}' cannot be imported: {reason(error)}") from error
+    try:
+        return attrgetter(attribute)(value)
+    except AttributeError:
+        raise ConfigurationError(f"'{name}': module '{module}' has no '{attribute}'") from None
 
 
 def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] | None = None) -> Controller:
@@ -136,13 +135,12 @@ def gain_rows(gains: Group) -> list[GainRow]:
     """The gains of a controller, in the order of their class."""
     rows = []
     for name, field in type(gains).model_fields.items():
-        extra = field.json_schema_extra
-        unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-        value = getattr(gains, name)
-        factor, practical = PRACTICE.get(unit, (0.0, ""))
-        in_practice = f"{factor * value:.4g} {practical}" if practical else ""
-        meaning = str(field.description or "")
-        rows.append(GainRow(name, value, in_practice, meaning.removeprefix(f"{unit}; ") if practical else meaning))
+        extra: Any = field.json_schema_extra or {}
+        value, unit, meaning, in_practice = getattr(gains, name), extra.get("unit"), str(field.description), ""
+        if unit in PRACTICE:
+            factor, practical = PRACTICE[unit]
+            in_practice, meaning = f"{factor * value:.4g} {practical}", meaning.removeprefix(f"{unit}; ")
+        rows.append(GainRow(name, value, in_practice, meaning))
     return rows
 
 

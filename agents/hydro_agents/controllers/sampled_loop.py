@@ -46,7 +46,7 @@ class SampledLoop:
     b: Floats  # (n,), per command
     force: Floats  # (n,), per newton of external force
     position_size: float  # m
-    control_period: float = CONTROL_PERIOD  # s
+    control_period: float  # s
 
     def closed(self, gain: complex | NDArray[Any]) -> NDArray[Any]:
         """Transition matrix of one period with the loop closed, states and last command, (..., n + 1, n + 1).
@@ -67,7 +67,7 @@ class SampledLoop:
 
     def is_stable(self, gain: float) -> bool:
         """Whether the closed loop is stable; rounding at the limit counts as stable."""
-        return self._first_unstable(np.array([gain])) is None
+        return self.spectral_radius(gain) <= 1.0 + _NEUTRAL
 
     def _first_unstable(self, gains: NDArray[Any]) -> int | None:
         """Index of the first of some gains with which the closed loop is unstable."""
@@ -159,15 +159,20 @@ def sampled_loop(
     a = plant.a[np.ix_(rows, rows)] * size / size[:, None]
     b = FULL_VOLTAGE * plant.b[rows] / size
     force = plant.force[rows] / size
-    first, held_first = zero_order_hold(a, b, latency)
-    rest, held_rest = zero_order_hold(a, b, control_period - latency)
-    return SampledLoop(rest @ first, rest @ held_first, held_rest, a, b, force, float(size[0]), control_period)
+    return SampledLoop(*held_inputs(a, b, control_period, latency), a, b, force, float(size[0]), control_period)
 
 
 def places_in_reach(parameters: PlantParameters) -> list[float]:
     """Positions in m at which a loop is examined, evenly over 0.9 of the reachable range, ends included."""
     low, high = (REACH_SHARE * float(end) for end in reachable_range(parameters))
     return [low + part * (high - low) / (PLACES - 1) for part in range(PLACES)]
+
+
+def held_inputs(a: Floats, b: Floats, period: float, latency: float) -> tuple[Floats, Floats, Floats]:
+    """Φ, Γ_old and Γ_new of a period, in which the command changes after the latency."""
+    first, held_first = zero_order_hold(a, b, latency)
+    rest, held_rest = zero_order_hold(a, b, period - latency)
+    return rest @ first, rest @ held_first, held_rest
 
 
 def zero_order_hold(a: Floats, b: Floats, duration: float) -> tuple[Floats, Floats]:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
 from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
 from hydro_agents.running.weights import (
@@ -21,57 +22,54 @@ from hydro_agents.running.weights import (
     save_checkpoint,
 )
 from hydro_env import ConfigurationError
+from hydro_env.files import Group, validate
 
-CHECKPOINT_FILE = "checkpoint.safetensors"
-COUNTERS = ("steps", "updates", "seconds")
+CHECKPOINT_FILE, KIND = "checkpoint.safetensors", "training checkpoint"
 LAST_EPISODES = 100  # whose mean reward the log holds
+
+
+class Counters(Group):
+    """How far a training is."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    steps: int = Field(ge=0)
+    updates: int = Field(ge=0)
+    seconds: float = Field(ge=0.0, description="duration of training, all sessions together")
+    made_with: dict[str, Any] = Field(description="the conditions under which the training runs")
 
 
 class Checkpoint(NamedTuple):
     """A training at the start of a rollout."""
 
     tensors: Tensors  # networks, optimiser, environment, generators and the last observation
-    steps: int
-    updates: int
-    seconds: float  # duration of training, all sessions together
+    counters: Counters
 
-
-class CheckpointFile(NamedTuple):
-    """The file of a checkpoint, and the conditions under which the training runs (JSON)."""
-
-    path: Path
-    kind: str
-    made_with: Mapping[str, Any]
-
-    def write(self, checkpoint: Checkpoint) -> None:
-        """Write a checkpoint and its conditions atomically.
+    def write(self, path: Path) -> None:
+        """Write the checkpoint atomically.
 
         Raises:
             ConfigurationError: the folder cannot be written.
         """
-        counters = {name: getattr(checkpoint, name) for name in COUNTERS}
-        save_checkpoint(self.path, self.kind, checkpoint.tensors, {**counters, "made_with": dict(self.made_with)})
+        save_checkpoint(path, KIND, self.tensors, self.counters.model_dump())
 
-    def read(self) -> Checkpoint:
+    @classmethod
+    def read(cls, path: Path, made_with: Mapping[str, Any]) -> Checkpoint:
         """Read a checkpoint.
 
         Raises:
             ConfigurationError: it is missing, damaged, or was made under other conditions.
         """
-        tensors, stored = load_checkpoint(self.path, self.kind)
-        before = stored.get("made_with")
-        if not isinstance(before, dict):
-            raise ConfigurationError(f"{self.path}: damaged: its conditions (made_with) are missing")
-        for what, now in self.made_with.items():
-            if before.get(what) != now:
+        tensors, stored = load_checkpoint(path, KIND)
+        counters = validate(Counters, stored, f"{path}: damaged")
+        for what, now in made_with.items():
+            before = counters.made_with.get(what)
+            if before != now:
                 other = "other" if what.endswith("s") else "another"
-                changed = _difference(before.get(what), now)
-                raise ConfigurationError(f"{self.path}: was made with {other} {what}{changed}; cannot resume")
-        counters: list[Any] = [stored.get(name) for name in COUNTERS]
-        if not all(type(value) in (int, float) and 0 <= value < 1e15 for value in counters):
-            raise ConfigurationError(f"{self.path}: damaged: {', '.join(COUNTERS)} = {str(counters)[:60]}")
-        steps, updates, seconds = counters
-        return Checkpoint(tensors, int(steps), int(updates), float(seconds))
+                raise ConfigurationError(
+                    f"{path}: was made with {other} {what}{_difference(before, now)}; cannot resume"
+                )
+        return cls(tensors, counters)
 
 
 def _difference(before: Any, now: Any) -> str:
@@ -82,13 +80,14 @@ def _difference(before: Any, now: Any) -> str:
     return ""
 
 
-def take(model: Any, env: AxisVecEnv | RigsVecEnv, seconds: float) -> Checkpoint:
+def take(model: Any, env: AxisVecEnv | RigsVecEnv, seconds: float, made_with: Mapping[str, Any]) -> Checkpoint:
     """Copy the state of a training at the start of a rollout.
 
     Args:
         model: PPO or RecurrentPPO.
         env: its environment.
         seconds: duration of training.
+        made_with: conditions under which it runs (JSON).
     """
     tensors = {name: value.detach().cpu().numpy().copy() for name, value in _networks(model).items()}
     episodes = [(episode["r"], episode["l"]) for episode in model.ep_info_buffer or ()]
@@ -100,7 +99,8 @@ def take(model: Any, env: AxisVecEnv | RigsVecEnv, seconds: float) -> Checkpoint
         "episode_start": np.array(model._last_episode_starts),
         "episodes": np.array(episodes, dtype=np.float64).reshape(-1, 2),
     }
-    return Checkpoint(tensors, int(model.num_timesteps), int(model._n_updates), seconds)
+    counters = {"steps": model.num_timesteps, "updates": model._n_updates, "seconds": seconds}
+    return Checkpoint(tensors, Counters(**counters, made_with=dict(made_with)))
 
 
 def restore(model: Any, env: AxisVecEnv | RigsVecEnv, checkpoint: Checkpoint, where: str | Path) -> None:
@@ -110,24 +110,12 @@ def restore(model: Any, env: AxisVecEnv | RigsVecEnv, checkpoint: Checkpoint, wh
         ConfigurationError: the checkpoint does not fit the model; ``where`` names its file.
     """
     tensors, networks = checkpoint.tensors, _networks(model)
-    require(tensors, {name: value.detach().numpy() for name, value in networks.items()}, where)
-    _restore_rollout(model, env, tensors, where)
-    with torch.no_grad():
-        for name, value in networks.items():
-            value.copy_(torch.from_numpy(tensors[name].copy()))
-    model.num_timesteps, model._n_updates = checkpoint.steps, checkpoint.updates
-
-
-def _restore_rollout(model: Any, env: AxisVecEnv | RigsVecEnv, tensors: Tensors, where: str | Path) -> None:
-    """Restore optimiser, environment, generators and the last observation."""
-    observation = env.reset()
+    wanted = {name: value.detach().numpy() for name, value in networks.items()} | _generators()
+    wanted["observation"] = np.asarray(env.reset())
+    wanted["episode_start"] = np.zeros(env.num_envs, dtype=np.bool_)
+    wanted["episodes"] = np.zeros((min(len(tensors.get("episodes", ())), LAST_EPISODES), 2))
+    require(tensors, wanted, where)
     require(tensors, _axes(env), where, finite=False)
-    wanted = {
-        "observation": np.asarray(observation),
-        "episode_start": np.zeros(env.num_envs, dtype=np.bool_),
-        "episodes": np.zeros((min(len(tensors.get("episodes", ())), LAST_EPISODES), 2)),
-    }
-    require(tensors, {**wanted, **_generators()}, where)
     try:
         state = env.get_state()
         env.set_state({name: _shaped(tensors[f"axes.{name}"], like) for name, like in state.items()})
@@ -146,6 +134,10 @@ def _restore_rollout(model: Any, env: AxisVecEnv | RigsVecEnv, tensors: Tensors,
         torch.set_rng_state(torch.from_numpy(tensors["torch_generator"].copy()))
     except (ValueError, RuntimeError):
         raise ConfigurationError(f"{where}: numpy_generator or torch_generator holds no state of a generator") from None
+    with torch.no_grad():
+        for name, value in networks.items():
+            value.copy_(torch.from_numpy(tensors[name].copy()))
+    model.num_timesteps, model._n_updates = checkpoint.counters.steps, checkpoint.counters.updates
 
 
 def _networks(model: Any) -> dict[str, torch.Tensor]:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hydro_agents.controllers.base import ClassicalController, Observation, ObservationLayout, rows
+from hydro_agents.controllers.base import ClassicalController, Observation, ObservationLayout
 from hydro_agents.controllers.preview import Preview
 from hydro_agents.controllers.registry import CONTROLLERS, kind_of, make_controller
 from hydro_agents.learning.tuning import chosen_gains
@@ -92,28 +92,11 @@ class FeatureState(NamedTuple):
     """Memory of N axes; no call changes its argument."""
 
     base: Any  # memory of the controller that the policy corrects; ``None`` without one
-    ring: NDArray[np.float32]  # ring buffer of recent signals (N, length, signals); the oldest is at ``slot``
-    slot: int  # index for the next signals
+    ring: NDArray[np.float32]  # recent signals (N, length, signals), the oldest first
     base_command: NDArray[np.float32]  # command of the corrected controller at the last call, (N, 1)
     lasting: NDArray[np.float32]  # slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)
     reference: NDArray[np.float64]  # the reference from one period ago to the farthest preview, m, (N, samples)
     hidden: NDArray[np.float32] | None = None  # memory of a recurrent policy, (N, 2 cells)
-
-    def aligned(self) -> FeatureState:
-        """The same memory with the oldest signals at index 0 of the ring."""
-        ring = np.concatenate([self.ring[:, self.slot :], self.ring[:, : self.slot]], axis=1)
-        return self._replace(ring=ring, slot=0)
-
-    def rows(self, axes: NDArray[np.int64]) -> FeatureState:
-        """The memory of some axes."""
-        base = rows(self.base, axes) if self.base is not None else None
-        chosen: dict[str, Any] = {name: array[axes] for name, array in self.arrays().items()}
-        return self._replace(base=base, **chosen)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays with one row per axis, without those of the corrected controller."""
-        values = self._asdict().items()
-        return {name: value for name, value in values if name not in ("base", "slot") and value is not None}
 
 
 class PolicyFeatures:
@@ -137,6 +120,8 @@ class PolicyFeatures:
     for_any_axis = False
     """Whether the inputs mean the same on every rig."""
 
+    correction = 1.0
+
     normalising_seeds = SCALES.take(240)
     """Plants on which the inputs are observed for their typical sizes."""
 
@@ -157,14 +142,12 @@ class PolicyFeatures:
         self.see_correction = see_correction and base is not None
         self.see_estimates = see_estimates and base is not None
         self.full_preview = full_preview
-        estimates = getattr(base, "estimate_names", ())
-        if self.see_estimates and not estimates:
+        if self.see_estimates and base is not None and not base.estimate_names:
             raise ConfigurationError(f"see_estimates: {type(base).__name__} has no estimates")
         self.history = tuple(name for name in HISTORY_SIGNALS if name in self.layout.names)  # a rig may lack sensors
         self.lags = lags if lags is not None else history_lags(config)
         self._columns = self._columns_of(self.history)
-        self._lags = np.array(self.lags)
-        self._length = max(self.lags) + 1
+        self._past = max(self.lags) - np.array(self.lags)  # places in the ring
         self._command_column = self.layout.index("previous_command")
         self._blend = np.float32(config.control_period / (config.control_period + LASTING_TIME))
         self._preview = Preview(config)
@@ -174,8 +157,7 @@ class PolicyFeatures:
             self.size += len(self._rebuilt)
         if base is not None:
             self.size += 3 if self.see_correction else 1
-        if self.see_estimates:
-            self.size += len(estimates)
+            self.size += len(base.estimate_names) if self.see_estimates else 0
         self.moving = self.size  # inputs that are normalised
 
     def __call__(
@@ -191,30 +173,29 @@ class PolicyFeatures:
         zero = np.zeros((len(signals), 1), dtype=np.float32)
         if state is None:
             reference = self._preview.start(observation)
-            ring = np.repeat(signals[:, None], self._length, axis=1)
-            state = FeatureState(None, ring, 0, zero, zero, reference)
+            ring = np.repeat(signals[:, None], max(self.lags) + 1, axis=1)
+            state = FeatureState(None, ring, zero, zero, reference)
             correction = lasting = zero
         else:
             correction = inputs[:, self._command_column, None] - state.base_command
             lasting = state.lasting + self._blend * (correction - state.lasting)
             reference = self._preview.advanced(state.reference, observation)
-        ring = state.ring.copy()
+        ring = np.concatenate([state.ring[:, 1:], signals[:, None]], axis=1)
         if episode_start is not None and np.any(episode_start):
             started = np.flatnonzero(episode_start)
             ring[started] = signals[started, None]
             correction, lasting = (np.where(episode_start[:, None], zero, a) for a in (correction, lasting))
             reference[started] = self._preview.start(observation[started])
-        ring[:, state.slot] = signals
-        past = ring[:, (state.slot - self._lags) % self._length].reshape(len(signals), -1)
+        past = ring[:, self._past].reshape(len(signals), -1)
         changes = np.tile(signals, len(self.lags)) - past
-        state = state._replace(ring=ring, slot=(state.slot + 1) % self._length, reference=reference)
+        state = state._replace(ring=ring, reference=reference)
         seen = self._seen(inputs, signals, reference)
         if self.base is None:
             return self._normalised([*seen, changes]), state
         command, memory = self.base.predict(observation, state.base, episode_start)
         own = [command, correction, lasting] if self.see_correction else [command]
         if self.see_estimates:
-            own.append(self.base.estimates(memory))  # type: ignore[attr-defined]
+            own.append(self.base.estimates(memory))
         state = state._replace(base=memory, base_command=command, lasting=lasting)
         return self._normalised([*seen, *own, changes]), state
 
@@ -236,21 +217,22 @@ class PolicyFeatures:
         inputs: NDArray[np.float32] = np.concatenate(parts, axis=1, dtype=np.float32)
         return inputs if self.normalisation is None else self.normalisation(inputs)
 
-    def applied(self, share: float) -> PolicyFeatures:
+    def applied(self, share: float) -> Self:
         """The same features, with a smaller correction."""
         less = copy(self)
         less.residual_scale *= share
+        less.correction *= share
         return less
 
-    def normalised(self) -> PolicyFeatures:
+    def normalised(self) -> Self:
         """The same features, normalised by their values on training plants under the corrected controller.
 
         Without a corrected controller, the commands are random.
         """
         spread = 0.0 if self.base is not None else 0.2
-        generator = np.random.default_rng(0)
-        plain, state, seen = self._with(None), None, []
-        seeds = self.normalising_seeds
+        generator, seeds = np.random.default_rng(0), self.normalising_seeds
+        plain, state, seen = copy(self), None, []
+        plain.normalisation = None
         env = ServoHydraulicVectorEnv(len(seeds), self.config, autoreset_mode="SameStep", info=False)
         observation, _ = env.reset(seed=list(seeds))
         for step in range(self.config.steps):
@@ -259,12 +241,9 @@ class PolicyFeatures:
             output = spread * generator.standard_normal((len(observation), 1))
             observation, *_ = env.step(plain.command(output, state))
         env.close()
-        return self._with(Normalisation.of(np.concatenate(seen)))
-
-    def _with(self, normalisation: Normalisation | None) -> PolicyFeatures:
-        features = copy(self)
-        features.normalisation = normalisation
-        return features
+        normalised = copy(self)
+        normalised.normalisation = Normalisation.of(np.concatenate(seen))
+        return normalised
 
     def command(self, output: Observation, state: FeatureState) -> NDArray[np.float32]:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""
@@ -335,8 +314,7 @@ class AnyAxisFeatures(PolicyFeatures):
         reach = horizon * config.control_period / own
         more = [min(reach, 8.0) / 4.0, math.log(error / USUAL_ERROR)]
         self._sheet = np.array([*data_sheet(config).values(), *more], np.float32)
-        estimates = len(getattr(base, "estimate_names", ()))
-        self.moving = len(HISTORY_SIGNALS) * (1 + len(lags)) + self._weights.shape[1] + 3 + estimates
+        self.moving = len(HISTORY_SIGNALS) * (1 + len(lags)) + self._weights.shape[1] + 3 + len(base.estimate_names)
         self.size = self.moving + (len(self._sheet) if sheet else 0)
 
     def _columns_of(self, names: tuple[str, ...]) -> NDArray[np.int64]:
@@ -360,20 +338,13 @@ class AnyAxisFeatures(PolicyFeatures):
         own = {"any_axis": True, "sheet": self.sheet, "correction": self.correction, "error": self.error}
         return super().describe() | own | {"history_signals": list(HISTORY_SIGNALS)}
 
-    def normalised(self) -> PolicyFeatures:
+    def normalised(self) -> AnyAxisFeatures:
         """The same features with the error of the corrected controller and normalised by its values, by simulation."""
         base: Any = self.base
         errors = family_errors(self.config, base, ERROR_PLANTS, sensor_frame=True)
         error = math.exp(np.mean(np.log(list(errors.values())))) / (full_speed(self.config.plant) * pace(self.config))
         features = AnyAxisFeatures(self.config, base, self.correction, self.sheet, error)
         return PolicyFeatures.normalised(features)
-
-    def applied(self, share: float) -> PolicyFeatures:
-        """The same features, with a smaller correction."""
-        less = super().applied(share)
-        assert isinstance(less, AnyAxisFeatures)
-        less.correction *= share
-        return less
 
     def moved_to(self, config: TaskConfig) -> AnyAxisFeatures:
         """The same features on another rig: there a simulation chooses the corrected controller's gains and the units.
@@ -384,9 +355,7 @@ class AnyAxisFeatures(PolicyFeatures):
         base: Any = self.base
         type(base)(base.gains, config)  # names a missing sensor
         own = type(base)(chosen_gains(kind_of(base), config), config)
-        moved = AnyAxisFeatures(config, own, self.correction, self.sheet).normalised()
-        assert isinstance(moved, AnyAxisFeatures)
-        return moved
+        return AnyAxisFeatures(config, own, self.correction, self.sheet).normalised()
 
 
 class _StoredBase(Group):

@@ -8,6 +8,7 @@ from typing import Any
 
 from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, make_controller
+from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.trainers import TRAINERS, Trainer
 from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder, pretrained_folder
@@ -46,19 +47,20 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
         return on_rig(TRAINERS[kind].load(shipped_weights(SHIPPED_WEIGHTS[kind], config)), config)
     if takes_gains_for_any_rig(kind, config):
         return make_controller(kind, config)
-    settings = gains_file(kind, config) or usual_gains(kind)
-    if not settings.exists():
-        raise ConfigurationError(f"kind '{kind}': no weights of this kind are shipped")
-    return make_controller(kind, config, read_yaml(settings))
+    return make_controller(kind, config, read_yaml(gains_file(kind, config) or usual_gains(kind)))
 
 
 def shipped_weights(name: str, config: TaskConfig) -> Path:
     """The shipped weights of a name: those for the task's rig if they exist, else those for any axis."""
     usual = pretrained_folder() / name
-    if config.plant == PlantParameters() and config.control_period == TaskConfig().control_period:
+    if _usual_period(config) and config.plant == PlantParameters():
         return usual
-    own = usual.with_name(f"{usual.name}_{shipped_rig(config)}")
-    return own if weight_files(own)[0].is_file() else usual.with_name(f"{usual.name}_{ANY_AXIS}")
+    own = usual.with_name(f"{name}_{shipped_rig(config)}")
+    return own if weight_files(own)[0].is_file() else usual.with_name(f"{name}_{ANY_AXIS}")
+
+
+def _usual_period(config: TaskConfig) -> bool:
+    return config.control_period == TaskConfig().control_period
 
 
 def on_rig(controller: Controller, config: TaskConfig) -> Controller:
@@ -67,11 +69,9 @@ def on_rig(controller: Controller, config: TaskConfig) -> Controller:
     Raises:
         ConfigurationError: the rig lacks a sensor that the policy needs.
     """
-    features = getattr(controller, "features", None)
-    if not getattr(features, "for_any_axis", False) or getattr(features, "config", None) == config:
+    if not isinstance(controller, PolicyController) or not controller.features.for_any_axis:
         return controller
-    moved: Controller = controller.moved_to(config)  # type: ignore[attr-defined]
-    return moved
+    return controller if controller.features.config == config else controller.moved_to(config)
 
 
 def outside_training(trained: Any, config: TaskConfig) -> str:
@@ -84,7 +84,7 @@ def outside_training(trained: Any, config: TaskConfig) -> str:
 def shipped_rig(config: TaskConfig) -> str:
     """Name of the rig in ``configs/rigs`` that a task has, at the control period of the shipped gains; else empty."""
     files = (config_folder() / "rigs").glob("*.yaml")
-    if config.plant == PlantParameters() or config.control_period != TaskConfig().control_period:
+    if config.plant == PlantParameters() or not _usual_period(config):
         return ""
     return next((file.stem for file in files if read_rig(file).plant == config.plant), "")
 
@@ -132,8 +132,8 @@ def opponent(
         hydro_env.errors.ConfigurationError: mine: 'pidd': unknown; did you mean pid? ...
     """
     try:
-        controller: Controller
         what = found_in(what) if isinstance(what, str | Path) else what
+        controller: Controller
         if not isinstance(what, str):
             controller = what
         elif what in (*CONTROLLERS, *SHIPPED_WEIGHTS):
@@ -175,5 +175,4 @@ def found_in(what: str | Path) -> str:
 
 def trained_for(controller: Controller) -> PlantParameters | None:
     """The nominal rig of the task of a policy's training; ``None`` for any other controller."""
-    task = getattr(getattr(controller, "features", None), "config", None)
-    return task.plant if isinstance(task, TaskConfig) else None
+    return controller.features.config.plant if isinstance(controller, PolicyController) else None

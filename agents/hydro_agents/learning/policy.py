@@ -5,7 +5,7 @@ from __future__ import annotations
 from copy import copy
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from hydro_agents.learning.features import (
     PolicyFeatures,
     StoredFeatures,
 )
-from hydro_agents.running.weights import Tensors, load_weights, require, save_weights
+from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 
@@ -194,18 +194,15 @@ class PolicyController:
 
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`hydro_agents.running.weights.save_weights`."""
-        tensors = _named(self.layers)
         settings: dict[str, Any] = {
             "features": self.features.describe(),
             "layer_sizes": [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)],
             "activation": self.activation,
             "output": self.output,
         }
-        if self.features.normalisation is not None:
-            tensors |= _prefixed("normalisation", self.features.normalisation)
         if self.lstm is not None:
-            tensors |= _prefixed("lstm", self.lstm)
             settings["lstm_cells"] = self.lstm.recurrent.shape[1]
+        tensors = _named(self.layers, self.features.normalisation, self.lstm)
         return save_weights(path, KIND, tensors, {**settings, "training": self.training})
 
     @classmethod
@@ -226,33 +223,20 @@ class PolicyController:
             raise ConfigurationError(
                 f"{path}: layer_sizes = {list(sizes)}: must begin with {first}, end with 1 and stay within 4096"
             )
+        layers = [(_empty(after, before), _empty(after)) for before, after in pairwise(sizes)]
+        normalisation, lstm, cells = None, None, stored.lstm_cells
         if stored.features.normalised:
-            like = Normalisation(_empty(features.moving), _empty(features.moving))
-            features.normalisation = _stored(tensors, "normalisation", like, path)
-            if not (features.normalisation.unit > 0.0).all():
-                raise ConfigurationError(f"{path}: tensor 'normalisation.unit' must be positive")
-        lstm = None
-        if (cells := stored.lstm_cells) is not None:
-            empty = LSTM(_empty(4 * cells, features.size), _empty(4 * cells, cells), _empty(4 * cells))
-            lstm = _stored(tensors, "lstm", empty, path)
-        shapes = [(_empty(after, before), _empty(after)) for before, after in pairwise(sizes)]
-        require(tensors, _named(shapes), path)
-        layers = [(tensors[f"layer{n}.weight"], tensors[f"layer{n}.bias"]) for n in range(len(shapes))]
+            normalisation = Normalisation(_empty(features.moving), _empty(features.moving))
+        if cells is not None:
+            lstm = LSTM(_empty(4 * cells, features.size), _empty(4 * cells, cells), _empty(4 * cells))
+        wanted = _named(layers, normalisation, lstm)
+        require(tensors, wanted, path)
+        for name, array in wanted.items():
+            array[...] = tensors[name]
+        if normalisation is not None and not (normalisation.unit > 0.0).all():
+            raise ConfigurationError(f"{path}: tensor 'normalisation.unit' must be positive")
+        features.normalisation = normalisation
         return cls(features, layers, stored.training, stored.activation, stored.output, lstm)
-
-
-Part = TypeVar("Part", Normalisation, LSTM)
-
-
-def _prefixed(name: str, part: Part) -> dict[str, NDArray[Any]]:
-    return {f"{name}.{field}": value for field, value in part._asdict().items()}
-
-
-def _stored(tensors: Tensors, name: str, like: Part, path: str | Path) -> Part:
-    """The arrays of a part with the shapes of ``like``."""
-    wanted = _prefixed(name, like)
-    require(tensors, wanted, path)
-    return type(like)(*(tensors[key] for key in wanted))
 
 
 def _empty(*shape: int) -> NDArray[np.float32]:
@@ -264,6 +248,11 @@ def _array(tensor: Any) -> NDArray[np.float32]:
     return array
 
 
-def _named(layers: Layers) -> dict[str, NDArray[Any]]:
-    weights = {f"layer{number}.weight": weight for number, (weight, _) in enumerate(layers)}
-    return weights | {f"layer{number}.bias": bias for number, (_, bias) in enumerate(layers)}
+def _named(layers: Layers, normalisation: Normalisation | None, lstm: LSTM | None) -> dict[str, NDArray[np.float32]]:
+    """The tensors of a policy's file; they share the memory of the arguments."""
+    named = {f"layer{number}.weight": weight for number, (weight, _) in enumerate(layers)}
+    named |= {f"layer{number}.bias": bias for number, (_, bias) in enumerate(layers)}
+    for name, part in {"normalisation": normalisation, "lstm": lstm}.items():
+        if part is not None:
+            named |= {f"{name}.{field}": value for field, value in part._asdict().items()}
+    return named

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
 
-from hydro_env.files import write_whole
+from hydro_env.files import write_text
 
 PROGRESS_FILE = "progress.csv"
 STEPS = "time/total_timesteps"
@@ -49,20 +49,15 @@ class ProgressFile(KVWriter):
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
         """Append a row."""
         values = filter_excluded_keys(key_values, key_excluded, "csv")
-        self._rows.append({STEPS: float(step), **{key: float(values[key]) for key in sorted(values) if key != STEPS}})
+        self._rows.append({STEPS: step, **{key: float(values[key]) for key in sorted(values) if key != STEPS}})
         self._write()
 
     def close(self) -> None:
         """Do nothing: the file is closed after each row."""
 
     def _write(self) -> None:
-        columns = list(dict.fromkeys(name for row in self._rows for name in row))
-        lines = [",".join(_text(row.get(name, math.nan)) for name in columns) for row in self._rows]
-        write_whole(self._path, "".join(f"{line}\n" for line in (",".join(columns), *lines) if line).encode())
-
-
-def _text(value: float) -> str:
-    return "" if math.isnan(value) else str(int(value)) if value == int(value) and abs(value) < 1e15 else repr(value)
+        table = pd.DataFrame(self._rows).convert_dtypes()  # whole numbers without a decimal point
+        write_text(self._path, table.to_csv(index=False, lineterminator="\n") if self._rows else "")
 
 
 def read_progress(path: str | Path, steps: float = math.inf) -> list[Row]:

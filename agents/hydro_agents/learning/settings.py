@@ -109,7 +109,6 @@ class PPOSettings(TrainingSettings):
     learning_rate: float = Field(1e-3, gt=0.0, le=1.0, description="at the start; decreases to a tenth along a cosine")
     advantage_decay: float = Field(0.95, gt=0.0, le=1.0, description="λ of generalised advantage estimation")
     clip_range: float = Field(0.2, gt=0.0, le=10.0)
-    entropy_weight: float = Field(0.0, ge=0.0, le=10.0)
     initial_log_standard_deviation: float = Field(-1.5, ge=-10.0, le=2.0, description="of the exploration")
     final_log_standard_deviation: float = Field(
         -3.0, ge=-10.0, le=2.0, description="end of a linear schedule; the gradient alone would reduce it too early"
@@ -136,7 +135,6 @@ class PPOSettings(TrainingSettings):
             "n_epochs": self.epochs,
             "gae_lambda": self.advantage_decay,
             "clip_range": self.clip_range,
-            "ent_coef": self.entropy_weight,
         }
 
     def updates(self, steps: int) -> int:

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,9 +18,9 @@ from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
-from hydro_agents.controllers.base import ClassicalController, Controller, ObservationLayout
+from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
-from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, CheckpointFile, restore, take
+from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, restore, take
 from hydro_agents.learning.features import AnyAxisFeatures, PolicyFeatures, periods_per_step
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.privileged import ACTIVATIONS, AsymmetricPolicy
@@ -43,14 +43,12 @@ def make_features(config: TaskConfig, settings: TrainingSettings, base: Controll
     Raises:
         ConfigurationError: the residual form has no controller to correct, or one that is not classical.
     """
-    corrected: ClassicalController | None = None
+    corrected: Any = base if settings.residual else None
     if settings.residual:
         if base is None:
             raise ConfigurationError("residual: true needs a controller that the policy corrects")
-        corrected = cast(ClassicalController, base)
         kind_of(corrected)  # the weights' file must be able to name it
     if settings.law is not None:
-        assert corrected is not None
         return AnyAxisFeatures(config, corrected, settings.residual_scale, settings.sheet).normalised()
     features = PolicyFeatures(
         config,
@@ -189,7 +187,7 @@ def train_policy(
         seed: seed of networks, exploration, plants, references and noise.
         folder: for ``checkpoint.safetensors``, ``progress.csv`` and logs of TensorBoard; ``None`` writes nothing.
         resume: continue from the checkpoint in ``folder``.
-        progress: called after every rollout, or every ``log_every`` steps of SAC and TQC.
+        progress: called after every update, or every ``log_every`` steps of SAC and TQC.
         checkpoint_seconds: time between checkpoints; the first is written before the first rollout.
 
     Returns:
@@ -203,19 +201,26 @@ def train_policy(
         raise ConfigurationError("resume: a folder with a checkpoint is needed")
     torch.set_num_threads(settings.torch_threads)
     features = make_features(config, settings, base)
-    file = _checkpoint_file(folder, config, settings, features, seed)
-    checkpoint = file.read() if file is not None and resume else None
+    made_with = {
+        "seed": seed,
+        "settings": {**settings.model_dump(mode="json"), "total_steps": 0},  # a resumed training may be longer
+        "task": config.model_dump(mode="json"),
+        "features": features.describe(),
+    }
+    file = Path(folder) / CHECKPOINT_FILE if folder is not None and isinstance(settings, PPOSettings) else None
+    checkpoint = Checkpoint.read(file, made_with) if file is not None and resume else None
     if file is not None and not resume:
-        file.path.unlink(missing_ok=True)
-    done, seconds = (checkpoint.steps, checkpoint.seconds) if checkpoint is not None else (0, 0.0)
+        file.unlink(missing_ok=True)
+    done, seconds = (checkpoint.counters.steps, checkpoint.counters.seconds) if checkpoint is not None else (0, 0.0)
 
     env = make_axes(config, settings, features, LEARNING.training(seed, settings.axes).start)
     model = make_model(env, settings, seed)
     model.set_logger(training_logger(None if folder is None else Path(folder), done))
-    callback = TrainingCallback(config, settings, features, file, seconds, progress, checkpoint_seconds)
+    keep = None if file is None else (file, made_with, checkpoint_seconds)
+    callback = TrainingCallback(config, settings, features, keep, seconds, progress)
     try:
         if checkpoint is not None and file is not None:
-            restore(model, env, checkpoint, file.path)
+            restore(model, env, checkpoint, file)
         if done < settings.total_steps:
             # The callback writes the log after the update.
             model.learn(settings.total_steps - done, callback, log_interval=10**9, reset_num_timesteps=False)
@@ -237,24 +242,11 @@ def train_policy(
     return PolicyController.from_sb3(model, features.applied(settings.applied_share), record)
 
 
-def _checkpoint_file(
-    folder: str | Path | None, config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int
-) -> CheckpointFile | None:
-    if folder is None or not isinstance(settings, PPOSettings):
-        return None
-    made_with = {
-        "seed": seed,
-        "settings": {**settings.model_dump(mode="json"), "total_steps": 0},  # a resumed training may be longer
-        "task": config.model_dump(mode="json"),
-        "features": features.describe(),
-    }
-    return CheckpointFile(Path(folder) / CHECKPOINT_FILE, "training checkpoint", made_with)
-
-
 class TrainingCallback(BaseCallback):
     """Logs, validates and writes checkpoints between rollouts; sets the exploration of PPO.
 
-    Its arguments are those of :func:`train_policy`; ``seconds`` is the duration of the earlier sessions.
+    Its arguments are those of :func:`train_policy`; ``seconds`` is the duration of the earlier sessions, ``keep`` the
+    file of the checkpoints, the conditions of the training, and the time between checkpoints.
     """
 
     model: Any
@@ -264,19 +256,18 @@ class TrainingCallback(BaseCallback):
         config: TaskConfig,
         settings: TrainingSettings,
         features: PolicyFeatures,
-        file: CheckpointFile | None,
+        keep: tuple[Path, dict[str, Any], float] | None,
         seconds: float,
         progress: Callable[[Progress], None] | None,
-        checkpoint_seconds: float,
     ) -> None:
         super().__init__()
-        self._config, self._settings, self._features, self._file = config, settings, features, file
-        self._progress, self._checkpoint_seconds = progress, checkpoint_seconds
+        self._config, self._settings, self._features, self._keep = config, settings, features, keep
+        self._progress = progress
         self._log_every = settings.log_every if isinstance(settings, SACSettings) else 1
         self._began = time.monotonic() - seconds
-        self._written: float | None = None  # when the last checkpoint was written
+        self._written = -math.inf  # when the last checkpoint was written
         self._checkpoint: Checkpoint | None = None
-        self._logged = self._reported = 0  # steps
+        self._logged = 0  # steps
         self._base_error = math.nan  # mm, of the corrected controller; computed once
         self._rigs: list[tuple[AnyAxisFeatures, dict[str, float]]] = []  # for validation, with its errors in m
 
@@ -285,11 +276,8 @@ class TrainingCallback(BaseCallback):
         """Duration of training, all sessions together."""
         return time.monotonic() - self._began
 
-    def _policy(self, features: PolicyFeatures | None = None) -> PolicyController:
-        return PolicyController.from_sb3(self.model, features or self._features)
-
     def _on_training_start(self) -> None:
-        self._logged = self._reported = self.num_timesteps
+        self._logged = self.num_timesteps
 
     def _on_rollout_start(self) -> None:
         self._between_rollouts()
@@ -297,19 +285,13 @@ class TrainingCallback(BaseCallback):
     def _on_step(self) -> bool:
         return True
 
-    def _on_rollout_end(self) -> None:
-        if self._progress is not None and self._passed(self._log_every, self._reported):
-            self._reported = self.num_timesteps
-            total = self._settings.total_steps
-            self._progress(Progress(self.num_timesteps, total, self.seconds, self._mean_reward()))
-
     def _on_training_end(self) -> None:
         self._between_rollouts()
         self.write_checkpoint()
 
-    def _passed(self, every: int, since: int) -> bool:
-        """Whether a multiple of ``every`` steps was passed since a number of steps."""
-        return self.num_timesteps // every > since // every
+    def _passed(self, every: int) -> bool:
+        """Whether a multiple of ``every`` steps was passed since the last row of the log."""
+        return self.num_timesteps // every > self._logged // every
 
     def _between_rollouts(self) -> None:
         """Log the last rollout and its update, set the exploration of the next, and copy the state at its start.
@@ -321,33 +303,29 @@ class TrainingCallback(BaseCallback):
             share = min(steps / settings.total_steps, 1.0)
             with torch.no_grad():
                 self.model.policy.log_std.fill_(settings.log_standard_deviation_at(share))
-        due = self._passed(self._log_every, self._logged)
+        due = self._passed(self._log_every)
         if due:
             self._log()
             self._logged = steps
-        if self._file is not None and (due or self._checkpoint is None):
-            self._checkpoint = take(self.model, self._env, self.seconds)
-            if self._written is None or time.monotonic() - self._written > self._checkpoint_seconds:
+        if self._keep is not None and (due or self._checkpoint is None):
+            _, made_with, interval = self._keep
+            self._checkpoint = take(self.model, self.model.get_env(), self.seconds, made_with)
+            if time.monotonic() - self._written > interval:
                 self.write_checkpoint()
 
-    @property
-    def _env(self) -> AxisVecEnv | RigsVecEnv:
-        return cast(AxisVecEnv, self.model.get_env())
-
-    def _mean_reward(self) -> float:
-        """Mean reward per control period over the last episodes; NaN before the first one has ended."""
-        episodes = self.model.ep_info_buffer or ()
-        return float(np.mean([episode["r"] / episode["l"] for episode in episodes])) if episodes else math.nan
-
     def _log(self) -> None:
-        """Write a row of the log, with a validation if one is due."""
-        steps, every = self.num_timesteps, self._settings.validation_every
-        lengths = [episode["l"] for episode in self.model.ep_info_buffer or ()]
-        row = {f"reward/{name}": value for name, value in self._env.mean_rewards().items()}
-        row["rollout/ep_len_mean"] = float(np.mean(lengths)) if lengths else math.nan
-        if every and (self._passed(every, self._logged) or steps >= self._settings.total_steps):
+        """Report, and write a row of the log, with a validation if one is due."""
+        steps, every, total = self.num_timesteps, self._settings.validation_every, self._settings.total_steps
+        episodes = np.array([(episode["r"], episode["l"]) for episode in self.model.ep_info_buffer or ()])
+        reward, length = math.nan, math.nan  # before the first episode has ended
+        if len(episodes):
+            reward, length = float(np.mean(episodes[:, 0] / episodes[:, 1])), float(np.mean(episodes[:, 1]))
+        if self._progress is not None:
+            self._progress(Progress(steps, total, self.seconds, reward))
+        row = {f"reward/{name}": value for name, value in self.model.get_env().mean_rewards().items()}
+        if every and (self._passed(every) or steps >= total):
             row |= {f"validation/{name}": value for name, value in self._validation().items()}
-        row |= {"rollout/mean_reward": self._mean_reward(), "time/time_elapsed": self.seconds}
+        row |= {"rollout/ep_len_mean": length, "rollout/mean_reward": reward, "time/time_elapsed": self.seconds}
         for name, value in row.items():
             self.logger.record(name, value)
         self.logger.dump(steps)
@@ -358,7 +336,7 @@ class TrainingCallback(BaseCallback):
         base = self._features.base
         if base is not None and math.isnan(self._base_error):
             self._base_error = validation_errors(self._config, base)[0]
-        mean, worst, failures = validation_errors(self._config, self._policy())
+        mean, worst, failures = validation_errors(self._config, PolicyController.from_sb3(self.model))
         return {
             "mean_error_mm": mean,
             "worst_error_mm": worst,
@@ -377,12 +355,13 @@ class TrainingCallback(BaseCallback):
                 self._rigs.append((own, family_errors(task, own.base, VALIDATION_PLANTS, sensor_frame=True)))
         ratios = []
         for own, base in self._rigs:
-            errors = family_errors(own.config, self._policy(own), VALIDATION_PLANTS, sensor_frame=True)
+            policy = PolicyController.from_sb3(self.model, own)
+            errors = family_errors(own.config, policy, VALIDATION_PLANTS, sensor_frame=True)
             ratios.append(math.exp(np.mean([math.log(errors[name] / base[name]) for name in base])))
         return {"error_to_corrected": float(np.median(ratios)), "worst_error_to_corrected": max(ratios)}
 
     def write_checkpoint(self) -> None:
         """Write the state at the start of the present rollout, or of the next rollout if none is in progress."""
-        if self._file is not None and self._checkpoint is not None:
-            self._file.write(self._checkpoint)
+        if self._keep is not None and self._checkpoint is not None:
+            self._checkpoint.write(self._keep[0])
             self._written = time.monotonic()

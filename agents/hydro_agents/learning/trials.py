@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import speed_limits
@@ -38,40 +38,26 @@ REFUSED = 1e3  # m; cost of an invalid or failing candidate
 _POSITION = CHANNELS.index("position")
 
 
-@dataclass(frozen=True)
-class TuningCases:
-    """The training cases of every candidate, each (N,); N should be a multiple of families × leak levels."""
+def tuning_cases(config: TaskConfig, count: int, seed: int = 0) -> Cases:
+    """``count`` training cases of every candidate; families and leak levels are spread evenly over them.
 
-    seeds: tuple[int, ...]
-    leakage_flow_lpm: tuple[float, ...]
-    families: tuple[str, ...]
-
-    @classmethod
-    def of(cls, config: TaskConfig, count: int, seed: int = 0) -> TuningCases:
-        """``count`` cases of the training seeds; families and leak levels are spread evenly over them."""
-        known = [name for name in REFERENCE_FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
-        seeds, levels = LEARNING.training(seed, count), len(LEAK_LEVELS)
-        # With fewer cases than pairs, the families take turns: none is missing.
-        turns = levels if count >= levels * len(known) else 1
-        return cls(
-            tuple(seeds),
-            tuple(LEAK_LEVELS[index % levels] for index in range(count)),
-            tuple(known[(index // turns) % len(known)] for index in range(count)),
-        )
-
-    @classmethod
-    def resting(cls, seed: int = 0) -> TuningCases:
-        """The cases of the families :data:`RESTING`."""
-        pairs = [(leak, family) for family in RESTING for leak in REST_LEAKS]
-        leaks, families = zip(*pairs, strict=True)
-        return cls(tuple(LEARNING.training(seed, len(pairs))), leaks, families)
-
-    def __len__(self) -> int:
-        return len(self.seeds)
+    The count should be a multiple of families × leak levels.
+    """
+    known = [name for name in REFERENCE_FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
+    index, levels = np.arange(count), len(LEAK_LEVELS)
+    # With fewer cases than pairs, the families take turns: none is missing.
+    turns = levels if count >= levels * len(known) else 1
+    seeds = np.array(LEARNING.training(seed, count))
+    return Cases(seeds, np.array(LEAK_LEVELS)[index % levels], np.array(known)[(index // turns) % len(known)])
 
 
-@dataclass(frozen=True)
-class Score:
+def resting_cases(seed: int = 0) -> Cases:
+    """The cases of the families :data:`RESTING`."""
+    leaks, families = np.tile(REST_LEAKS, len(RESTING)), np.repeat(RESTING, len(REST_LEAKS))
+    return Cases(np.array(LEARNING.training(seed, len(leaks))), leaks, families)
+
+
+class Score(NamedTuple):
     """Costs of a candidate on the training cases, in m; each includes the cost of command changes."""
 
     mean: float  # mean over the cases of the task of the mean absolute error
@@ -79,7 +65,7 @@ class Score:
 
 
 def costs_of(
-    config: TaskConfig, cases: TuningCases, controllers: Sequence[Controller | None], judged: float | None = None
+    config: TaskConfig, cases: Cases, controllers: Sequence[Controller | None], judged: float | None = None
 ) -> Floats:
     """Mean absolute error in the sensor's frame plus cost of command changes, m, (candidates, cases).
 
@@ -97,9 +83,9 @@ def costs_of(
     first = 0 if judged is None else config.steps - round(judged / config.control_period)
     price = EFFORT_TIME * float(np.mean(speed_limits(config.plant)))
     with closing(ServoHydraulicVectorEnv(candidates * size, config, autoreset_mode="NextStep", info=False)) as env:
-        leaks = np.tile(cases.leakage_flow_lpm, candidates)
-        options = {"leakage_flow_lpm": leaks, "reference": list(cases.families) * candidates}
-        observation, _ = env.reset(seed=list(cases.seeds) * candidates, options=options)
+        leaks, families = (list(cases.options[name]) * candidates for name in ("leakage_flow_lpm", "reference"))
+        options = {"leakage_flow_lpm": leaks, "reference": families}
+        observation, _ = env.reset(seed=cases.seeds.tolist() * candidates, options=options)
         axes = env.axes
         reference = axes.reference[:, : config.steps + 1] - axes.column("bias")[:, _POSITION, None]
         before = axes.column("command").copy()
@@ -133,20 +119,19 @@ def costs_of(
     return result
 
 
-def scored(costs: Sequence[Floats], cases: Sequence[TuningCases]) -> list[Score]:
+def scored(costs: Sequence[Floats], cases: Sequence[Cases]) -> list[Score]:
     """:class:`Score` of each candidate from :func:`costs_of`; the sums depend on the number of candidates."""
     parts = [
-        rows[:, np.array(own.families) == family].mean(axis=1)
+        rows[:, np.array(own.options["reference"]) == family].mean(axis=1)
         for own, rows in zip(cases, costs, strict=True)
-        for family in dict.fromkeys(own.families)
+        for family in dict.fromkeys(own.options["reference"])
     ]
     equal = np.exp(np.mean(np.log(parts), axis=0))
-    return [Score(float(mean), float(value)) for mean, value in zip(costs[0].mean(axis=1), equal, strict=True)]
+    return [Score(*pair) for pair in np.stack([costs[0].mean(axis=1), equal], axis=1).tolist()]
 
 
 def over_tasks(costed: Sequence[Sequence[Score]]) -> list[Score]:
     """The scores of each candidate on one task, or their geometric means over several."""
     if len(costed) == 1:
         return list(costed[0])
-    logs = np.log([[(score.mean, score.equal) for score in row] for row in costed])
-    return [Score(float(mean), float(equal)) for mean, equal in np.exp(logs.mean(axis=0))]
+    return [Score(*pair) for pair in np.exp(np.log(costed).mean(axis=0)).tolist()]

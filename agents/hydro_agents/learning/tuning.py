@@ -11,9 +11,9 @@ import itertools
 import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from cmaes import CMA
@@ -21,7 +21,8 @@ from joblib import effective_n_jobs
 
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.learning.trials import JUDGED, REST, Score, TuningCases, costs_of, over_tasks, scored
+from hydro_agents.learning.trials import JUDGED, REST, Score, costs_of, over_tasks, resting_cases, scored, tuning_cases
+from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.jobs import Columns, Job, run_jobs
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
@@ -68,8 +69,7 @@ class Space:
         return dict(zip(self.names, values.tolist(), strict=True))
 
 
-@dataclass(frozen=True)
-class Tuned:
+class Tuned(NamedTuple):
     """The best candidate so far."""
 
     gains: Group
@@ -124,33 +124,32 @@ def tune(
         "start": base.model_dump(mode="json"),
         "task": described[0] if len(tasks) == 1 else hashlib.sha256(json.dumps(described).encode()).hexdigest(),
     }
-    done = _read(log, settings) if log is not None and resume else []
+    rows = _read(log, settings) if log is not None and resume else []
+    resumed = len(rows)
     bounds = np.tile([0.0, 1.0], (len(space.names), 1))
     optimiser = CMA(space.point(base), _SIGMA, bounds=bounds, seed=seed, population_size=population)
-    rows: list[list[Score]] = []
     best: Tuned | None = None
     generations = -(-evaluations // population)
     for generation in range(generations):
         points = [optimiser.ask() for _ in range(population)]
         gains = [_gains(group, {**base.model_dump(), **space.values(point)}) for point in points]
-        known = generation < len(done)
-        scores = done[generation] if known else _costed(kind, gains, tasks, cases, seed, generation > len(done))
+        known = generation < len(rows)
+        if not known:
+            rows.append(_costed(kind, gains, tasks, cases, seed, generation > resumed))
+        scores = rows[generation]
         costs = [getattr(score, objective) for score in scores]
         leader = int(np.argmin(costs))
         leading = gains[leader]
         if leading is not None and (best is None or costs[leader] < getattr(best.score, objective)):
             best = Tuned(leading, scores[leader], 0)
         optimiser.tell(list(zip(points, costs, strict=True)))
-        rows.append(scores)
-        if known:
-            continue
-        if log is not None:
+        if log is not None and not known:
             _write(log, settings, rows)
-        if best is not None and progress is not None:
-            progress(Tuned(best.gains, best.score, (generation + 1) * population))
+        if best is not None and progress is not None and not known:
+            progress(best._replace(evaluations=(generation + 1) * population))
     if best is None:
         raise ConfigurationError(f"{kind}: none of {generations * population} candidates could control the axis")
-    return Tuned(best.gains, best.score, generations * population)
+    return best._replace(evaluations=generations * population)
 
 
 def gain_sets(kind: str) -> list[Group]:
@@ -201,14 +200,14 @@ def _costed(
             raise ConfigurationError(result.error)
     # Sums come after all parts are joined: their last bit depends on the number of candidates.
     costs = {name: np.concatenate([results[key].metrics[name] for key in jobs]) for name in results["0"].metrics}
-    pairs = [_cases(task, cases, seed + number) for number, task in enumerate(tasks)]
-    return over_tasks(
-        [scored([costs[f"{number}"], costs[f"{number} rest"]], pair) for number, pair in enumerate(pairs)]
-    )
+    scores = []
+    for number, task in enumerate(tasks):
+        scores.append(scored([costs[f"{number}"], costs[f"{number} rest"]], _cases(task, cases, seed + number)))
+    return over_tasks(scores)
 
 
-def _cases(task: TaskConfig, count: int, seed: int) -> tuple[TuningCases, TuningCases]:
-    return TuningCases.of(task, count, seed), TuningCases.resting(seed)
+def _cases(task: TaskConfig, count: int, seed: int) -> tuple[Cases, Cases]:
+    return tuning_cases(task, count, seed), resting_cases(seed)
 
 
 def cost_candidates(
@@ -220,31 +219,25 @@ def cost_candidates(
     """
     costs: Columns = {}
     for number, task in enumerate(tasks):
-        rest = task_config(task, episode_duration=REST)
         moving, resting = _cases(task, cases, seed + number)
-        controllers = [_controller(CONTROLLERS[kind][0], one, task) for one in gains]
+        controllers = [_controller(kind, one, task) for one in gains]
         costs[f"{number}"] = costs_of(task, moving, controllers)
-        costs[f"{number} rest"] = costs_of(rest, resting, controllers, JUDGED)
+        costs[f"{number} rest"] = costs_of(task_config(task, episode_duration=REST), resting, controllers, JUDGED)
     return costs
 
 
 def _gains(group: type[Group], values: Mapping[str, Any]) -> Group | None:
     """The gains of a candidate; ``None`` if they are invalid."""
-    try:
+    with suppress(ConfigurationError):
         return validate(group, values, "candidate")
-    except ConfigurationError:
-        return None
+    return None
 
 
-def _controller(make: Callable[[Any, TaskConfig], Controller], gains: Group | None, config: TaskConfig) -> Any:
+def _controller(kind: str, gains: Group | None, config: TaskConfig) -> Controller | None:
     """The controller of a candidate; ``None`` if it cannot be made (an unsolvable Riccati equation, say)."""
-    if gains is None:
-        return None
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            return make(gains, config)
-    except Exception:
-        return None
+    with warnings.catch_warnings(action="ignore"), suppress(Exception):
+        return CONTROLLERS[kind][0](gains, config) if gains is not None else None
+    return None
 
 
 # The log ------------------------------------------------------------------------------------------------------------
@@ -254,7 +247,7 @@ def _write(log: Path, settings: Mapping[str, Any], rows: Sequence[Sequence[Score
     lines = [f"# {json.dumps(settings)}", "generation,candidate,mean,equal"]
     for generation, costed in enumerate(rows):
         lines += [f"{generation},{number},{score.mean!r},{score.equal!r}" for number, score in enumerate(costed)]
-    write_text(log, "\n".join(lines) + "\n")
+    write_text(log, "\n".join([*lines, ""]))
 
 
 def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
@@ -278,4 +271,4 @@ def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
         raise
     except ValueError as error:
         raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
-    return [[Score(mean, equal) for mean, equal in generation] for generation in rows[..., 2:].tolist()]
+    return [[Score(*pair) for pair in generation] for generation in rows[..., 2:].tolist()]

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
+from hydro_agents.controllers.base import rows
 from hydro_agents.learning.features import (
     FEATURE_LIMIT,
     AnyAxisFeatures,
@@ -153,13 +154,11 @@ class AxisVecEnv(_SharedVecEnv):
 
     def _inputs(self, observation: NDArray[np.float32], restarted: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         """Process the observations of all axes and twins; returns the policy's inputs (N, size)."""
-        if self._paired:
-            assert self.features is not None
-            assert self.features.base is not None
-            twins = observation[self.num_envs :]
-            self._twin_commands, self._twins = self.features.base.predict(twins, self._twins, restarted)
         if self.features is None:
             return observation
+        if self._paired and self.features.base is not None:
+            twins = observation[self.num_envs :]
+            self._twin_commands, self._twins = self.features.base.predict(twins, self._twins, restarted)
         inputs, self._state = self.features(observation[: self.num_envs], self._state, restarted)
         return self._with_privileged(inputs, slice(self.num_envs))
 
@@ -173,8 +172,7 @@ class AxisVecEnv(_SharedVecEnv):
         """Advance all axes by one control period."""
         count = self.num_envs
         command = self._actions
-        if self.features is not None:
-            assert self._state is not None
+        if self.features is not None and self._state is not None:
             command = self.features.command(command, self._state)
         if self._paired:
             command = np.concatenate([command, self._twin_commands])
@@ -214,8 +212,7 @@ class AxisVecEnv(_SharedVecEnv):
         """Fill ``infos`` of the ended episodes; their last inputs combine their history with the last observation."""
         inputs = last[ended]
         if self.features is not None:
-            assert self._state is not None
-            inputs, _ = self.features(inputs, self._state.rows(ended), None)
+            inputs, _ = self.features(inputs, rows(self._state, ended), None)
             inputs = self._with_privileged(inputs, ended)
         for row, axis in enumerate(ended):
             infos[axis] = {
@@ -227,22 +224,15 @@ class AxisVecEnv(_SharedVecEnv):
     def get_state(self) -> dict[str, Array]:
         """Complete state as copies of named arrays, for :meth:`set_state`."""
         arrays = {f"{ENV}{name}": array for name, array in self.env.get_state().arrays.items()}
-        arrays |= {
-            "returns": self._returns.copy(),
-            "lengths": self._lengths.copy(),
-            "twin_command": self._twin_commands,
-        }
-        memories = {"twin": self._twins}
-        if self._state is not None:
-            arrays |= self._state.arrays() | {"slot": np.asarray(self._state.slot)}
-            memories["base"] = self._state.base
-        for name, memory in memories.items():
-            if memory is not None:
-                arrays |= {f"{name}.{field}": value for field, value in memory._asdict().items()}
-        return arrays
+        return arrays | _leaves(self._own(), "own")
+
+    def _own(self) -> _Own:
+        return _Own(self._returns, self._lengths, self._twin_commands, self._twins, self._state)
 
     def set_state(self, state: Mapping[str, Array]) -> None:
         """Restore a state of :meth:`get_state`, from this or another ``AxisVecEnv`` with the same arguments.
+
+        Both must have begun: call :meth:`reset` first.
 
         Raises:
             ConfigurationError: the arrays describe no possible state of an axis.
@@ -253,15 +243,8 @@ class AxisVecEnv(_SharedVecEnv):
         if not finite or not np.isin(record["step"], np.arange(steps + 1)).all():
             raise ConfigurationError("env.record: holds no possible state of an axis")
         self.env.set_state(AxesState(self.env.config, arrays))
-        self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
-        self._twin_commands = state["twin_command"]
-        if self.features is not None:
-            self._twins = _memory(self.features.base, "twin.", state)
-            slot = int(state["slot"])
-            if not 0 <= slot < state["ring"].shape[1]:
-                raise ConfigurationError(f"slot = {slot}: must be within 0 to {state['ring'].shape[1] - 1}")
-            stored: dict[str, Any] = {name: state[name] for name in FeatureState._fields if name in state}
-            self._state = FeatureState(**stored | {"base": _memory(self.features.base, "base.", state), "slot": slot})
+        own = _restored(self._own(), state, "own")
+        self._returns, self._lengths, self._twin_commands, self._twins, self._state = own
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -274,11 +257,31 @@ def _smaller_swing(before: Array, change: Array) -> Array:
     return np.where(change * before < 0.0, smaller, 0.0)
 
 
-def _memory(controller: Any, start: str, state: Mapping[str, Array]) -> Any:
-    """A controller's memory from arrays whose names begin with ``start``; ``None``: there is none."""
-    if controller is None or start + controller.memory._fields[0] not in state:
-        return None
-    return controller.memory(*(state[start + field] for field in controller.memory._fields))
+class _Own(NamedTuple):
+    """What the adaptor remembers of N axes beside its environment."""
+
+    returns: Array
+    lengths: Array
+    twin_commands: Array
+    twins: Any
+    state: FeatureState | None
+
+
+def _leaves(memory: Any, name: str) -> dict[str, Array]:
+    """Copies of the arrays of nested named tuples, by name."""
+    if not isinstance(memory, tuple):
+        return {} if memory is None else {name: memory.copy()}
+    named: Any = memory
+    parts = [_leaves(part, f"{name}.{field}") for field, part in named._asdict().items()]
+    return {place: array for part in parts for place, array in part.items()}
+
+
+def _restored(memory: Any, arrays: Mapping[str, Array], name: str) -> Any:
+    """Nested named tuples like ``memory``, with copies of the arrays of :func:`_leaves`."""
+    if not isinstance(memory, tuple):
+        return None if memory is None else arrays[name].copy()
+    named: Any = memory
+    return type(memory)(*(_restored(part, arrays, f"{name}.{field}") for field, part in named._asdict().items()))
 
 
 class RigsVecEnv(_SharedVecEnv):

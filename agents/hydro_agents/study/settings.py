@@ -315,6 +315,6 @@ def _refusal(entry: ControllerEntry, task: TaskConfig) -> str:
 
 def _correcting(entry: ControllerEntry, base: str, controller: type[ClassicalController]) -> ControllerEntry:
     """The entry of a policy that corrects another controller, whose estimates it sees only if there are any."""
-    estimates = entry.settings.get("see_estimates", False) and hasattr(controller, "estimate_names")
+    estimates = entry.settings.get("see_estimates", False) and bool(controller.estimate_names)
     seen = {"see_estimates": estimates} if "see_estimates" in entry.settings else {}
     return entry.model_copy(update={"corrects": base, "settings": entry.settings | seen})

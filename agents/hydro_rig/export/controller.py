@@ -19,7 +19,7 @@ from hydro_env.files import Group
 from hydro_rig.export.c_files import CCode, c_code
 from hydro_rig.export.c_writer import C_TYPES, CWriter
 from hydro_rig.export.graph import Builder, Graph, Node, in_order
-from hydro_rig.export.measured import MeasuredController, MeasuredSignals, aligned, arrays_of, leaves_of, with_leaves
+from hydro_rig.export.measured import MeasuredController, MeasuredSignals, arrays_of, leaves_of, with_leaves
 from hydro_rig.export.onnx_writer import OnnxWriter
 from hydro_rig.export.tracing import TraceError, trace
 
@@ -178,7 +178,7 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
     def predict(observation: Any, **values: Any) -> dict[str, Any]:
         outputs: dict[str, Any] = {}
         for prefix, memory in ((STARTED, None), (CONTINUED, with_leaves(empty, values, "memory"))):
-            command, new = aligned(controller.predict(observation, memory))
+            command, new = controller.predict(observation, memory)
             outputs |= {prefix + name: leaf for name, leaf in leaves_of(new, "memory").items() if name in arrays}
             outputs[f"{prefix}command"] = command
         return outputs

@@ -191,7 +191,7 @@ class MeasuredController:
         kept = np.clip(value["previous_voltage"], -FULL_VOLTAGE, FULL_VOLTAGE)
 
         def way(memory: Any, incomplete: Any) -> dict[str, Any]:
-            command, new = aligned(self.controller.predict(observation, memory))
+            command, new = self.controller.predict(observation, memory)
             voltage = FULL_VOLTAGE * np.clip(command.astype(np.float64), -1.0, 1.0)[0, 0]
             # The valve keeps its voltage before the first complete sample, and if the command is not a number.
             waiting = np.logical_or(incomplete, np.logical_not(np.absolute(voltage) < np.inf))
@@ -215,7 +215,7 @@ class MeasuredController:
         observation = np.zeros((1, len(s.layout.names)), dtype=np.float32)
         observation[0] = [0.25 if "pressure" in name else 0.0 for name in s.layout.names]
         _, memory = self.controller.predict(observation, None)
-        return plain._replace(controller=aligned((None, memory))[1])
+        return plain._replace(controller=memory)
 
     def __call__(
         self, signals: Floats, memory: MeasuredMemory | None, start: bool = False
@@ -226,12 +226,6 @@ class MeasuredController:
             step = self.step(signals, np.array(start), memory if memory is not None else self.empty())
         way = dict(step.started if bool(step.begins) else step.continued)
         return float(way.pop("voltage")), MeasuredMemory(**step.common, **way)
-
-
-def aligned(way: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Command and memory; the memory in a form that a trace can record."""
-    command, memory = way
-    return command, memory.aligned() if hasattr(memory, "aligned") else memory
 
 
 def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:

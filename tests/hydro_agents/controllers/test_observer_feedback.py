@@ -11,6 +11,7 @@ from hydro_agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
 from hydro_agents.controllers.observer_feedback import SampledModel
 from hydro_agents.controllers.preview import braked
 from hydro_agents.controllers.registry import make_controller
+from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 
 TASK = TaskConfig()
@@ -141,17 +142,10 @@ def test_a_constant_load_leaves_no_error(kind):
         references={"weights": {"user": 1.0}, "user": [0.01]},
         disturbance={"kind": "step", "force_range": (400.0, 400.0), "start_range": (0.1, 0.1)},
     )
-    controller, state = make_controller(kind, config), None
-    env = ServoHydraulicVectorEnv(2, config, autoreset_mode="NextStep")
-    observation, _ = env.reset(seed=[1, 2], options={"leakage_flow_lpm": np.array([0.1, 4.0])})
-    errors = []
-    for _ in range(config.steps - 1):
-        action, state = controller.predict(observation, state)
-        observation, *_ = env.step(action)
-        errors.append(np.abs(env.axes.column("position") - 0.01))
-    env.close()
-    assert np.all(np.max(errors, axis=0) > 10e-6)  # the force pushed the axis away
-    assert np.all(np.array(errors)[-20:] < 1e-6)
+    run = run_cases(config, make_controller(kind, config), Cases(np.array([1, 2]), np.array([0.1, 4.0])))
+    errors = np.abs(run.position - 0.01)
+    assert np.all(errors.max(axis=1) > 10e-6)  # the force pushed the axis away
+    assert np.all(errors[:, -20:] < 1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -164,27 +158,13 @@ def test_a_long_saturated_move_ends_without_overshoot(kind, previews):
         references={"weights": {"user": 1.0}, "user": [0.0] * 20 + [0.03], "preview_times": previews},
         episode_duration=1.0,
     )
-    controller, state, positions, commands = make_controller(kind, config), None, [], []
-    env = ServoHydraulicVectorEnv(1, config, autoreset_mode="NextStep")
-    observation, _ = env.reset(seed=1)
-    for _ in range(config.steps - 1):
-        action, state = controller.predict(observation, state)
-        observation, *_ = env.step(action)
-        positions.append(env.axes.column("position")[0])
-        commands.append(action[0, 0])
-    env.close()
-    assert np.sum(np.array(commands) == 1.0) > 20
-    assert max(positions) < 0.03 + 0.3e-3
-    assert abs(positions[-1] - 0.03) < 5e-6
+    run = run_cases(config, make_controller(kind, config), Cases(np.array([1])))
+    assert np.sum(run.command == 1.0) > 20
+    assert run.position.max() < 0.03 + 0.3e-3
+    assert abs(run.position[0, -1] - 0.03) < 5e-6
 
 
 # What every controller with an observer does -------------------------------------------------------------------------
-
-
-def observations(config, axes=3, seed=5):
-    env = ServoHydraulicVectorEnv(axes, config, autoreset_mode="NextStep")
-    observation, _ = env.reset(seed=list(range(seed, seed + axes)))
-    return env, observation
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -192,7 +172,8 @@ def observations(config, axes=3, seed=5):
 def test_the_start_is_bumpless(kind, name):
     """At rest on the reference, the first commands are those that hold the axis."""
     config = task_of_rig(name, sensors={"enabled": False}, references={"weights": {"step": 1.0}})
-    env, observation = observations(config)
+    env = ServoHydraulicVectorEnv(3, config, autoreset_mode="NextStep")
+    observation, _ = env.reset(seed=[5, 6, 7])
     controller, state = make_controller(kind, config), None
     held = ObservationLayout.of(config).si(observation, "previous_command")
     for _ in range(2):  # the first step comes after 50 ms at the earliest

@@ -23,11 +23,12 @@ def observation(**si):
     return row.astype(np.float32)
 
 
-def test_proportional_part():
+def test_proportional_part_and_a_start_without_a_bump():
     pid = PID(PIDGains(proportional=30.0, **PLAIN), CONFIG)
-    action, _ = pid.predict(observation(tracking_error=0.004))
-    assert action.shape == (1,)
-    assert action[0] == pytest.approx(0.12, rel=1e-5)
+    for before, wanted in ((0.0, 0.12), (-0.03, 0.09)):
+        action, _ = pid.predict(observation(tracking_error=0.004, previous_command=before))
+        assert action.shape == (1,)
+        assert action[0] == pytest.approx(wanted, rel=1e-5)
 
 
 def test_integral_part_grows_by_gain_times_error():
@@ -37,12 +38,6 @@ def test_integral_part_grows_by_gain_times_error():
         action, memory = pid.predict(observation(tracking_error=0.002), memory)
         command.append(float(action[0]))
     assert command == pytest.approx([50.0 * 0.002 * 0.005 * (n + 1) for n in range(10)], rel=1e-5)
-
-
-def test_starts_without_a_bump():
-    pid = PID(PIDGains(**PLAIN), CONFIG)
-    action, _ = pid.predict(observation(previous_command=-0.03))
-    assert action[0] == pytest.approx(-0.03, rel=1e-5)
 
 
 def test_feedforward_takes_the_speed_from_the_preview_and_knows_the_direction():

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from hydro_agents.controllers.sampled_loop import sampled_loop
-from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
+from hydro_agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD, sampled_loop
+from hydro_env import PlantParameters, TaskConfig, equilibrium, resistance_from_flow, simulate
 from hydro_env.errors import HydroError
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.states import STATE_NAMES
@@ -101,8 +101,5 @@ def test_impossible_loops_are_refused():
 
 
 def test_timing_is_that_of_the_task():
-    from hydro_agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD
-    from hydro_env.task.configuration import TaskConfig
-
     task = TaskConfig()
     assert (task.control_period, task.command_latency) == (CONTROL_PERIOD, COMMAND_LATENCY)

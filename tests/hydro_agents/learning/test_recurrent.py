@@ -7,6 +7,7 @@ from refusal import refused, undigested
 from safetensors.numpy import load_file, save_file
 
 from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.controllers.base import rows as rows_of
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import RecurrentPPOSettings
 from hydro_agents.learning.trainers import trainer
@@ -60,7 +61,7 @@ def test_a_kept_state_goes_on_alike_and_each_axis_has_its_own(tmp_path):
     fresh, begun = policy.predict(rows[10])
     np.testing.assert_array_equal(after.hidden[1], begun.hidden[1])
     assert fresh[1] == first[1]
-    alone, _ = policy.predict(rows[10, 0], memory.rows(np.array([0])))
+    alone, _ = policy.predict(rows[10, 0], rows_of(memory, np.array([0])))
     np.testing.assert_allclose(alone, first[0], atol=1e-6)
 
 

@@ -125,11 +125,11 @@ def changed(tensors, name, value):
     [
         (lambda t, d: (t, d | {"steps": "many"}), "damaged: steps"),
         (lambda t, d: (t, d | {"steps": -5}), "damaged: steps"),
-        (lambda t, d: (t, d | {"made_with": []}), "its conditions"),
+        (lambda t, d: (t, d | {"made_with": []}), "damaged: made_with"),
         (lambda t, d: (changed(t, "episodes", np.zeros((3, 5))), d), "'episodes' holds float64 of shape"),
         (lambda t, d: (changed(t, "axes.env.record", np.zeros((2, 2))), d), "'axes.env.record' holds"),
         (lambda t, d: (changed(t, "axes.env.record", t["axes.env.record"] + np.uint8(1)), d), "env.record"),
-        (lambda t, d: (changed(t, "axes.slot", np.array(37)), d), "slot = 37: must be within 0 to 36"),
+        (lambda t, d: (changed(t, "axes.own.state.ring", np.zeros((16, 36, 7), np.float32)), d), "own.state.ring"),
         (lambda t, d: (changed(t, "torch_generator", t["torch_generator"] * 0), d), "torch_generator"),
         (lambda t, d: (changed(t, "numpy_generator_position", np.array(9999)), d), "numpy_generator"),
         (lambda t, d: ({k.replace("exp_avg_sq", "momentum"): v for k, v in t.items()}, d), "no tensor 'optimiser"),

@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
+import torch
 from refusal import refused
-from stable_baselines3 import A2C, PPO, SAC, TD3
+from stable_baselines3 import PPO, SAC, TD3
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.controllers.base import rows
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import STEPS, read_progress
-from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.settings import PPOSettings, SACSettings
 from hydro_agents.learning.trainers import TRAINERS, trainer
 from hydro_agents.learning.training import make_env, make_features, make_model
 from hydro_agents.learning.vec_env import AxisVecEnv
@@ -84,29 +86,31 @@ def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
     np.testing.assert_array_equal(run.command, run_cases(CONFIG, policy, cases).command)
     assert not np.array_equal(run.command, run_cases(CONFIG, BASE, cases).command)
     assert np.isfinite(read_progress(tmp_path / "progress.csv")[-1]["train/critic_loss"])
-    # The output is squashed as in the model.
-    env = AxisVecEnv(CONFIG, 4, PolicyFeatures(CONFIG, BASE, 0.3))
-    model = SAC("MlpPolicy", env, device="cpu", seed=0, buffer_size=100, policy_kwargs={"net_arch": [8]})
-    output, _ = model.predict(env.reset(), deterministic=True)
-    policy = PolicyController.from_sb3(model)
-    command, _ = policy.predict(env.env.axes.observation.copy())
-    np.testing.assert_allclose(command, policy.features.command(output, env._state), atol=1e-6)
 
 
 LAYOUT = ObservationLayout.of(CONFIG)
 SETTINGS = PPOSettings(total_steps=128, axes=4, steps_per_rollout=16, minibatches=2, epochs=1, hidden_sizes=(8, 4))
 
 
-@pytest.mark.parametrize("activation", ["tanh", "relu"])
-def test_the_weights_of_a_model_act_as_the_model_does(activation):
-    settings = SETTINGS.model_copy(update={"activation": activation})
-    features = make_features(CONFIG, settings, BASE)
-    env = make_env(CONFIG, settings, features, 0)
+@pytest.mark.parametrize(
+    ("settings", "output_layer"),
+    [
+        (SETTINGS.model_copy(update={"activation": "tanh"}), "linear"),
+        (SETTINGS, "linear"),
+        (SACSettings(axes=4, hidden_sizes=(8,), buffer_size=100), "tanh"),  # squashed as in the model
+    ],
+)
+def test_the_weights_of_a_model_act_as_the_model_does(settings, output_layer):
+    env = make_env(CONFIG, settings, make_features(CONFIG, settings, BASE), 0)
     model = make_model(env, settings, 0)
+    with torch.no_grad():  # not nearly zero
+        (model.actor.mu if output_layer == "tanh" else model.policy.action_net).weight.mul_(30.0)
     policy = PolicyController.from_sb3(model, training={"by": "a test"})
-    assert (policy.activation, policy.training) == (activation, {"by": "a test"})
+    assert (policy.activation, policy.output) == (settings.activation, output_layer)
+    assert policy.training == {"by": "a test"}
     output, _ = model.predict(env.reset(), deterministic=True)
     command, state = policy.predict(env.env.axes.observation[:4].copy())
+    assert np.ptp(output) > 1e-4
     np.testing.assert_allclose(policy.features.command(output, state), command, atol=1e-6)
 
 
@@ -138,11 +142,9 @@ def test_plain_observations_are_those_of_the_vector_environment():
             assert infos[axis]["TimeLimit.truncated"] == (not terminated[axis])
 
 
-@pytest.mark.parametrize(
-    ("algorithm", "options"), [(A2C, {}), (SAC, {"learning_starts": 16, "buffer_size": 200, "batch_size": 16})]
-)
-def test_algorithms_of_stable_baselines3_learn_on_it_and_act_as_controllers(algorithm, options):
-    model = algorithm("MlpPolicy", AxisVecEnv(CONFIG, 4), device="cpu", seed=0, **options)
+def test_an_algorithm_of_stable_baselines3_learns_on_it_and_acts_as_a_controller():
+    options = {"learning_starts": 16, "buffer_size": 200, "batch_size": 16}
+    model = SAC("MlpPolicy", AxisVecEnv(CONFIG, 4), device="cpu", seed=0, **options)
     model.learn(128)
     run = run_cases(CONFIG, model, Cases(np.arange(3)))
     assert np.abs(run.command).max() <= 1.0
@@ -151,14 +153,11 @@ def test_algorithms_of_stable_baselines3_learn_on_it_and_act_as_controllers(algo
 
 def test_memory_of_some_axes_goes_on_alone():
     features = PolicyFeatures(CONFIG, BASE)
-    rows = np.random.default_rng(0).standard_normal((50, 4, len(LAYOUT.names))).astype(np.float32)
-    state = None
-    for row in rows[:40]:
-        _, state = features(row, state, None)
-    some = np.array([3, 1])
-    part = state.rows(some)
-    for row in rows[40:]:
+    observations = np.random.default_rng(0).standard_normal((50, 4, len(LAYOUT.names))).astype(np.float32)
+    state, part, some = None, None, np.array([3, 1])
+    for number, row in enumerate(observations):
         inputs, state = features(row, state, None)
-        few, part = features(row[some], part, None)
-        np.testing.assert_array_equal(few, inputs[some])
-    assert isinstance(features.base, PID)
+        if part is not None:
+            few, part = features(row[some], part, None)
+            np.testing.assert_array_equal(few, inputs[some])
+        part = rows(state, some) if number == 39 else part
