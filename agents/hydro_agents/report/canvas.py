@@ -23,7 +23,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
-from hydro_agents.report.hover import name_categories, thinned_rows, with_values
 from hydro_agents.report.palette import NEUTRALS, Look, themed
 from hydro_agents.running.text import number, setting
 
@@ -84,7 +83,7 @@ def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: s
             file = io.BytesIO()
             left_out = ("Date", "Creator", "Format", "Type") if kind == "svg" else ("Software",)
             figure.savefig(file, format=kind, dpi=120, metadata=dict.fromkeys(left_out), facecolor=PAPER)
-            files.append(with_values(file.getvalue(), figure) if kind == "svg" else file.getvalue())
+            files.append(file.getvalue())
     return files
 
 
@@ -158,8 +157,8 @@ def curve_plot(
         per: unit of the index, after a space.
         apart: distance of the participants' bars, in units of the axis; rows have their own.
         drawn: ``line``; ``levels``: a line over leaks, with a tight seal at the left end; ``plain``: without markers;
-            ``steps``; ``points``; ``rows``: a row for each category, from top to bottom; ``leaks``: a line over the
-            logarithm of leaks.
+            ``steps``; ``points``; ``band``: a line in the band of its interval; ``rows``: a row for each category, from
+            top to bottom.
         options: of ``Axes.set``, such as labels and limits.
     """
     frames = {name: curve.to_frame("value") if curve.ndim == 1 else curve for name, curve in curves.items()}
@@ -174,13 +173,13 @@ def curve_plot(
             at = np.array([places.get(x, x) for x in frame.index]) + dodge(len(frames), count, gap)
             if drawn == "steps":
                 axes.step(at, frame["value"], where="post", label=name, **look.stroke)
-            elif "low" not in frame:
-                marker = "" if drawn == "plain" else look.marker
-                axes.plot(at, frame["value"], marker=marker, label=name, **look.stroke)
+            elif drawn == "band" or "low" not in frame:
+                stroke = look.stroke | {"points": {"linestyle": "none"}}.get(drawn, {})
+                axes.plot(at, frame["value"], marker="" if drawn == "plain" else look.marker, label=name, **stroke)
+                if "low" in frame:
+                    axes.fill_between(at, frame["low"], frame["high"], color=look.colour, alpha=0.2, linewidth=0)
             elif frame["value"].notna().any():
                 bars(axes, at, frame, look, name, drawn)
-        if drawn == "leaks":
-            log_leak_axis(axes, [leak for leak in values if len(values) < 8 or leak in MARKED_LEAKS])
         if finish is not None:
             finish(axes)
         axes.set(**options)
@@ -201,7 +200,7 @@ def _axis_of(axes: Axes, drawn: str, values: list[Any], labels: list[Any]) -> di
     if drawn == "rows":
         row_axis(axes, labels)
     elif isinstance(labels[0], str):
-        name_categories(axes.xaxis, range(len(labels)), labels)
+        axes.set_xticks(range(len(labels)), labels)
         axes.grid(visible=False, axis="x")
     else:
         return {}
@@ -212,6 +211,11 @@ def _points(values: Any, per: str) -> list[tuple[str, float]]:
     """Labels and values of a curve, of a long one evenly thinned."""
     values = values.iloc[thinned_rows(len(values), MOST_TOLD)]
     return [(x if isinstance(x, str) else f"{setting(x)}{per}", y) for x, y in values.items()]
+
+
+def thinned_rows(count: int, most: int) -> NDArray[np.int64]:
+    """Numbers of at most ``most`` rows, evenly from the first to the last."""
+    return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)
 
 
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
@@ -234,11 +238,6 @@ def add_legend(axes: Axes) -> None:
         axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=columns)
 
 
-def legend_inside(axes: Axes, **options: Any) -> None:
-    """Add a legend with a white background, which covers the lines behind it."""
-    axes.legend(**({"fontsize": 8.0, "frameon": True, "framealpha": 0.9, "edgecolor": "none"} | options))
-
-
 def ticks(axis: Axis, values: Sequence[float], labels: Callable[[float], str] = setting) -> None:
     """Put ticks at these values only, with their labels."""
     axis.set_major_locator(FixedLocator(values))
@@ -246,17 +245,12 @@ def ticks(axis: Axis, values: Sequence[float], labels: Callable[[float], str] = 
     axis.set_major_formatter(FuncFormatter(lambda value, _: labels(value)))
 
 
-def log_leak_axis(axes: Axes, levels: Sequence[float], label: str = "leak, l/min at 100 bar") -> None:
-    """A logarithmic horizontal axis with a tick at every level."""
-    axes.set(xscale="log", xlabel=label)
-    ticks(axes.xaxis, levels)
-
-
 def level_axis(axes: Axes, levels: Sequence[float]) -> dict[float, float]:
     """Scale the axis by the logarithm of the levels, with a leak of zero at the left end; returns their places."""
     zero = float(np.log10(min((level for level in levels if level > 0.0), default=1.0))) - 0.5
     places = {level: float(np.log10(level)) if level > 0.0 else zero for level in levels}
-    name_categories(axes.xaxis, places.values(), [setting(level) for level in places])
+    shown = [level for level in places if len(places) < 8 or level in MARKED_LEAKS]
+    axes.set_xticks([places[level] for level in shown], [setting(level) for level in shown])
     axes.set_xlabel("leak, l/min at 100 bar")
     axes.grid(visible=False, axis="x")
     return places
@@ -264,7 +258,7 @@ def level_axis(axes: Axes, levels: Sequence[float]) -> dict[float, float]:
 
 def row_axis(axes: Axes, labels: Sequence[str]) -> None:
     """Categories from top to bottom."""
-    name_categories(axes.yaxis, range(len(labels)), labels)
+    axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
 

@@ -187,10 +187,3 @@ def interval_text(value: Interval, unit: str = "", decimals: int | None = None) 
 def shown(row: Mapping[Any, Any], column: str, decimals: int | None = None, factor: float = 1.0, unit: str = "") -> str:
     """A column with its interval as text; see :func:`interval` and :func:`interval_text`."""
     return interval_text(interval(row, column, factor), unit, decimals)
-
-
-def percent(share: Interval) -> str:
-    """A share as percent, with its interval."""
-    if np.isnan(share.value):
-        return "–"
-    return interval_text(Interval(*(100.0 * part for part in share)), "%", 1)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.canvas import GREY, INK, Plot, curve_plot, ticks
-from hydro_agents.report.content import Content, interval, intervals
+from hydro_agents.report.content import Content, intervals
+from hydro_agents.report.palette import Look
 
 REPORTED, FALSE = "windows in which it is reported, %", "healthy windows reported as leaking, %"
 
@@ -31,7 +31,7 @@ def detection_plot(content: Content) -> list[Plot]:
     )
     named = ("detection", "Smallest leak that is found", note)
     options: dict[str, Any] = {"ylabel": "windows in which it is found, %", "ylim": (0.0, 103.0)}
-    return [curve_plot(*named, curves, content.looks, " %", per="", drawn="leaks", **options)]
+    return [curve_plot(*named, curves, content.looks, " %", per="", drawn="levels", **options)]
 
 
 def _rows_plot(
@@ -44,28 +44,25 @@ def _rows_plot(
     level: float,
     column: tuple[str, str] = ("detection", "flagged"),
     lines: Mapping[float, str] | None = None,
-    limit: float | None = 100.0,
     names: Mapping[str, str] | None = None,
 ) -> list[Plot]:
     """A share of the windows at a leak (``level``): conditions from top to bottom, those without a value left out."""
     table, share = column
-    texts = [(names or {}).get(where, content.label(where)) for where in conditions]
-    frames = {}
-    for name in content.detectors:
-        cells = [content.cell(table, name, where, level) for where in conditions]
-        rows = [interval(cell, share, 100.0)._asdict() for cell in cells]
-        frames[name] = pd.DataFrame(rows, index=texts, columns=["value", "low", "high"])
-    known = np.any([frame["value"].notna() for frame in frames.values()], axis=0)
-    if not np.any(known):
+    labels = {where: content.label(where) for where in conditions} | dict(names or {})
+    rows = content.rows(table, level=level)
+    rows = rows[rows["condition"].isin(conditions) & rows[share].notna()] if len(rows) else rows
+    known = [where for where in conditions if where in set(rows.get("condition", ()))]
+    if not known:
         return []
+    parts = {}
+    for name in content.detectors:
+        own = intervals(rows[rows["detector"] == name], share, "condition", 100.0).reindex(known)
+        parts[name] = own.rename(index=labels)
 
     def finish(axes: Axes) -> None:
         for value, style in (lines or {}).items():
             axes.axvline(value, color=GREY, linewidth=0.9, linestyle=style)
-        if limit is not None:
-            axes.set_xlim(-0.02 * limit, 1.03 * limit)
 
-    parts = {name: frame[known] for name, frame in frames.items()}
     return [curve_plot(key, title, note, parts, content.looks, " %", finish, drawn="rows", xlabel=label)]
 
 
@@ -78,7 +75,7 @@ def motion_plots(content: Content) -> list[Plot]:
     false = (f"False alarms {where}", healthy, FALSE, conditions, HEALTHY)
     return [
         *_rows_plot(content, "motion-found", f"0.3 l/min {where}", used, REPORTED, conditions, 0.3),
-        *_rows_plot(content, "motion-false", *false, lines={2.0: "--", 5.0: ":"}, limit=None),
+        *_rows_plot(content, "motion-false", *false, lines={2.0: "--", 5.0: ":"}),
     ]
 
 
@@ -119,16 +116,14 @@ def size_plot(content: Content) -> list[Plot]:
         return []
     parts = {name: estimated[estimated["detector"] == name]["rms_log10"] for name in content.detectors}
     curves = {name: own for name, own in parts.items() if len(own)}
-    bound = table.dropna(subset=["bound_rms_log10"]).drop_duplicates("level")
-
-    def finish(axes: Axes) -> None:
-        if len(bound):
-            axes.plot(bound["level"], bound["bound_rms_log10"], color=INK, linestyle=":", label="Cramér–Rao bound")
+    bound = table.dropna(subset=["bound_rms_log10"]).drop_duplicates("level").set_index("level")["bound_rms_log10"]
+    curves |= {"Cramér–Rao bound": bound} if len(bound) else {}
+    looks = {**content.looks, "Cramér–Rao bound": Look(INK, "", ":")}
 
     note = "0.05 is about 12 %. The bound is the smallest error that any method can have on such windows."
     named = ("size", "Accuracy of the estimated size", note)
     options: dict[str, Any] = {"yscale": "log", "ylabel": "error of the size, RMS of log10"}
-    return [curve_plot(*named, curves, content.looks, "", finish, per="", drawn="leaks", **options)]
+    return [curve_plot(*named, curves, looks, "", per="", drawn="levels", **options)]
 
 
 def reliability_plot(content: Content) -> list[Plot]:
@@ -145,8 +140,7 @@ def reliability_plot(content: Content) -> list[Plot]:
         ticks(axes.xaxis, (0, 20, 40, 60, 80, 100))
         axes.set(xlabel="probability of the detector, %", xlim=(-3, 103), ylabel="windows that leak, %", ylim=(-3, 103))
 
-    errors = ", ".join(f"{name} {part['error'].iloc[0]:.3f}" for name, part in parts.items())
-    note = f"Half of the axes healthy, the others with leaks of all sizes. Mean distance from the line: {errors}."
+    note = "Half of the axes healthy, the others with leaks of all sizes."
     title = "Calibration of the probability"
     return [curve_plot("reliability", title, note, curves, content.looks, " %", finish, per=" %")]
 

@@ -7,18 +7,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.metrics import FRAMES_TEXT, METRICS
 from hydro_agents.report.canvas import INK, Plot, curve_plot, ticks
 from hydro_agents.report.content import ALL, Content, interval, interval_text, shown, verdict
-from hydro_agents.report.findings import COSTS, findings_of
 from hydro_agents.report.palette import STRONGEST
 from hydro_agents.report.sections import Block, Fold, Points, Text, section
-from hydro_agents.report.shared import problems, score_plot, score_text
+from hydro_agents.report.shared import COSTS, findings_of, problems, score_plot, score_text
 from hydro_agents.report.traces import Example, example_plot
-from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.text import Cell, Table, family_name, number, setting
 
 PAGE_FILE = "robustness.html"
@@ -166,9 +163,8 @@ def heat_map(content: Content, caption: str, column: str) -> list[Block]:
 
 def _row(content: Content, condition: str, label: str, column: str) -> Row:
     rows = {name: content.against(name, condition) for name in content.controllers[1:]}
-    missing = {name: _missing(content, name, condition) for name in rows}
     error = content.row("summary", controller=content.baseline, condition=condition, metric="mean_error_mm")
-    return label, number(error.get("mean", np.nan)), *_cells(rows, column, missing)
+    return label, number(error.get("mean", np.nan)), *_cells(rows, column)
 
 
 def _family_rows(content: Content) -> list[Row]:
@@ -176,36 +172,22 @@ def _family_rows(content: Content) -> list[Row]:
     for family in content.table("families")["family"].unique():
         ratios = {name: content.row("families", family=family, controller=name) for name in content.controllers[1:]}
         if family != ALL:
-            rows.append((family_name(family), "", *_cells(ratios, "ratio", {})))
+            rows.append((family_name(family), "", *_cells(ratios, "ratio")))
     return rows
 
 
-def _cells(rows: Mapping[str, Mapping[str, Any]], column: str, missing: Mapping[str, Cell]) -> list[Cell]:
+def _cells(rows: Mapping[str, Mapping[str, Any]], column: str) -> list[Cell]:
     """A cell for each controller; it has a colour only if its whole interval is on one side of 1."""
-    values = {name: interval(row, column) for name, row in rows.items()}
-    least = min((value.value for value in values.values() if np.isfinite(value.value)), default=np.nan)
+    values = [interval(row, column) for row in rows.values()]
+    least = min((value.value for value in values if np.isfinite(value.value)), default=np.nan)
     cells = []
-    for name, value in values.items():
-        if np.isfinite(value.value):
-            meaning = verdict(value).replace("same", "")
-            share = colour_share(value.value) if meaning else 0
-            best = value.value == least < 1.0
-            cells.append(Cell(number(value.value, 2), meaning, share, interval_text(value, decimals=2), best))
-        else:
-            cells.append(missing.get(name, Cell("–", title="did not run")))
+    for value in values:
+        meaning = verdict(value).replace("same", "")
+        share = colour_share(value.value) if meaning else 0
+        cells.append(
+            Cell(number(value.value, 2), meaning, share, interval_text(value, decimals=2), value.value == least < 1.0)
+        )
     return cells
-
-
-def _missing(content: Content, controller: str, condition: str) -> Cell:
-    """The cell of a controller without a number under a condition, with the reasons over its training seeds."""
-    status = content.table("status")
-    if len(status) and condition != ALL:
-        names = status["controller"].str.partition(SEED_MARK)[0]
-        status = status[(status["condition"] == condition) & (names == controller) & (status["status"] != "done")]
-        if len(status):
-            text = "failed" if status["status"].iloc[0] == "failed" else "–"
-            return Cell(text, title="; ".join(status["status"] + ": " + status["message"]))
-    return Cell("–", title="did not run")
 
 
 def colour_share(ratio: float) -> int:
@@ -299,32 +281,27 @@ def worst_table(content: Content) -> list[Table]:
 
 def profile_plots(content: Content) -> list[Plot]:
     """Share of cases whose error is at most tau times that of the best controller, and of the baseline."""
-    base = content.baseline
     best = (
         "Share of cases in which the error is at most τ times the smallest error of any controller in that case (Dolan "
         "and Moré). Higher is better; at τ = 1: share of cases won."
     )
     own = (
-        f"The same against {base}: the curve at τ = 1 is the share of cases with a smaller error, and its right end "
-        "shows the worst cases."
+        "The same against the baseline: the curve at τ = 1 is the share of cases with a smaller error, and its right "
+        "end shows the worst cases."
     )
-    tables = {against: content.rows("profiles", against=against) for against in ("best", "baseline")}
-    titles, notes = {"best": "the best", "baseline": base}, {"best": best, "baseline": own}
-    return [
-        _profile(content, table, against, f"Performance profile against {titles[against]}", notes[against])
-        for against, table in tables.items()
-        if len(table)
-    ]
+    plots = []
+    for against, name, note in (("best", "the best", best), ("baseline", content.baseline, own)):
+        table = content.rows("profiles", against=against)
+        shares = 100.0 * table.pivot_table("share", "tau", "controller") if len(table) else table
+        curves = {who: shares[who].dropna() for who in content.controllers if who in shares}
 
+        def finish(axes: Axes) -> None:
+            first, last = axes.dataLim.intervalx
+            axes.set(xscale="log", xlabel="τ", ylabel="share of cases, %", ylim=(0.0, 102.0), xlim=(first, last))
+            ticks(axes.xaxis, [tick for tick in PROFILE_TICKS if first <= tick <= last])
+            axes.axvline(1.0, color=INK, linewidth=0.8)
 
-def _profile(content: Content, table: pd.DataFrame, key: str, title: str, note: str) -> Plot:
-    parts = {name: table[table["controller"] == name] for name in content.controllers}
-    curves = {name: 100.0 * part.set_index("tau")["share"].sort_index() for name, part in parts.items() if len(part)}
-    first, last = table["tau"].min(), table["tau"].max()
-
-    def finish(axes: Axes) -> None:
-        axes.set(xscale="log", xlabel="τ", ylabel="share of cases, %", ylim=(0.0, 102.0), xlim=(first, last))
-        ticks(axes.xaxis, [tick for tick in PROFILE_TICKS if first <= tick <= last])
-        axes.axvline(1.0, color=INK, linewidth=0.8)
-
-    return curve_plot(f"profile-{key}", title, note, curves, content.looks, " %", finish, " × error", drawn="steps")
+        named = (f"profile-{against}", f"Performance profile against {name}", note)
+        if curves:
+            plots.append(curve_plot(*named, curves, content.looks, " %", finish, " × error", drawn="steps"))
+    return plots

@@ -13,11 +13,10 @@ from hydro_agents.evaluation.evaluate import Evaluation
 from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
 from hydro_agents.report.content import Content, interval, shown, verdict
-from hydro_agents.report.findings import findings_of
 from hydro_agents.report.sections import Block, Fold, Points, Text, section
-from hydro_agents.report.shared import problems, score_plot, score_text
+from hydro_agents.report.shared import findings_of, problems, score_plot, score_text
 from hydro_agents.report.study_plots import tracking_plots
-from hydro_agents.report.traces import Example, example_limits, example_plot
+from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
 from hydro_agents.running.statistics import LEAST_SAMPLES, RESAMPLES, conditional_value_at_risk
 from hydro_agents.running.text import Table, decimals_for, family_name, number, setting, span
@@ -137,12 +136,11 @@ def positioning(content: Content) -> list[Block]:
 
 @section("One leak at a time", needs=("cases",))
 def one_leak(content: Content) -> list[Block]:
-    """Errors, costs and single runs at each leak; an episode has the same scale at every leak."""
+    """Errors, costs and single runs at each leak."""
     examples: list[Example] = content.other("examples", [])
     plots: dict[float, list[Block]] = {}
     for count, example in enumerate(examples):
-        limits = example_limits([other for other in examples if other.title == example.title])
-        plots.setdefault(example.leak, []).append(example_plot(example, f"run-{count}", content.looks, limits))
+        plots.setdefault(example.leak, []).append(example_plot(example, f"run-{count}", content.looks))
     note = "Single runs: the same plant, reference and noise at every leak."
     folds = (
         Fold(f"Leak of {setting(leak)} l/min", [table, *plots.get(leak, [])], opened=not plots)

@@ -183,7 +183,6 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
             reference=first.reference[case],
             position={name: run.position[case] for name, run in runs.items()},
             command={name: run.command[case] for name, run in runs.items()},
-            preview=max(config.references.preview_times, default=0.0),
             leak=level,
         )
         for case, (family, level) in enumerate(kinds)
