@@ -117,19 +117,6 @@ def _inline(file: bytes, key: str, alt: str) -> str:
     return themed(re.sub(r'width="[^"]*" height="[^"]*"', lambda _: label, short, count=1))
 
 
-def one_panel(
-    key: str, title: str, note: str, alt: str, paint: Callable[[Axes], object], height: float = HEIGHT
-) -> Plot:
-    """A figure of one panel that ``paint`` draws, with a legend above."""
-
-    def painted(figure: Figure) -> None:
-        axes = figure.subplots()
-        paint(axes)
-        add_legend(axes)
-
-    return make_plot(key, title, note, alt, painted, height)
-
-
 def curve_plot(
     key: str,
     title: str,
@@ -164,7 +151,8 @@ def curve_plot(
     frames = {name: curve.to_frame("value") if curve.ndim == 1 else curve for name, curve in curves.items()}
     index = next(iter(frames.values())).index
 
-    def paint(axes: Axes) -> None:
+    def paint(figure: Figure) -> None:
+        axes = figure.subplots()
         gap = min(0.24, 0.7 / len(frames)) if drawn == "rows" else apart
         values = sorted({x for frame in frames.values() for x in frame.index})
         places = _axis_of(axes, drawn, values, list(index))
@@ -183,12 +171,13 @@ def curve_plot(
         if finish is not None:
             finish(axes)
         axes.set(**options)
+        add_legend(axes)
 
     height = HEIGHT
     if drawn == "rows":
         height = max(HEIGHT, 0.9 + 0.25 * len(index) * max(1.2, 0.6 * len(frames)))
     rows = {name: _points(frame["value"].dropna(), per) for name, frame in frames.items()}
-    return one_panel(key, title, note, description(title, rows, unit), paint, height)
+    return make_plot(key, title, note, description(title, rows, unit), paint, height)
 
 
 def _axis_of(axes: Axes, drawn: str, values: list[Any], labels: list[Any]) -> dict[Any, float]:
@@ -291,9 +280,5 @@ def thinned(time: Array, values: Array) -> tuple[Array, Array]:
     size = -(-len(time) // (MOST_POINTS // 2))
     if size <= 2:
         return time, values
-    count = len(time) // size
-    blocks = values[: count * size].reshape(count, size)
-    low = np.where(np.isfinite(blocks), blocks, np.inf).min(axis=1)
-    high = np.where(np.isfinite(blocks), blocks, -np.inf).max(axis=1)
-    ends = np.column_stack([low, high]).ravel()
-    return np.repeat(time[: count * size : size], 2), np.where(np.isfinite(ends), ends, np.nan)
+    ends = pd.Series(values).groupby(np.arange(len(values)) // size).agg(["min", "max"])
+    return np.repeat(time[::size], 2), ends.to_numpy().ravel()

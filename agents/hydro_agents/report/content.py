@@ -23,9 +23,6 @@ Kind = TypeVar("Kind")
 ALL = "all"
 """Name of the row over all conditions."""
 
-CORRECTS = "corrects "
-"""Beginning of a note about the inputs of a controller that corrects another one."""
-
 
 @dataclass(frozen=True)
 class Content:
@@ -98,14 +95,6 @@ class Content:
         """Colour, marker and line of each controller, or of each detector, in all figures."""
         return looks_of(self.controllers or self.detectors)
 
-    @cached_property
-    def corrects(self) -> dict[str, str]:
-        """Controllers that correct another one, and its name."""
-        table = self.table("sees")
-        notes = {} if table.empty else table.dropna(subset=["note"]).set_index("controller")["note"].to_dict()
-        noted = {who: note.removeprefix(CORRECTS) for who, note in notes.items() if note.startswith(CORRECTS)}
-        return noted | self.other("corrects", {})
-
     # Conditions -------------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -150,10 +139,6 @@ class Content:
     def cell(self, table: str, detector: str, condition: str, level: float) -> dict[str, Any]:
         """The row of a detector under a condition at a leak; empty if there is none."""
         return self.row(table, detector=detector, condition=condition, level=level)
-
-    def share(self, detector: str, condition: str, level: float, column: str = "flagged") -> Interval:
-        """A share of the table ``detection`` in percent, with its interval; NaN if there is none."""
-        return interval(self.cell("detection", detector, condition, level), column, 100.0)
 
 
 def interval(row: Mapping[Any, Any], column: str, factor: float = 1.0) -> Interval:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -43,12 +43,10 @@ def _rows_plot(
     conditions: Sequence[str],
     level: float,
     column: tuple[str, str] = ("detection", "flagged"),
-    lines: Mapping[float, str] | None = None,
-    names: Mapping[str, str] | None = None,
+    lines: Sequence[float] = (),
 ) -> list[Plot]:
     """A share of the windows at a leak (``level``): conditions from top to bottom, those without a value left out."""
     table, share = column
-    labels = {where: content.label(where) for where in conditions} | dict(names or {})
     rows = content.rows(table, level=level)
     rows = rows[rows["condition"].isin(conditions) & rows[share].notna()] if len(rows) else rows
     known = [where for where in conditions if where in set(rows.get("condition", ()))]
@@ -57,11 +55,11 @@ def _rows_plot(
     parts = {}
     for name in content.detectors:
         own = intervals(rows[rows["detector"] == name], share, "condition", 100.0).reindex(known)
-        parts[name] = own.rename(index=labels)
+        parts[name] = own.rename(index=content.label)
 
     def finish(axes: Axes) -> None:
-        for value, style in (lines or {}).items():
-            axes.axvline(value, color=GREY, linewidth=0.9, linestyle=style)
+        for value in lines:
+            axes.axvline(value, color=GREY, linewidth=0.9, linestyle=":")
 
     return [curve_plot(key, title, note, parts, content.looks, " %", finish, drawn="rows", xlabel=label)]
 
@@ -75,7 +73,7 @@ def motion_plots(content: Content) -> list[Plot]:
     false = (f"False alarms {where}", healthy, FALSE, conditions, HEALTHY)
     return [
         *_rows_plot(content, "motion-found", f"0.3 l/min {where}", used, REPORTED, conditions, 0.3),
-        *_rows_plot(content, "motion-false", *false, lines={2.0: "--", 5.0: ":"}),
+        *_rows_plot(content, "motion-false", *false, lines=(2.0, 5.0)),
     ]
 
 
@@ -87,7 +85,7 @@ def fault_plots(content: Content) -> list[Plot]:
     both = "A leak of 0.3 l/min together with the same faults"
     leaking = "Share of windows in which the leak is reported in spite of the fault."
     return [
-        *_rows_plot(content, "fault-taken", taken, healthy, FALSE, conditions, HEALTHY, lines={10.0: "--"}),
+        *_rows_plot(content, "fault-taken", taken, healthy, FALSE, conditions, HEALTHY, lines=(10.0,)),
         *_rows_plot(content, "fault-beside", both, leaking, REPORTED, conditions, 0.3),
     ]
 
@@ -99,7 +97,7 @@ def coverage_plots(content: Content) -> list[Plot]:
         "Other faults and plants": content.in_groups("fault", "plant", "rig"),
     }
     note = "Leak of 0.3 l/min: share of the intervals that contain it; lines: 87 and 93 %."
-    label, lines = "intervals that contain the true size, %", {87.0: ":", 93.0: ":"}
+    label, lines = "intervals that contain the true size, %", (87.0, 93.0)
     plots = []
     for index, (side, conditions) in enumerate(sides.items()):
         key, title = f"coverage-{index}", f"Do 90 % intervals contain the true size? {side}"
@@ -154,9 +152,8 @@ def masking_rows(content: Content) -> pd.DataFrame:
 def masking_plot(content: Content) -> list[Plot]:
     """Detection of a small leak by controller; the controller with the smallest error comes first."""
     table = masking_rows(content)
-    errors = table.groupby(["condition", "acting"])["error_mm"].mean().sort_values()
-    names = {where: f"{acting} ({error:.2g} mm)" for (where, acting), error in errors.items()}
-    note = "In brackets: mean position error. Windows from the start of the motion; threshold at 1 % false alarms."
+    errors = table.groupby("condition")["error_mm"].mean().sort_values()
+    note = "From the smallest position error to the largest. Threshold at 1 % false alarms."
     title, label = "0.1 l/min found, by controller", "windows in which it is found, %"
     share = ("detection", "at_1_percent")
-    return _rows_plot(content, "masking", title, note, label, list(names), 0.1, share, names=names)
+    return _rows_plot(content, "masking", title, note, label, list(errors.index), 0.1, share)

@@ -174,9 +174,9 @@ def findings_table(content: Content) -> Table:
     for name in content.detectors:
         smallest = smallest_found(content, name)
         healthy = content.cell("detection", name, content.base, HEALTHY)
-        changed = {where: content.share(name, where, HEALTHY) for where in content.in_groups("fault", "plant", "rig")}
-        wrong = sorted((w for w in changed if changed[w].value > TOO_OFTEN), key=lambda where: -changed[where].value)
         own = content.rows("detection", detector=name)
+        changed = own[own["condition"].isin(content.in_groups("fault", "plant", "rig")) & (own["level"] == HEALTHY)]
+        shares = 100.0 * changed.set_index("condition")["flagged"].sort_values(ascending=False, kind="stable")
         silent = own[own["cannot_tell"] > 0.5]["condition"].unique()
         rows.append(
             (
@@ -184,7 +184,13 @@ def findings_table(content: Content) -> Table:
                 setting(smallest) if np.isfinite(smallest) else "none",
                 shown(healthy, "flagged", 1, 100.0),
                 number(healthy.get("per_hour", np.nan), 0),
-                _named([f"{content.label(where)} {number(changed[where].value, 0)} %" for where in wrong]),
+                _named(
+                    [
+                        f"{content.label(where)} {number(share, 0)} %"
+                        for where, share in shares.items()
+                        if share > TOO_OFTEN
+                    ]
+                ),
                 _named([content.label(where) for where in silent]),
             )
         )

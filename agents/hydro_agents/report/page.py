@@ -45,13 +45,21 @@ def make_page(template: Path, origin: Origin, **values: Any) -> Page:
     """Fill a template, which extends ``base.html.j2``.
 
     Args:
-        template: file of the template.
+        template: file of the template; its filters ``n`` and ``s`` are :func:`~hydro_agents.running.text.number` and
+            :func:`~hydro_agents.running.text.setting`.
         origin: command, date and version of the page.
         values: for the template; the :class:`~hydro_agents.report.canvas.Plot` objects in them, or in lists of them,
             become files.
     """
-    environment = templates(template.parent)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader([template.parent, Path(__file__).parent]),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.globals["css_rules"] = css_rules
+    environment.filters.update({"n": number, "s": setting})
     html = environment.get_template(template.name).render(origin=origin, **values)
     return Page(_shared_letters(html), {f"{plot.key}.svg": plot.file for plot in _plots(values.values())})
 
@@ -71,19 +79,3 @@ def _shared_letters(html: str) -> str:
         f'<svg width="0" height="0" aria-hidden="true" style="position:absolute"><defs>{"".join(letters)}</defs></svg>'
     )
     return LETTER.sub("", html).replace("<body>", f"<body>\n{store}", 1) if letters else html
-
-
-def templates(*folders: Path) -> jinja2.Environment:
-    """Templates of some folders and of this one.
-
-    Filters: ``n`` is :func:`~hydro_agents.running.text.number`, ``s`` is :func:`~hydro_agents.running.text.setting`.
-    """
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader([*folders, Path(__file__).parent]),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update({"n": number, "s": setting})
-    return environment

@@ -113,10 +113,8 @@ def failures(content: Content) -> list[Block]:
 @section("Inputs of each controller", needs=("sees",))
 def inputs(content: Content) -> list[Block]:
     """What each controller observes and remembers."""
-    columns = ("controller", "leak", "state", "preview", "memory", "signals", "note")
-    table = content.table("sees").reindex(columns=columns).fillna("").astype(str)
-    header = ("Controller", "the leak", "the state", *columns[3:])
-    return [Table("", header, list(table.itertuples(index=False, name=None)), style="words")]
+    table = content.table("sees").fillna("").astype(str)
+    return [Table("", tuple(table.columns), list(table.itertuples(index=False, name=None)), style="words")]
 
 
 @section("How it was measured", needs=("summary",))
@@ -153,8 +151,7 @@ def heat_map(content: Content, caption: str, column: str) -> list[Block]:
         title = GROUPS.get(group, group)
         own = [_row(content, name, content.label(name), column) for name in content.in_groups(group)]
         if own and group in FOLDED:
-            summary = f"{title} ({len(own)} condition{'s' * (len(own) != 1)})"
-            folded.append(Fold(summary, [Table("", header, own, style="heat")]))
+            folded.append(Table(title, header, own, style="heat", folded=True))
         elif own:
             breaks[len(rows)] = title
             rows += own

@@ -48,21 +48,14 @@ COSTS = {column: metric for column, metric in COMPARED.items() if metric.cost}
 
 @section("")
 def introduction(content: Content) -> list[Block]:
-    """Controllers, baseline, and what a policy corrects."""
+    """Controllers and baseline."""
     detects = ", and detection of the leak" if content.has("detection_summary") else ""
-    sentences = [
-        f"Positioning of a hydraulic servo axis while its piston seal leaks{detects}.",
-        f"Controllers: {', '.join(content.controllers)}; baseline: {content.baseline}.",
-    ]
-    sentences += [
-        f"{name} is a policy that adds a correction to the command of {base}."
-        for name, base in content.corrects.items()
-        if name in content.controllers
-    ]
-    all_ran = (
-        "All ran on the same plants, references and noise. Everything here is simulated; no real rig was measured."
+    text = (
+        f"Positioning of a hydraulic servo axis while its piston seal leaks{detects}. Controllers: "
+        f"{', '.join(content.controllers)}; baseline: {content.baseline}. All ran on the same plants, references and "
+        "noise. Everything here is simulated; no real rig was measured."
     )
-    return [Text(" ".join([*sentences, all_ran]), "soft")]
+    return [Text(text, "soft")]
 
 
 def score_text(baseline: str) -> str:

@@ -19,7 +19,7 @@ from hydro_agents.report.study_plots import tracking_plots
 from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
 from hydro_agents.running.statistics import LEAST_SAMPLES, RESAMPLES, conditional_value_at_risk
-from hydro_agents.running.text import Table, decimals_for, family_name, number, setting, span
+from hydro_agents.running.text import Table, family_name, number, setting, span
 
 STUDY = (
     "introduction",
@@ -68,8 +68,7 @@ def content_of(
         facts: keys and values of the run, such as command, date, seed and versions.
         tables: further ones: ``leak_price``, ``training_curve`` (see :mod:`hydro_agents.report.training_plots`).
         others: ``examples`` (the same episodes at every leak), ``timings`` (s, by phase), ``configuration`` (YAML
-            text), ``corrects`` (controller → the one that it corrects) and ``validation_error_mm`` (of the first
-            controller, on the plants of the training curve).
+            text) and ``validation_error_mm`` (of the first controller, on the plants of the training curve).
     """
     run = pd.DataFrame((facts or {}).items(), columns=["key", "value"])
     everything = {**tables_of(evaluation), **(tables or {}), "protocol": run}
@@ -178,7 +177,7 @@ def study_method(content: Content) -> list[Block]:
 
 def extent_table(content: Content) -> Table:
     """What was run: numbers of runs, plants, leaks, seeds."""
-    cases, still, detection = (content.table(name) for name in ("cases", "limit_cycles", "detection"))
+    cases = content.table("cases")
     trainings = cases.groupby("controller", sort=False)["training_seed"].nunique()
     rows = {
         "Runs of each controller": len(cases.drop_duplicates(["leakage_flow_lpm", "family", "plant"])),
@@ -190,12 +189,6 @@ def extent_table(content: Content) -> Table:
         "Seeds of training, not used here": _seeds(TRAINING_SEEDS),
         "Seeds of validation, not used here": _seeds(VALIDATION_SEEDS),
     }
-    if len(still):
-        rows |= {"Standstills: plants": still["plant"].nunique(), "Standstills: leaks, l/min": _leaks(still)}
-    if content.has("detection_summary"):
-        row = content.table("detection_summary").iloc[0]
-        rows["Detection: healthy and leaking episodes"] = f"{row['healthy_episodes']} and {row['leaking_episodes']}"
-        rows["Seeds of detection"] = _seeds(detection["seed"])
     return Table(
         "What was run", ("", "Number"), [(what, str(n)) for what, n in rows.items()], style="words", folded=False
     )
@@ -270,15 +263,13 @@ def metric_table(content: Content, by: str, metric: str) -> Table:
     """Mean with interval, worst 5 % and worst run of every controller, by the rows of a table of BY."""
     column, first, words = BY[by]
     table, each, names = content.rows(by, metric=metric), METRICS[metric], content.controllers
-    means = each.factor * table["mean"].abs()
-    decimals = decimals_for(float(means[means > 0.0].median()))
     rows = []
     for value in table[table["mean"].notna()][column].unique():
         cells = [setting(value) if by == "levels" else family_name(value)]
         for name in names:
             row = content.row(by, metric=metric, controller=name, **{column: value})
-            tails = (number(each.factor * row[key], decimals) for key in ("cvar_5_percent", "worst"))
-            cells += [shown(row, "mean", decimals, each.factor), *tails]
+            tails = (number(each.factor * row[key]) for key in ("cvar_5_percent", "worst"))
+            cells += [shown(row, "mean", factor=each.factor), *tails]
         rows.append(tuple(cells))
     header = (first, *("mean (95 % interval)", "worst 5 %", "worst run") * len(names))
     return Table(f"{each.label}, by {words}", header, rows, tuple((name, 3) for name in names))

@@ -128,11 +128,10 @@ def _size(content: Content) -> Plot:
     leaking = content.table("detection")
     leaking = leaking[leaking["leakage_flow_lpm"] > content.bounds.leaking_above]
     low, high = leaking["leakage_flow_lpm"].agg(["min", "max"])
-    bottom, top = 0.1 * low, 5.0 * high
     curves = {}
     for name, part in leaking.groupby("controller", sort=False):
         part = part.iloc[thinned_rows(len(part), POINTS)]
-        curves[name] = part.set_index("leakage_flow_lpm")["estimated_flow_lpm"].clip(bottom, top)
+        curves[name] = part.set_index("leakage_flow_lpm")["estimated_flow_lpm"].clip(0.1 * low, 5.0 * high)
 
     def finish(axes: Axes) -> None:
         for line in axes.lines:
@@ -140,7 +139,7 @@ def _size(content: Content) -> Plot:
         true = np.array([low, high])
         axes.fill_between(true, 0.5 * true, 2.0 * true, color=PALE, linewidth=0.0, label="factor of 2")
         axes.plot(true, true, color=INK, linewidth=0.9)
-        axes.set(xscale="log", yscale="log", xlim=(low / 1.05, 1.05 * high), ylim=(bottom / 1.1, 1.1 * top))
+        axes.set(xscale="log", yscale="log")
         for axis, name in ((axes.xaxis, "true"), (axes.yaxis, "estimated")):
             ticks(axis, SIZE_TICKS)
             axis.set_label_text(f"{name} leak, l/min")

@@ -22,9 +22,6 @@ Replay = Callable[[Mapping[str, Any]], Rollout]
 CASE = ["condition", "family", "leakage_flow_lpm", "seed"]
 """Columns that identify a case."""
 
-LEAK_GROUPS = ("leak", "leak_law", "schedule")
-"""Groups of conditions whose label says the leak."""
-
 
 @dataclass(frozen=True)
 class Example:
@@ -79,16 +76,13 @@ def with_traces(content: Content, replay: Replay, count: int = 2) -> Content:
     """
     if len(content.controllers) < 2:
         return content
-    with_leak = content.in_groups(*LEAK_GROUPS)
     traces = []
     for case in worst_rows(content.table("cases"), content.baseline, count).to_dict("records"):
-        name, rival, family = case["controller"], case["rival"], case["family"]
+        name, rival = case["controller"], case["rival"]
         runs = {name: replay(case)}
         runs[rival] = replay({**case, "controller": rival, "training_seed": case["rival_seed"]})
-        where = [content.label(case["condition"]), family_name(family)]
-        if case["condition"] not in with_leak:
-            where.append(f"leak of {setting(case['leakage_flow_lpm'])} l/min")
-        where.append(f"seed {case['seed']}")
+        leak = f"leak of {setting(case['leakage_flow_lpm'])} l/min"
+        where = (content.label(case["condition"]), family_name(case["family"]), leak, f"seed {case['seed']}")
         times = f"{number(case['ratio'])} times the error of {rival}"
         example = Example(
             title=f"Worst case {case['rank']} of {name}: {times} ({', '.join(where)})",

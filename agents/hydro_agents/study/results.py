@@ -133,7 +133,6 @@ def evaluate_study(
         examples=example_traces(study.task, working, levels),
         timings=dict(phases.seconds) if phases is not None else {},
         configuration=configuration,
-        corrects=corrects,
         validation_error_mm=validation_errors(study.task, next(iter(working.values())))[0] if len(curve) else np.nan,
     )
     render_page(study.title, STUDY, content).write(folder / REPORT_FILE)
