@@ -46,12 +46,12 @@ MOST_TOLD = 12
 """Largest number of points of a curve in the text for readers who cannot see the figure."""
 
 STYLE = Path(__file__).with_name("figures.mplstyle")
-COLOURS_OF: dict[str, Any] = {
-    INK: ("axes.labelcolor", "text.color", "xtick.labelcolor", "ytick.labelcolor"),
-    GREY: ("axes.edgecolor", "xtick.color", "ytick.color"),
-    PALE: ("grid.color",),
+COLOURS = {
+    **dict.fromkeys(("axes.labelcolor", "text.color", "xtick.labelcolor", "ytick.labelcolor"), INK),
+    **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), GREY),
+    "grid.color": PALE,
 }
-"""Settings of matplotlib by their colour."""
+"""Settings of matplotlib."""
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,7 @@ class Plot:
 
 def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: str) -> list[bytes]:
     """Files (``svg``, ``png``) of a figure of a size (inches) that ``paint`` draws."""
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.style.use(STYLE)
-        matplotlib.rcParams.update({name: colour for colour, names in COLOURS_OF.items() for name in names})
+    with matplotlib.style.context([STYLE, COLOURS], after_reset=True):
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         paint(figure)
@@ -162,7 +159,7 @@ def curve_plot(
             if drawn == "steps":
                 axes.step(at, frame["value"], where="post", label=name, **look.stroke)
             elif drawn == "band" or "low" not in frame:
-                stroke = look.stroke | {"points": {"linestyle": "none"}}.get(drawn, {})
+                stroke = look.stroke | ({"linestyle": "none"} if drawn in ("points", "rows") else {})
                 axes.plot(at, frame["value"], marker="" if drawn == "plain" else look.marker, label=name, **stroke)
                 if "low" in frame:
                     axes.fill_between(at, frame["low"], frame["high"], color=look.colour, alpha=0.2, linewidth=0)

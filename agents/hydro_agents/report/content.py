@@ -136,10 +136,6 @@ class Content:
         """The row of the comparison with the baseline; empty if there is none."""
         return self.row("comparison", controller=controller, condition=condition)
 
-    def cell(self, table: str, detector: str, condition: str, level: float) -> dict[str, Any]:
-        """The row of a detector under a condition at a leak; empty if there is none."""
-        return self.row(table, detector=detector, condition=condition, level=level)
-
 
 def interval(row: Mapping[Any, Any], column: str, factor: float = 1.0) -> Interval:
     """A column with its interval (``COLUMN_low``, ``COLUMN_high``; else ``low``, ``high``); NaN if there is none."""

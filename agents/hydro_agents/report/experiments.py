@@ -104,7 +104,7 @@ def _bode(content: Content, table: pd.DataFrame, column: str, what: str) -> Plot
     name = label.partition(",")[0]
     named = (re.sub(r"\W+", "-", f"bode {name} {what}"), f"{name.capitalize()}, {what}")
     note = "Reference to true position, median of the plants; dotted: −3 dB or −90°."
-    labels = {"xlabel": "frequency, Hz", "ylabel": label}
+    labels: dict[str, Any] = {"xlabel": "frequency, Hz", "ylabel": label}
     return curve_plot(*named, note, curves, content.looks, "", finish, " Hz", drawn="plain", **labels)
 
 

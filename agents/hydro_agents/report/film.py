@@ -37,12 +37,10 @@ class Panel:
 
 def panels(controllers: Mapping[str, Controller], leaks: Sequence[float]) -> list[Panel]:
     """Every controller with every leak; without ``leaks``, with the leak that the episode draws."""
-    if not leaks:
-        return [Panel(name, controller, None) for name, controller in controllers.items()]
     return [
-        Panel(f"{name}, leak of {leak:g} l/min", controller, leak)
+        Panel(name if leak is None else f"{name}, leak of {leak:g} l/min", controller, leak)
         for name, controller in controllers.items()
-        for leak in leaks
+        for leak in (leaks or (None,))
     ]
 
 

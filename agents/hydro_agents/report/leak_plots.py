@@ -22,8 +22,8 @@ def detection_plot(content: Content) -> list[Plot]:
     table = table[table["level"] > HEALTHY]
     if table.empty:
         return []
-    parts = {name: table[table["detector"] == name] for name in content.detectors}
-    curves = {name: intervals(own, "at_1_percent", "level", 100.0) for name, own in parts.items() if len(own)}
+    parts = table.groupby("detector", sort=False)
+    curves = {str(name): intervals(own, "at_1_percent", "level", 100.0) for name, own in parts}
 
     note = (
         f"{content.label(content.base).capitalize()}, one window each; threshold at 1 % false alarms on validation "
@@ -112,8 +112,7 @@ def size_plot(content: Content) -> list[Plot]:
     estimated = table.dropna(subset=["rms_log10"]).set_index("level")
     if estimated.empty:
         return []
-    parts = {name: estimated[estimated["detector"] == name]["rms_log10"] for name in content.detectors}
-    curves = {name: own for name, own in parts.items() if len(own)}
+    curves = dict(list(estimated.groupby("detector", sort=False)["rms_log10"]))
     bound = table.dropna(subset=["bound_rms_log10"]).drop_duplicates("level").set_index("level")["bound_rms_log10"]
     curves |= {"Cramér–Rao bound": bound} if len(bound) else {}
     looks = {**content.looks, "Cramér–Rao bound": Look(INK, "", ":")}
@@ -130,8 +129,8 @@ def reliability_plot(content: Content) -> list[Plot]:
     if table.empty:
         return []
     table = table.assign(probability=100.0 * table["probability"])
-    parts = dict(list(table.groupby("detector", sort=False)))
-    curves = {name: intervals(part, "frequency", "probability", 100.0) for name, part in parts.items()}
+    parts = table.groupby("detector", sort=False)
+    curves = {str(name): intervals(part, "frequency", "probability", 100.0) for name, part in parts}
 
     def finish(axes: Axes) -> None:
         axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9, zorder=1.5)

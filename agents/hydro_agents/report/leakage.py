@@ -173,7 +173,7 @@ def findings_table(content: Content) -> Table:
     rows = []
     for name in content.detectors:
         smallest = smallest_found(content, name)
-        healthy = content.cell("detection", name, content.base, HEALTHY)
+        healthy = content.row("detection", detector=name, condition=content.base, level=HEALTHY)
         own = content.rows("detection", detector=name)
         changed = own[own["condition"].isin(content.in_groups("fault", "plant", "rig")) & (own["level"] == HEALTHY)]
         shares = 100.0 * changed.set_index("condition")["flagged"].sort_values(ascending=False, kind="stable")
@@ -254,12 +254,9 @@ def detection_tables(content: Content) -> list[Table]:
         own = content.rows("detection", detector=detector)
         own = own[own["level"] != DRAWN].set_index(["condition", "level"])
         shares = 100.0 * own["flagged"].unstack().reindex(own.index.unique("condition"))
-        rows = []
-        for condition, cells in shares.iterrows():
-            healthy = content.cell("detection", detector, condition, HEALTHY)
-            hourly, silent = (healthy.get(key, np.nan) for key in ("per_hour", "cannot_tell"))
-            found = (number(cell, 1) for cell in cells)
-            rows.append((content.label(condition), *found, number(hourly, 0), number(100.0 * silent, 1)))
+        healthy = own.xs(HEALTHY, level="level")
+        cells = shares.assign(hourly=healthy["per_hour"], silent=100.0 * healthy["cannot_tell"])
+        rows = [(content.label(where), *(number(cell, 1) for cell in row)) for where, row in cells.iterrows()]
         header = ("Condition", *map(level_text, shares), "false alarms per hour", "cannot tell, healthy")
         caption = f"{detector}: share of windows reported as a leak past the piston, %"
         tables.append(Table(caption, header, rows, style="dense"))

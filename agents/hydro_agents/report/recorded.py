@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from hydro_agents.report.canvas import GREY, INK, WIDE, Plot, make_plot, thinned, with_gaps
 from hydro_agents.report.content import Content
 from hydro_agents.report.palette import Look, looks_of
-from hydro_agents.report.sections import Block, Text, section
+from hydro_agents.report.sections import Block, Text, section, words_table
 from hydro_agents.running.text import Table, number
 from hydro_env import PlantParameters
 from hydro_env.types import Floats
@@ -33,10 +33,9 @@ def recording(content: Content) -> list[Block]:
     """What is wrong with a recording, and facts about it; from :func:`recording_tables`."""
     blocks: list[Block] = [Text("Nothing is wrong with time stamps, units, signs, chambers and sensors.")]
     if content.has("findings"):
-        table = content.table("findings")
         blocks = [
             Text("Checks before any verdict: time stamps, units, signs, chambers, and each sensor."),
-            Table("", tuple(table.columns), list(table.itertuples(index=False, name=None)), style="words"),
+            words_table(content.table("findings")),
         ]
     return [*blocks, Table("", ("Fact", "Value"), list(content.facts.items()), style="words")]
 
@@ -160,15 +159,7 @@ def _shade(axes: Axes, mark: Mark) -> None:
     axes.axvspan(mark.begin, mark.end, color=mark.colour, alpha=mark.strength, linewidth=0)
     if mark.text:
         first, last = axes.dataLim.intervalx
-        right = mark.begin > first + 0.6 * (last - first)
-        axes.annotate(
-            mark.text,
-            (mark.begin if right else mark.end, 0.97),
-            xycoords=("data", "axes fraction"),
-            xytext=(-3 if right else 3, 0),
-            textcoords="offset points",
-            ha="right" if right else "left",
-            va="top",
-            fontsize=8,
-            color=INK,
-        )
+        late = mark.begin > first + 0.6 * (last - first)
+        place, side = (mark.begin, "right") if late else (mark.end, "left")
+        across = axes.get_xaxis_transform()
+        axes.text(place, 0.97, mark.text, transform=across, ha=side, va="top", fontsize=8, color=INK)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -13,10 +9,10 @@ from hydro_agents.evaluation.metrics import FRAMES_TEXT, METRICS
 from hydro_agents.report.canvas import INK, Plot, curve_plot, ticks
 from hydro_agents.report.content import ALL, Content, interval, interval_text, shown, verdict
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.sections import Block, Fold, Points, Text, section
+from hydro_agents.report.sections import Block, Fold, Points, Text, section, words_table
 from hydro_agents.report.shared import COSTS, findings_of, problems, score_plot, score_text
 from hydro_agents.report.traces import Example, example_plot
-from hydro_agents.running.text import Cell, Table, family_name, number, setting
+from hydro_agents.running.text import Cell, Table, number, setting
 
 PAGE_FILE = "robustness.html"
 
@@ -91,8 +87,8 @@ def comparison(content: Content) -> list[Block]:
 @section("Errors and costs", needs=("summary",))
 def costs(content: Content) -> list[Block]:
     """Ranking, errors and costs of every controller, and performance profiles."""
-    scores = {name: interval(content.against(name), "score") for name in content.controllers[1:]}
-    return [*ranking_table(content), absolute_table(content), *profile_plots(content), *score_plot(content, scores)]
+    compared = content.rows("comparison", condition=ALL)
+    return [*ranking_table(content), absolute_table(content), *profile_plots(content), *score_plot(content, compared)]
 
 
 @section("Where each controller fails")
@@ -113,8 +109,7 @@ def failures(content: Content) -> list[Block]:
 @section("Inputs of each controller", needs=("sees",))
 def inputs(content: Content) -> list[Block]:
     """What each controller observes and remembers."""
-    table = content.table("sees").fillna("").astype(str)
-    return [Table("", tuple(table.columns), list(table.itertuples(index=False, name=None)), style="words")]
+    return [words_table(content.table("sees"))]
 
 
 @section("How it was measured", needs=("summary",))
@@ -141,15 +136,12 @@ def method(content: Content) -> list[Block]:
 def heat_map(content: Content, caption: str, column: str) -> list[Block]:
     """The map of a column of the table ``comparison``: label, error of the baseline, and a cell per controller."""
     header = ("Condition", f"{content.baseline}, mm", *content.controllers[1:])
-    rows: list[Row] = [_row(content, ALL, "all conditions", column)]
+    rows = [_row(content, ALL, column)]
     breaks: dict[int, str] = {}
     folded: list[Block] = []
-    if column == "equal_weight" and content.has("families"):
-        breaks[len(rows)] = "Kind of reference (mean errors, all leaks)"
-        rows += _family_rows(content)
     for group in dict.fromkeys([*GROUPS, *content.table("conditions")["group"]]):
         title = GROUPS.get(group, group)
-        own = [_row(content, name, content.label(name), column) for name in content.in_groups(group)]
+        own = [_row(content, name, column) for name in content.in_groups(group)]
         if own and group in FOLDED:
             folded.append(Table(title, header, own, style="heat", folded=True))
         elif own:
@@ -158,33 +150,18 @@ def heat_map(content: Content, caption: str, column: str) -> list[Block]:
     return [Table(caption, header, rows, style="heat", folded=False, breaks=breaks), *folded]
 
 
-def _row(content: Content, condition: str, label: str, column: str) -> Row:
-    rows = {name: content.against(name, condition) for name in content.controllers[1:]}
-    error = content.row("summary", controller=content.baseline, condition=condition, metric="mean_error_mm")
-    return label, number(error.get("mean", np.nan)), *_cells(rows, column)
-
-
-def _family_rows(content: Content) -> list[Row]:
-    rows: list[Row] = []
-    for family in content.table("families")["family"].unique():
-        ratios = {name: content.row("families", family=family, controller=name) for name in content.controllers[1:]}
-        if family != ALL:
-            rows.append((family_name(family), "", *_cells(ratios, "ratio")))
-    return rows
-
-
-def _cells(rows: Mapping[str, Mapping[str, Any]], column: str) -> list[Cell]:
-    """A cell for each controller; it has a colour only if its whole interval is on one side of 1."""
-    values = [interval(row, column) for row in rows.values()]
+def _row(content: Content, condition: str, column: str) -> Row:
+    """Label, error of the baseline, and a cell per controller: coloured if its interval is on one side of 1."""
+    values = [interval(content.against(name, condition), column) for name in content.controllers[1:]]
     least = min((value.value for value in values if np.isfinite(value.value)), default=np.nan)
+    error = content.row("summary", controller=content.baseline, condition=condition, metric="mean_error_mm")
     cells = []
     for value in values:
         meaning = verdict(value).replace("same", "")
-        share = colour_share(value.value) if meaning else 0
-        cells.append(
-            Cell(number(value.value, 2), meaning, share, interval_text(value, decimals=2), value.value == least < 1.0)
-        )
-    return cells
+        share, best = colour_share(value.value) if meaning else 0, value.value == least < 1.0
+        cells.append(Cell(number(value.value, 2), meaning, share, interval_text(value, decimals=2), best))
+    label = "all conditions" if condition == ALL else content.label(condition)
+    return label, number(error.get("mean", np.nan)), *cells
 
 
 def colour_share(ratio: float) -> int:
@@ -211,32 +188,22 @@ def ranking_table(content: Content) -> list[Table]:
     rows = []
     for row in content.table("ranking").to_dict("records"):
         own = content.against(row["controller"])
-        better = number(100.0 * own.get("share_better", np.nan), 0)
-        clear = Counter(_verdicts(content, row["controller"]))
         rows.append(
             (
                 row["controller"],
                 *(shown(own, column, 2) if own else "1.00" for column in RATIOS),
                 number(own.get("worst_ratio", 1.0), 2),
-                better if better == "–" else f"{better} %",
+                number(100.0 * own.get("share_better", np.nan), 0),
                 shown(row, "score", 0),
                 *(number(own.get(column, 1.0), 2) for column in COSTS),
-                *(f"{clear[kind]} of {clear.total()}" if own else "–" for kind in ("better", "worse")),
                 *(str(int(row[key])) if key in row else "–" for key in ("best_in", "failures", "limit_cycles")),
             )
         )
     prices = (metric.ratio for metric in COSTS.values())
-    counts = ("clearly better in", "clearly worse in", "best in", "failed", "limit cycles")
-    header = ("Controller", *RATIOS.values(), "worst case", "better in", "score", *prices, *counts)
+    counts = ("best in", "failed", "limit cycles")
+    header = ("Controller", *RATIOS.values(), "worst case", "better in, %", "score", *prices, *counts)
     errors, costs = (f"error ÷ error of {content.baseline}", 5), ("cost ÷ baseline’s", len(COSTS))
-    return [Table("All conditions", header, rows, (errors, ("", 2), costs, ("conditions", 3), ("count", 2)), "dense")]
-
-
-def _verdicts(content: Content, controller: str) -> list[str]:
-    """Whether a controller is clearly better or worse than the baseline, under each condition under which it ran."""
-    rows = content.rows("comparison", controller=controller).to_dict("records")
-    ratios = [interval(row, "equal_weight") for row in rows if row["condition"] != ALL]
-    return [verdict(ratio) for ratio in ratios if np.isfinite(ratio.value)]
+    return [Table("All conditions", header, rows, (errors, ("", 2), costs, ("count", 3)), "dense")]
 
 
 def absolute_table(content: Content) -> Table:

@@ -18,6 +18,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import ClassVar, NamedTuple, TypeAlias
 
+import pandas as pd
+
 from hydro_agents.report.canvas import Plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import Page, make_page
@@ -156,6 +158,12 @@ def render_page(
         plots=[plot for _, blocks in parts for plot in plots_of(blocks)],
         sources=sources,
     )
+
+
+def words_table(table: pd.DataFrame) -> Table:
+    """A data frame as a table of texts, with its own column names."""
+    texts = table.dropna(axis=1, how="all").astype(object).fillna("").astype(str)
+    return Table("", tuple(texts), list(texts.itertuples(index=False, name=None)), style="words")
 
 
 def plots_of(blocks: Iterable[Block]) -> list[Plot]:

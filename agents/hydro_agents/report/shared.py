@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.limit_cycles import comes_to_rest
 from hydro_agents.evaluation.metrics import COMPARED
 from hydro_agents.report.canvas import INK, Plot, curve_plot
-from hydro_agents.report.content import Content, interval, shown, verdict
+from hydro_agents.report.content import Content, interval, intervals, shown, verdict
 from hydro_agents.report.palette import looks_of
-from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section
-from hydro_agents.running.statistics import Interval
+from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section, words_table
 from hydro_agents.running.text import Table, duration, number, setting
 
 PRICES = {
@@ -27,18 +24,6 @@ PRICES = {
     "force_back_n": ("Force back, N", 1.0, 0),
 }
 """Columns of the cost of a leak: name, factor and decimals."""
-
-CONDITION_COLUMNS = {
-    "label": "Condition",
-    "description": "Description",
-    "acting": "Operated by",
-    "motion": "Motion",
-    "begins": "Window begins",
-    "duration_s": "s",
-    "trained": "Head trained on it",
-    "changes": "Changes",
-    "cases": "Cases",
-}
 
 NOT_RUN = "not applicable"
 
@@ -67,12 +52,13 @@ def score_text(baseline: str) -> str:
     )
 
 
-def score_plot(content: Content, scores: Mapping[str, Interval]) -> list[Plot]:
-    """The scores of some controllers; nothing without a best found."""
-    known = {name: value for name, value in scores.items() if np.isfinite(value.value)}
-    if not known:
+def score_plot(content: Content, table: pd.DataFrame) -> list[Plot]:
+    """The scores in a table; nothing without a best found."""
+    if "score" not in table:
         return []
-    rows = pd.DataFrame.from_dict(known, orient="index", columns=["value", "low", "high"])
+    rows = intervals(table, "score", "controller").reindex(content.controllers[1:]).dropna(subset=["value"])
+    if rows.empty:
+        return []
 
     def finish(axes: Axes) -> None:
         for end in (0.0, 100.0):
@@ -80,7 +66,9 @@ def score_plot(content: Content, scores: Mapping[str, Interval]) -> list[Plot]:
 
     note = f"{score_text(content.baseline)} Bars: 95 % interval."
     label = f"0 = {content.baseline}, 100 = best found"
-    return [curve_plot("score", "Score", note, {"": rows}, looks_of([""]), "", finish, drawn="rows", xlabel=label)]
+    return [
+        curve_plot("score", "Score", note, {"": rows}, looks_of([""]), " of 100", finish, drawn="rows", xlabel=label)
+    ]
 
 
 def problems(content: Content) -> list[Block]:
@@ -208,20 +196,7 @@ def run(content: Content) -> list[Block]:
         rows = [(phase, duration(seconds)) for phase, seconds in timings.items()]
         blocks.append(Table("Time taken", ("Phase", "Time"), rows))
     if content.has("conditions"):
-        blocks.append(Fold("All conditions", [conditions_table(content.table("conditions"))]))
+        blocks.append(Fold("All conditions", [words_table(content.table("conditions"))]))
     if content.has("configuration"):
         blocks.append(Fold("Configuration", [Code(content.other("configuration", ""))]))
     return blocks
-
-
-def conditions_table(table: pd.DataFrame) -> Table:
-    """Changes of each condition."""
-    texts = table.reindex(columns=CONDITION_COLUMNS).astype(object).fillna("").map(_text)
-    texts = texts.loc[:, (texts != "").any()].rename(columns=CONDITION_COLUMNS)
-    return Table("", tuple(texts), list(texts.itertuples(index=False, name=None)), style="words")
-
-
-def _text(value: object) -> str:
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
-    return setting(value) if isinstance(value, float) else str(value)

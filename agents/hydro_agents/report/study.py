@@ -6,19 +6,18 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.evaluate import Evaluation
 from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
-from hydro_agents.report.content import Content, interval, shown, verdict
+from hydro_agents.report.content import Content, shown
 from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import findings_of, problems, score_plot, score_text
 from hydro_agents.report.study_plots import tracking_plots
 from hydro_agents.report.traces import Example, example_plot
-from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
-from hydro_agents.running.statistics import LEAST_SAMPLES, RESAMPLES, conditional_value_at_risk
+from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.statistics import RESAMPLES, conditional_value_at_risk
 from hydro_agents.running.text import Table, family_name, number, setting, span
 
 STUDY = (
@@ -45,8 +44,6 @@ BY = {
     "families": ("family", "Reference", "kind of reference"),
 }
 """Tables of all metrics: the column of their rows, and its words."""
-
-VERDICTS = {"better": "wins", "worse": "loses", "same": "no clear difference"}
 
 
 def tables_of(evaluation: Evaluation) -> dict[str, pd.DataFrame]:
@@ -96,9 +93,8 @@ def warnings_of(content: Content) -> list[str]:
     warnings = []
     plants = content.table("cases")["plant"].nunique()
     if plants < FEW_PLANTS:
-        what = "without intervals" if plants < LEAST_SAMPLES else "with rough intervals"
         few = f"{plants} plants per leak size and kind of reference are too few for a decision"
-        warnings.append(f"A small run, {what}: {few}.")
+        warnings.append(f"A small run, whose intervals are missing or rough: {few}.")
     seeds = pd.concat([content.table(name)["seed"] for name in ("cases", "detection") if content.has(name)])
     if not seeds.isin(TEST_SEEDS).all():
         warnings.append("Some runs used seeds outside the test seeds: a controller may have been trained on them.")
@@ -117,17 +113,15 @@ def positioning(content: Content) -> list[Block]:
     settled = (
         "The settling time includes only standstills in which the axis settled: read it with the share of the others."
     )
-    wins = "A controller “wins” or “loses” only if the whole interval is on one side of 1."
-    scores = {name: interval(content.row("score", controller=name), "score") for name in content.controllers[1:]}
     ratios = ratio_tables(content)
     return [
         Text(terms),
         overview(content),
         *growth_table(content),
-        *score_plot(content, scores),
+        *score_plot(content, content.table("score")),
         *tracking_plots(content),
         Text(tails, "soft"),
-        *([Fold("Ratios of errors, with verdicts", [Text(wins), *ratios])] if ratios else []),
+        *([Fold("Ratios of errors", ratios)] if ratios else []),
         Fold("All metrics by leak size", [Text(settled), *metric_tables(content, "levels")]),
         Fold("All metrics by kind of reference", metric_tables(content, "families")),
     ]
@@ -185,17 +179,11 @@ def extent_table(content: Content) -> Table:
         "Plants for each kind": cases["plant"].nunique(),
         "Leaks of each plant, l/min at 100 bar": _leaks(cases),
         "Training seeds of each controller": ", ".join(f"{name} {count}" for name, count in trainings.items()),
-        "Seeds of tracking": _seeds(cases["seed"]),
-        "Seeds of training, not used here": _seeds(TRAINING_SEEDS),
-        "Seeds of validation, not used here": _seeds(VALIDATION_SEEDS),
+        "Seeds": span(cases["seed"].min(), cases["seed"].max()),
     }
     return Table(
         "What was run", ("", "Number"), [(what, str(n)) for what, n in rows.items()], style="words", folded=False
     )
-
-
-def _seeds(seeds: pd.Series | range) -> str:
-    return span(min(seeds), max(seeds))
 
 
 def _leaks(table: pd.DataFrame) -> str:
@@ -284,7 +272,7 @@ def metric_tables(content: Content, by: str) -> list[Table]:
 
 
 def ratio_tables(content: Content) -> list[Table]:
-    """Ratios of errors to the first controller, with verdicts; none with one controller."""
+    """Ratios of errors to the first controller; none with one controller."""
     tables = []
     for name in content.controllers[1:]:
         rows = []
@@ -293,10 +281,9 @@ def ratio_tables(content: Content) -> list[Table]:
             if row["group"] == "level":
                 label = f"leak of {setting(float(row['value']))} l/min"
             better = 100.0 * row["share_of_cases_better"]
-            wins = VERDICTS[verdict(interval(row, "ratio"))]
-            rows.append((label, shown(row, "ratio", 3), wins, "–" if np.isnan(better) else f"{number(better, 0)} %"))
+            rows.append((label, shown(row, "ratio", 3), number(better, 0)))
         against = content.row("ratios", controller=name)["against"]
-        header = ("Runs", "ratio (95 % interval)", f"{name} …", "better in")
+        header = ("Runs", "ratio (95 % interval)", "better in, %")
         tables.append(Table(f"Mean error of {name} over mean error of {against}", header, rows))
     return tables
 

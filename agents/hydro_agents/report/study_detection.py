@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from hydro_agents.report.canvas import GREY, INK, PALE, Plot, curve_plot, thinned_rows, ticks
+from hydro_agents.report.canvas import INK, PALE, Plot, curve_plot, thinned_rows, ticks
 from hydro_agents.report.content import Content, intervals, shown
 from hydro_agents.report.sections import Block, Fold, Text, section
 from hydro_agents.running.text import Table, number, setting
@@ -19,13 +19,13 @@ POINTS = 350
 SIZE_TICKS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
 SUMMARY: dict[str, tuple[str, float, int, str]] = {
-    "auroc": ("Area under the ROC curve, leaks above {above:g} l/min", 1.0, 3, ""),
-    "average_precision": ("Average precision, leaks above {above:g} l/min", 1.0, 3, ""),
+    "auroc": ("Area under the ROC curve", 1.0, 3, ""),
+    "average_precision": ("Average precision", 1.0, 3, ""),
     "threshold": ("Threshold of the leak probability", 1.0, 3, ""),
     "false_alarm_rate": ("False alarms at this threshold", 100.0, 1, " %"),
-    "detection_rate_moderate": ("Leaks from {moderate:g} l/min flagged at this threshold", 100.0, 1, " %"),
+    "detection_rate_moderate": ("Moderate and severe leaks flagged at this threshold", 100.0, 1, " %"),
     "detection_rate_moderate_at_1_percent": (
-        "Leaks from {moderate:g} l/min flagged at a threshold with 1 % false alarms on these episodes",
+        "Moderate and severe leaks flagged at a threshold with 1 % false alarms on these episodes",
         100.0,
         1,
         " %",
@@ -73,10 +73,9 @@ def _rate_table(content: Content, group: str, caption: str, first: str) -> Table
 
 def summary_table(content: Content) -> Table:
     """Areas under the curves, rates and errors of the size, one column per controller."""
-    summary, bounds = content.table("detection_summary"), content.bounds
-    names = {"above": bounds.leaking_above, "moderate": bounds.moderate_from}
+    summary = content.table("detection_summary")
     rows = [
-        (label.format(**names), *(number(factor * value, decimals) + unit for value in summary[key]))
+        (label, *(number(factor * value, decimals) + unit for value in summary[key]))
         for key, (label, factor, decimals, unit) in SUMMARY.items()
         if key in summary
     ]
@@ -95,7 +94,6 @@ def _rates(content: Content) -> Plot:
     }
 
     def finish(axes: Axes) -> None:
-        axes.axvline(0.5, color=GREY, linewidth=0.8, linestyle=":")
         axes.set(xlabel="leak, l/min at 100 bar", ylabel="flagged, % of episodes", ylim=(-2.0, 102.0))
 
     note = "Bars: 95 % interval. Flags on healthy seals (left) are false alarms."
@@ -110,8 +108,6 @@ def _roc(content: Content) -> Plot:
         curves[name] = roc.set_index(roc["x"].clip(lower=FEWEST_FALSE_ALARMS))["y"]
 
     def finish(axes: Axes) -> None:
-        chance = np.geomspace(FEWEST_FALSE_ALARMS, 100.0, 60)
-        axes.plot(chance, chance, color=GREY, linewidth=0.8, linestyle=":", label="chance")
         axes.set(xscale="log", xlim=(FEWEST_FALSE_ALARMS, 100.0), ylim=(0.0, 102.0))
         ticks(axes.xaxis, (0.1, 1.0, 10.0, 100.0))
         axes.set(xlabel="false alarms, % of healthy episodes", ylabel="leaks flagged, %")
@@ -140,9 +136,9 @@ def _size(content: Content) -> Plot:
         axes.fill_between(true, 0.5 * true, 2.0 * true, color=PALE, linewidth=0.0, label="factor of 2")
         axes.plot(true, true, color=INK, linewidth=0.9)
         axes.set(xscale="log", yscale="log")
-        for axis, name in ((axes.xaxis, "true"), (axes.yaxis, "estimated")):
-            ticks(axis, SIZE_TICKS)
-            axis.set_label_text(f"{name} leak, l/min")
+        axes.set(xlabel="true leak, l/min", ylabel="estimated leak, l/min")
+        ticks(axes.xaxis, SIZE_TICKS)
+        ticks(axes.yaxis, SIZE_TICKS)
 
     note = "One dot per leaking episode (thinned); estimates beyond the frame stand at its edge."
     named = ("size", "Estimated against true leak size", note)

@@ -74,8 +74,6 @@ def _by_family(content: Content) -> Plot:
     parts = {name: table[table["controller"] == name].set_index("family")["mean"] for name in content.controllers}
 
     def finish(axes: Axes) -> None:
-        for line in axes.lines:
-            line.set_linestyle("none")
         axes.set_xlabel("mean error, mm")
         _scale(axes, "x", pd.concat(parts).to_numpy())
 
@@ -100,7 +98,7 @@ def _ratios(content: Content) -> Plot:
     """Error over the baseline's error on the same plants, by kind of reference."""
     table = content.table("ratios")
     table = table[table["group"].isin(["all", "family"])]
-    looks, base = content.looks, table["against"].iloc[0]
+    looks, base = content.looks, content.baseline
     table = table.assign(value=table["value"].map(lambda value: family_name(value) or "all runs"))
     parts = {name: intervals(own, "ratio", "value") for name, own in table.groupby("controller", sort=False)}
 

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from hydro_agents.report.canvas import INK, Array, Plot
+from hydro_agents.report.canvas import INK, Plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.palette import Look
 from hydro_agents.report.recorded import Line, Signal, course_plot
 from hydro_agents.running.cases import Rollout
 from hydro_agents.running.text import capitalised, family_name, number, setting
+from hydro_env.types import Floats
 
 Replay = Callable[[Mapping[str, Any]], Rollout]
 """Runs one case again; its argument has the columns of ``cases``."""
@@ -22,16 +23,19 @@ Replay = Callable[[Mapping[str, Any]], Rollout]
 CASE = ["condition", "family", "leakage_flow_lpm", "seed"]
 """Columns that identify a case."""
 
+LEAK_GROUPS = ("leak", "leak_law", "schedule")
+"""Groups of conditions whose label says the leak."""
+
 
 @dataclass(frozen=True)
 class Example:
     """One test episode under every controller. Arrays (T,)."""
 
     title: str
-    time: Array  # s
-    reference: Array  # m
-    position: dict[str, Array]  # controller → m
-    command: dict[str, Array]  # controller → fraction of 10 V
+    time: Floats  # s
+    reference: Floats  # m
+    position: dict[str, Floats]  # controller → m
+    command: dict[str, Floats]  # controller → fraction of 10 V
     leak: float = 0.0  # l/min at 100 bar
 
 
@@ -81,8 +85,9 @@ def with_traces(content: Content, replay: Replay, count: int = 2) -> Content:
         name, rival = case["controller"], case["rival"]
         runs = {name: replay(case)}
         runs[rival] = replay({**case, "controller": rival, "training_seed": case["rival_seed"]})
-        leak = f"leak of {setting(case['leakage_flow_lpm'])} l/min"
-        where = (content.label(case["condition"]), family_name(case["family"]), leak, f"seed {case['seed']}")
+        where = [content.label(case["condition"]), family_name(case["family"]), f"seed {case['seed']}"]
+        if case["condition"] not in content.in_groups(*LEAK_GROUPS):
+            where.insert(2, f"leak of {setting(case['leakage_flow_lpm'])} l/min")
         times = f"{number(case['ratio'])} times the error of {rival}"
         example = Example(
             title=f"Worst case {case['rank']} of {name}: {times} ({', '.join(where)})",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,6 +29,8 @@ UPDATES = {
 ERROR = "validation/mean_error_mm"
 BASE_ERROR = "validation/base_mean_error_mm"
 """Error of the controller that is corrected, on the same plants."""
+
+STEPS, TRAINING = " thousand steps", "training, thousand steps"
 
 DISCARDED = 0.05
 """First share of the training, which the figures of its measures leave out: an untrained policy sets no scale."""
@@ -74,9 +77,8 @@ def learning_plots(
     if ERROR not in curve or not np.isfinite(baseline_error_mm):
         return []
     curve = curve.dropna(subset=[ERROR])
-    factor, unit = _unit(curve)
     names = curve["controller"].str.partition(SEED_MARK)[0]
-    steps, ratio = curve["steps"] / factor, curve[ERROR] / baseline_error_mm
+    steps, ratio = curve["steps"] / 1e3, curve[ERROR] / baseline_error_mm
     curves = {
         name: ratio[names == name].groupby(steps).agg(value="median", low="min", high="max") for name in names.unique()
     }
@@ -98,8 +100,8 @@ def learning_plots(
         "corrected; then the scale does not begin at zero."
     )
     named = ("learning", f"Error while learning, against {baseline}", note)
-    labels = {"xlabel": f"training, {unit}", "ylabel": f"error ÷ error of {baseline}"}
-    return [curve_plot(*named, curves, looks, "", finish, f" {unit}", drawn="band", **labels)]
+    labels: dict[str, Any] = {"xlabel": TRAINING, "ylabel": f"error ÷ error of {baseline}"}
+    return [curve_plot(*named, curves, looks, "", finish, STEPS, drawn="band", **labels)]
 
 
 def training_plots(curve: pd.DataFrame, looks: Mapping[str, Look] | None = None) -> list[Plot]:
@@ -111,24 +113,20 @@ def training_plots(curve: pd.DataFrame, looks: Mapping[str, Look] | None = None)
         looks: of the controllers in the other figures of the page; default: by their order here.
     """
     curve = _checked(curve)
-    errors = [name for name in curve if re.fullmatch(r"validation/\w+_mm", name)]
-    words = {name: f"{name[11:-3].replace('_', ' ')}, mm" for name in errors}
+    errors = {
+        name: f"{name[11:-3].replace('_', ' ')}, mm" for name in curve if re.fullmatch(r"validation/\w+_mm", name)
+    }
     looks = looks_of(curve["controller"].unique() if len(curve) else ()) | dict(looks or {})
     plots = []
-    for column, text in {"mean_reward": "mean reward", **words, **UPDATES}.items():
+    for column, text in {"mean_reward": "mean reward", **errors, **UPDATES}.items():
         known = curve.dropna(subset=[column]) if column in curve else curve.iloc[:0]
         known = known[known["steps"] >= DISCARDED * curve["steps"].max()] if len(known) else known
         if known.empty:
             continue
-        factor, unit = _unit(curve)
-        parts = known.set_index(known["steps"] / factor).groupby("controller", sort=False)[column]
-        note = NOTES.get("error" if column in words else column, "")
+        parts = known.set_index(known["steps"] / 1e3).groupby("controller", sort=False)[column]
+        note = NOTES.get("error" if column in errors else column, "")
         key = "training-" + column.replace("/", "-")
         named = (key, capitalised(text.removesuffix(", mm")), note)
-        labels = {"xlabel": f"training, {unit}", "ylabel": text}
-        plots.append(curve_plot(*named, dict(list(parts)), looks, "", per=f" {unit}", drawn="plain", **labels))
+        labels: dict[str, Any] = {"xlabel": TRAINING, "ylabel": text}
+        plots.append(curve_plot(*named, dict(list(parts)), looks, "", per=STEPS, drawn="plain", **labels))
     return plots
-
-
-def _unit(curve: pd.DataFrame) -> tuple[float, str]:
-    return (1e6, "million steps") if curve["steps"].max() >= 1e6 else (1e3, "thousand steps")
