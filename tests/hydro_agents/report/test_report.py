@@ -385,7 +385,7 @@ def test_the_log_of_a_training_is_drawn():
     )
     reward, error, variance = training_plots(log)
     assert "policy: 50.4082 thousand steps −1.32" in reward.alt  # after the first twentieth
-    assert "636 thousand steps 0.3" in error.alt
+    assert "616.122 thousand steps 0.300" in error.alt
     assert variance.title == "Explained variance of the value function"
     assert variance.alt.endswith("1000 thousand steps 0.900.")
     assert training_plots(log[["time/total_timesteps"]]) == training_plots(pd.DataFrame()) == []
