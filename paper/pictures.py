@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from hydro_agents.report.canvas import GREY, INK, PALE, PAPER, legend_inside, ticks
+from hydro_agents.report.canvas import GREY, INK, PALE, PAPER, ticks
 from hydro_agents.report.palette import COLOURS, LINES, looks_of
 from hydro_agents.report.palette import LEAK_LOOKS as LOOKS
 from hydro_agents.running.text import number, setting
@@ -30,6 +30,11 @@ ENLARGED = (0.01, 1.0, 4.0)
 TIME_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 MINUS_3_DB = math.sqrt(0.5)
+
+
+def legend_inside(axes: Axes, **options: Any) -> None:
+    """Add a legend with a white background, which covers the lines behind it."""
+    axes.legend(**({"fontsize": 8.0, "frameon": True, "framealpha": 0.9, "edgecolor": "none"} | options))
 
 
 def leak_lines(

@@ -23,7 +23,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
-from hydro_agents.report.hover import name_categories, thinned_rows, with_values
 from hydro_agents.report.palette import NEUTRALS, Look, themed
 from hydro_agents.running.text import number, setting
 
@@ -47,12 +46,12 @@ MOST_TOLD = 12
 """Largest number of points of a curve in the text for readers who cannot see the figure."""
 
 STYLE = Path(__file__).with_name("figures.mplstyle")
-COLOURS_OF: dict[str, Any] = {
-    INK: ("axes.labelcolor", "text.color", "xtick.labelcolor", "ytick.labelcolor"),
-    GREY: ("axes.edgecolor", "xtick.color", "ytick.color"),
-    PALE: ("grid.color",),
+COLOURS = {
+    **dict.fromkeys(("axes.labelcolor", "text.color", "xtick.labelcolor", "ytick.labelcolor"), INK),
+    **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), GREY),
+    "grid.color": PALE,
 }
-"""Settings of matplotlib by their colour."""
+"""Settings of matplotlib."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +71,7 @@ class Plot:
 
 def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: str) -> list[bytes]:
     """Files (``svg``, ``png``) of a figure of a size (inches) that ``paint`` draws."""
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.style.use(STYLE)
-        matplotlib.rcParams.update({name: colour for colour, names in COLOURS_OF.items() for name in names})
+    with matplotlib.style.context([STYLE, COLOURS], after_reset=True):
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         paint(figure)
@@ -84,7 +80,7 @@ def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: s
             file = io.BytesIO()
             left_out = ("Date", "Creator", "Format", "Type") if kind == "svg" else ("Software",)
             figure.savefig(file, format=kind, dpi=120, metadata=dict.fromkeys(left_out), facecolor=PAPER)
-            files.append(with_values(file.getvalue(), figure) if kind == "svg" else file.getvalue())
+            files.append(file.getvalue())
     return files
 
 
@@ -118,19 +114,6 @@ def _inline(file: bytes, key: str, alt: str) -> str:
     return themed(re.sub(r'width="[^"]*" height="[^"]*"', lambda _: label, short, count=1))
 
 
-def one_panel(
-    key: str, title: str, note: str, alt: str, paint: Callable[[Axes], object], height: float = HEIGHT
-) -> Plot:
-    """A figure of one panel that ``paint`` draws, with a legend above."""
-
-    def painted(figure: Figure) -> None:
-        axes = figure.subplots()
-        paint(axes)
-        add_legend(axes)
-
-    return make_plot(key, title, note, alt, painted, height)
-
-
 def curve_plot(
     key: str,
     title: str,
@@ -158,14 +141,15 @@ def curve_plot(
         per: unit of the index, after a space.
         apart: distance of the participants' bars, in units of the axis; rows have their own.
         drawn: ``line``; ``levels``: a line over leaks, with a tight seal at the left end; ``plain``: without markers;
-            ``steps``; ``points``; ``rows``: a row for each category, from top to bottom; ``leaks``: a line over the
-            logarithm of leaks.
+            ``steps``; ``points``; ``band``: a line in the band of its interval; ``rows``: a row for each category, from
+            top to bottom.
         options: of ``Axes.set``, such as labels and limits.
     """
     frames = {name: curve.to_frame("value") if curve.ndim == 1 else curve for name, curve in curves.items()}
     index = next(iter(frames.values())).index
 
-    def paint(axes: Axes) -> None:
+    def paint(figure: Figure) -> None:
+        axes = figure.subplots()
         gap = min(0.24, 0.7 / len(frames)) if drawn == "rows" else apart
         values = sorted({x for frame in frames.values() for x in frame.index})
         places = _axis_of(axes, drawn, values, list(index))
@@ -174,22 +158,23 @@ def curve_plot(
             at = np.array([places.get(x, x) for x in frame.index]) + dodge(len(frames), count, gap)
             if drawn == "steps":
                 axes.step(at, frame["value"], where="post", label=name, **look.stroke)
-            elif "low" not in frame:
-                marker = "" if drawn == "plain" else look.marker
-                axes.plot(at, frame["value"], marker=marker, label=name, **look.stroke)
+            elif drawn == "band" or "low" not in frame:
+                stroke = look.stroke | ({"linestyle": "none"} if drawn in ("points", "rows") else {})
+                axes.plot(at, frame["value"], marker="" if drawn == "plain" else look.marker, label=name, **stroke)
+                if "low" in frame:
+                    axes.fill_between(at, frame["low"], frame["high"], color=look.colour, alpha=0.2, linewidth=0)
             elif frame["value"].notna().any():
                 bars(axes, at, frame, look, name, drawn)
-        if drawn == "leaks":
-            log_leak_axis(axes, [leak for leak in values if len(values) < 8 or leak in MARKED_LEAKS])
         if finish is not None:
             finish(axes)
         axes.set(**options)
+        add_legend(axes)
 
     height = HEIGHT
     if drawn == "rows":
         height = max(HEIGHT, 0.9 + 0.25 * len(index) * max(1.2, 0.6 * len(frames)))
     rows = {name: _points(frame["value"].dropna(), per) for name, frame in frames.items()}
-    return one_panel(key, title, note, description(title, rows, unit), paint, height)
+    return make_plot(key, title, note, description(title, rows, unit), paint, height)
 
 
 def _axis_of(axes: Axes, drawn: str, values: list[Any], labels: list[Any]) -> dict[Any, float]:
@@ -201,7 +186,7 @@ def _axis_of(axes: Axes, drawn: str, values: list[Any], labels: list[Any]) -> di
     if drawn == "rows":
         row_axis(axes, labels)
     elif isinstance(labels[0], str):
-        name_categories(axes.xaxis, range(len(labels)), labels)
+        axes.set_xticks(range(len(labels)), labels)
         axes.grid(visible=False, axis="x")
     else:
         return {}
@@ -212,6 +197,11 @@ def _points(values: Any, per: str) -> list[tuple[str, float]]:
     """Labels and values of a curve, of a long one evenly thinned."""
     values = values.iloc[thinned_rows(len(values), MOST_TOLD)]
     return [(x if isinstance(x, str) else f"{setting(x)}{per}", y) for x, y in values.items()]
+
+
+def thinned_rows(count: int, most: int) -> NDArray[np.int64]:
+    """Numbers of at most ``most`` rows, evenly from the first to the last."""
+    return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)
 
 
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
@@ -234,11 +224,6 @@ def add_legend(axes: Axes) -> None:
         axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=columns)
 
 
-def legend_inside(axes: Axes, **options: Any) -> None:
-    """Add a legend with a white background, which covers the lines behind it."""
-    axes.legend(**({"fontsize": 8.0, "frameon": True, "framealpha": 0.9, "edgecolor": "none"} | options))
-
-
 def ticks(axis: Axis, values: Sequence[float], labels: Callable[[float], str] = setting) -> None:
     """Put ticks at these values only, with their labels."""
     axis.set_major_locator(FixedLocator(values))
@@ -246,17 +231,12 @@ def ticks(axis: Axis, values: Sequence[float], labels: Callable[[float], str] = 
     axis.set_major_formatter(FuncFormatter(lambda value, _: labels(value)))
 
 
-def log_leak_axis(axes: Axes, levels: Sequence[float], label: str = "leak, l/min at 100 bar") -> None:
-    """A logarithmic horizontal axis with a tick at every level."""
-    axes.set(xscale="log", xlabel=label)
-    ticks(axes.xaxis, levels)
-
-
 def level_axis(axes: Axes, levels: Sequence[float]) -> dict[float, float]:
     """Scale the axis by the logarithm of the levels, with a leak of zero at the left end; returns their places."""
     zero = float(np.log10(min((level for level in levels if level > 0.0), default=1.0))) - 0.5
     places = {level: float(np.log10(level)) if level > 0.0 else zero for level in levels}
-    name_categories(axes.xaxis, places.values(), [setting(level) for level in places])
+    shown = [level for level in places if len(places) < 8 or level in MARKED_LEAKS]
+    axes.set_xticks([places[level] for level in shown], [setting(level) for level in shown])
     axes.set_xlabel("leak, l/min at 100 bar")
     axes.grid(visible=False, axis="x")
     return places
@@ -264,7 +244,7 @@ def level_axis(axes: Axes, levels: Sequence[float]) -> dict[float, float]:
 
 def row_axis(axes: Axes, labels: Sequence[str]) -> None:
     """Categories from top to bottom."""
-    name_categories(axes.yaxis, range(len(labels)), labels)
+    axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
 
@@ -297,9 +277,5 @@ def thinned(time: Array, values: Array) -> tuple[Array, Array]:
     size = -(-len(time) // (MOST_POINTS // 2))
     if size <= 2:
         return time, values
-    count = len(time) // size
-    blocks = values[: count * size].reshape(count, size)
-    low = np.where(np.isfinite(blocks), blocks, np.inf).min(axis=1)
-    high = np.where(np.isfinite(blocks), blocks, -np.inf).max(axis=1)
-    ends = np.column_stack([low, high]).ravel()
-    return np.repeat(time[: count * size : size], 2), np.where(np.isfinite(ends), ends, np.nan)
+    ends = pd.Series(values).groupby(np.arange(len(values)) // size).agg(["min", "max"])
+    return np.repeat(time[::size], 2), ends.to_numpy().ravel()

@@ -23,9 +23,6 @@ Kind = TypeVar("Kind")
 ALL = "all"
 """Name of the row over all conditions."""
 
-CORRECTS = "corrects "
-"""Beginning of a note about the inputs of a controller that corrects another one."""
-
 
 @dataclass(frozen=True)
 class Content:
@@ -98,14 +95,6 @@ class Content:
         """Colour, marker and line of each controller, or of each detector, in all figures."""
         return looks_of(self.controllers or self.detectors)
 
-    @cached_property
-    def corrects(self) -> dict[str, str]:
-        """Controllers that correct another one, and its name."""
-        table = self.table("sees")
-        notes = {} if table.empty else table.dropna(subset=["note"]).set_index("controller")["note"].to_dict()
-        noted = {who: note.removeprefix(CORRECTS) for who, note in notes.items() if note.startswith(CORRECTS)}
-        return noted | self.other("corrects", {})
-
     # Conditions -------------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -147,14 +136,6 @@ class Content:
         """The row of the comparison with the baseline; empty if there is none."""
         return self.row("comparison", controller=controller, condition=condition)
 
-    def cell(self, table: str, detector: str, condition: str, level: float) -> dict[str, Any]:
-        """The row of a detector under a condition at a leak; empty if there is none."""
-        return self.row(table, detector=detector, condition=condition, level=level)
-
-    def share(self, detector: str, condition: str, level: float, column: str = "flagged") -> Interval:
-        """A share of the table ``detection`` in percent, with its interval; NaN if there is none."""
-        return interval(self.cell("detection", detector, condition, level), column, 100.0)
-
 
 def interval(row: Mapping[Any, Any], column: str, factor: float = 1.0) -> Interval:
     """A column with its interval (``COLUMN_low``, ``COLUMN_high``; else ``low``, ``high``); NaN if there is none."""
@@ -187,10 +168,3 @@ def interval_text(value: Interval, unit: str = "", decimals: int | None = None) 
 def shown(row: Mapping[Any, Any], column: str, decimals: int | None = None, factor: float = 1.0, unit: str = "") -> str:
     """A column with its interval as text; see :func:`interval` and :func:`interval_text`."""
     return interval_text(interval(row, column, factor), unit, decimals)
-
-
-def percent(share: Interval) -> str:
-    """A share as percent, with its interval."""
-    if np.isnan(share.value):
-        return "–"
-    return interval_text(Interval(*(100.0 * part for part in share)), "%", 1)

@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from hydro_agents.evaluation.experiments import bandwidths
-from hydro_agents.report.canvas import INK, Plot, add_legend, curve_plot, description, make_plot, ticks
+from hydro_agents.report.canvas import INK, Plot, curve_plot, ticks
 from hydro_agents.report.content import Content
 from hydro_agents.report.sections import Block, Fold, Text, section
 from hydro_agents.running.text import Table, number, setting
 
 FREQUENCY_TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
+BODE = {"gain": ("gain, dB", -3.0, [-20, -10, -3, 0, 10]), "phase_deg": ("phase, °", -90.0, [-270, -180, -90, 0])}
+"""Columns of a frequency response: label, marked level, ticks."""
+
 LEAST_DEVIATION = 1e-3
 """mm; a smaller deviation gives only a lower limit of the stiffness."""
 
 
-def leaks_of(table: pd.DataFrame) -> list[float]:
-    """The leaks of a table, l/min at 100 bar, from small to large."""
-    leaks: list[float] = sorted(table["leakage_flow_lpm"].unique().tolist())
-    return leaks
-
-
 def ends_of(table: pd.DataFrame) -> list[float]:
-    """The smallest and the largest leak of a table; one if they are the same."""
-    leaks = leaks_of(table)
-    return list(dict.fromkeys((leaks[0], leaks[-1])))
+    """The smallest and the largest leak of a table, l/min at 100 bar; one if they are the same."""
+    leaks = table["leakage_flow_lpm"]
+    return list(dict.fromkeys((float(leaks.min()), float(leaks.max()))))
 
 
 def by_controller(content: Content, table: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -60,14 +57,9 @@ def spread(
     return Table(caption, ("Controller", *list(cells) * len(labels)), rows, groups, style)
 
 
-def median_of(column: str, decimals: int) -> Callable[[pd.DataFrame], str]:
-    """The cell with the median of a column."""
-    return lambda part: number(part[column].median(), decimals)
-
-
-def mean_of(column: str, decimals: int = 0) -> Callable[[pd.DataFrame], str]:
-    """The cell with the mean of a column."""
-    return lambda part: number(part[column].mean(), decimals)
+def cell_of(column: str, decimals: int, how: str = "mean") -> Callable[[pd.DataFrame], str]:
+    """The cell with the mean or the median of a column."""
+    return lambda part: number(part[column].agg(how), decimals)
 
 
 # Frequency response -------------------------------------------------------------------------------------------------
@@ -88,43 +80,38 @@ def frequency(content: Content) -> list[Block]:
 def bode_plots(content: Content) -> list[Plot]:
     """Gain and phase over frequency for the tightest and the most leaking seal, with and without preview."""
     return [
-        _bode(content, part, preview, leak)
+        _bode(
+            content, part, column, f"leak of {setting(leak)} l/min, {'with preview' if preview else 'preview hidden'}"
+        )
         for preview in (True, False)
         for leak in ends_of(content.table("frequency"))
         if len(part := content.rows("frequency", preview=preview, leakage_flow_lpm=leak))
+        for column in BODE
     ]
 
 
-def _bode(content: Content, table: pd.DataFrame, preview: bool, leak: float) -> Plot:
-    parts = by_controller(content, table)
-    curves = {name: own.groupby("frequency_hz")[["gain", "phase_deg"]].median() for name, own in parts.items()}
+def _bode(content: Content, table: pd.DataFrame, column: str, what: str) -> Plot:
+    label, level, places = BODE[column]
+    curves = {name: own.groupby("frequency_hz")[column].median() for name, own in by_controller(content, table).items()}
+    if column == "gain":
+        curves = {name: 20.0 * np.log10(curve) for name, curve in curves.items()}
 
-    def paint(figure: Figure) -> None:
-        above, below = figure.subplots(2, 1, sharex=True)
-        for name, curve in curves.items():
-            stroke = content.looks[name].stroke
-            above.plot(curve.index, 20.0 * np.log10(curve["gain"]), label=name, **stroke)
-            below.plot(curve.index, curve["phase_deg"], **stroke)
-        for axes, level in ((above, -3.0), (below, -90.0)):
-            axes.axhline(level, color=INK, linewidth=0.8, linestyle=":")
-        above.set(ylabel="gain, dB", ylim=(-21.0, 12.0), yticks=[-20, -10, -3, 0, 10])
-        below.set(ylabel="phase, °", xlabel="frequency, Hz", xscale="log", ylim=(-280.0, 60.0))
-        below.set_yticks([-270, -180, -90, 0])
-        ticks(below.xaxis, FREQUENCY_TICKS)
-        figure.align_ylabels()
-        add_legend(above)
+    def finish(axes: Axes) -> None:
+        axes.axhline(level, color=INK, linewidth=0.8, linestyle=":")
+        axes.set(xscale="log", yticks=places, ylim=(1.05 * places[0], 60.0 if level == -90.0 else 12.0))
+        ticks(axes.xaxis, FREQUENCY_TICKS)
 
-    title = f"Frequency response, leak of {setting(leak)} l/min, {'with preview' if preview else 'preview hidden'}"
-    note = "Reference to true position, median of the plants; dotted: −3 dB and −90°."
-    rows = {name: [(f"{setting(f)} Hz", gain) for f, gain in curve["gain"].items()] for name, curve in curves.items()}
-    key = f"bode-{'preview' if preview else 'hidden'}-{setting(leak)}"
-    return make_plot(key, title, note, description(f"{title}: gain", rows, ""), paint, 4.2)
+    name = label.partition(",")[0]
+    named = (re.sub(r"\W+", "-", f"bode {name} {what}"), f"{name.capitalize()}, {what}")
+    note = "Reference to true position, median of the plants; dotted: −3 dB or −90°."
+    labels: dict[str, Any] = {"xlabel": "frequency, Hz", "ylabel": label}
+    return curve_plot(*named, note, curves, content.looks, "", finish, " Hz", drawn="plain", **labels)
 
 
 def bandwidth_tables(content: Content) -> list[Table]:
     """Frequencies at −3 dB and −90°, and the largest gain, by leak, with and without preview."""
-    cells = {"−3 dB, Hz": median_of("minus_3_db_hz", 1), "−90°, Hz": median_of("minus_90_deg_hz", 1)}
-    cells["largest gain"] = median_of("peak_gain", 2)
+    cells = {"−3 dB, Hz": cell_of("minus_3_db_hz", 1, "median"), "−90°, Hz": cell_of("minus_90_deg_hz", 1, "median")}
+    cells["largest gain"] = cell_of("peak_gain", 2, "median")
     found = bandwidths(content.table("frequency"))
     texts = {True: "with the preview that the controller sees", False: "with the preview hidden"}
     return [
@@ -169,13 +156,11 @@ def stiffness_plots(content: Content) -> list[Plot]:
 def _compliance(content: Content, leak: float) -> Plot:
     parts = by_controller(content, content.rows("force_sine", leakage_flow_lpm=leak))
     curves = {name: own.groupby("frequency_hz")["compliance_mm_per_kn"].median() for name, own in parts.items()}
-    values = pd.concat(curves)
 
     def finish(axes: Axes) -> None:
         axes.set(xscale="log", yscale="log", xlabel="frequency of the force, Hz", ylabel="deviation, mm per kN")
         ticks(axes.xaxis, [1.0, 2.0, 5.0, 10.0, 20.0])
         ticks(axes.yaxis, [0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0])
-        axes.set_ylim(min(0.004, 0.8 * values.min()), max(0.6, 1.25 * values.max()))
 
     title = f"Sinusoidal force, leak of {setting(leak)} l/min"
     note = "Amplitude of the position per amplitude of the force, median of the plants; lower is stiffer."
@@ -205,11 +190,9 @@ def _recovery(part: pd.DataFrame) -> str:
 
 
 def stiffness_text(part: pd.DataFrame, column: str) -> str:
-    """Force over deviation, rounded to two digits, with ≥ if the deviation is too small."""
+    """Force over deviation, with ≥ if the deviation is too small."""
     force, deviation = float(part["force_n"].iloc[0]), float(part[column].median())
-    value = force / max(deviation, LEAST_DEVIATION)
-    size = 10.0 ** (int(np.floor(np.log10(value))) - 1)
-    text = f"{size * round(value / size):,.0f}".replace(",", "\u2009")
+    text = number(force / max(deviation, LEAST_DEVIATION))
     return f"≥ {text}" if deviation <= LEAST_DEVIATION else text
 
 
@@ -233,9 +216,9 @@ def standstill_tables(content: Content) -> list[Table]:
     """Limit cycles by leak, and residual motion, offset and valve travel with noise."""
     table = content.table("standstill")
     words = {
-        "residual motion, µm RMS": mean_of("unrest_um", 1),
-        "offset, µm": mean_of("offset_um", 1),
-        "valve travel, strokes per s": mean_of("valve_travel_per_s", 2),
+        "residual motion, µm RMS": cell_of("unrest_um", 1),
+        "offset, µm": cell_of("offset_um", 1),
+        "valve travel, strokes per s": cell_of("valve_travel_per_s", 2),
     }
     caption = "Held positions with a limit cycle (largest amplitude, its frequency)"
     noisy = spread("At rest under sensor noise, mean over all leaks", table.assign(all="all leaks"), words, "all")
@@ -256,13 +239,13 @@ def cycles_by_condition(content: Content) -> list[Table]:
     table = content.table("limit_cycles")
     if table.empty:
         return []
-    by_cell = table.groupby(["condition", "controller"], sort=False)["limit_cycle"].agg(["sum", "count"]).astype(int)
-    texts = by_cell["sum"].astype(str) + " of " + by_cell["count"].astype(str)
-    some = by_cell["sum"].groupby(level=0, sort=False).sum()
-    cells = texts.unstack(fill_value="–").reindex(columns=content.controllers, fill_value="–")
-    rows = [(content.label(condition), *cells.loc[condition]) for condition in some.index[some > 0]]
-    quiet = len(some) - len(rows)
-    caption = f"Limit cycles by condition; none under the other {quiet}" if quiet else "Limit cycles by condition"
+    some = table[table.groupby("condition")["limit_cycle"].transform("sum") > 0]
+    rows = []
+    for condition, own in some.groupby("condition", sort=False):
+        counts = own.groupby("controller")["limit_cycle"].agg(["sum", "count"]).astype(int)
+        texts = counts["sum"].astype(str) + " of " + counts["count"].astype(str)
+        rows.append((content.label(str(condition)), *texts.reindex(content.controllers, fill_value="–")))
+    caption = "Limit cycles by condition; none under the others"
     return [Table(caption, ("Condition", *content.controllers), rows)] if rows else []
 
 
@@ -283,7 +266,7 @@ def _pauses_table(pauses: pd.DataFrame) -> Table:
     caption = "Largest error in the first 0.3 s of a move after a pause (worst case); error at rest"
     cells: dict[str, Callable[[pd.DataFrame], str]] = {
         "in the move": lambda part: f"{number(part['peak_um'].mean(), 0)} ({part['peak_um'].max():.0f})",
-        "at rest": mean_of("rest_um", 1),
+        "at rest": cell_of("rest_um", 1),
     }
     return spread(caption, pauses, cells, "pause_s", " s")
 
@@ -294,4 +277,4 @@ def _take_over_table(changes: pd.DataFrame) -> Table:
         "Largest error in the 0.2 s after a controller takes over; the same of a controller that drove from the start; "
         "error that the first controller hands over"
     )
-    return spread(caption, changes, {word: mean_of(column) for column, word in words.items()}, "family")
+    return spread(caption, changes, {word: cell_of(column, 0) for column, word in words.items()}, "family")

@@ -37,12 +37,10 @@ class Panel:
 
 def panels(controllers: Mapping[str, Controller], leaks: Sequence[float]) -> list[Panel]:
     """Every controller with every leak; without ``leaks``, with the leak that the episode draws."""
-    if not leaks:
-        return [Panel(name, controller, None) for name, controller in controllers.items()]
     return [
-        Panel(f"{name}, leak of {leak:g} l/min", controller, leak)
+        Panel(name if leak is None else f"{name}, leak of {leak:g} l/min", controller, leak)
         for name, controller in controllers.items()
-        for leak in leaks
+        for leak in (leaks or (None,))
     ]
 
 
@@ -94,21 +92,16 @@ def film(
         columns: number of panels side by side.
     """
     size = film_size(len(shown), width, columns)
-    titles = [_title(panel.title) for panel in shown]
-    empty = np.full((TITLE + HEIGHT, WIDTH, 3), PAPER, dtype=np.uint8)
+    letters = ImageFont.load_default(size=TITLE_SIZE)
+    whole = Image.new("RGB", (columns * WIDTH, math.ceil(len(shown) / columns) * (TITLE + HEIGHT)), PAPER)
     episodes = [panel_frames(config, panel, seed, options, periods_per_frame) for panel in shown]
+    places = [(count % columns * WIDTH, count // columns * (TITLE + HEIGHT)) for count in range(len(shown))]
+    for panel, (x, y) in zip(shown, places, strict=True):
+        ImageDraw.Draw(whole).text((x + 34, y + TITLE / 2), panel.title, INK, letters, anchor="lm")
     for pictures in zip(*episodes, strict=True):
-        cells = [np.vstack(cell) for cell in zip(titles, pictures, strict=True)]
-        cells += [empty] * (-len(cells) % columns)
-        rows = [np.hstack(cells[first : first + columns]) for first in range(0, len(cells), columns)]
-        yield Image.fromarray(np.vstack(rows)).resize(size, Image.Resampling.LANCZOS)
-
-
-def _title(text: str) -> Pixels:
-    """The strip above a panel."""
-    strip = Image.new("RGB", (WIDTH, TITLE), PAPER)
-    ImageDraw.Draw(strip).text((34, TITLE / 2), text, INK, ImageFont.load_default(size=TITLE_SIZE), anchor="lm")
-    return np.asarray(strip)
+        for picture, (x, y) in zip(pictures, places, strict=True):
+            whole.paste(Image.fromarray(picture), (x, y + TITLE))
+        yield whole.resize(size, Image.Resampling.LANCZOS)
 
 
 def film_size(panel_count: int, width: int, columns: int) -> tuple[int, int]:

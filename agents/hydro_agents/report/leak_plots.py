@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.canvas import GREY, INK, Plot, curve_plot, ticks
-from hydro_agents.report.content import Content, interval, intervals
+from hydro_agents.report.content import Content, intervals
+from hydro_agents.report.palette import Look
 
 REPORTED, FALSE = "windows in which it is reported, %", "healthy windows reported as leaking, %"
 
@@ -22,8 +22,8 @@ def detection_plot(content: Content) -> list[Plot]:
     table = table[table["level"] > HEALTHY]
     if table.empty:
         return []
-    parts = {name: table[table["detector"] == name] for name in content.detectors}
-    curves = {name: intervals(own, "at_1_percent", "level", 100.0) for name, own in parts.items() if len(own)}
+    parts = table.groupby("detector", sort=False)
+    curves = {str(name): intervals(own, "at_1_percent", "level", 100.0) for name, own in parts}
 
     note = (
         f"{content.label(content.base).capitalize()}, one window each; threshold at 1 % false alarms on validation "
@@ -31,7 +31,7 @@ def detection_plot(content: Content) -> list[Plot]:
     )
     named = ("detection", "Smallest leak that is found", note)
     options: dict[str, Any] = {"ylabel": "windows in which it is found, %", "ylim": (0.0, 103.0)}
-    return [curve_plot(*named, curves, content.looks, " %", per="", drawn="leaks", **options)]
+    return [curve_plot(*named, curves, content.looks, " %", per="", drawn="levels", **options)]
 
 
 def _rows_plot(
@@ -43,29 +43,24 @@ def _rows_plot(
     conditions: Sequence[str],
     level: float,
     column: tuple[str, str] = ("detection", "flagged"),
-    lines: Mapping[float, str] | None = None,
-    limit: float | None = 100.0,
-    names: Mapping[str, str] | None = None,
+    lines: Sequence[float] = (),
 ) -> list[Plot]:
     """A share of the windows at a leak (``level``): conditions from top to bottom, those without a value left out."""
     table, share = column
-    texts = [(names or {}).get(where, content.label(where)) for where in conditions]
-    frames = {}
-    for name in content.detectors:
-        cells = [content.cell(table, name, where, level) for where in conditions]
-        rows = [interval(cell, share, 100.0)._asdict() for cell in cells]
-        frames[name] = pd.DataFrame(rows, index=texts, columns=["value", "low", "high"])
-    known = np.any([frame["value"].notna() for frame in frames.values()], axis=0)
-    if not np.any(known):
+    rows = content.rows(table, level=level)
+    rows = rows[rows["condition"].isin(conditions) & rows[share].notna()] if len(rows) else rows
+    known = [where for where in conditions if where in set(rows.get("condition", ()))]
+    if not known:
         return []
+    parts = {}
+    for name in content.detectors:
+        own = intervals(rows[rows["detector"] == name], share, "condition", 100.0).reindex(known)
+        parts[name] = own.rename(index=content.label)
 
     def finish(axes: Axes) -> None:
-        for value, style in (lines or {}).items():
-            axes.axvline(value, color=GREY, linewidth=0.9, linestyle=style)
-        if limit is not None:
-            axes.set_xlim(-0.02 * limit, 1.03 * limit)
+        for value in lines:
+            axes.axvline(value, color=GREY, linewidth=0.9, linestyle=":")
 
-    parts = {name: frame[known] for name, frame in frames.items()}
     return [curve_plot(key, title, note, parts, content.looks, " %", finish, drawn="rows", xlabel=label)]
 
 
@@ -78,7 +73,7 @@ def motion_plots(content: Content) -> list[Plot]:
     false = (f"False alarms {where}", healthy, FALSE, conditions, HEALTHY)
     return [
         *_rows_plot(content, "motion-found", f"0.3 l/min {where}", used, REPORTED, conditions, 0.3),
-        *_rows_plot(content, "motion-false", *false, lines={2.0: "--", 5.0: ":"}, limit=None),
+        *_rows_plot(content, "motion-false", *false, lines=(2.0, 5.0)),
     ]
 
 
@@ -90,7 +85,7 @@ def fault_plots(content: Content) -> list[Plot]:
     both = "A leak of 0.3 l/min together with the same faults"
     leaking = "Share of windows in which the leak is reported in spite of the fault."
     return [
-        *_rows_plot(content, "fault-taken", taken, healthy, FALSE, conditions, HEALTHY, lines={10.0: "--"}),
+        *_rows_plot(content, "fault-taken", taken, healthy, FALSE, conditions, HEALTHY, lines=(10.0,)),
         *_rows_plot(content, "fault-beside", both, leaking, REPORTED, conditions, 0.3),
     ]
 
@@ -102,7 +97,7 @@ def coverage_plots(content: Content) -> list[Plot]:
         "Other faults and plants": content.in_groups("fault", "plant", "rig"),
     }
     note = "Leak of 0.3 l/min: share of the intervals that contain it; lines: 87 and 93 %."
-    label, lines = "intervals that contain the true size, %", {87.0: ":", 93.0: ":"}
+    label, lines = "intervals that contain the true size, %", (87.0, 93.0)
     plots = []
     for index, (side, conditions) in enumerate(sides.items()):
         key, title = f"coverage-{index}", f"Do 90 % intervals contain the true size? {side}"
@@ -117,18 +112,15 @@ def size_plot(content: Content) -> list[Plot]:
     estimated = table.dropna(subset=["rms_log10"]).set_index("level")
     if estimated.empty:
         return []
-    parts = {name: estimated[estimated["detector"] == name]["rms_log10"] for name in content.detectors}
-    curves = {name: own for name, own in parts.items() if len(own)}
-    bound = table.dropna(subset=["bound_rms_log10"]).drop_duplicates("level")
-
-    def finish(axes: Axes) -> None:
-        if len(bound):
-            axes.plot(bound["level"], bound["bound_rms_log10"], color=INK, linestyle=":", label="Cramér–Rao bound")
+    curves = dict(list(estimated.groupby("detector", sort=False)["rms_log10"]))
+    bound = table.dropna(subset=["bound_rms_log10"]).drop_duplicates("level").set_index("level")["bound_rms_log10"]
+    curves |= {"Cramér–Rao bound": bound} if len(bound) else {}
+    looks = {**content.looks, "Cramér–Rao bound": Look(INK, "", ":")}
 
     note = "0.05 is about 12 %. The bound is the smallest error that any method can have on such windows."
     named = ("size", "Accuracy of the estimated size", note)
     options: dict[str, Any] = {"yscale": "log", "ylabel": "error of the size, RMS of log10"}
-    return [curve_plot(*named, curves, content.looks, "", finish, per="", drawn="leaks", **options)]
+    return [curve_plot(*named, curves, looks, "", per="", drawn="levels", **options)]
 
 
 def reliability_plot(content: Content) -> list[Plot]:
@@ -137,16 +129,15 @@ def reliability_plot(content: Content) -> list[Plot]:
     if table.empty:
         return []
     table = table.assign(probability=100.0 * table["probability"])
-    parts = dict(list(table.groupby("detector", sort=False)))
-    curves = {name: intervals(part, "frequency", "probability", 100.0) for name, part in parts.items()}
+    parts = table.groupby("detector", sort=False)
+    curves = {str(name): intervals(part, "frequency", "probability", 100.0) for name, part in parts}
 
     def finish(axes: Axes) -> None:
         axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9, zorder=1.5)
         ticks(axes.xaxis, (0, 20, 40, 60, 80, 100))
         axes.set(xlabel="probability of the detector, %", xlim=(-3, 103), ylabel="windows that leak, %", ylim=(-3, 103))
 
-    errors = ", ".join(f"{name} {part['error'].iloc[0]:.3f}" for name, part in parts.items())
-    note = f"Half of the axes healthy, the others with leaks of all sizes. Mean distance from the line: {errors}."
+    note = "Half of the axes healthy, the others with leaks of all sizes."
     title = "Calibration of the probability"
     return [curve_plot("reliability", title, note, curves, content.looks, " %", finish, per=" %")]
 
@@ -160,9 +151,8 @@ def masking_rows(content: Content) -> pd.DataFrame:
 def masking_plot(content: Content) -> list[Plot]:
     """Detection of a small leak by controller; the controller with the smallest error comes first."""
     table = masking_rows(content)
-    errors = table.groupby(["condition", "acting"])["error_mm"].mean().sort_values()
-    names = {where: f"{acting} ({error:.2g} mm)" for (where, acting), error in errors.items()}
-    note = "In brackets: mean position error. Windows from the start of the motion; threshold at 1 % false alarms."
+    errors = table.groupby("condition")["error_mm"].mean().sort_values()
+    note = "From the smallest position error to the largest. Threshold at 1 % false alarms."
     title, label = "0.1 l/min found, by controller", "windows in which it is found, %"
     share = ("detection", "at_1_percent")
-    return _rows_plot(content, "masking", title, note, label, list(names), 0.1, share, names=names)
+    return _rows_plot(content, "masking", title, note, label, list(errors.index), 0.1, share)

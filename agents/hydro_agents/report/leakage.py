@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
-from hydro_agents.report.content import Content, interval_text, shown
+from hydro_agents.report.content import Content, shown
 from hydro_agents.report.leak_plots import (
     coverage_plots,
     detection_plot,
@@ -173,13 +173,10 @@ def findings_table(content: Content) -> Table:
     rows = []
     for name in content.detectors:
         smallest = smallest_found(content, name)
-        healthy = content.cell("detection", name, content.base, HEALTHY)
-        others = {where: content.share(name, where, HEALTHY) for where in content.in_groups("motion", "controller")}
-        others = {where: share for where, share in others.items() if np.isfinite(share.value)}
-        worst = max(others, key=lambda where: others[where].value, default="")
-        changed = {where: content.share(name, where, HEALTHY) for where in content.in_groups("fault", "plant", "rig")}
-        wrong = sorted((w for w in changed if changed[w].value > TOO_OFTEN), key=lambda where: -changed[where].value)
+        healthy = content.row("detection", detector=name, condition=content.base, level=HEALTHY)
         own = content.rows("detection", detector=name)
+        changed = own[own["condition"].isin(content.in_groups("fault", "plant", "rig")) & (own["level"] == HEALTHY)]
+        shares = 100.0 * changed.set_index("condition")["flagged"].sort_values(ascending=False, kind="stable")
         silent = own[own["cannot_tell"] > 0.5]["condition"].unique()
         rows.append(
             (
@@ -187,14 +184,19 @@ def findings_table(content: Content) -> Table:
                 setting(smallest) if np.isfinite(smallest) else "none",
                 shown(healthy, "flagged", 1, 100.0),
                 number(healthy.get("per_hour", np.nan), 0),
-                f"{interval_text(others[worst], decimals=1)}, {content.label(worst)}" if worst else "–",
-                _named([f"{content.label(where)} {number(changed[where].value, 0)} %" for where in wrong]),
+                _named(
+                    [
+                        f"{content.label(where)} {number(share, 0)} %"
+                        for where, share in shares.items()
+                        if share > TOO_OFTEN
+                    ]
+                ),
                 _named([content.label(where) for where in silent]),
             )
         )
     header = (
         "Detector", f"leak found in {SURE:.0f} % of the windows, at 1 % false alarms, l/min",
-        "false alarms, % of healthy windows", "per hour", "the worst motion or controller, %",
+        "false alarms, % of healthy windows", "per hour",
         f"mistaken for a leak in over {TOO_OFTEN:.0f} % of the windows", "“cannot tell” in over half of the windows",
     )  # fmt: skip
     return Table("What each detector finds, and where it is wrong or silent", header, rows, style="words")
@@ -252,12 +254,9 @@ def detection_tables(content: Content) -> list[Table]:
         own = content.rows("detection", detector=detector)
         own = own[own["level"] != DRAWN].set_index(["condition", "level"])
         shares = 100.0 * own["flagged"].unstack().reindex(own.index.unique("condition"))
-        rows = []
-        for condition, cells in shares.iterrows():
-            healthy = content.cell("detection", detector, condition, HEALTHY)
-            hourly, silent = (healthy.get(key, np.nan) for key in ("per_hour", "cannot_tell"))
-            found = (number(cell, 1) for cell in cells)
-            rows.append((content.label(condition), *found, number(hourly, 0), number(100.0 * silent, 1)))
+        healthy = own.xs(HEALTHY, level="level")
+        cells = shares.assign(hourly=healthy["per_hour"], silent=100.0 * healthy["cannot_tell"])
+        rows = [(content.label(where), *(number(cell, 1) for cell in row)) for where, row in cells.iterrows()]
         header = ("Condition", *map(level_text, shares), "false alarms per hour", "cannot tell, healthy")
         caption = f"{detector}: share of windows reported as a leak past the piston, %"
         tables.append(Table(caption, header, rows, style="dense"))
@@ -292,16 +291,16 @@ def size_tables(content: Content) -> list[Table]:
 def masking_table(content: Content) -> Table:
     """Detection of small leaks, position error and bound, one row per controller."""
     table = masking_rows(content)
-    shares = table[table["level"] <= 0.3].pivot_table("at_1_percent", "condition", ["detector", "level"], sort=False)
-    # A single controller allows no comparison.
-    shares = 100.0 * shares.loc[:, shares.notna().sum() >= min(2, len(shares))]
-    columns = sorted(shares.columns, key=lambda column: (content.detectors.index(column[0]), column[1]))
+    shares = table[table["level"] <= SHOWN_LEAK].pivot_table(
+        "at_1_percent", "condition", ["detector", "level"], sort=False
+    )
+    shares = 100.0 * shares.sort_index(axis=1)
     rows = []
     for condition, own in table.groupby("condition", sort=False):
-        bounds = own.set_index("level")["bound_lpm"].to_dict()
-        numbers = (number(own["error_mm"].mean(), 3), number(bounds.get(0.3, np.nan), 4))
-        rows.append((own["acting"].iloc[0], *numbers, *(number(shares.loc[condition, each], 0) for each in columns)))
-    sizes = (f"{name}: {setting(level)}" for name, level in columns)
-    header = ("Controller", "error, mm", "bound at 0.3, l/min", *sizes)
+        bound = own.loc[own["level"] == SHOWN_LEAK, "bound_lpm"].mean()
+        found = (number(share, 0) for share in shares.loc[condition])
+        rows.append((own["acting"].iloc[0], number(own["error_mm"].mean(), 3), number(bound, 4), *found))
+    sizes = (f"{name}: {setting(level)}" for name, level in shares)
+    header = ("Controller", "error, mm", f"bound at {setting(SHOWN_LEAK)}, l/min", *sizes)
     caption = "Found at 1 % false alarms, %, by size of the leak in l/min"
     return Table(caption, header, rows, style="dense")

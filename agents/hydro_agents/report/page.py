@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jinja2
 
-from hydro_agents.report.canvas import Plot
 from hydro_agents.report.palette import css_rules
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import number, setting
@@ -45,23 +44,22 @@ def make_page(template: Path, origin: Origin, **values: Any) -> Page:
     """Fill a template, which extends ``base.html.j2``.
 
     Args:
-        template: file of the template.
+        template: file of the template; its filters ``n`` and ``s`` are :func:`~hydro_agents.running.text.number` and
+            :func:`~hydro_agents.running.text.setting`.
         origin: command, date and version of the page.
-        values: for the template; the :class:`~hydro_agents.report.canvas.Plot` objects in them, or in lists of them,
-            become files.
+        values: for the template; the figures (:class:`~hydro_agents.report.canvas.Plot`) in ``plots`` become files.
     """
-    environment = templates(template.parent)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader([template.parent, Path(__file__).parent]),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.globals["css_rules"] = css_rules
+    environment.filters.update({"n": number, "s": setting})
     html = environment.get_template(template.name).render(origin=origin, **values)
-    return Page(_shared_letters(html), {f"{plot.key}.svg": plot.file for plot in _plots(values.values())})
-
-
-def _plots(values: Iterable[Any]) -> Iterable[Plot]:
-    for value in values:
-        if isinstance(value, Plot):
-            yield value
-        elif isinstance(value, list | tuple):
-            yield from _plots(value)
+    return Page(_shared_letters(html), {f"{plot.key}.svg": plot.file for plot in values.get("plots", ())})
 
 
 def _shared_letters(html: str) -> str:
@@ -71,19 +69,3 @@ def _shared_letters(html: str) -> str:
         f'<svg width="0" height="0" aria-hidden="true" style="position:absolute"><defs>{"".join(letters)}</defs></svg>'
     )
     return LETTER.sub("", html).replace("<body>", f"<body>\n{store}", 1) if letters else html
-
-
-def templates(*folders: Path) -> jinja2.Environment:
-    """Templates of some folders and of this one.
-
-    Filters: ``n`` is :func:`~hydro_agents.running.text.number`, ``s`` is :func:`~hydro_agents.running.text.setting`.
-    """
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader([*folders, Path(__file__).parent]),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update({"n": number, "s": setting})
-    return environment

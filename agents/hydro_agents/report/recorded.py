@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 
 from hydro_agents.report.canvas import GREY, INK, WIDE, Plot, make_plot, thinned, with_gaps
 from hydro_agents.report.content import Content
-from hydro_agents.report.palette import looks_of
-from hydro_agents.report.sections import Block, Text, section
+from hydro_agents.report.palette import Look, looks_of
+from hydro_agents.report.sections import Block, Text, section, words_table
 from hydro_agents.running.text import Table, number
 from hydro_env import PlantParameters
 from hydro_env.types import Floats
@@ -33,10 +33,9 @@ def recording(content: Content) -> list[Block]:
     """What is wrong with a recording, and facts about it; from :func:`recording_tables`."""
     blocks: list[Block] = [Text("Nothing is wrong with time stamps, units, signs, chambers and sensors.")]
     if content.has("findings"):
-        table = content.table("findings")
         blocks = [
             Text("Checks before any verdict: time stamps, units, signs, chambers, and each sensor."),
-            Table("", tuple(table.columns), list(table.itertuples(index=False, name=None)), style="words"),
+            words_table(content.table("findings")),
         ]
     return [*blocks, Table("", ("Fact", "Value"), list(content.facts.items()), style="words")]
 
@@ -109,7 +108,15 @@ class Signal(NamedTuple):
     marks: Sequence[Mark] = ()
 
 
-def course_plot(key: str, title: str, note: str, alt: str, signals: Sequence[Signal], height: float = 7.5) -> Plot:
+def course_plot(
+    key: str,
+    title: str,
+    note: str,
+    alt: str,
+    signals: Sequence[Signal],
+    height: float = 7.5,
+    looks: Mapping[str, Look] | None = None,
+) -> Plot:
     """A wide figure of signals over time, measured and simulated, one row per signal.
 
     Args:
@@ -119,21 +126,22 @@ def course_plot(key: str, title: str, note: str, alt: str, signals: Sequence[Sig
         alt: description for readers who cannot see it.
         signals: the rows, from top to bottom.
         height: inches.
+        looks: of the measured lines; default: by their order in each row.
     """
 
     def paint(figure: Figure) -> None:
-        paint_course(list(figure.subplots(len(signals), 1, sharex=True, squeeze=False)[:, 0]), signals)
+        paint_course(list(figure.subplots(len(signals), 1, sharex=True, squeeze=False)[:, 0]), signals, looks)
 
     return make_plot(key, title, note, alt, paint, height, WIDE)
 
 
-def paint_course(panels: Iterable[Axes], signals: Sequence[Signal]) -> None:
+def paint_course(panels: Iterable[Axes], signals: Sequence[Signal], looks: Mapping[str, Look] | None = None) -> None:
     """Draw each signal into its panel; a name stands in the legend if a row has several, or simulated lines."""
     for axes, signal in zip(panels, signals, strict=True):
         bold: dict[str, Any] = {"linewidth": 2.2, "alpha": 0.55} if signal.simulated else {"linewidth": 1.0}
-        looks = looks_of(signal.measured)
+        own = looks or looks_of(signal.measured)
         for name, line in signal.measured.items():
-            axes.plot(*with_gaps(*thinned(*line)), label=name, **looks[name].stroke, **bold)
+            axes.plot(*with_gaps(*thinned(*line)), label=name, **own[name].stroke, **bold)
         for number_of_line, line in enumerate(signal.simulated):
             label = "" if number_of_line else "simulated"
             axes.plot(*with_gaps(*thinned(*line)), color=INK, linewidth=0.8, label=label)
@@ -151,15 +159,7 @@ def _shade(axes: Axes, mark: Mark) -> None:
     axes.axvspan(mark.begin, mark.end, color=mark.colour, alpha=mark.strength, linewidth=0)
     if mark.text:
         first, last = axes.dataLim.intervalx
-        right = mark.begin > first + 0.6 * (last - first)
-        axes.annotate(
-            mark.text,
-            (mark.begin if right else mark.end, 0.97),
-            xycoords=("data", "axes fraction"),
-            xytext=(-3 if right else 3, 0),
-            textcoords="offset points",
-            ha="right" if right else "left",
-            va="top",
-            fontsize=8,
-            color=INK,
-        )
+        late = mark.begin > first + 0.6 * (last - first)
+        place, side = (mark.begin, "right") if late else (mark.end, "left")
+        across = axes.get_xaxis_transform()
+        axes.text(place, 0.97, mark.text, transform=across, ha=side, va="top", fontsize=8, color=INK)

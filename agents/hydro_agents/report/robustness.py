@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.metrics import FRAMES_TEXT, METRICS
 from hydro_agents.report.canvas import INK, Plot, curve_plot, ticks
 from hydro_agents.report.content import ALL, Content, interval, interval_text, shown, verdict
-from hydro_agents.report.findings import COSTS, findings_of
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.sections import Block, Fold, Points, Text, section
-from hydro_agents.report.shared import problems, score_plot, score_text
+from hydro_agents.report.sections import Block, Fold, Points, Text, section, words_table
+from hydro_agents.report.shared import COSTS, findings_of, problems, score_plot, score_text
 from hydro_agents.report.traces import Example, example_plot
-from hydro_agents.running.seeds import SEED_MARK
-from hydro_agents.running.text import Cell, Table, family_name, number, setting
+from hydro_agents.running.text import Cell, Table, number, setting
 
 PAGE_FILE = "robustness.html"
 
@@ -94,8 +87,8 @@ def comparison(content: Content) -> list[Block]:
 @section("Errors and costs", needs=("summary",))
 def costs(content: Content) -> list[Block]:
     """Ranking, errors and costs of every controller, and performance profiles."""
-    scores = {name: interval(content.against(name), "score") for name in content.controllers[1:]}
-    return [*ranking_table(content), absolute_table(content), *profile_plots(content), *score_plot(content, scores)]
+    compared = content.rows("comparison", condition=ALL)
+    return [*ranking_table(content), absolute_table(content), *profile_plots(content), *score_plot(content, compared)]
 
 
 @section("Where each controller fails")
@@ -116,10 +109,7 @@ def failures(content: Content) -> list[Block]:
 @section("Inputs of each controller", needs=("sees",))
 def inputs(content: Content) -> list[Block]:
     """What each controller observes and remembers."""
-    columns = ("controller", "leak", "state", "preview", "memory", "signals", "note")
-    table = content.table("sees").reindex(columns=columns).fillna("").astype(str)
-    header = ("Controller", "the leak", "the state", *columns[3:])
-    return [Table("", header, list(table.itertuples(index=False, name=None)), style="words")]
+    return [words_table(content.table("sees"))]
 
 
 @section("How it was measured", needs=("summary",))
@@ -146,66 +136,32 @@ def method(content: Content) -> list[Block]:
 def heat_map(content: Content, caption: str, column: str) -> list[Block]:
     """The map of a column of the table ``comparison``: label, error of the baseline, and a cell per controller."""
     header = ("Condition", f"{content.baseline}, mm", *content.controllers[1:])
-    rows: list[Row] = [_row(content, ALL, "all conditions", column)]
+    rows = [_row(content, ALL, column)]
     breaks: dict[int, str] = {}
     folded: list[Block] = []
-    if column == "equal_weight" and content.has("families"):
-        breaks[len(rows)] = "Kind of reference (mean errors, all leaks)"
-        rows += _family_rows(content)
     for group in dict.fromkeys([*GROUPS, *content.table("conditions")["group"]]):
         title = GROUPS.get(group, group)
-        own = [_row(content, name, content.label(name), column) for name in content.in_groups(group)]
+        own = [_row(content, name, column) for name in content.in_groups(group)]
         if own and group in FOLDED:
-            summary = f"{title} ({len(own)} condition{'s' * (len(own) != 1)})"
-            folded.append(Fold(summary, [Table("", header, own, style="heat")]))
+            folded.append(Table(title, header, own, style="heat", folded=True))
         elif own:
             breaks[len(rows)] = title
             rows += own
     return [Table(caption, header, rows, style="heat", folded=False, breaks=breaks), *folded]
 
 
-def _row(content: Content, condition: str, label: str, column: str) -> Row:
-    rows = {name: content.against(name, condition) for name in content.controllers[1:]}
-    missing = {name: _missing(content, name, condition) for name in rows}
+def _row(content: Content, condition: str, column: str) -> Row:
+    """Label, error of the baseline, and a cell per controller: coloured if its interval is on one side of 1."""
+    values = [interval(content.against(name, condition), column) for name in content.controllers[1:]]
+    least = min((value.value for value in values if np.isfinite(value.value)), default=np.nan)
     error = content.row("summary", controller=content.baseline, condition=condition, metric="mean_error_mm")
-    return label, number(error.get("mean", np.nan)), *_cells(rows, column, missing)
-
-
-def _family_rows(content: Content) -> list[Row]:
-    rows: list[Row] = []
-    for family in content.table("families")["family"].unique():
-        ratios = {name: content.row("families", family=family, controller=name) for name in content.controllers[1:]}
-        if family != ALL:
-            rows.append((family_name(family), "", *_cells(ratios, "ratio", {})))
-    return rows
-
-
-def _cells(rows: Mapping[str, Mapping[str, Any]], column: str, missing: Mapping[str, Cell]) -> list[Cell]:
-    """A cell for each controller; it has a colour only if its whole interval is on one side of 1."""
-    values = {name: interval(row, column) for name, row in rows.items()}
-    least = min((value.value for value in values.values() if np.isfinite(value.value)), default=np.nan)
     cells = []
-    for name, value in values.items():
-        if np.isfinite(value.value):
-            meaning = verdict(value).replace("same", "")
-            share = colour_share(value.value) if meaning else 0
-            best = value.value == least < 1.0
-            cells.append(Cell(number(value.value, 2), meaning, share, interval_text(value, decimals=2), best))
-        else:
-            cells.append(missing.get(name, Cell("–", title="did not run")))
-    return cells
-
-
-def _missing(content: Content, controller: str, condition: str) -> Cell:
-    """The cell of a controller without a number under a condition, with the reasons over its training seeds."""
-    status = content.table("status")
-    if len(status) and condition != ALL:
-        names = status["controller"].str.partition(SEED_MARK)[0]
-        status = status[(status["condition"] == condition) & (names == controller) & (status["status"] != "done")]
-        if len(status):
-            text = "failed" if status["status"].iloc[0] == "failed" else "–"
-            return Cell(text, title="; ".join(status["status"] + ": " + status["message"]))
-    return Cell("–", title="did not run")
+    for value in values:
+        meaning = verdict(value).replace("same", "")
+        share, best = colour_share(value.value) if meaning else 0, value.value == least < 1.0
+        cells.append(Cell(number(value.value, 2), meaning, share, interval_text(value, decimals=2), best))
+    label = "all conditions" if condition == ALL else content.label(condition)
+    return label, number(error.get("mean", np.nan)), *cells
 
 
 def colour_share(ratio: float) -> int:
@@ -232,32 +188,22 @@ def ranking_table(content: Content) -> list[Table]:
     rows = []
     for row in content.table("ranking").to_dict("records"):
         own = content.against(row["controller"])
-        better = number(100.0 * own.get("share_better", np.nan), 0)
-        clear = Counter(_verdicts(content, row["controller"]))
         rows.append(
             (
                 row["controller"],
                 *(shown(own, column, 2) if own else "1.00" for column in RATIOS),
                 number(own.get("worst_ratio", 1.0), 2),
-                better if better == "–" else f"{better} %",
+                number(100.0 * own.get("share_better", np.nan), 0),
                 shown(row, "score", 0),
                 *(number(own.get(column, 1.0), 2) for column in COSTS),
-                *(f"{clear[kind]} of {clear.total()}" if own else "–" for kind in ("better", "worse")),
                 *(str(int(row[key])) if key in row else "–" for key in ("best_in", "failures", "limit_cycles")),
             )
         )
     prices = (metric.ratio for metric in COSTS.values())
-    counts = ("clearly better in", "clearly worse in", "best in", "failed", "limit cycles")
-    header = ("Controller", *RATIOS.values(), "worst case", "better in", "score", *prices, *counts)
+    counts = ("best in", "failed", "limit cycles")
+    header = ("Controller", *RATIOS.values(), "worst case", "better in, %", "score", *prices, *counts)
     errors, costs = (f"error ÷ error of {content.baseline}", 5), ("cost ÷ baseline’s", len(COSTS))
-    return [Table("All conditions", header, rows, (errors, ("", 2), costs, ("conditions", 3), ("count", 2)), "dense")]
-
-
-def _verdicts(content: Content, controller: str) -> list[str]:
-    """Whether a controller is clearly better or worse than the baseline, under each condition under which it ran."""
-    rows = content.rows("comparison", controller=controller).to_dict("records")
-    ratios = [interval(row, "equal_weight") for row in rows if row["condition"] != ALL]
-    return [verdict(ratio) for ratio in ratios if np.isfinite(ratio.value)]
+    return [Table("All conditions", header, rows, (errors, ("", 2), costs, ("count", 3)), "dense")]
 
 
 def absolute_table(content: Content) -> Table:
@@ -299,32 +245,27 @@ def worst_table(content: Content) -> list[Table]:
 
 def profile_plots(content: Content) -> list[Plot]:
     """Share of cases whose error is at most tau times that of the best controller, and of the baseline."""
-    base = content.baseline
     best = (
         "Share of cases in which the error is at most τ times the smallest error of any controller in that case (Dolan "
         "and Moré). Higher is better; at τ = 1: share of cases won."
     )
     own = (
-        f"The same against {base}: the curve at τ = 1 is the share of cases with a smaller error, and its right end "
-        "shows the worst cases."
+        "The same against the baseline: the curve at τ = 1 is the share of cases with a smaller error, and its right "
+        "end shows the worst cases."
     )
-    tables = {against: content.rows("profiles", against=against) for against in ("best", "baseline")}
-    titles, notes = {"best": "the best", "baseline": base}, {"best": best, "baseline": own}
-    return [
-        _profile(content, table, against, f"Performance profile against {titles[against]}", notes[against])
-        for against, table in tables.items()
-        if len(table)
-    ]
+    plots = []
+    for against, name, note in (("best", "the best", best), ("baseline", content.baseline, own)):
+        table = content.rows("profiles", against=against)
+        shares = 100.0 * table.pivot_table("share", "tau", "controller") if len(table) else table
+        curves = {who: shares[who].dropna() for who in content.controllers if who in shares}
 
+        def finish(axes: Axes) -> None:
+            first, last = axes.dataLim.intervalx
+            axes.set(xscale="log", xlabel="τ", ylabel="share of cases, %", ylim=(0.0, 102.0), xlim=(first, last))
+            ticks(axes.xaxis, [tick for tick in PROFILE_TICKS if first <= tick <= last])
+            axes.axvline(1.0, color=INK, linewidth=0.8)
 
-def _profile(content: Content, table: pd.DataFrame, key: str, title: str, note: str) -> Plot:
-    parts = {name: table[table["controller"] == name] for name in content.controllers}
-    curves = {name: 100.0 * part.set_index("tau")["share"].sort_index() for name, part in parts.items() if len(part)}
-    first, last = table["tau"].min(), table["tau"].max()
-
-    def finish(axes: Axes) -> None:
-        axes.set(xscale="log", xlabel="τ", ylabel="share of cases, %", ylim=(0.0, 102.0), xlim=(first, last))
-        ticks(axes.xaxis, [tick for tick in PROFILE_TICKS if first <= tick <= last])
-        axes.axvline(1.0, color=INK, linewidth=0.8)
-
-    return curve_plot(f"profile-{key}", title, note, curves, content.looks, " %", finish, " × error", drawn="steps")
+        named = (f"profile-{against}", f"Performance profile against {name}", note)
+        if curves:
+            plots.append(curve_plot(*named, curves, content.looks, " %", finish, " × error", drawn="steps"))
+    return plots

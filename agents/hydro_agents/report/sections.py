@@ -13,10 +13,12 @@ names the section in lists and files; a section without a title belongs into the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import ClassVar, NamedTuple, TypeAlias
+
+import pandas as pd
 
 from hydro_agents.report.canvas import Plot
 from hydro_agents.report.content import Content
@@ -68,15 +70,7 @@ class Fold:
     style: str = ""  # caution
 
 
-@dataclass(frozen=True)
-class Grid:
-    """Figures side by side, as many as the page has room for."""
-
-    kind: ClassVar[str] = "grid"
-    plots: Sequence[Plot]
-
-
-Block: TypeAlias = Text | Points | Code | Fold | Grid | Plot | Table
+Block: TypeAlias = Text | Points | Code | Fold | Plot | Table
 
 
 class Section(NamedTuple):
@@ -153,7 +147,7 @@ def render_page(
     parts = [
         (part, blocks)
         for part in sections_named(names)
-        if all(map(content.has, part.needs)) and (blocks := arranged(part.blocks(content)))
+        if all(map(content.has, part.needs)) and (blocks := part.blocks(content))
     ]
     return make_page(
         TEMPLATE,
@@ -166,18 +160,10 @@ def render_page(
     )
 
 
-def arranged(blocks: Sequence[Block]) -> list[Block]:
-    """The blocks with neighbouring figures in a grid; wide ones stand alone."""
-    result: list[Block] = []
-    for block in blocks:
-        if isinstance(block, Fold):
-            block = replace(block, blocks=arranged(block.blocks))
-        elif isinstance(block, Plot) and not block.wide:
-            last = result[-1] if result else None
-            block = Grid((*last.plots, block) if isinstance(last, Grid) else (block,))
-            result = result[: len(result) - isinstance(last, Grid)]
-        result.append(block)
-    return result
+def words_table(table: pd.DataFrame) -> Table:
+    """A data frame as a table of texts, with its own column names."""
+    texts = table.dropna(axis=1, how="all").astype(object).fillna("").astype(str)
+    return Table("", tuple(texts), list(texts.itertuples(index=False, name=None)), style="words")
 
 
 def plots_of(blocks: Iterable[Block]) -> list[Plot]:
@@ -186,8 +172,6 @@ def plots_of(blocks: Iterable[Block]) -> list[Plot]:
     for block in blocks:
         if isinstance(block, Plot):
             plots.append(block)
-        elif isinstance(block, Grid):
-            plots += block.plots
         elif isinstance(block, Fold):
             plots += plots_of(block.blocks)
     return plots

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.report.canvas import HEIGHT, INK, Plot, curve_plot, description, one_panel, row_axis
-from hydro_agents.report.content import Content
+from hydro_agents.evaluation.limit_cycles import comes_to_rest
+from hydro_agents.evaluation.metrics import COMPARED
+from hydro_agents.report.canvas import INK, Plot, curve_plot
+from hydro_agents.report.content import Content, interval, intervals, shown, verdict
 from hydro_agents.report.palette import looks_of
-from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section
-from hydro_agents.running.statistics import Interval
+from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section, words_table
 from hydro_agents.running.text import Table, duration, number, setting
-
-RESERVES = {
-    "speed out": "speed_out_mm_s",
-    "speed back": "speed_back_mm_s",
-    "force out": "force_out_n",
-    "force back": "force_back_n",
-}
-"""Reserves at full command, and their columns."""
 
 PRICES = {
     "holding_power_w": ("Power to hold, W", 1.0, 1),
@@ -34,38 +25,22 @@ PRICES = {
 }
 """Columns of the cost of a leak: name, factor and decimals."""
 
-CONDITION_COLUMNS = {
-    "label": "Condition",
-    "description": "Description",
-    "acting": "Operated by",
-    "motion": "Motion",
-    "begins": "Window begins",
-    "duration_s": "s",
-    "trained": "Head trained on it",
-    "changes": "Changes",
-    "cases": "Cases",
-}
-
 NOT_RUN = "not applicable"
+
+COSTS = {column: metric for column, metric in COMPARED.items() if metric.cost}
+"""Columns of a comparison with what a small error may cost."""
 
 
 @section("")
 def introduction(content: Content) -> list[Block]:
-    """Controllers, baseline, and what a policy corrects."""
+    """Controllers and baseline."""
     detects = ", and detection of the leak" if content.has("detection_summary") else ""
-    sentences = [
-        f"Positioning of a hydraulic servo axis while its piston seal leaks{detects}.",
-        f"Controllers: {', '.join(content.controllers)}; baseline: {content.baseline}.",
-    ]
-    sentences += [
-        f"{name} is a policy that adds a correction to the command of {base}."
-        for name, base in content.corrects.items()
-        if name in content.controllers
-    ]
-    all_ran = (
-        "All ran on the same plants, references and noise. Everything here is simulated; no real rig was measured."
+    text = (
+        f"Positioning of a hydraulic servo axis while its piston seal leaks{detects}. Controllers: "
+        f"{', '.join(content.controllers)}; baseline: {content.baseline}. All ran on the same plants, references and "
+        "noise. Everything here is simulated; no real rig was measured."
     )
-    return [Text(" ".join([*sentences, all_ran]), "soft")]
+    return [Text(text, "soft")]
 
 
 def score_text(baseline: str) -> str:
@@ -77,24 +52,23 @@ def score_text(baseline: str) -> str:
     )
 
 
-def score_plot(content: Content, scores: Mapping[str, Interval]) -> list[Plot]:
-    """The scores of some controllers; nothing without a best found."""
-    scores = {name: value for name, value in scores.items() if np.isfinite(value.value)}
+def score_plot(content: Content, table: pd.DataFrame) -> list[Plot]:
+    """The scores in a table; nothing without a best found."""
+    if "score" not in table:
+        return []
+    rows = intervals(table, "score", "controller").reindex(content.controllers[1:]).dropna(subset=["value"])
+    if rows.empty:
+        return []
 
-    def paint(axes: Axes) -> None:
-        for place, (name, value) in enumerate(scores.items()):
-            axes.barh(place, value.value, height=0.55, color=content.looks[name].colour)
-            lengths = np.nan_to_num([[value.value - value.low], [value.high - value.value]])
-            axes.errorbar(value.value, place, xerr=np.maximum(lengths, 0.0), color=INK)
-        axes.axvline(0.0, color=INK, linewidth=0.8)
-        axes.axvline(100.0, color=INK, linewidth=0.8, linestyle="--")
-        row_axis(axes, list(scores))
-        axes.set_xlabel(f"0 = {content.baseline}, 100 = best found")
+    def finish(axes: Axes) -> None:
+        for end in (0.0, 100.0):
+            axes.axvline(end, color=INK, linewidth=0.8)
 
     note = f"{score_text(content.baseline)} Bars: 95 % interval."
-    alt = description("Score", {name: [("score", value.value)] for name, value in scores.items()}, "")
-    height = max(HEIGHT - 0.8, 0.9 + 0.35 * len(scores))
-    return [one_panel("score", "Score", note, alt, paint, height)] if scores else []
+    label = f"0 = {content.baseline}, 100 = best found"
+    return [
+        curve_plot("score", "Score", note, {"": rows}, looks_of([""]), " of 100", finish, drawn="rows", xlabel=label)
+    ]
 
 
 def problems(content: Content) -> list[Block]:
@@ -110,6 +84,46 @@ def problems(content: Content) -> list[Block]:
             where = ", ".join(map(content.label, frame["condition"]))
             lines.append(f"{name} did not run under {where}: {frame['message'].iloc[0]}.")
     return [Fold("Some parts did not run", [Points(lines)], bool(errors), "caution")] if lines else []
+
+
+# Findings -----------------------------------------------------------------------------------------------------------
+
+
+def findings_of(content: Content) -> list[Block]:
+    """Who is best, with a warning if the baseline does not come to rest; policies against what they correct."""
+    base = content.row("limit_cycle_summary", controller=content.baseline)
+    restless = f"{content.baseline} does not come to rest: ratios to it compare with a controller in this state."
+    return [
+        *([Text(restless, "caution")] if base and not comes_to_rest(base) else []),
+        *_best(content),
+        *corrected_table(content),
+    ]
+
+
+def _best(content: Content) -> list[Text]:
+    """The controller that is clearly better than the baseline, by its share of the baseline's error."""
+    leading = "equal_weight" if content.has("comparison") else "ratio"
+    rows = {name: content.against(name) or content.row("ratios", controller=name) for name in content.controllers[1:]}
+    ratios = {name: interval(row, leading) for name, row in rows.items() if row}
+    if not ratios:
+        return []
+    best = min(ratios, key=lambda name: ratios[name].value)
+    if verdict(ratios[best]) == "better":
+        share = number(100.0 * ratios[best].value, 0)
+        return [Text(f"{best} positions best: {share} % of the error of {content.baseline}.", "verdict")]
+    return [Text(f"No controller is clearly better than {content.baseline}.", "verdict")]
+
+
+def corrected_table(content: Content) -> list[Table]:
+    """Each policy that corrects another controller than the baseline, against this controller."""
+    rows = []
+    for row in content.table("corrected").to_dict("records"):
+        ratios = (shown(row, column) for column in ("ratio", "equal_weight", "ratio_sensor"))
+        better, costs = number(100.0 * row["share_better"], 0), (number(row[column], 2) for column in COSTS)
+        rows.append((str(row["controller"]), str(row["against"]), *ratios, better, *costs))
+    errors, costs = ("mean error", "equal weights", "repeatability"), (each.word.lower() for each in COSTS.values())
+    header = ("Policy", "corrects", *errors, "better in, %", *costs)
+    return [Table("A policy ÷ what it corrects, on the same runs", header, rows, style="dense")] if rows else []
 
 
 # Cost of a leak -----------------------------------------------------------------------------------------------------
@@ -133,7 +147,8 @@ def price_plots(table: pd.DataFrame) -> list[Plot]:
         table: of :func:`~hydro_agents.evaluation.leak_price.leak_price`.
     """
     table = table.set_index("leakage_flow_lpm")
-    shares = {name: 100.0 * table[column] / table[column].iloc[0] for name, column in RESERVES.items()}
+    reserves = {column: text.partition(",")[0].lower() for column, (text, *_) in list(PRICES.items())[2:]}
+    shares = {name: 100.0 * table[column] / table[column].iloc[0] for column, name in reserves.items()}
     power = table["holding_power_w"]
     held = ("price-power", f"Power to hold {number(table['place_mm'].iloc[0], 0)} mm")
     flow = "Flow through the valve times supply pressure."
@@ -142,8 +157,8 @@ def price_plots(table: pd.DataFrame) -> list[Plot]:
     watts: dict[str, Any] = {"ylabel": "power from the supply, W", "ylim": (0.0, 1.07 * power.max())}
     percent: dict[str, Any] = {"ylabel": "reserve, % of the tight seal", "ylim": (0.0, 105.0)}
     return [
-        curve_plot(*held, flow, {"": power}, looks_of([""]), " W", drawn="leaks", **watts),
-        curve_plot(*left, full, shares, looks_of(RESERVES), " %", drawn="leaks", **percent),
+        curve_plot(*held, flow, {"": power}, looks_of([""]), " W", drawn="levels", **watts),
+        curve_plot(*left, full, shares, looks_of(shares), " %", drawn="levels", **percent),
     ]
 
 
@@ -181,20 +196,7 @@ def run(content: Content) -> list[Block]:
         rows = [(phase, duration(seconds)) for phase, seconds in timings.items()]
         blocks.append(Table("Time taken", ("Phase", "Time"), rows))
     if content.has("conditions"):
-        blocks.append(Fold("All conditions", [conditions_table(content.table("conditions"))]))
+        blocks.append(Fold("All conditions", [words_table(content.table("conditions"))]))
     if content.has("configuration"):
         blocks.append(Fold("Configuration", [Code(content.other("configuration", ""))]))
     return blocks
-
-
-def conditions_table(table: pd.DataFrame) -> Table:
-    """Changes of each condition."""
-    texts = table.reindex(columns=CONDITION_COLUMNS).astype(object).fillna("").map(_text)
-    texts = texts.loc[:, (texts != "").any()].rename(columns=CONDITION_COLUMNS)
-    return Table("", tuple(texts), list(texts.itertuples(index=False, name=None)), style="words")
-
-
-def _text(value: object) -> str:
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
-    return setting(value) if isinstance(value, float) else str(value)

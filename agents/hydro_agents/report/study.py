@@ -6,21 +6,19 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.evaluate import Evaluation
 from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
-from hydro_agents.report.content import Content, interval, shown, verdict
-from hydro_agents.report.findings import findings_of
+from hydro_agents.report.content import Content, shown
 from hydro_agents.report.sections import Block, Fold, Points, Text, section
-from hydro_agents.report.shared import problems, score_plot, score_text
+from hydro_agents.report.shared import findings_of, problems, score_plot, score_text
 from hydro_agents.report.study_plots import tracking_plots
-from hydro_agents.report.traces import Example, example_limits, example_plot
-from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
-from hydro_agents.running.statistics import LEAST_SAMPLES, RESAMPLES, conditional_value_at_risk
-from hydro_agents.running.text import Table, decimals_for, family_name, number, setting, span
+from hydro_agents.report.traces import Example, example_plot
+from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.statistics import RESAMPLES, conditional_value_at_risk
+from hydro_agents.running.text import Table, family_name, number, setting, span
 
 STUDY = (
     "introduction",
@@ -47,8 +45,6 @@ BY = {
 }
 """Tables of all metrics: the column of their rows, and its words."""
 
-VERDICTS = {"better": "wins", "worse": "loses", "same": "no clear difference"}
-
 
 def tables_of(evaluation: Evaluation) -> dict[str, pd.DataFrame]:
     """Every table of an evaluation by the name of its CSV file."""
@@ -69,8 +65,7 @@ def content_of(
         facts: keys and values of the run, such as command, date, seed and versions.
         tables: further ones: ``leak_price``, ``training_curve`` (see :mod:`hydro_agents.report.training_plots`).
         others: ``examples`` (the same episodes at every leak), ``timings`` (s, by phase), ``configuration`` (YAML
-            text), ``corrects`` (controller → the one that it corrects) and ``validation_error_mm`` (of the first
-            controller, on the plants of the training curve).
+            text) and ``validation_error_mm`` (of the first controller, on the plants of the training curve).
     """
     run = pd.DataFrame((facts or {}).items(), columns=["key", "value"])
     everything = {**tables_of(evaluation), **(tables or {}), "protocol": run}
@@ -98,9 +93,8 @@ def warnings_of(content: Content) -> list[str]:
     warnings = []
     plants = content.table("cases")["plant"].nunique()
     if plants < FEW_PLANTS:
-        what = "without intervals" if plants < LEAST_SAMPLES else "with rough intervals"
         few = f"{plants} plants per leak size and kind of reference are too few for a decision"
-        warnings.append(f"A small run, {what}: {few}.")
+        warnings.append(f"A small run, whose intervals are missing or rough: {few}.")
     seeds = pd.concat([content.table(name)["seed"] for name in ("cases", "detection") if content.has(name)])
     if not seeds.isin(TEST_SEEDS).all():
         warnings.append("Some runs used seeds outside the test seeds: a controller may have been trained on them.")
@@ -119,17 +113,15 @@ def positioning(content: Content) -> list[Block]:
     settled = (
         "The settling time includes only standstills in which the axis settled: read it with the share of the others."
     )
-    wins = "A controller “wins” or “loses” only if the whole interval is on one side of 1."
-    scores = {name: interval(content.row("score", controller=name), "score") for name in content.controllers[1:]}
     ratios = ratio_tables(content)
     return [
         Text(terms),
         overview(content),
         *growth_table(content),
-        *score_plot(content, scores),
+        *score_plot(content, content.table("score")),
         *tracking_plots(content),
         Text(tails, "soft"),
-        *([Fold("Ratios of errors, with verdicts", [Text(wins), *ratios])] if ratios else []),
+        *([Fold("Ratios of errors", ratios)] if ratios else []),
         Fold("All metrics by leak size", [Text(settled), *metric_tables(content, "levels")]),
         Fold("All metrics by kind of reference", metric_tables(content, "families")),
     ]
@@ -137,12 +129,11 @@ def positioning(content: Content) -> list[Block]:
 
 @section("One leak at a time", needs=("cases",))
 def one_leak(content: Content) -> list[Block]:
-    """Errors, costs and single runs at each leak; an episode has the same scale at every leak."""
+    """Errors, costs and single runs at each leak."""
     examples: list[Example] = content.other("examples", [])
     plots: dict[float, list[Block]] = {}
     for count, example in enumerate(examples):
-        limits = example_limits([other for other in examples if other.title == example.title])
-        plots.setdefault(example.leak, []).append(example_plot(example, f"run-{count}", content.looks, limits))
+        plots.setdefault(example.leak, []).append(example_plot(example, f"run-{count}", content.looks))
     note = "Single runs: the same plant, reference and noise at every leak."
     folds = (
         Fold(f"Leak of {setting(leak)} l/min", [table, *plots.get(leak, [])], opened=not plots)
@@ -180,7 +171,7 @@ def study_method(content: Content) -> list[Block]:
 
 def extent_table(content: Content) -> Table:
     """What was run: numbers of runs, plants, leaks, seeds."""
-    cases, still, detection = (content.table(name) for name in ("cases", "limit_cycles", "detection"))
+    cases = content.table("cases")
     trainings = cases.groupby("controller", sort=False)["training_seed"].nunique()
     rows = {
         "Runs of each controller": len(cases.drop_duplicates(["leakage_flow_lpm", "family", "plant"])),
@@ -188,23 +179,11 @@ def extent_table(content: Content) -> Table:
         "Plants for each kind": cases["plant"].nunique(),
         "Leaks of each plant, l/min at 100 bar": _leaks(cases),
         "Training seeds of each controller": ", ".join(f"{name} {count}" for name, count in trainings.items()),
-        "Seeds of tracking": _seeds(cases["seed"]),
-        "Seeds of training, not used here": _seeds(TRAINING_SEEDS),
-        "Seeds of validation, not used here": _seeds(VALIDATION_SEEDS),
+        "Seeds": span(cases["seed"].min(), cases["seed"].max()),
     }
-    if len(still):
-        rows |= {"Standstills: plants": still["plant"].nunique(), "Standstills: leaks, l/min": _leaks(still)}
-    if content.has("detection_summary"):
-        row = content.table("detection_summary").iloc[0]
-        rows["Detection: healthy and leaking episodes"] = f"{row['healthy_episodes']} and {row['leaking_episodes']}"
-        rows["Seeds of detection"] = _seeds(detection["seed"])
     return Table(
         "What was run", ("", "Number"), [(what, str(n)) for what, n in rows.items()], style="words", folded=False
     )
-
-
-def _seeds(seeds: pd.Series | range) -> str:
-    return span(min(seeds), max(seeds))
 
 
 def _leaks(table: pd.DataFrame) -> str:
@@ -272,15 +251,13 @@ def metric_table(content: Content, by: str, metric: str) -> Table:
     """Mean with interval, worst 5 % and worst run of every controller, by the rows of a table of BY."""
     column, first, words = BY[by]
     table, each, names = content.rows(by, metric=metric), METRICS[metric], content.controllers
-    means = each.factor * table["mean"].abs()
-    decimals = decimals_for(float(means[means > 0.0].median()))
     rows = []
     for value in table[table["mean"].notna()][column].unique():
         cells = [setting(value) if by == "levels" else family_name(value)]
         for name in names:
             row = content.row(by, metric=metric, controller=name, **{column: value})
-            tails = (number(each.factor * row[key], decimals) for key in ("cvar_5_percent", "worst"))
-            cells += [shown(row, "mean", decimals, each.factor), *tails]
+            tails = (number(each.factor * row[key]) for key in ("cvar_5_percent", "worst"))
+            cells += [shown(row, "mean", factor=each.factor), *tails]
         rows.append(tuple(cells))
     header = (first, *("mean (95 % interval)", "worst 5 %", "worst run") * len(names))
     return Table(f"{each.label}, by {words}", header, rows, tuple((name, 3) for name in names))
@@ -295,7 +272,7 @@ def metric_tables(content: Content, by: str) -> list[Table]:
 
 
 def ratio_tables(content: Content) -> list[Table]:
-    """Ratios of errors to the first controller, with verdicts; none with one controller."""
+    """Ratios of errors to the first controller; none with one controller."""
     tables = []
     for name in content.controllers[1:]:
         rows = []
@@ -304,10 +281,9 @@ def ratio_tables(content: Content) -> list[Table]:
             if row["group"] == "level":
                 label = f"leak of {setting(float(row['value']))} l/min"
             better = 100.0 * row["share_of_cases_better"]
-            wins = VERDICTS[verdict(interval(row, "ratio"))]
-            rows.append((label, shown(row, "ratio", 3), wins, "–" if np.isnan(better) else f"{number(better, 0)} %"))
+            rows.append((label, shown(row, "ratio", 3), number(better, 0)))
         against = content.row("ratios", controller=name)["against"]
-        header = ("Runs", "ratio (95 % interval)", f"{name} …", "better in")
+        header = ("Runs", "ratio (95 % interval)", "better in, %")
         tables.append(Table(f"Mean error of {name} over mean error of {against}", header, rows))
     return tables
 

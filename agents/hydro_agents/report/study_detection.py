@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 
-from hydro_agents.report.canvas import GREY, INK, PALE, PAPER, Plot, curve_plot, one_panel, ticks
-from hydro_agents.report.content import Content, interval, intervals, percent
-from hydro_agents.report.hover import thinned_rows
+from hydro_agents.report.canvas import INK, PALE, Plot, curve_plot, thinned_rows, ticks
+from hydro_agents.report.content import Content, intervals, shown
 from hydro_agents.report.sections import Block, Fold, Text, section
 from hydro_agents.running.text import Table, number, setting
 
@@ -22,13 +19,13 @@ POINTS = 350
 SIZE_TICKS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
 SUMMARY: dict[str, tuple[str, float, int, str]] = {
-    "auroc": ("Area under the ROC curve, leaks above {above:g} l/min", 1.0, 3, ""),
-    "average_precision": ("Average precision, leaks above {above:g} l/min", 1.0, 3, ""),
+    "auroc": ("Area under the ROC curve", 1.0, 3, ""),
+    "average_precision": ("Average precision", 1.0, 3, ""),
     "threshold": ("Threshold of the leak probability", 1.0, 3, ""),
     "false_alarm_rate": ("False alarms at this threshold", 100.0, 1, " %"),
-    "detection_rate_moderate": ("Leaks from {moderate:g} l/min flagged at this threshold", 100.0, 1, " %"),
+    "detection_rate_moderate": ("Moderate and severe leaks flagged at this threshold", 100.0, 1, " %"),
     "detection_rate_moderate_at_1_percent": (
-        "Leaks from {moderate:g} l/min flagged at a threshold with 1 % false alarms on these episodes",
+        "Moderate and severe leaks flagged at a threshold with 1 % false alarms on these episodes",
         100.0,
         1,
         " %",
@@ -69,17 +66,16 @@ def _rate_table(content: Content, group: str, caption: str, first: str) -> Table
     rows = []
     for value, part in content.rows("detection_rates", group=group).groupby("value", sort=False):
         own = part.set_index("controller").loc[content.controllers].to_dict("records")
-        cells = (percent(interval(row, "flagged_share")) for row in own)
+        cells = (shown(row, "flagged_share", 1, 100.0, "%") for row in own)
         rows.append((value, *cells, str(int(own[0]["episodes"]))))
     return Table(caption, (first, *content.controllers, "episodes"), rows)
 
 
 def summary_table(content: Content) -> Table:
     """Areas under the curves, rates and errors of the size, one column per controller."""
-    summary, bounds = content.table("detection_summary"), content.bounds
-    names = {"above": bounds.leaking_above, "moderate": bounds.moderate_from}
+    summary = content.table("detection_summary")
     rows = [
-        (label.format(**names), *(number(factor * value, decimals) + unit for value in summary[key]))
+        (label, *(number(factor * value, decimals) + unit for value in summary[key]))
         for key, (label, factor, decimals, unit) in SUMMARY.items()
         if key in summary
     ]
@@ -98,25 +94,11 @@ def _rates(content: Content) -> Plot:
     }
 
     def finish(axes: Axes) -> None:
-        axes.axvline(0.5, color=GREY, linewidth=0.8, linestyle=":")
         axes.set(xlabel="leak, l/min at 100 bar", ylabel="flagged, % of episodes", ylim=(-2.0, 102.0))
 
     note = "Bars: 95 % interval. Flags on healthy seals (left) are false alarms."
     named = ("rates", "Flagged episodes by leak size", note)
     return curve_plot(*named, parts, content.looks, " %", finish, apart=0.16, drawn="points")
-
-
-def _operating_point(content: Content, controller: str) -> tuple[float, float]:
-    """False-alarm rate and detection rate of all leaks at the head's threshold, percent."""
-    part, bounds = content.rows("detection", controller=controller), content.bounds
-    flow, flagged = part["leakage_flow_lpm"], 100.0 * part["flagged"]
-    return flagged[flow <= bounds.healthy_up_to].mean(), flagged[flow > bounds.leaking_above].mean()
-
-
-def _from_summary(content: Content, column: str, decimals: int) -> str:
-    """One number of every controller, as text."""
-    values = content.table("detection_summary").set_index("controller")[column]
-    return ", ".join(f"{name} {number(value, decimals)}" for name, value in values.items())
 
 
 def _roc(content: Content) -> Plot:
@@ -126,22 +108,13 @@ def _roc(content: Content) -> Plot:
         curves[name] = roc.set_index(roc["x"].clip(lower=FEWEST_FALSE_ALARMS))["y"]
 
     def finish(axes: Axes) -> None:
-        axes.axvline(1.0, color=GREY, linewidth=0.9, linestyle="--")
-        axes.text(1.08, 5.0, "1 %", color=GREY, fontsize=8.5)
-        chance = np.geomspace(FEWEST_FALSE_ALARMS, 100.0, 60)
-        axes.plot(chance, chance, color=GREY, linewidth=0.8, linestyle=":", label="chance")
-        for name, look in content.looks.items():
-            alarms, detected = _operating_point(content, name)
-            point: dict[str, Any] = {"color": look.colour, "markeredgecolor": PAPER, "markersize": 7.5}
-            axes.plot(max(alarms, FEWEST_FALSE_ALARMS), detected, look.marker, **point, clip_on=False)
         axes.set(xscale="log", xlim=(FEWEST_FALSE_ALARMS, 100.0), ylim=(0.0, 102.0))
         ticks(axes.xaxis, (0.1, 1.0, 10.0, 100.0))
         axes.set(xlabel="false alarms, % of healthy episodes", ylabel="leaks flagged, %")
 
     note = (
         f"All leaks above {setting(content.bounds.leaking_above)} l/min, every threshold (receiver operating "
-        "characteristic, ROC). Marked: the threshold in use. Area under the curve on linear axes: "
-        f"{_from_summary(content, 'auroc', 3)}."
+        "characteristic, ROC). The table below holds the area under the curve, and the threshold in use."
     )
     title = "Leaks flagged against false alarms"
     return curve_plot("roc", title, note, curves, content.looks, " %", finish, " %", drawn="steps")
@@ -151,25 +124,22 @@ def _size(content: Content) -> Plot:
     leaking = content.table("detection")
     leaking = leaking[leaking["leakage_flow_lpm"] > content.bounds.leaking_above]
     low, high = leaking["leakage_flow_lpm"].agg(["min", "max"])
-    least, most = leaking["estimated_flow_lpm"].agg(["min", "max"])
-    bottom, top = min(max(least, SIZE_TICKS[0]), 0.5 * low), min(max(most, 2.0 * high), 50.0)
+    curves = {}
+    for name, part in leaking.groupby("controller", sort=False):
+        part = part.iloc[thinned_rows(len(part), POINTS)]
+        curves[name] = part.set_index("leakage_flow_lpm")["estimated_flow_lpm"].clip(0.1 * low, 5.0 * high)
 
-    def paint(axes: Axes) -> None:
+    def finish(axes: Axes) -> None:
+        for line in axes.lines:
+            line.set(markersize=2.8, markeredgewidth=0.0, alpha=0.6)
         true = np.array([low, high])
         axes.fill_between(true, 0.5 * true, 2.0 * true, color=PALE, linewidth=0.0, label="factor of 2")
         axes.plot(true, true, color=INK, linewidth=0.9)
-        for name, look in content.looks.items():
-            part = leaking[leaking["controller"] == name]
-            part = part.iloc[thinned_rows(len(part), POINTS)]
-            dots: dict[str, Any] = {"color": look.colour, "markersize": 2.8, "markeredgewidth": 0.0, "alpha": 0.6}
-            estimated = part["estimated_flow_lpm"].clip(bottom, top)
-            axes.plot(part["leakage_flow_lpm"], estimated, look.marker, label=name, **dots)
-        axes.set(xscale="log", yscale="log", xlim=(low / 1.05, 1.05 * high), ylim=(bottom / 1.1, 1.1 * top))
-        for axis, name in ((axes.xaxis, "true"), (axes.yaxis, "estimated")):
-            ticks(axis, SIZE_TICKS)
-            axis.set_label_text(f"{name} leak, l/min")
+        axes.set(xscale="log", yscale="log")
+        axes.set(xlabel="true leak, l/min", ylabel="estimated leak, l/min")
+        ticks(axes.xaxis, SIZE_TICKS)
+        ticks(axes.yaxis, SIZE_TICKS)
 
-    title = "Estimated against true leak size"
-    factors = _from_summary(content, "median_size_error_factor", 2)
-    note = f"One dot per leaking episode (thinned). Median factor between the two: {factors}."
-    return one_panel("size", title, note, f"{title}, both logarithmic. {note}", paint)
+    note = "One dot per leaking episode (thinned); estimates beyond the frame stand at its edge."
+    named = ("size", "Estimated against true leak size", note)
+    return curve_plot(*named, curves, content.looks, " l/min", finish, drawn="points")

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from hydro_agents.report.canvas import INK, PALE, Array, Plot, curve_plot
+from hydro_agents.report.canvas import INK, Array, Plot, curve_plot
 from hydro_agents.report.content import Content, intervals
 from hydro_agents.running.statistics import mean_interval
 from hydro_agents.running.text import family_name, setting
@@ -17,12 +17,13 @@ def tracking_plots(content: Content) -> list[Plot]:
     """Errors over leak and by reference, paired comparisons, valve travel, worst cases."""
     error, travel = ("mean_error_mm", "error, mm"), ("valve_travel_per_s", "travel, strokes per second")
     reversals, energy = ("reversals_per_s", "reversals, per second"), ("supply_energy_j", "energy, J")
+    mean = "Mean over all runs; the tables hold the intervals."
     wear = "Changes of direction that the valve follows; they wear it."
     motions = "Mean over all runs; the motions are the same for every leak."
     tail = "Mean error of a run, averaged over the worst 5 % of the runs (conditional value at risk)."
     worst, compared = "Mean error of the single worst run.", content.has("ratios")
     return [
-        _by_leak(content, *error, "Mean error", f"Mean over all runs.{_hint(content)}"),
+        _by_leak(content, *error, "Mean error", mean),
         _by_leak(content, *travel, "Valve travel", "Cost of the positioning: travel of the valve's spool."),
         *([_difference(content)] if compared else []),
         _by_leak(content, *reversals, "Reversals of the command", wear),
@@ -34,26 +35,16 @@ def tracking_plots(content: Content) -> list[Plot]:
     ]
 
 
-def _hint(content: Content) -> str:
-    """A hint on intervals: with several controllers, overlapping intervals of single means mislead."""
-    if not content.has("ratios"):
-        return " Bars: 95 % interval."
-    return " The tables hold the intervals; the paired comparison shows which differences are certain."
-
-
 def _by_leak(content: Content, metric: str, label: str, title: str, note: str, column: str = "mean") -> Plot:
-    """A column of the table ``levels`` for one metric over the leak; a controller alone has its intervals."""
-    curves = {}
-    for name in content.controllers:
-        own = content.rows("levels", metric=metric, controller=name).sort_values("leakage_flow_lpm")
-        frame = intervals(own, column, "leakage_flow_lpm")
-        curves[name] = frame if column == "mean" and not content.has("ratios") else frame[["value"]]
+    """A column of the table ``levels`` for one metric over the leak."""
+    table = content.rows("levels", metric=metric).pivot_table(column, "leakage_flow_lpm", "controller")
 
     def finish(axes: Axes) -> None:
         axes.set_ylabel(label)
-        _error_scale(axes, pd.concat(curves).to_numpy(), "y")
+        _scale(axes, "y", table.to_numpy())
 
     key, unit = f"level-{metric}-{column}", f" {label.split(', ')[1]}"
+    curves = {name: table[name] for name in content.controllers}
     return curve_plot(key, f"{title} by leak size", note, curves, content.looks, unit, finish, drawn="levels")
 
 
@@ -78,33 +69,24 @@ def _difference(content: Content) -> Plot:
 
 
 def _by_family(content: Content) -> Plot:
-    parts = {}
-    for name in content.controllers:
-        parts[name] = intervals(content.rows("families", metric="mean_error_mm", controller=name), "mean", "family")
-        parts[name].index = parts[name].index.map(family_name)
-        if content.has("ratios"):
-            parts[name][["low", "high"]] = np.nan  # no bars
+    table = content.rows("families", metric="mean_error_mm")
+    table = table.assign(family=table["family"].map(family_name))
+    parts = {name: table[table["controller"] == name].set_index("family")["mean"] for name in content.controllers}
 
     def finish(axes: Axes) -> None:
         axes.set_xlabel("mean error, mm")
-        _error_scale(axes, pd.concat(parts).to_numpy(), "x")
+        _scale(axes, "x", pd.concat(parts).to_numpy())
 
-    title, note = "Mean error by kind of reference", "Mean over all leak sizes." + _hint(content)
-    return curve_plot("family", title, note, parts, content.looks, " mm", finish, drawn="rows")
+    named = ("family", "Mean error by kind of reference", "Mean over all leak sizes; the tables hold the intervals.")
+    return curve_plot(*named, parts, content.looks, " mm", finish, drawn="rows")
 
 
-def _error_scale(axes: Axes, values: Array, which: str) -> None:
-    """Scale an axis from zero, or logarithmically if the values differ by a factor of more than 20."""
-    axis = axes.yaxis if which == "y" else axes.xaxis
+def _scale(axes: Axes, which: str, values: Array, factor: float = 20.0) -> None:
+    """Scale an axis from zero, or logarithmically if the values differ by more than a factor."""
     positive = values[values > 0.0]
-    if len(positive) and positive.max() > 20.0 * positive.min():
-        _log_scale(axes, which)
-        axis.set_label_text(f"{axis.get_label_text()} (logarithmic)")
-    else:
+    if not len(positive) or positive.max() <= factor * positive.min():
         axes.set(**{f"{which}lim": (0.0, 1.07 * float(np.nanmax(values)) or None)})
-
-
-def _log_scale(axes: Axes, which: str) -> None:
+        return
     axes.set(**{f"{which}scale": "log"})
     axis = axes.yaxis if which == "y" else axes.xaxis
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -116,16 +98,13 @@ def _ratios(content: Content) -> Plot:
     """Error over the baseline's error on the same plants, by kind of reference."""
     table = content.table("ratios")
     table = table[table["group"].isin(["all", "family"])]
-    looks, base = content.looks, table["against"].iloc[0]
+    looks, base = content.looks, content.baseline
     table = table.assign(value=table["value"].map(lambda value: family_name(value) or "all runs"))
     parts = {name: intervals(own, "ratio", "value") for name, own in table.groupby("controller", sort=False)}
 
     def finish(axes: Axes) -> None:
         axes.axvline(1.0, color=INK, linewidth=1.0)
-        axes.axhline(0.5, color=PALE, linewidth=0.8)
-        values = pd.concat(parts).to_numpy()
-        if np.nanmax(values) > 3.0 * np.nanmin(values):
-            _log_scale(axes, "x")
+        _scale(axes, "x", pd.concat(parts).to_numpy(), 3.0)
         axes.set_xlabel(f"error ÷ error of {base}")
 
     title = "Ratio of errors by kind of reference"

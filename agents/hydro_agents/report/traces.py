@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from hydro_agents.report.canvas import INK, PALE, Array, Plot, add_legend, make_plot
+from hydro_agents.report.canvas import INK, Plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.palette import Look
+from hydro_agents.report.recorded import Line, Signal, course_plot
 from hydro_agents.running.cases import Rollout
 from hydro_agents.running.text import capitalised, family_name, number, setting
+from hydro_env.types import Floats
 
 Replay = Callable[[Mapping[str, Any]], Rollout]
 """Runs one case again; its argument has the columns of ``cases``."""
@@ -26,20 +26,16 @@ CASE = ["condition", "family", "leakage_flow_lpm", "seed"]
 LEAK_GROUPS = ("leak", "leak_law", "schedule")
 """Groups of conditions whose label says the leak."""
 
-JUMP = 2e-4
-"""m between two samples; a larger change of the reference is a step."""
-
 
 @dataclass(frozen=True)
 class Example:
     """One test episode under every controller. Arrays (T,)."""
 
     title: str
-    time: Array  # s
-    reference: Array  # m
-    position: dict[str, Array]  # controller → m
-    command: dict[str, Array]  # controller → fraction of 10 V
-    preview: float = 0.0  # s; the observation shows the reference this far ahead
+    time: Floats  # s
+    reference: Floats  # m
+    position: dict[str, Floats]  # controller → m
+    command: dict[str, Floats]  # controller → fraction of 10 V
     leak: float = 0.0  # l/min at 100 bar
 
 
@@ -84,17 +80,14 @@ def with_traces(content: Content, replay: Replay, count: int = 2) -> Content:
     """
     if len(content.controllers) < 2:
         return content
-    preview = max(content.task.references.preview_times, default=0.0)
-    with_leak = content.in_groups(*LEAK_GROUPS)
     traces = []
     for case in worst_rows(content.table("cases"), content.baseline, count).to_dict("records"):
-        name, rival, family = case["controller"], case["rival"], case["family"]
+        name, rival = case["controller"], case["rival"]
         runs = {name: replay(case)}
         runs[rival] = replay({**case, "controller": rival, "training_seed": case["rival_seed"]})
-        where = [content.label(case["condition"]), family_name(family)]
-        if case["condition"] not in with_leak:
-            where.append(f"leak of {setting(case['leakage_flow_lpm'])} l/min")
-        where.append(f"seed {case['seed']}")
+        where = [content.label(case["condition"]), family_name(case["family"]), f"seed {case['seed']}"]
+        if case["condition"] not in content.in_groups(*LEAK_GROUPS):
+            where.insert(2, f"leak of {setting(case['leakage_flow_lpm'])} l/min")
         times = f"{number(case['ratio'])} times the error of {rival}"
         example = Example(
             title=f"Worst case {case['rank']} of {name}: {times} ({', '.join(where)})",
@@ -102,65 +95,32 @@ def with_traces(content: Content, replay: Replay, count: int = 2) -> Content:
             reference=runs[name].reference[0],
             position={who: np.asarray(run.position[0]) for who, run in runs.items()},
             command={who: np.asarray(run.command[0]) for who, run in runs.items()},
-            preview=preview if family == "step" else 0.0,
         )
         traces.append(example)
     return replace(content, others={**content.others, "traces": traces})
 
 
-def example_limits(examples: Sequence[Example]) -> tuple[float, float]:
-    """Lowest and highest error (mm) of some episodes, for one scale in all their figures."""
-    errors = [1e3 * (run.reference - position) for run in examples for position in run.position.values()]
-    low, high = np.nanmin(errors), np.nanmax(errors)
-    room = 0.05 * (high - low) or 1.0
-    return float(low - room), float(high + room)
-
-
-def example_plot(
-    example: Example, key: str, looks: Mapping[str, Look], limits: tuple[float, float] | None = None
-) -> Plot:
+def example_plot(example: Example, key: str, looks: Mapping[str, Look]) -> Plot:
     """Position and reference, error in mm, command in V of one episode under every controller.
 
     Args:
         example: the episode.
         key: name of the figure.
         looks: of the controllers.
-        limits: of the error, mm.
     """
-    time, reference = example.time, 1e3 * example.reference
-    error = {name: 1e3 * (example.reference - position) for name, position in example.position.items()}
-    jumps = time[1:][np.abs(np.diff(example.reference)) > JUMP] if example.preview > 0.0 else np.empty(0)
-    ahead = f"{setting(1e3 * example.preview)} ms ahead"
-
-    def paint(figure: Figure) -> None:
-        above, middle, below = panels = figure.subplots(3, 1, sharex=True, height_ratios=[2.0, 1.5, 1.2])
-        thin: dict[str, Any] = {"color": INK, "linewidth": 1.0}
-        above.plot(time, reference, label="reference", **thin)
-        if len(jumps):
-            above.plot(time - example.preview, reference, label=f"preview, {ahead}", linestyle=":", **thin)
-        for name, position in example.position.items():
-            stroke = looks[name].stroke
-            above.plot(time, 1e3 * position, label=name, linewidth=1.2, **stroke)
-            middle.plot(time, error[name], linewidth=1.2, **stroke)
-            below.plot(time, 10.0 * example.command[name], linewidth=0.9, **stroke)
-        for axes in panels:
-            for jump in jumps:
-                axes.axvspan(jump - example.preview, jump, color=PALE, linewidth=0.0, zorder=0.5)
-        middle.axhline(0.0, color=INK, linewidth=0.6)
-        above.set_ylabel("position, mm")
-        middle.set_ylabel("error, mm")
-        below.set(ylabel="command, V", xlabel="time, s", ylim=(-10.8, 10.8), yticks=[-10, 0, 10])
-        below.set_xlim(0.0, float(time[-1]))
-        if limits is not None:
-            middle.set_ylim(limits)
-        for axes in (above, middle):
-            axes.yaxis.set_major_locator(MaxNLocator(5))
-        figure.align_ylabels()
-        add_legend(above)
-
+    time, reference = example.time, example.reference
+    error = {name: 1e3 * (reference - position) for name, position in example.position.items()}
+    positions = {"reference": reference, **example.position}
+    signals = [
+        Signal("position, mm", {name: Line(time, 1e3 * values) for name, values in positions.items()}),
+        Signal("error, mm", {name: Line(time, values) for name, values in error.items()}),
+        Signal("command, V", {name: Line(time, 10.0 * values) for name, values in example.command.items()}),
+    ]
     means = (f"{name} {number(float(np.mean(np.abs(values))))} mm" for name, values in error.items())
-    note = f"Mean error of this run: {', '.join(means)}."
-    if len(jumps):
-        note += f" Dotted: the preview shows the reference {ahead}, so the axis may start before the step (grey)."
+    note = (
+        f"Mean error of this run: {', '.join(means)}. A controller that sees the reference ahead may start before a "
+        "step."
+    )
     alt = f"Position, error and valve command over time: {example.title}. {note}"
-    return make_plot(key, capitalised(example.title), note, alt, paint, 4.6)
+    with_reference = {**looks, "reference": Look(INK, "", "-")}
+    return course_plot(key, capitalised(example.title), note, alt, signals, 4.6, with_reference)

@@ -133,7 +133,6 @@ def evaluate_study(
         examples=example_traces(study.task, working, levels),
         timings=dict(phases.seconds) if phases is not None else {},
         configuration=configuration,
-        corrects=corrects,
         validation_error_mm=validation_errors(study.task, next(iter(working.values())))[0] if len(curve) else np.nan,
     )
     render_page(study.title, STUDY, content).write(folder / REPORT_FILE)
@@ -183,7 +182,6 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
             reference=first.reference[case],
             position={name: run.position[case] for name, run in runs.items()},
             command={name: run.command[case] for name, run in runs.items()},
-            preview=max(config.references.preview_times, default=0.0),
             leak=level,
         )
         for case, (family, level) in enumerate(kinds)

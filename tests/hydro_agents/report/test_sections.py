@@ -3,15 +3,13 @@
 import pandas as pd
 import pytest
 
-from hydro_agents.report.canvas import one_panel
+from hydro_agents.report.canvas import make_plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.leakage import LEAKAGE
 from hydro_agents.report.robustness import ROBUSTNESS
 from hydro_agents.report.sections import (
     Fold,
-    Grid,
     Text,
-    arranged,
     plots_of,
     render_page,
     section,
@@ -23,7 +21,7 @@ from hydro_env import ConfigurationError
 
 
 def plot(key):
-    return one_panel(key, key, "", key, lambda axes: axes.plot([0.0, 1.0], [0.0, 1.0]))
+    return make_plot(key, key, "", key, lambda figure: figure.subplots().plot([0.0, 1.0], [0.0, 1.0]))
 
 
 def test_every_page_names_registered_sections_and_two_pages_share_some():
@@ -60,12 +58,9 @@ def test_a_section_without_its_table_or_without_blocks_is_left_out(monkeypatch):
     assert "<section" not in page({"a": []})
 
 
-def test_neighbouring_figures_stand_side_by_side_and_all_become_files():
+def test_figures_in_folded_parts_become_files_too():
     one, two, three = (plot(key) for key in ("one", "two", "three"))
-    blocks = arranged([one, two, Text("between"), Fold("more", [three])])
-    assert [type(block) for block in blocks] == [Grid, Text, Fold]
-    assert blocks[0].plots == (one, two)
-    assert plots_of(blocks) == [one, two, three]
+    assert plots_of([one, two, Text("between"), Fold("more", [three])]) == [one, two, three]
 
 
 def test_a_table_shows_colours_groups_and_reasons():

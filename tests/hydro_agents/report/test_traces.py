@@ -62,7 +62,6 @@ def test_worst_cases_are_run_again_with_the_rival_beside_them(replay):
         "Worst case 1 of Good: 2.00 times the error of PID (latency 5 ms, steps, leak of 4 l/min, seed 2200007)"
     )
     assert pid.title.endswith("(8 l/min, ramps, seed 2200009)")
-    assert (good.preview, pid.preview) == (0.04, 0.0)
     assert list(good.command) == ["Good", "PID"]
     assert good.position["Good"].shape == good.time.shape == (40,)
     assert not np.array_equal(good.position["Good"], good.position["PID"])
