@@ -103,14 +103,10 @@ def protocol_tables():
 
 
 def experiment_tables():
-    """The tables of the experiments for PID and Good: Good never oscillates, PID once in two."""
+    """The tables of the experiments for PID and Good."""
     labels = [(name, leak, seed) for name in ("PID", "Good") for leak in (0.01, 4.0) for seed in (0, 1)]
     base = pd.DataFrame(labels, columns=["controller", "leakage_flow_lpm", "seed"])
-    cycles = (base["controller"] == "PID") & (base["leakage_flow_lpm"] == 0.01)
-    standstill = base.assign(
-        limit_cycle=cycles, amplitude_um=40.0 * cycles + 2.0, frequency_hz=np.where(cycles, 8.0, np.nan)
-    )
-    standstill = standstill.assign(unrest_um=20.0, offset_um=1.0, valve_travel_per_s=1.5, failed=False)
+    standstill = base.assign(unrest_um=20.0, offset_um=1.0, valve_travel_per_s=1.5, failed=False)
     step = base.assign(force_n=872.0, peak_mm=0.2, recovery_s=0.1, remaining_mm=np.where(base["seed"] == 0, 0.0, 0.0))
     step = step.assign(static_mm_per_kn=0.0, dynamic_mm_per_kn=0.23)
     step.loc[1, "recovery_s"] = np.nan
@@ -122,13 +118,7 @@ def experiment_tables():
     price = price.assign(holding_power_w=[20.0, 30.0, np.nan], holding_command=[0.0, 0.01, np.nan])
     for name in ("speed_out_mm_s", "speed_back_mm_s", "force_out_n", "force_back_n"):
         price[name] = [100.0, 80.0, 60.0]
-    pauses = base.merge(pd.DataFrame({"pause_s": [0.5, 60.0]}), how="cross").assign(
-        peak_um=80.0, mean_um=20.0, rest_um=9.0, valve_travel_per_s=0.5
-    )
-    changes = base.merge(pd.DataFrame({"family": ["sine", "ramp"]}), how="cross")
     return {
-        "pauses": pauses,
-        "take_over": changes.assign(largest_um=150.0, handed_over_um=100.0, never_switched_um=90.0),
         "standstill": standstill,
         "force_step": step,
         "force_sine": swept.assign(force_n=872.0, compliance_mm_per_kn=0.1),

@@ -70,8 +70,6 @@ PARTS = {
     "force_step": Part("force_step", "experiments:force_step"),
     "force_sine": Part("force_sine", "experiments:force_sine"),
     "hold": Part("standstill", "experiments:hold"),
-    "pause": Part("pauses", "experiments:pause"),
-    "take_over": Part("take_over", "experiments:take_over"),
     "windows": Part("windows", "leak_protocol:windows", ("leakage",)),
     "leak_bound": Part("bound", "hydro_rig.estimation.information:leak_bound", ("leakage",)),
     "leak_price": Part("leak_price", "experiments:price"),

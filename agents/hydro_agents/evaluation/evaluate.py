@@ -89,9 +89,10 @@ class StudyProtocol(ProtocolSettings, PairedProtocol):
         wanted = {"standstill": self.standstill_plants, "best_found": self.bound_plants}
         return ("tracking", *(name for name, plants in wanted.items() if plants), "episodes")
 
-    def bound_levels(self, name: str) -> Sequence[float]:
-        """The smallest and the largest leak."""
-        return self.standstill_levels(name)
+    def bound_cases_in(self, name: str) -> pd.DataFrame:
+        """The cases for the best found: of the smallest and the largest leak."""
+        cases = super().bound_cases_in(name)
+        return cases[cases["leakage_flow_lpm"].isin(self.standstill_levels(name))]
 
     def standstill_levels(self, name: str) -> Sequence[float]:
         """The smallest and the largest leak."""

@@ -15,7 +15,7 @@ from hydro_agents.evaluation.robustness_protocol import ControllerChoice, Paired
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.learning.trainers import TRAINERS
-from hydro_agents.running.cases import Cases, Rollout, check_predict
+from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError, TaskConfig
@@ -74,7 +74,7 @@ class Participants:
     controllers: Mapping[str, Controller]
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
     head: LeakageHead | None = None  # watches the episodes of a study
-    searches: Mapping[str, Callable[[TaskConfig, Cases], Rollout]] | None = None  # default: the best found, by name
+    searches: Mapping[str, Callable[[TaskConfig], Controller]] | None = None  # default: the best found, by name
 
     @property
     def corrected(self) -> dict[str, str]:

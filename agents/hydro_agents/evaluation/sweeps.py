@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Observation
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_env import TaskConfig
 from hydro_env.task.signals import observation_layout
@@ -19,21 +19,16 @@ from hydro_env.types import Floats
 LEAKS = (0.01, 1.0, 4.0)  # l/min at 100 bar: a tight seal, the bound between moderate and severe, a severe leak
 
 
-class Run(NamedTuple):
-    """What every controller does in a step of an experiment, on the same plants at every leak."""
-
-    tasks: tuple[TaskConfig, ...]  # the controller runs each of them
-    measure: Callable[..., Mapping[str, Any]]  # of the rollouts: further columns of the table, each (N,) or one value
-    hidden_preview: bool = False
+Play = Callable[..., Rollout]
+"""Runs the controller of an experiment in a task; with ``hidden=True`` it does not see the preview."""
 
 
 class Experiment(NamedTuple):
-    """An experiment with a controller in the loop: a list of runs, as rows of one table."""
+    """An experiment with a controller in the loop, on the same plants at every leak."""
 
-    runs: Callable[[TaskConfig], Iterable[Run]]
+    steps: Callable[[TaskConfig, Play], Iterable[Mapping[str, Any]]]  # columns of each step, each (N,) or one value
     leaks: Sequence[float] = LEAKS  # l/min at 100 bar
     plants: int = 4
-    finish: Callable[[pd.DataFrame], pd.DataFrame] = lambda table: table  # completes the table
 
     def __call__(self, config: TaskConfig, controller: Controller) -> pd.DataFrame:
         """Run the controller on the same plants at every leak.
@@ -43,19 +38,19 @@ class Experiment(NamedTuple):
             controller: the controller.
 
         Returns:
-            One row per run, leak and plant: leakage_flow_lpm, seed, and the columns of the experiment.
+            One row per step, leak and plant: leakage_flow_lpm, seed, and the columns of the experiment.
 
         Raises:
             ControllerError: the controller raises an exception or returns no finite commands.
         """
         seeds, leaks = EXPERIMENT_AXES.take(self.plants), np.repeat(self.leaks, self.plants)
         cases = Cases(np.tile(seeds, len(self.leaks)), leaks)
-        tables = []
-        for run in self.runs(config):
-            acting = HiddenPreview(controller, config) if run.hidden_preview else controller
-            columns = run.measure(*(run_cases(task, acting, cases) for task in run.tasks))
-            tables.append(pd.DataFrame({"leakage_flow_lpm": leaks, "seed": cases.seeds, **columns}))
-        return self.finish(pd.concat(tables, ignore_index=True))
+
+        def play(task: TaskConfig, hidden: bool = False) -> Rollout:
+            return run_cases(task, HiddenPreview(controller, config) if hidden else controller, cases)
+
+        known = {"leakage_flow_lpm": leaks, "seed": cases.seeds}
+        return pd.concat([pd.DataFrame({**known, **step}) for step in self.steps(config, play)], ignore_index=True)
 
 
 def sine_fit(values: Observation, time: Floats, frequency: float) -> tuple[NDArray[np.complex128], Floats]:

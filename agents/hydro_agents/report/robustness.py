@@ -32,7 +32,6 @@ ROBUSTNESS = (
     "frequency",
     "stiffness",
     "standstill",
-    "transitions",
     "leak_price",
     "inputs",
     "method",
