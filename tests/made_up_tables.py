@@ -72,13 +72,6 @@ def protocol_tables():
         {"rank": 2, "controller": "Fair", "best_in": 1, "conditions": 5, "failures": 2, "limit_cycles": 4},
         {"rank": 3, "controller": "PID", "best_in": 1, "conditions": 5, "failures": 0, "limit_cycles": 9},
     ]
-    taus = np.geomspace(0.2, 5.0, 9)
-    profiles = [
-        {"controller": name, "against": against, "tau": tau, "share": min(tau / 5.0, 1.0), "low": 0.0, "high": 1.0}
-        for name in ("PID", "Good", "Fair")
-        for against in ("best", "baseline")
-        for tau in taus
-    ]
     worst = {"training_seed": 0, "rank": 1, "condition": "latency_5ms", "family": "step", "leakage_flow_lpm": 4.0}
     worst |= {"plant": 0, "seed": 2_200_007, "mean_error_mm": 0.4, "baseline_error_mm": 0.2, "ratio": 2.0}
     cycles = [("PID", "leak_0.01", 1.0), ("PID", "leak_0.01", 0.0), ("Good", "leak_0.01", 0.0), ("PID", "leak_8", 0.0)]
@@ -93,7 +86,6 @@ def protocol_tables():
         "families": families,
         "conditions": pd.DataFrame(CONDITIONS, columns=["condition", "group", "label"]).assign(cases=10),
         "ranking": pd.DataFrame(ranking),
-        "profiles": pd.DataFrame(profiles),
         "limit_cycles": pd.DataFrame(cycles, columns=["controller", "condition", "limit_cycle"]),
         "worst_cases": pd.DataFrame([{"controller": name, **worst, "peak_error_mm": 3.0} for name in RATIOS]),
         "sees": pd.DataFrame([{"controller": name, **sees, "note": ""} for name in ("PID", *RATIOS)]),

@@ -9,6 +9,7 @@ import pandas as pd
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.best_found import BestFound
+from hydro_agents.evaluation.metrics import ERROR, ERROR_SENSOR
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import run
@@ -17,17 +18,17 @@ from hydro_env import TaskConfig
 from hydro_env.files import validate
 
 TRUTH, MEASURED = "told the truth", "measured state"
-COLUMNS = {
-    "leakage_flow_lpm": "leakage_flow_lpm",
-    "family": "family",
-    "plant": "plant",
-    "controller": "controller",
-    "mean_error_sensor_mm": "error_mm",
-    "mean_error_mm": "true_error_mm",
-    "valve_travel_per_s": "valve_travel_per_s",
-    "failed": "failed",
-}
-"""Columns of a comparison, by their names in the parts of a protocol."""
+SHOWN = [
+    "leakage_flow_lpm",
+    "family",
+    "plant",
+    "controller",
+    "error_mm",
+    "true_error_mm",
+    "valve_travel_per_s",
+    "failed",
+]
+"""Columns of a comparison."""
 
 
 def bound_protocol(config: TaskConfig, leaks: Sequence[float], plants: int) -> RobustnessProtocol:
@@ -55,7 +56,8 @@ def compare(protocol: RobustnessProtocol, controllers: Mapping[str, Controller],
     """
     searches = {name: partial(BestFound, measured=name == MEASURED) for name in (MEASURED, TRUTH)}
     rows = run(protocol, Participants(controllers, searches=searches), jobs=1, progress=progress).rows
-    return pd.concat([rows["tracking"], rows["best_found"]], ignore_index=True)[list(COLUMNS)].rename(columns=COLUMNS)
+    frame = pd.concat([rows["tracking"], rows["best_found"]], ignore_index=True)
+    return frame.rename(columns={ERROR_SENSOR: "error_mm", ERROR: "true_error_mm"})[SHOWN]
 
 
 def summary(frame: pd.DataFrame, by: str) -> pd.DataFrame:

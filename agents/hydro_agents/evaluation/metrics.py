@@ -56,12 +56,7 @@ class Metric(NamedTuple):
         return f"{self.word}, {self.shown_unit or self.unit}"
 
 
-def by_name(*metrics: Metric) -> dict[str, Metric]:
-    """Metrics by their names."""
-    return {metric.name: metric for metric in metrics}
-
-
-METRICS = by_name(
+_METRICS = (
     Metric("mean_error_mm", "mm", "Mean error", "accuracy: mean of |reference − position|"),
     Metric("rms_error_mm", "mm", "Root-mean-square error", "root mean square of the error"),
     Metric("peak_error_mm", "mm", "Peak error", "largest error"),
@@ -149,6 +144,8 @@ METRICS = by_name(
     ),
     Metric("failed", "1", "Failed runs", "1 if the axis failed", shown_unit="%", factor=100.0, cost=True),
 )
+
+METRICS = {metric.name: metric for metric in _METRICS}
 """Every metric of an episode."""
 
 COMPARED = {

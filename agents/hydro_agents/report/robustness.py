@@ -7,11 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import pandas as pd
-from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.metrics import FRAMES_TEXT, METRICS
-from hydro_agents.report.canvas import INK, Plot, curve_plot, ticks
 from hydro_agents.report.content import ALL, Content, interval, interval_text, shown, verdict
 from hydro_agents.report.findings import COSTS, findings_of
 from hydro_agents.report.palette import STRONGEST
@@ -39,7 +36,6 @@ ROBUSTNESS = (
 )
 """Sections of the page, in order."""
 
-PROFILE_TICKS = (0.25, 0.5, 0.71, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 
 FULL_COLOUR = 2.0
 """A ratio of 2 or 1/2 has the strongest colour."""
@@ -92,9 +88,9 @@ def comparison(content: Content) -> list[Block]:
 
 @section("Errors and costs", needs=("summary",))
 def costs(content: Content) -> list[Block]:
-    """Ranking, errors and costs of every controller, and performance profiles."""
+    """Ranking, errors and costs of every controller."""
     scores = {name: interval(content.against(name), "score") for name in content.controllers[1:]}
-    return [*ranking_table(content), absolute_table(content), *profile_plots(content), *score_plot(content, scores)]
+    return [*ranking_table(content), absolute_table(content), *score_plot(content, scores)]
 
 
 @section("Where each controller fails")
@@ -291,39 +287,3 @@ def worst_table(content: Content) -> list[Table]:
     where = ("condition", "reference", "leak, l/min", "seed")
     header = ("Controller", *where, "error, mm", "baseline, mm", "ratio", "peak, mm")
     return [Table("Worst ratios of errors", header, rows)] if rows else []
-
-
-# Figures ------------------------------------------------------------------------------------------------------------
-
-
-def profile_plots(content: Content) -> list[Plot]:
-    """Share of cases whose error is at most tau times that of the best controller, and of the baseline."""
-    base = content.baseline
-    best = (
-        "Share of cases in which the error is at most τ times the smallest error of any controller in that case (Dolan "
-        "and Moré). Higher is better; at τ = 1: share of cases won."
-    )
-    own = (
-        f"The same against {base}: the curve at τ = 1 is the share of cases with a smaller error, and its right end "
-        "shows the worst cases."
-    )
-    tables = {against: content.rows("profiles", against=against) for against in ("best", "baseline")}
-    titles, notes = {"best": "the best", "baseline": base}, {"best": best, "baseline": own}
-    return [
-        _profile(content, table, against, f"Performance profile against {titles[against]}", notes[against])
-        for against, table in tables.items()
-        if len(table)
-    ]
-
-
-def _profile(content: Content, table: pd.DataFrame, key: str, title: str, note: str) -> Plot:
-    parts = {name: table[table["controller"] == name] for name in content.controllers}
-    curves = {name: 100.0 * part.set_index("tau")["share"].sort_index() for name, part in parts.items() if len(part)}
-    first, last = table["tau"].min(), table["tau"].max()
-
-    def finish(axes: Axes) -> None:
-        axes.set(xscale="log", xlabel="τ", ylabel="share of cases, %", ylim=(0.0, 102.0), xlim=(first, last))
-        ticks(axes.xaxis, [tick for tick in PROFILE_TICKS if first <= tick <= last])
-        axes.axvline(1.0, color=INK, linewidth=0.8)
-
-    return curve_plot(f"profile-{key}", title, note, curves, content.looks, " %", finish, " × error", drawn="steps")

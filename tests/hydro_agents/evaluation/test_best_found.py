@@ -8,10 +8,9 @@ from published import assert_published
 from refusal import refused
 from scipy.optimize import lsq_linear
 
-from hydro_agents.evaluation.best_found import BestFound, best_found
+from hydro_agents.evaluation.best_found import BestFound, StateFilter, best_found
 from hydro_agents.evaluation.bound_comparison import MEASURED, TRUTH, means_by, summary
 from hydro_agents.evaluation.prediction import Prediction, bounded_least_squares, continued, true_schedule
-from hydro_agents.evaluation.state_filter import StateFilter
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.text import frame_markdown

@@ -11,13 +11,12 @@ from published import TABLES, assert_published
 
 from hydro_agents.controllers.sampled_loop import sampled_loop
 from hydro_agents.evaluation import experiments
-from hydro_agents.evaluation.experiments import EXPERIMENTS, bandwidths, crossing
+from hydro_agents.evaluation.experiments import EXPERIMENTS, HiddenPreview, bandwidths, crossing, sine_fit
 from hydro_agents.evaluation.leak_price import full_force, working_place
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.robustness_protocol import EXPERIMENTS as PARTS
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import run
-from hydro_agents.evaluation.sweeps import HiddenPreview, sine_fit
 from hydro_agents.learning.opponents import shipped
 from hydro_env import TaskConfig, resistance_from_flow
 
