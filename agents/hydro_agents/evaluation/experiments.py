@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Observation
 from hydro_agents.evaluation.conditions import Cell, columns_of
-from hydro_agents.evaluation.leak_price import full_force, full_speed, leak_price, working_place
+from hydro_agents.evaluation.leak_price import full_speed, leak_price, working_place
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.running.cases import Cases, Rollout, run_cases
@@ -23,7 +23,7 @@ from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
-from hydro_env.plant.analysis import reachable_range
+from hydro_env.plant.analysis import force_limits, reachable_range
 from hydro_env.task.configuration import task_config
 from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
@@ -204,7 +204,7 @@ def sudden_force(config: TaskConfig, play: Play) -> Iterator[dict[str, Any]]:
     about its final value; NaN if not by the end, as in a limit cycle), remaining_mm (deviation at the end, absolute),
     static_mm_per_kn and dynamic_mm_per_kn (remaining and largest deviation per force).
     """
-    newtons, begin = FORCE_SHARE * full_force(config.plant), BEFORE / (BEFORE + AFTER)
+    newtons, begin = FORCE_SHARE * min(force_limits(config.plant)), BEFORE / (BEFORE + AFTER)
     task = _with_force(noiseless(config), newtons, BEFORE + AFTER, kind="step", start_range=(begin, begin))
     period = config.control_period
     first, judged = round(BEFORE / period), round(JUDGED / period)
@@ -230,7 +230,7 @@ def sine_forces(config: TaskConfig, play: Play) -> Iterator[dict[str, Any]]:
 
     Columns: frequency_hz, force_n, compliance_mm_per_kn.
     """
-    newtons = FORCE_SHARE * full_force(config.plant)
+    newtons = FORCE_SHARE * min(force_limits(config.plant))
     for frequency in SINE_FREQUENCIES:
         settling = max(SINE_SETTLING, 2.0 / frequency)
         cycles = max(round(SINE_WATCHED * frequency), 2)

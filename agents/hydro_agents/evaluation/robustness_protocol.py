@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
-from hydro_agents.evaluation.conditions import Condition, Name, Protocol
+from hydro_agents.evaluation.conditions import Condition, Name, Protocol, refuse_unknown
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
@@ -188,7 +188,7 @@ class RobustnessProtocol(PairedProtocol):
     @model_validator(mode="after")
     def _possible(self) -> RobustnessProtocol:
         check_grid(self.standstill_leak_levels, ())
-        self.check_conditions("bound_conditions", self.bound_conditions)
+        refuse_unknown("bound_conditions", self.bound_conditions, self.conditions, "condition")
         if "all" in self.conditions:
             raise ValueError("conditions: 'all' is the name of their mean")
         return self

@@ -12,13 +12,14 @@ from published import TABLES, assert_published
 from hydro_agents.controllers.sampled_loop import sampled_loop
 from hydro_agents.evaluation import experiments
 from hydro_agents.evaluation.experiments import EXPERIMENTS, HiddenPreview, bandwidths, crossing, sine_fit
-from hydro_agents.evaluation.leak_price import full_force, working_place
+from hydro_agents.evaluation.leak_price import working_place
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.robustness_protocol import EXPERIMENTS as PARTS
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import run
 from hydro_agents.learning.opponents import shipped
 from hydro_env import TaskConfig, resistance_from_flow
+from hydro_env.plant.analysis import force_limits
 
 EXACT = exact_task()
 
@@ -39,7 +40,7 @@ def small(monkeypatch):
     """Motions and forces (2 N) so small that a linearised loop describes them."""
     monkeypatch.setattr(experiments, "FREQUENCIES", (1.0, 4.0, 12.0, 30.0))
     monkeypatch.setattr(experiments, "AMPLITUDE_SHARE", 2.5e-5)
-    monkeypatch.setattr(experiments, "FORCE_SHARE", 2.0 / full_force(EXACT.plant))
+    monkeypatch.setattr(experiments, "FORCE_SHARE", 2.0 / min(force_limits(EXACT.plant)))
     monkeypatch.setattr(experiments, "SINE_FREQUENCIES", (0.1,))
 
 
