@@ -164,7 +164,11 @@ def sees(name: str, controller: Controller, task: TaskConfig) -> Sees:
     layout = getattr(getattr(controller, "features", controller), "layout", None)
     layout = layout if isinstance(layout, ObservationLayout) else ObservationLayout.of(task)
     ahead = max(layout.preview_times, default=0.0)
-    memory = _memory(controller)
+    features, memory = getattr(controller, "features", None), "unknown"
+    if names := getattr(getattr(controller, "memory", None), "_fields", None):
+        memory = ", ".join(names)
+    elif isinstance(features, PolicyFeatures):
+        memory = f"signals of the last {1e3 * max(features.lags) * features.layout.control_period:g} ms"
     found = {
         "preview": f"{1e3 * ahead:g} ms" if ahead > 0.0 else "no",
         "memory": memory,
@@ -175,17 +179,6 @@ def sees(name: str, controller: Controller, task: TaskConfig) -> Sees:
     if not isinstance(declared, Mapping):
         raise ConfigurationError(f"{name}: sees must be a mapping of texts, of {', '.join(Sees.model_fields)}")
     return validate(Sees, {**found, **declared}, f"{name}: sees")
-
-
-def _memory(controller: Controller) -> str:
-    kind = getattr(controller, "memory", None)
-    names = getattr(kind, "_fields", None)
-    if names:
-        return ", ".join(names)
-    features = getattr(controller, "features", None)
-    if isinstance(features, PolicyFeatures):
-        return f"signals of the last {1e3 * max(features.lags) * features.layout.control_period:g} ms"
-    return "unknown"
 
 
 def sees_table(chosen: Participants, task: TaskConfig) -> pd.DataFrame:
