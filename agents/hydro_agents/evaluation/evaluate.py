@@ -80,6 +80,7 @@ class StudyProtocol(ProtocolSettings, PairedProtocol):
 
     kind: Literal["study"] = "study"
     title: str = "Evaluation"
+    plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
     bound_conditions: tuple[Name, ...] = ("task",)
 
     def asked(self) -> tuple[str, ...]:
