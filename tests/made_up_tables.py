@@ -72,13 +72,6 @@ def protocol_tables():
         {"rank": 2, "controller": "Fair", "best_in": 1, "conditions": 5, "failures": 2, "limit_cycles": 4},
         {"rank": 3, "controller": "PID", "best_in": 1, "conditions": 5, "failures": 0, "limit_cycles": 9},
     ]
-    taus = np.geomspace(0.2, 5.0, 9)
-    profiles = [
-        {"controller": name, "against": against, "tau": tau, "share": min(tau / 5.0, 1.0), "low": 0.0, "high": 1.0}
-        for name in ("PID", "Good", "Fair")
-        for against in ("best", "baseline")
-        for tau in taus
-    ]
     worst = {"training_seed": 0, "rank": 1, "condition": "latency_5ms", "family": "step", "leakage_flow_lpm": 4.0}
     worst |= {"plant": 0, "seed": 2_200_007, "mean_error_mm": 0.4, "baseline_error_mm": 0.2, "ratio": 2.0}
     cycles = [("PID", "leak_0.01", 1.0), ("PID", "leak_0.01", 0.0), ("Good", "leak_0.01", 0.0), ("PID", "leak_8", 0.0)]
@@ -93,7 +86,6 @@ def protocol_tables():
         "families": families,
         "conditions": pd.DataFrame(CONDITIONS, columns=["condition", "group", "label"]).assign(cases=10),
         "ranking": pd.DataFrame(ranking),
-        "profiles": pd.DataFrame(profiles),
         "limit_cycles": pd.DataFrame(cycles, columns=["controller", "condition", "limit_cycle"]),
         "worst_cases": pd.DataFrame([{"controller": name, **worst, "peak_error_mm": 3.0} for name in RATIOS]),
         "sees": pd.DataFrame([{"controller": name, **sees, "note": ""} for name in ("PID", *RATIOS)]),
@@ -103,14 +95,10 @@ def protocol_tables():
 
 
 def experiment_tables():
-    """The tables of the experiments for PID and Good: Good never oscillates, PID once in two."""
+    """The tables of the experiments for PID and Good."""
     labels = [(name, leak, seed) for name in ("PID", "Good") for leak in (0.01, 4.0) for seed in (0, 1)]
     base = pd.DataFrame(labels, columns=["controller", "leakage_flow_lpm", "seed"])
-    cycles = (base["controller"] == "PID") & (base["leakage_flow_lpm"] == 0.01)
-    standstill = base.assign(
-        limit_cycle=cycles, amplitude_um=40.0 * cycles + 2.0, frequency_hz=np.where(cycles, 8.0, np.nan)
-    )
-    standstill = standstill.assign(unrest_um=20.0, offset_um=1.0, valve_travel_per_s=1.5, failed=False)
+    standstill = base.assign(unrest_um=20.0, offset_um=1.0, valve_travel_per_s=1.5, failed=False)
     step = base.assign(force_n=872.0, peak_mm=0.2, recovery_s=0.1, remaining_mm=np.where(base["seed"] == 0, 0.0, 0.0))
     step = step.assign(static_mm_per_kn=0.0, dynamic_mm_per_kn=0.23)
     step.loc[1, "recovery_s"] = np.nan
@@ -122,13 +110,7 @@ def experiment_tables():
     price = price.assign(holding_power_w=[20.0, 30.0, np.nan], holding_command=[0.0, 0.01, np.nan])
     for name in ("speed_out_mm_s", "speed_back_mm_s", "force_out_n", "force_back_n"):
         price[name] = [100.0, 80.0, 60.0]
-    pauses = base.merge(pd.DataFrame({"pause_s": [0.5, 60.0]}), how="cross").assign(
-        peak_um=80.0, mean_um=20.0, rest_um=9.0, valve_travel_per_s=0.5
-    )
-    changes = base.merge(pd.DataFrame({"family": ["sine", "ramp"]}), how="cross")
     return {
-        "pauses": pauses,
-        "take_over": changes.assign(largest_um=150.0, handed_over_um=100.0, never_switched_um=90.0),
         "standstill": standstill,
         "force_step": step,
         "force_sine": swept.assign(force_n=872.0, compliance_mm_per_kn=0.1),

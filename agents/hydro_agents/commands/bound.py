@@ -42,22 +42,21 @@ def bound(
     the mean error for each family of references and each leak, and writes all cases as CSV. It takes some minutes; the
     first seconds of the search show how many on your machine.
     """
-    from hydro_agents.evaluation.bound_comparison import ComparisonSettings, compare, means_by, summary
+    from hydro_agents.evaluation.bound_comparison import bound_protocol, compare, means_by, summary
     from hydro_agents.running.text import frame_markdown
     from hydro_agents.study.settings import StudySettings
-    from hydro_env.files import validate
     from hydro_env.folders import config_file
     from hydro_env.task.configuration import task_config
 
     study = StudySettings.from_yaml(config_file("studies", "opponents"))
     config = task_config(task, rig=rig)
-    settings = validate(ComparisonSettings, {"leak_levels": leak or [0.01, 0.3, 1.0, 4.0], "plants": plants}, "bound")
+    protocol = bound_protocol(config, leak or [0.01, 0.3, 1.0, 4.0], plants)
 
     def compared(display: ProgressDisplay) -> Written:
         controllers, unfit = study.model_copy(update={"task": config}).fitting(named_agents(agent))
         for reason in unfit:
             display.say(f"left out: {reason}")
-        frame = compare(config, controllers, settings, display.update)
+        frame = compare(protocol, controllers, display.update)
         parts = [frame_markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
         travel = frame_markdown(means_by(frame, "valve_travel_per_s"), 2)
         text = "\n\n".join(["Mean |error|, mm:", *parts, "Valve travel, full strokes per second:", travel])

@@ -6,11 +6,10 @@ rig can measure the true plant.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hydro_agents.evaluation.prediction import (
     Prediction,
@@ -19,35 +18,19 @@ from hydro_agents.evaluation.prediction import (
     random_changes,
     true_schedule,
 )
-from hydro_agents.evaluation.state_filter import StateFilter
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
-from hydro_env.files import Group, validate
+from hydro_env.plant.states import N_STATES, STATE_NAMES, TYPICAL_SIZE
+from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
+from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import POSITION
 from hydro_env.types import Floats
 
-Told = Literal["truth", "measured"]
-
-
-class BoundSettings(Group):
-    """Size of the search for the best commands."""
-
-    horizon: int = Field(20, ge=2, le=200, description="control periods that are planned ahead")
-    iterations: int = Field(2, ge=0, le=50, description="Gauss-Newton steps per control period")
-    samples: int = Field(8, ge=0, le=10_000, description="random changes of the plan tried in each iteration")
-    preview: int | None = Field(
-        None, ge=0, le=1000, description="control periods of the reference that are known; default: the task's preview"
-    )
-    aim: Literal["axis", "sensor"] = Field(
-        "sensor",
-        description="which position follows the reference: the true one, or the one that the biased sensor reads",
-    )
-    threads: int | None = Field(None, ge=1, le=1024, description="default: one per core; does not change results")
-
-
+HORIZON = 20  # control periods that are planned ahead
+ITERATIONS = 2  # improvements of the plan in each control period
+SAMPLES = 8  # random changes of the plan that are tried in each iteration
 EFFORT = 2e-7  # m; cost of a change of the command by 1, squared
-
 EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)
 """m; one Gauss–Newton step for each of these limits: its cost is quadratic below the limit, linear above."""
 
@@ -55,90 +38,63 @@ STEP_LENGTHS = (1.0, 0.4)  # fractions of each Gauss–Newton step that are trie
 CHANGE_SIZES = (2.0, 0.5, 0.1, 0.02)  # largest random changes of the plan, as a fraction of 10 V
 
 
-def best_found(
-    config: TaskConfig,
-    cases: Cases,
-    told: Told = "truth",
-    settings: BoundSettings | dict[str, Any] | None = None,
-    chunk: int = 64,
-) -> Rollout:
+def best_found(config: TaskConfig, cases: Cases, measured: bool = False) -> Rollout:
     """Run every case under the best commands that the search finds in each control period.
 
-    The search knows the plant of the episode, its leak and its forces, present and future, and the reference within the
-    task's preview. With ``told="truth"`` it also knows the state; with ``told="measured"`` it estimates the state from
-    the measured signals (:class:`~hydro_agents.evaluation.state_filter.StateFilter`), as a controller must.
-
-    Args:
-        config: the task.
-        cases: the episodes. A case's result depends on neither the others nor the chunk.
-        told: ``"truth"`` or ``"measured"``.
-        settings: :class:`BoundSettings` or its fields.
-        chunk: cases that run together.
-
-    Raises:
-        ConfigurationError: impossible settings.
+    A case's result does not depend on the others.
     """
-    if told not in ("truth", "measured"):
-        raise ConfigurationError(f"best found: told = {told!r}: must be 'truth' or 'measured'")
-    if not isinstance(settings, BoundSettings):
-        settings = validate(BoundSettings, settings or {}, "best found")
-    searcher = BestFound(config, told, settings)
-    try:
-        return run_cases(config, searcher, cases, chunk=chunk)
-    finally:
-        searcher.close()
+    return run_cases(config, BestFound(config, measured), cases)
 
 
 class BestFound:
     """Plans the commands of N axes in each control period; :func:`~hydro_agents.running.cases.run_cases` runs it.
 
+    The search knows the plant of the episode, its leak and its forces, present and future, and the reference within the
+    task's preview. It also knows the true state, or estimates the state from the measured signals
+    (:class:`StateFilter`), as a controller must. The position that the biased
+    sensor reads follows the reference.
+
     Args:
         config: the task.
-        told: ``"truth"`` or ``"measured"``.
-        settings: size of the search.
+        measured: whether the state is estimated.
     """
 
-    def __init__(self, config: TaskConfig, told: Told, settings: BoundSettings) -> None:
+    def __init__(self, config: TaskConfig, measured: bool = False) -> None:
         self.config = config
-        self.told = told
-        self.settings = settings
-        self._known = max(config.preview_samples, default=0) if settings.preview is None else settings.preview
-        self._prediction: Prediction | None = None
+        self.measured = measured
+        self._axes: Axes | None = None
 
     def begin(self, axes: Axes) -> None:
         """Prepare for the episodes of the axes, which have just been reset."""
-        self.close()
-        config, settings = self.config, self.settings
+        config = self.config
         plants, latency = axes.coefficient.copy(), axes.column("latency").copy()
-        schedule = true_schedule(config, axes, config.steps + settings.horizon)
         self._axes = axes
-        self._prediction = Prediction(config, plants, latency, schedule, settings.threads)
+        self._prediction = Prediction(config, plants, latency, true_schedule(config, axes, config.steps + HORIZON))
         # A measured state is in the frame of the sensor already.
-        biased = settings.aim == "sensor" and config.sensors.enabled and self.told == "truth"
+        biased = config.sensors.enabled and not self.measured
         offset = axes.column("bias")[:, POSITION] if biased else 0.0
         self._target = axes.reference - np.reshape(offset, (-1, 1))
-        self._plan = np.repeat(axes.column("command")[:, None], settings.horizon, axis=1)
+        self._plan = np.repeat(axes.column("command")[:, None], HORIZON, axis=1)
         self._generator = np.random.default_rng(0)
-        self._filter = StateFilter(config, axes) if self.told == "measured" else None
+        self._filter = StateFilter(config, axes) if self.measured else None
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], None]:
         """The first command of the plan, (N, 1); it reads the axes themselves, not the observation."""
         del observation, state, episode_start, deterministic
-        prediction, settings = self._prediction, self.settings
-        if prediction is None:
-            raise ConfigurationError("best found: reads the true states of the axes; run it with run_cases")
         axes = self._axes
+        if axes is None:
+            raise ConfigurationError("best found: reads the true states of the axes; run it with run_cases")
         step = int(axes.column("step").max())
         now, before = axes.state.copy(), axes.column("command").copy()
         if self._filter is not None:
-            now = self._filter.updated(axes, prediction)
-        target = continued(self._target, step, self._known, settings.horizon)
+            now = self._filter.updated(axes, self._prediction)
+        target = continued(self._target, step, max(self.config.preview_samples, default=0), HORIZON)
         plan = np.concatenate([self._plan[:, 1:], self._plan[:, -1:]], axis=1)
-        for _ in range(max(settings.iterations, 1)):
+        for _ in range(ITERATIONS):
             tried = self._candidates(now, before, plan, target, step)
-            positions = prediction.positions(now, before, tried, step)
+            positions = self._prediction.positions(now, before, tried, step)
             cost = np.abs(target[:, None, :] - positions).mean(axis=2)
             changes = np.diff(tried, axis=2, prepend=np.broadcast_to(before[:, None, None], (*tried.shape[:2], 1)))
             cost += EFFORT * (changes**2).mean(axis=2)
@@ -146,23 +102,93 @@ class BestFound:
         self._plan = plan
         return plan[:, :1].astype(np.float32), None
 
-    def close(self) -> None:
-        """Stop the worker threads."""
-        if self._prediction is not None:
-            self._prediction.close()
-
     def _candidates(self, now: Floats, before: Floats, plan: Floats, target: Floats, step: int) -> Floats:
         """Candidate sequences of commands, (N, M, H); the first is the present plan."""
-        settings = self.settings
-        assert self._prediction is not None
         tried = [plan]
-        if settings.iterations > 0:
-            positions, jacobian = self._prediction.sensitivities(now, before, plan, step)
-            error = target - positions
-            for even in EVEN_ERRORS:
-                weight = 1.0 / np.maximum(np.abs(error), even)
-                found = bounded_least_squares(jacobian, error, weight, plan, before, EFFORT)
-                tried += [plan + length * (found - plan) for length in STEP_LENGTHS]
-        changes = random_changes(self._generator, settings.samples, settings.horizon, CHANGE_SIZES)
+        positions, jacobian = self._prediction.sensitivities(now, before, plan, step)
+        error = target - positions
+        for even in EVEN_ERRORS:
+            weight = 1.0 / np.maximum(np.abs(error), even)
+            found = bounded_least_squares(jacobian, error, weight, plan, before, EFFORT)
+            tried += [plan + length * (found - plan) for length in STEP_LENGTHS]
+        changes = random_changes(self._generator, SAMPLES, HORIZON, CHANGE_SIZES)
         random = np.clip(plan[:, None, :] + changes, -1.0, 1.0)
         return np.concatenate([np.stack(tried, axis=1), random], axis=1)
+
+
+MODEL_ERROR = 1e-5
+"""Error of the state per control period that the filter allows for, in typical sizes: kinks are not linear."""
+
+_MEASURED = [STATE_NAMES.index(name) for name in SENSORS]
+ABSENT = 1e12  # standard deviations of a reading that a rig does not have
+
+
+class StateFilter:
+    """Estimates state and sensor offsets of N axes (Gelb 1974, *Applied Optimal Estimation*, section 6.1).
+
+    The plant, its leak, its forces and the commands are known, and so is the state in which an episode begins at rest.
+    The position is that of the sensor, whose offset nobody can see.
+
+    Args:
+        config: the task.
+        axes: at the start of their episodes.
+    """
+
+    def __init__(self, config: TaskConfig, axes: Axes) -> None:
+        numbers = settings_of(config)[0]
+        self._lag, self._decay = float(numbers["pressure_lag"]), float(numbers["pressure_decay"])
+        sensors = [getattr(config.sensors, name) for name in SENSORS]
+        exact = not config.sensors.enabled
+        noise = [0.0 if exact else float(np.hypot(each.noise, each.resolution)) for each in sensors]
+        spread = [own if each.fitted else ABSENT for own, each in zip(noise, sensors, strict=True)]
+        bias = [0.0 if exact else each.bias for each in sensors]
+        self._noise = np.square(spread) + 1e-12 * np.square(TYPICAL_SIZE[_MEASURED])
+        offsets = len(SENSORS) - 1  # of all but the position
+        self._size = N_STATES + offsets
+        self._model = np.diag(np.concatenate([np.square(MODEL_ERROR * TYPICAL_SIZE), np.zeros(offsets)]))
+        start = np.concatenate([np.square(1e-3 * TYPICAL_SIZE), np.square(bias[1:]) / 3.0])  # offsets are uniform
+        self._covariance = np.tile(np.diag(start), (axes.count, 1, 1))
+        self._state = axes.state.copy()
+        self._offset = np.zeros((axes.count, offsets))
+        if not exact:
+            self._state[:, _MEASURED[0]] += axes.column("bias")[:, POSITION]
+        self._sensed = self._pressures()
+        self._command: Floats | None = None
+        # Readings per state and offset.
+        self._reading = np.zeros((len(SENSORS), self._size))
+        self._reading[np.arange(len(SENSORS)), _MEASURED] = 1.0
+        self._reading[np.arange(1, len(SENSORS)), np.arange(N_STATES, self._size)] = 1.0
+
+    def updated(self, axes: Axes, prediction: Prediction) -> Floats:
+        """State (N, states) now, from the signals that the axes measure now; called once in each control period."""
+        command, step = axes.column("command").copy(), int(axes.column("step").max())
+        if self._command is not None:
+            old = self._pressures()
+            self._state, change = prediction.next_state(self._state, self._command, command, step - 1)
+            transition = np.tile(np.eye(self._size), (axes.count, 1, 1))
+            transition[:, :N_STATES, :N_STATES] = change
+            self._covariance = transition @ self._covariance @ transition.transpose(0, 2, 1) + self._model
+            slope = self._lag * (self._pressures() - old)  # of a transducer behind a first-order lag
+            self._sensed = self._pressures() - slope + self._decay * (self._sensed - old + slope)
+        self._command = command
+        self._correct(axes.column("measured")[:, SENSOR_COLUMNS])
+        return self._state.copy()
+
+    def _correct(self, measured: Floats) -> None:
+        expected = self._state[:, _MEASURED]
+        expected[:, 1:3] = self._sensed
+        expected[:, 1:] += self._offset
+        surprise = np.nan_to_num(measured - expected)
+        cross = self._covariance @ self._reading.T
+        gain = cross @ np.linalg.inv(self._reading @ cross + np.diag(self._noise))
+        change = (gain @ surprise[:, :, None])[..., 0]
+        before = self._pressures()
+        self._state += change[:, :N_STATES]
+        self._offset += change[:, N_STATES:]
+        self._sensed += self._pressures() - before
+        self._covariance -= gain @ cross.transpose(0, 2, 1)
+        self._covariance = 0.5 * (self._covariance + self._covariance.transpose(0, 2, 1))
+
+    def _pressures(self) -> Floats:
+        """Pressures of both chambers, (N, 2), Pa."""
+        return self._state[:, _MEASURED[1:3]]

@@ -2,67 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import pandas as pd
-from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.best_found import BoundSettings, Told, best_found
+from hydro_agents.evaluation.best_found import BestFound
+from hydro_agents.evaluation.metrics import ERROR, ERROR_SENSOR
 from hydro_agents.evaluation.participants import Participants
-from hydro_agents.evaluation.robustness_protocol import PairedCases, PairedCondition, RobustnessProtocol
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import run
 from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
+from hydro_env.files import validate
 
 TRUTH, MEASURED = "told the truth", "measured state"
-COLUMNS = {
-    "leakage_flow_lpm": "leakage_flow_lpm",
-    "family": "family",
-    "plant": "plant",
-    "controller": "controller",
-    "mean_error_sensor_mm": "error_mm",
-    "mean_error_mm": "true_error_mm",
-    "valve_travel_per_s": "valve_travel_per_s",
-    "failed": "failed",
-}
-"""Columns of a comparison, by their names in the parts of a protocol."""
+SHOWN = [
+    "leakage_flow_lpm",
+    "family",
+    "plant",
+    "controller",
+    "error_mm",
+    "true_error_mm",
+    "valve_travel_per_s",
+    "failed",
+]
+"""Columns of a comparison."""
 
 
-class ComparisonSettings(PairedCases):
-    """Cases of a comparison, and the size of the search."""
+def bound_protocol(config: TaskConfig, leaks: Sequence[float], plants: int) -> RobustnessProtocol:
+    """The protocol of a comparison.
 
-    leak_levels: tuple[float, ...] = Field((0.01, 0.3, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
-    plants: int = Field(3, ge=3, le=1000, description="per level and family")
-    search: BoundSettings = BoundSettings()
+    Args:
+        config: the task.
+        leaks: l/min at 100 bar.
+        plants: per leak and family.
+
+    Raises:
+        ConfigurationError: a leak is impossible.
+    """
+    values = {"leak_levels": leaks, "plants": plants, "bound_plants": plants, "seeds": "EVALUATION", "task": config}
+    values |= {"parts": ("tracking", "best_found"), "conditions": {"task": {}}, "bound_conditions": ("task",)}
+    return validate(RobustnessProtocol, values, "bound")
 
 
-def compare(
-    config: TaskConfig,
-    controllers: Mapping[str, Controller],
-    settings: ComparisonSettings,
-    progress: Report | None = None,
-) -> pd.DataFrame:
+def compare(protocol: RobustnessProtocol, controllers: Mapping[str, Controller], progress: Report) -> pd.DataFrame:
     """Errors of controllers and of the best found on the same cases, one row per case.
 
     Columns: ``controller``, ``leakage_flow_lpm``, ``family``, ``plant``, ``error_mm`` (mean of |error|, of the position
     that the sensor would read without noise), ``true_error_mm`` (of the true position), ``valve_travel_per_s``,
     ``failed``.
     """
-    protocol = RobustnessProtocol(
-        task=config,
-        parts=("tracking", "best_found"),
-        conditions={"task": PairedCondition()},
-        seeds="EVALUATION",
-        bound_conditions=("task",),
-        bound_plants=settings.plants,
-        **settings.model_dump(exclude={"search"}),
-    )
-    told: dict[str, Told] = {MEASURED: "measured", TRUTH: "truth"}
-    searches = {name: partial(best_found, told=which, settings=settings.search) for name, which in told.items()}
+    searches = {name: partial(BestFound, measured=name == MEASURED) for name in (MEASURED, TRUTH)}
     rows = run(protocol, Participants(controllers, searches=searches), jobs=1, progress=progress).rows
-    return pd.concat([rows["tracking"], rows["best_found"]], ignore_index=True)[list(COLUMNS)].rename(columns=COLUMNS)
+    frame = pd.concat([rows["tracking"], rows["best_found"]], ignore_index=True)
+    return frame.rename(columns={ERROR_SENSOR: "error_mm", ERROR: "true_error_mm"})[SHOWN]
 
 
 def summary(frame: pd.DataFrame, by: str) -> pd.DataFrame:

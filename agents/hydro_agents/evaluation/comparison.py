@@ -118,16 +118,13 @@ class Grid:
             self._made[controller, metric] = self._array(self._rows[controller], metric)
         return self._made[controller, metric]
 
-    def weights(self, controller: str, seeds: int, plants: Mask) -> Weights:
-        """Weights of a controller's training seeds, and of some plants; the latter are the same for all controllers."""
-        number = self.controllers.index(controller)
-        return Weights(seed_weights(seeds, RESAMPLES, number), self._plant_weights[:, plants])
-
     def sample(self, controller: str, metric: str, plants: Mask, situations: Mask) -> Sample:
         """A metric of a controller on some plants and situations."""
         rows, columns = np.ix_(plants, situations)
         values = self.values(controller, metric)[:, rows, columns]
-        return Sample(values, self.weights(controller, len(values), plants))
+        # The weights of the plants are the same for all controllers.
+        seeds = seed_weights(len(values), RESAMPLES, self.controllers.index(controller))
+        return Sample(values, Weights(seeds, self._plant_weights[:, plants]))
 
     def mean(self, controller: str, metric: str, plants: Mask, situations: Mask) -> Interval:
         """Mean of a metric over some plants and situations of a controller."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
@@ -24,7 +24,7 @@ from hydro_agents.running.tasks import Surroundings, mappings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
+from hydro_env.mistakes import kept, refuse, unknown
 from hydro_env.task.configuration import task_config
 
 
@@ -70,8 +70,6 @@ PARTS = {
     "force_step": Part("force_step", "experiments:force_step"),
     "force_sine": Part("force_sine", "experiments:force_sine"),
     "hold": Part("standstill", "experiments:hold"),
-    "pause": Part("pauses", "experiments:pause"),
-    "take_over": Part("take_over", "experiments:take_over"),
     "windows": Part("windows", "leak_protocol:windows", ("leakage",)),
     "leak_bound": Part("bound", "hydro_rig.estimation.information:leak_bound", ("leakage",)),
     "leak_price": Part("leak_price", "experiments:price"),
@@ -84,6 +82,17 @@ def cells_of(part: str) -> Callable[[Any, Any], Iterator[Cell]]:
     module, _, name = PARTS[part].cells.partition(":")
     package = "" if "." in module else f"{__package__}."
     return cast("Callable[[Any, Any], Iterator[Cell]]", getattr(import_module(package + module), name))
+
+
+def refuse_unknown(key: str, names: Collection[str], known: Collection[str], what: str) -> None:
+    """Check that a key of a protocol has known names.
+
+    Raises:
+        ValueError: a name is unknown.
+    """
+    for name in names:
+        if name not in known:
+            raise ValueError(f"{key}: {unknown(name, known, what)}")
 
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
@@ -113,10 +122,7 @@ class Protocol(Group, Generic[AnyCondition]):
 
     @model_validator(mode="after")
     def _known_parts(self) -> Self:
-        own = [name for name, part in PARTS.items() if self.kind in part.kinds]
-        for name in self.parts:
-            if name not in own:
-                raise ValueError(f"parts: {unknown(name, own, 'part')}")
+        refuse_unknown("parts", self.parts, [name for name, part in PARTS.items() if self.kind in part.kinds], "part")
         return self
 
     @property
@@ -201,16 +207,6 @@ class Protocol(Group, Generic[AnyCondition]):
         """SHA-256 of the whole protocol, including all files that it names, as sorted JSON."""
         text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
-
-    def check_conditions(self, key: str, names: tuple[str, ...]) -> None:
-        """Check that a key names conditions of the protocol.
-
-        Raises:
-            ValueError: a name is not a condition.
-        """
-        for name in names:
-            if name not in self.conditions:
-                raise ValueError(f"{key}: '{name}' is not a condition{did_you_mean(name, self.conditions)}")
 
 
 def file_sha256(path: Path) -> str:

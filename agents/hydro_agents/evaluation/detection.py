@@ -154,10 +154,8 @@ def detection_curves(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFram
         healthy, leaking = _healthy_and_leaking(frame["leakage_flow_lpm"].to_numpy(), bounds)
         kept = healthy | leaking
         score, positive = frame["probability"].to_numpy()[kept], leaking[kept]
-        for name, function in (("roc", roc_curve), ("precision_recall", precision_recall_curve)):
-            curve = function(score, positive)
-            columns = {"x": curve.x, "y": curve.y, "threshold": curve.threshold}
-            frames.append(pd.DataFrame({"controller": controller, "curve": name, **columns}))
+        for name, curve in curves(score, positive).items():
+            frames.append(pd.DataFrame({"controller": controller, "curve": name, **curve._asdict()}))
     return pd.concat(frames, ignore_index=True)
 
 
@@ -173,47 +171,38 @@ class Curve(NamedTuple):
     threshold: Floats
 
 
-def _counts(scores: NDArray[Any], positive: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
-    """True and false positives at each distinct threshold, in falling order; the first entry is zero."""
+def curves(scores: NDArray[Any], positive: NDArray[np.bool_]) -> dict[str, Curve]:
+    """Curves over every distinct threshold, from infinity down; scores at or above it are flagged.
+
+    Returns:
+        ``roc``: detection rate (y) over false-alarm rate (x); ``precision_recall``: precision (y) over recall (x).
+    """
     order = np.argsort(-scores, kind="stable")
-    sorted_scores = np.asarray(scores, dtype=np.float64)[order]
-    last_of_each = np.append(np.flatnonzero(np.diff(sorted_scores)), len(scores) - 1)
-    true = np.cumsum(positive[order])[last_of_each]
-    false = 1 + last_of_each - true
-    return (
-        np.concatenate([[0.0], true]),
-        np.concatenate([[0.0], false]),
-        np.concatenate([[np.inf], sorted_scores[last_of_each]]),
-    )
-
-
-def roc_curve(scores: NDArray[Any], positive: NDArray[np.bool_]) -> Curve:
-    """Detection rate (y) over false-alarm rate (x); scores at or above the threshold are flagged."""
-    true, false, threshold = _counts(scores, positive)
-    return Curve(false / max(false[-1], 1.0), true / max(true[-1], 1.0), threshold)
+    falling = np.asarray(scores, dtype=np.float64)[order]
+    last = np.append(np.flatnonzero(np.diff(falling)), len(scores) - 1)  # of each distinct score
+    threshold = np.concatenate([[np.inf], falling[last]])
+    flagged = np.concatenate([[0.0], last + 1])
+    true = np.concatenate([[0.0], np.cumsum(positive[order])[last]])
+    false = flagged - true
+    recall = true / max(true[-1], 1.0)
+    precision = np.divide(true, flagged, out=np.ones_like(true), where=flagged > 0)
+    roc = Curve(false / max(false[-1], 1.0), recall, threshold)
+    return {"roc": roc, "precision_recall": Curve(recall, precision, threshold)}
 
 
 def area_under_roc(scores: NDArray[Any], positive: NDArray[np.bool_]) -> float:
     """Probability that a leak scores higher than a healthy seal (ties count half); NaN without both kinds."""
     if positive.all() or not positive.any():
         return float("nan")
-    curve = roc_curve(scores, positive)
+    curve = curves(scores, positive)["roc"]
     return float(np.trapezoid(curve.y, curve.x))
-
-
-def precision_recall_curve(scores: NDArray[Any], positive: NDArray[np.bool_]) -> Curve:
-    """Precision (y) over recall (x)."""
-    true, false, threshold = _counts(scores, positive)
-    flagged = true + false
-    precision = np.divide(true, flagged, out=np.ones_like(true), where=flagged > 0)
-    return Curve(true / max(true[-1], 1.0), precision, threshold)
 
 
 def average_precision(scores: NDArray[Any], positive: NDArray[np.bool_]) -> float:
     """Area under precision over recall as a sum of steps; NaN without positives."""
     if not positive.any():
         return float("nan")
-    curve = precision_recall_curve(scores, positive)
+    curve = curves(scores, positive)["precision_recall"]
     return float(np.sum(np.diff(curve.x) * curve.y[1:]))
 
 

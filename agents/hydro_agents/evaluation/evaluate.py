@@ -80,7 +80,6 @@ class StudyProtocol(ProtocolSettings, PairedProtocol):
 
     kind: Literal["study"] = "study"
     title: str = "Evaluation"
-    seeds: PlantSeeds = "EVALUATION"
     plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
     bound_conditions: tuple[Name, ...] = ("task",)
 
@@ -89,9 +88,10 @@ class StudyProtocol(ProtocolSettings, PairedProtocol):
         wanted = {"standstill": self.standstill_plants, "best_found": self.bound_plants}
         return ("tracking", *(name for name, plants in wanted.items() if plants), "episodes")
 
-    def bound_levels(self, name: str) -> Sequence[float]:
-        """The smallest and the largest leak."""
-        return self.standstill_levels(name)
+    def bound_cases_in(self, name: str) -> pd.DataFrame:
+        """The cases for the best found: of the smallest and the largest leak."""
+        cases = super().bound_cases_in(name)
+        return cases[cases["leakage_flow_lpm"].isin(self.standstill_levels(name))]
 
     def standstill_levels(self, name: str) -> Sequence[float]:
         """The smallest and the largest leak."""
@@ -186,37 +186,36 @@ def evaluate(
     return Evaluation(**tables, bounds=LeakBounds.of(config), errors=errors)
 
 
-KIND = "study"
 RATIO_COLUMNS = ["controller", "against", "group", "value", "ratio", "low", "high", "share_of_cases_better"]
 RATIO_COLUMNS += ["ratio_sensor", "ratio_sensor_low", "ratio_sensor_high"]
 
 
-@table("cases", KIND)
+@table("cases")
 def cases(results: Results) -> pd.DataFrame:
     """One row per controller, training seed, level, family and plant."""
     rows = results.part("tracking")
     return rows[["leakage_flow_lpm", "family", "plant", "controller", "training_seed", "seed", *METRICS]]
 
 
-@table("levels", KIND)
+@table("levels")
 def levels(results: Results) -> pd.DataFrame:
     """Every metric per controller and leak level."""
     return summary_table(results.part("tracking"), "leakage_flow_lpm")
 
 
-@table("families", KIND)
+@table("families")
 def families(results: Results) -> pd.DataFrame:
     """Every metric per controller and family of references."""
     return summary_table(results.part("tracking"), "family")
 
 
-@table("ratios", KIND)
+@table("ratios")
 def ratios(results: Results) -> pd.DataFrame:
     """Mean error of every controller over that of the first."""
     return ratio_table(results.part("tracking"), results.grid.controllers)
 
 
-@table("growth", KIND)
+@table("growth")
 def growth(results: Results) -> pd.DataFrame:
     """Mean error of every controller at the largest leak over that at the smallest; over all families, and of each."""
     return growth_of(results.part("tracking"))
@@ -235,7 +234,7 @@ def growth_of(cases: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("score", KIND)
+@table("score")
 def score(results: Results) -> pd.DataFrame:
     """Score of every controller (0: the first, 100: the best found) on ``cases`` cases; errors over all its cases."""
     bound, grid = results.part("best_found"), results.grid
@@ -251,21 +250,21 @@ def score(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("bound", KIND)
+@table("bound")
 def bound(results: Results) -> pd.DataFrame:
     """One row per case of the best found."""
     rows = results.part("best_found")
     return rows if rows.empty else rows.drop(columns=["condition", "group"])
 
 
-@table("limit_cycles", KIND)
+@table("limit_cycles")
 def standstills(results: Results) -> pd.DataFrame:
     """One row per controller, training seed, level and plant: the axis after a small step and back, without noise."""
     rows = results.part("standstill")
     return rows if rows.empty else rows.drop(columns=["family", "condition", "group"])
 
 
-@table("limit_cycle_summary", KIND)
+@table("limit_cycle_summary")
 def standstill_summary(results: Results) -> pd.DataFrame:
     """Number and largest amplitude of the limit cycles, per controller."""
     rows = results.part("standstill")
@@ -273,21 +272,21 @@ def standstill_summary(results: Results) -> pd.DataFrame:
     return pd.DataFrame([{"controller": name, **counted(own)} for name, own in groups])
 
 
-@table("detection_rates", KIND)
+@table("detection_rates")
 def rates(results: Results) -> pd.DataFrame:
     """Share of episodes flagged, by class and size of the leak."""
     episodes = results.part("episodes")
     return episodes if episodes.empty else detection_rates(episodes, results.protocol.task)
 
 
-@table("detection_summary", KIND)
+@table("detection_summary")
 def detection(results: Results) -> pd.DataFrame:
     """Areas under the curves, rates, and errors of the size, per controller."""
     episodes, head = results.part("episodes"), results.participants.head
     return episodes if episodes.empty else detection_summary(episodes, head.settings.threshold, results.protocol.task)
 
 
-@table("curves", KIND)
+@table("curves")
 def curves(results: Results) -> pd.DataFrame:
     """ROC, and precision over recall, per controller."""
     episodes = results.part("episodes")

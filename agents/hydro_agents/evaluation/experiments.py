@@ -1,39 +1,104 @@
-"""Experiments about the task alone, as parts of a robustness protocol; frequency response and stiffness.
+"""Experiments about the task alone, as parts of a robustness protocol: frequency response, stiffness, rest under noise.
 
-Each is a list of runs (:mod:`hydro_agents.evaluation.sweeps`).
+Each is a list of steps: a controller on the same plants at several leaks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.base import Controller, Observation
 from hydro_agents.evaluation.conditions import Cell, columns_of
-from hydro_agents.evaluation.leak_price import full_force, full_speed, leak_price, working_place
-from hydro_agents.evaluation.participants import split_name
+from hydro_agents.evaluation.leak_price import full_speed, leak_price, working_place
+from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.evaluation.sweeps import Experiment, Run, sine_fit
-from hydro_agents.evaluation.transitions import (
-    STANDSTILL_LEAKS,
-    TAKEN_OVER,
-    TakesOver,
-    motions,
-    moves_after_pauses,
-    standstills,
-)
-from hydro_agents.running.cases import Rollout
+from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
+from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
-from hydro_env.plant.analysis import reachable_range
+from hydro_env.plant.analysis import force_limits, reachable_range
 from hydro_env.task.configuration import task_config
+from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
+
+LEAKS = (0.01, 1.0, 4.0)  # l/min at 100 bar: a tight seal, the bound between moderate and severe, a severe leak
+
+
+Play = Callable[..., Rollout]
+"""Runs the controller of an experiment in a task; with ``hidden=True`` it does not see the preview."""
+
+
+class Experiment(NamedTuple):
+    """An experiment with a controller in the loop, on the same plants at every leak."""
+
+    steps: Callable[[TaskConfig, Play], Iterable[Mapping[str, Any]]]  # columns of each step, each (N,) or one value
+    leaks: Sequence[float] = LEAKS  # l/min at 100 bar
+    plants: int = 4
+
+    def __call__(self, config: TaskConfig, controller: Controller) -> pd.DataFrame:
+        """Run the controller on the same plants at every leak.
+
+        Args:
+            config: the task, for its plants, sensors and timing.
+            controller: the controller.
+
+        Returns:
+            One row per step, leak and plant: leakage_flow_lpm, seed, and the columns of the experiment.
+
+        Raises:
+            ControllerError: the controller raises an exception or returns no finite commands.
+        """
+        seeds, leaks = EXPERIMENT_AXES.take(self.plants), np.repeat(self.leaks, self.plants)
+        cases = Cases(np.tile(seeds, len(self.leaks)), leaks)
+
+        def play(task: TaskConfig, hidden: bool = False) -> Rollout:
+            return run_cases(task, HiddenPreview(controller, config) if hidden else controller, cases)
+
+        known = {"leakage_flow_lpm": leaks, "seed": cases.seeds}
+        return pd.concat([pd.DataFrame({**known, **step}) for step in self.steps(config, play)], ignore_index=True)
+
+
+def sine_fit(values: Observation, time: Floats, frequency: float) -> tuple[NDArray[np.complex128], Floats]:
+    """Least-squares fit of offset + drift · t + Re(amplitude · exp(j 2π f t)) to rows of samples.
+
+    Args:
+        values: (N, T).
+        time: (T,), s.
+        frequency: Hz.
+
+    Returns:
+        Complex amplitudes (N,), and the root mean square of the residual (N,).
+    """
+    angle = 2.0 * np.pi * frequency * time
+    basis = np.stack([np.cos(angle), np.sin(angle), np.ones_like(time), time - time.mean()], axis=1)
+    rows = np.asarray(values, dtype=np.float64)
+    fit, *_ = np.linalg.lstsq(basis, rows.T, rcond=None)
+    rest: Floats = np.sqrt(np.mean((rows - (basis @ fit).T) ** 2, axis=1))
+    return fit[0] - 1j * fit[1], rest
+
+
+class HiddenPreview:
+    """A controller without preview: each previewed value equals the present reference."""
+
+    def __init__(self, controller: Controller, config: TaskConfig) -> None:
+        self.controller = controller
+        self.hidden = [name.startswith("reference_preview_") for name in observation_layout(config)[0]]
+
+    def predict(
+        self, observation: Observation, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Commands of the controller; see :class:`~hydro_agents.controllers.base.Controller`."""
+        return self.controller.predict(
+            np.where(self.hidden, 0.0, observation).astype(observation.dtype), state, episode_start, deterministic
+        )
+
 
 # Frequency response ---------------------------------------------------------------------------------------------------
 
@@ -49,7 +114,7 @@ SETTLING, WATCHED = 0.5, 0.5
 """s: time until the response is steady (and two cycles), and length of the fit (at least three cycles)."""
 
 
-def sine_references(config: TaskConfig) -> Iterator[Run]:
+def sine_references(config: TaskConfig, play: Play) -> Iterator[dict[str, Any]]:
     """Sines of the reference about the working position, with the preview and with the preview hidden.
 
     Columns: preview (whether the controller sees it), frequency_hz, amplitude_mm, gain (1), phase_deg, rest (root mean
@@ -65,7 +130,17 @@ def sine_references(config: TaskConfig) -> Iterator[Run]:
         time, first = _samples(frequency, config.control_period)
         task = own_reference(config, centre + size * np.sin(2.0 * np.pi * frequency * time))
         for preview in (True, False) if config.references.preview_times else (False,):
-            yield Run((task,), partial(_response, preview, frequency, size, first), hidden_preview=not preview)
+            rollout = play(task, hidden=not preview)
+            answer, rest = sine_fit(rollout.position[:, first:], rollout.time[first:], frequency)
+            asked, _ = sine_fit(rollout.reference[:, first:], rollout.time[first:], frequency)
+            yield {
+                "preview": preview,
+                "frequency_hz": frequency,
+                "amplitude_mm": 1e3 * size,
+                "gain": np.abs(answer / asked),
+                "phase_deg": np.angle(answer / asked, deg=True),
+                "rest": rest / size,
+            }
 
 
 def _samples(frequency: float, period: float) -> tuple[Floats, int]:
@@ -75,26 +150,6 @@ def _samples(frequency: float, period: float) -> tuple[Floats, int]:
     first = round(settling / period)
     last = first + round(cycles / (frequency * period))
     return period * np.arange(last + 1, dtype=np.float64), first
-
-
-def _response(preview: bool, frequency: float, size: float, first: int, rollout: Rollout) -> dict[str, Any]:
-    time = rollout.time[first:]
-    answer, rest = sine_fit(rollout.position[:, first:], time, frequency)
-    asked, _ = sine_fit(rollout.reference[:, first:], time, frequency)
-    return {
-        "preview": preview,
-        "frequency_hz": frequency,
-        "amplitude_mm": 1e3 * size,
-        "gain": np.abs(answer / asked),
-        "phase_deg": np.angle(answer / asked, deg=True),
-        "rest": rest / size,
-    }
-
-
-def _continuous_phase(table: pd.DataFrame) -> pd.DataFrame:
-    parts = table.groupby(["preview", "leakage_flow_lpm", "seed"], sort=False)
-    table["phase_deg"] = parts["phase_deg"].transform(lambda phase: np.unwrap(phase, period=360.0))
-    return table
 
 
 def bandwidths(table: pd.DataFrame) -> pd.DataFrame:
@@ -142,29 +197,25 @@ SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)  # Hz; force sines
 SINE_SETTLING, SINE_WATCHED = 0.5, 1.0  # s (and two cycles each)
 
 
-def sudden_force(config: TaskConfig) -> Iterator[Run]:
+def sudden_force(config: TaskConfig, play: Play) -> Iterator[dict[str, Any]]:
     """A sudden external force of drawn sign on an axis at rest, without sensor noise, which would hide the recovery.
 
     Columns: force_n, peak_mm (largest deviation), recovery_s (until the deviation stays within a tenth of the peak
     about its final value; NaN if not by the end, as in a limit cycle), remaining_mm (deviation at the end, absolute),
     static_mm_per_kn and dynamic_mm_per_kn (remaining and largest deviation per force).
     """
-    newtons, begin = FORCE_SHARE * full_force(config.plant), BEFORE / (BEFORE + AFTER)
+    newtons, begin = FORCE_SHARE * min(force_limits(config.plant)), BEFORE / (BEFORE + AFTER)
     task = _with_force(noiseless(config), newtons, BEFORE + AFTER, kind="step", start_range=(begin, begin))
-    yield Run((task,), partial(_recovery, config, newtons))
-
-
-def _recovery(config: TaskConfig, newtons: float, rollout: Rollout) -> dict[str, Any]:
     period = config.control_period
     first, judged = round(BEFORE / period), round(JUDGED / period)
-    position = rollout.position.astype(np.float64)
+    position = play(task).position.astype(np.float64)
     deviation = position - position[:, first - judged : first].mean(axis=1, keepdims=True)
     peak, remaining = np.abs(deviation[:, first:]).max(axis=1), deviation[:, -judged:].mean(axis=1)
     band = np.maximum(RECOVERED * peak, config.sensors.position.resolution)
     outside = np.abs(deviation[:, first:] - remaining[:, None]) > band[:, None]
     recovered = outside.shape[1] - np.argmax(outside[:, ::-1], axis=1)  # samples until the last one outside
     lasting = outside[:, -judged:].any(axis=1)
-    return {
+    yield {
         "force_n": newtons,
         "peak_mm": 1e3 * peak,
         "recovery_s": np.where(lasting, np.nan, period * np.where(outside.any(axis=1), recovered, 0)),
@@ -174,73 +225,92 @@ def _recovery(config: TaskConfig, newtons: float, rollout: Rollout) -> dict[str,
     }
 
 
-def sine_forces(config: TaskConfig) -> Iterator[Run]:
+def sine_forces(config: TaskConfig, play: Play) -> Iterator[dict[str, Any]]:
     """Sines of the external force: amplitude of the position per amplitude of the force.
 
     Columns: frequency_hz, force_n, compliance_mm_per_kn.
     """
-    newtons = FORCE_SHARE * full_force(config.plant)
+    newtons = FORCE_SHARE * min(force_limits(config.plant))
     for frequency in SINE_FREQUENCIES:
         settling = max(SINE_SETTLING, 2.0 / frequency)
         cycles = max(round(SINE_WATCHED * frequency), 2)
         sine = {"kind": "sine", "start_range": (0.0, 0.0), "frequency_range": (frequency, frequency)}
         task = _with_force(config, newtons, settling + cycles / frequency, **sine)
-        yield Run((task,), partial(_compliance, frequency, newtons, round(settling / config.control_period)))
-
-
-def _compliance(frequency: float, newtons: float, first: int, rollout: Rollout) -> dict[str, Any]:
-    answer, _ = sine_fit(rollout.position[:, first:], rollout.time[first:], frequency)
-    return {"frequency_hz": frequency, "force_n": newtons, "compliance_mm_per_kn": 1e6 * np.abs(answer) / newtons}
+        first, rollout = round(settling / config.control_period), play(task)
+        answer, _ = sine_fit(rollout.position[:, first:], rollout.time[first:], frequency)
+        yield {"frequency_hz": frequency, "force_n": newtons, "compliance_mm_per_kn": 1e6 * np.abs(answer) / newtons}
 
 
 def _with_force(config: TaskConfig, newtons: float, duration: float, **disturbance: Any) -> TaskConfig:
     """The task of holding the working position for some time (s) against an external force (N)."""
-    held = np.full(round(duration / config.control_period) + 1, working_place(config.plant))
     force = {"force_range": (newtons, newtons), "force_share": (0.0, 0.0), **disturbance}
-    return task_config(own_reference(config, held), disturbance=force)
+    return task_config(_holding(config, working_place(config.plant), duration), disturbance=force)
+
+
+# Standstill under noise -----------------------------------------------------------------------------------------------
+
+STANDSTILL_LEAKS = (0.01, 0.3, 1.0, 4.0, 8.0)  # l/min at 100 bar
+PLACES = (0.0, 0.3, -0.3)  # held positions: shares of the range that the supply can hold
+REST, HELD = 2.0, 6.0  # s from the start to the evaluation, and length of the evaluation
+
+
+def standstills(config: TaskConfig, play: Play) -> Iterator[dict[str, Any]]:
+    """A held position with the noise of the sensors.
+
+    Columns: place_mm, unrest_um (root mean square of the position's motion), offset_um (mean of |reference − reading|,
+    frame of the sensor), valve_travel_per_s (full strokes), failed.
+    """
+    judged = slice(-round(HELD / config.control_period), None)
+    for place in PLACES:
+        position = working_place(config.plant, place)
+        rollout = play(_holding(config, position, REST + HELD))
+        held, spool = (values[:, judged].astype(np.float64) for values in (rollout.position, rollout.spool))
+        yield {
+            "place_mm": 1e3 * position,
+            "unrest_um": 1e6 * held.std(axis=1),
+            "offset_um": 1e6 * np.abs(held.mean(axis=1) + rollout.position_bias - position),
+            "valve_travel_per_s": np.abs(np.diff(spool, axis=1)).sum(axis=1) / HELD,
+            "failed": rollout.failed_at >= 0,
+        }
+
+
+def _holding(config: TaskConfig, position: float, seconds: float) -> TaskConfig:
+    """The task of holding a position (m)."""
+    return own_reference(config, np.full(round(seconds / config.control_period) + 1, position))
 
 
 # Parts of a protocol --------------------------------------------------------------------------------------------------
 
 EXPERIMENTS = {
-    "frequency": Experiment(sine_references, finish=_continuous_phase),
+    "frequency": Experiment(sine_references),
     "force_step": Experiment(sudden_force, plants=8),
     "force_sine": Experiment(sine_forces),
     "hold": Experiment(standstills, STANDSTILL_LEAKS, plants=8),
-    "pause": Experiment(moves_after_pauses, (0.05, 2.0), plants=12),
 }
 """Experiments by the names of their parts."""
 
-TAKE_OVER = Experiment(motions, (0.05, 2.0, 6.0), plants=8)
 
-Pair = tuple[Controller, Controller]  # the baseline, and the one that is measured
-
-
-def _cells(work: Callable[..., Columns], arguments: tuple[str, ...], protocol: Any, chosen: Any) -> Iterator[Cell]:
-    """An experiment on every controller of a robustness protocol; of several training seeds the first takes part."""
+def _cells(experiment: str, protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
+    """An experiment on every controller of a protocol; of several training seeds the first takes part."""
     controllers: dict[str, Controller] = {}
     for name, controller in chosen.controllers.items():
         controllers.setdefault(split_name(name)[0], controller)
-    baseline = next(iter(controllers.values()))
     for name, controller in controllers.items():
-        digest = fingerprint(baseline, controller) if work is taken_over else fingerprint(controller)
-        job = Job(work, (baseline, controller), (protocol.task, *arguments), digest)
+        job = Job(measured, controller, (protocol.task, experiment), fingerprint(controller))
         yield Cell(name, known={"controller": name}, jobs=(job,))
 
 
-def measured(pair: Pair, config: TaskConfig, experiment: str) -> Columns:
-    """The table of an experiment on the second of two controllers.
+def measured(controller: Controller, config: TaskConfig, experiment: str) -> Columns:
+    """The table of an experiment on a controller.
 
     Raises:
         ControllerError: the controller raises an exception or returns no finite commands.
     """
-    return columns_of(EXPERIMENTS[experiment](config, pair[1]))
-
-
-def taken_over(pair: Pair, config: TaskConfig) -> Columns:
-    """The second of two controllers takes over from the first, beside itself from the start (never_switched_um)."""
-    switched = TAKE_OVER(config, TakesOver(*pair, periods=round(TAKEN_OVER / config.control_period)))
-    return columns_of(switched.assign(never_switched_um=TAKE_OVER(config, pair[1])["largest_um"]))
+    table = EXPERIMENTS[experiment](config, controller)
+    if experiment == "frequency":  # a continuous phase
+        parts = table.groupby(["preview", "leakage_flow_lpm", "seed"], sort=False)
+        table["phase_deg"] = parts["phase_deg"].transform(lambda phase: np.unwrap(phase, period=360.0))
+    return columns_of(table)
 
 
 def price(protocol: RobustnessProtocol, chosen: object) -> Iterator[Cell]:
@@ -254,5 +324,4 @@ def leak_costs(_: None, config: TaskConfig) -> Columns:
     return columns_of(leak_price(config))
 
 
-frequency, force_step, force_sine, hold, pause = (partial(_cells, measured, (name,)) for name in EXPERIMENTS)
-take_over = partial(_cells, taken_over, ())
+frequency, force_step, force_sine, hold = (partial(_cells, name) for name in EXPERIMENTS)

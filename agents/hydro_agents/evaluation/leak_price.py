@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from hydro_env import PlantParameters, TaskConfig, equilibrium
 from hydro_env.errors import HydroError
-from hydro_env.plant.analysis import force_limits, full_pressure_forces, reachable_range, speed_limits
+from hydro_env.plant.analysis import full_pressure_forces, reachable_range, speed_limits
 from hydro_env.plant.arrays import coefficient_array, derived_array, plant_coefficients
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.parts.leakage import leak_past_piston
@@ -33,11 +33,6 @@ def working_place(plant: PlantParameters, share: float = PLACE) -> float:
     """Position in m at a share (−1 to 1) of the range that the supply of the nominal rig can hold."""
     low, high = reachable_range(plant)
     return share * high if share > 0.0 else -share * low
-
-
-def full_force(plant: PlantParameters) -> float:
-    """The smaller of the two largest steady forces of the nominal rig, N."""
-    return min(force_limits(plant))
 
 
 def full_speed(plant: PlantParameters, position: float) -> float:

@@ -15,13 +15,13 @@ from pydantic import Field, model_validator
 from hydro_agents.detection.detector import Detector, Windows, measured_run
 from hydro_agents.detection.detectors import DetectorChoice
 from hydro_agents.detection.operations import ACTING, MOTIONS
-from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol
+from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol, refuse_unknown
 from hydro_agents.running.cases import Cases, ControllerError
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
 from hydro_agents.running.tasks import Surroundings
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.mistakes import known_name, unknown
+from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
 
@@ -79,13 +79,10 @@ class LeakProtocol(Protocol[LeakCondition]):
 
     @model_validator(mode="after")
     def _consistent(self) -> LeakProtocol:
-        self.check_conditions("base", (self.base,))
-        self.check_conditions("bound_conditions", self.bound_conditions)
-        named = {f"conditions.{name}: detectors": each.detectors or () for name, each in self.conditions.items()}
-        for key, detectors in named.items():
-            for detector in detectors:
-                if detector not in self.detectors:
-                    raise ValueError(f"{key}: {unknown(detector, self.detectors, 'detector')}")
+        refuse_unknown("base", (self.base,), self.conditions, "condition")
+        refuse_unknown("bound_conditions", self.bound_conditions, self.conditions, "condition")
+        for name, condition in self.conditions.items():
+            refuse_unknown(f"conditions.{name}: detectors", condition.detectors or (), self.detectors, "detector")
         return self
 
     def asked(self) -> tuple[str, ...]:

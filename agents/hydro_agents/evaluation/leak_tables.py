@@ -16,7 +16,6 @@ from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
 from hydro_agents.evaluation.runner import Results, table
 from hydro_agents.running.statistics import Interval, share_interval
 
-KIND = "leakage"
 FALSE_ALARM_RATE = 0.01
 
 BINS = np.linspace(0.0, 1.0, 11)  # edges of the bins of the reliability curve
@@ -26,7 +25,7 @@ FAR = 6.0  # error of an unflagged estimate that counts as a local minimum, in s
 SECONDS_PER_HOUR = 3600.0
 
 
-@table("protocol", KIND)
+@table("protocol")
 def facts(results: Results) -> pd.DataFrame:
     """Keys and values: what ran, when, and where."""
     protocol, count = results.protocol, str(len(results.table("windows")))
@@ -34,7 +33,7 @@ def facts(results: Results) -> pd.DataFrame:
     return pd.DataFrame([*own, *results.facts], columns=["key", "value"])
 
 
-@table("thresholds", KIND)
+@table("thresholds")
 def thresholds(results: Results) -> pd.DataFrame:
     """For each detector: the threshold at 1 % false alarms on healthy validation windows, and the threshold in use."""
     read, rows = results.part("windows"), []
@@ -48,7 +47,7 @@ def thresholds(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("windows", KIND)
+@table("windows")
 def windows(results: Results) -> pd.DataFrame:
     """The windows of all detectors with a threshold, without those of the validation; see :func:`judged`."""
     read = results.part("windows")
@@ -95,7 +94,7 @@ def _cells(results: Results) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
         yield dict(zip(_CELL, key, strict=True)), frame
 
 
-@table("detection", KIND)
+@table("detection")
 def detection(results: Results) -> pd.DataFrame:
     """Share of windows reported as a leak past the piston, with the detector's threshold and with the one at 1 %.
 
@@ -118,7 +117,7 @@ def detection(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("verdicts", KIND)
+@table("verdicts")
 def verdicts(results: Results) -> pd.DataFrame:
     """The confusion table: share of each verdict by detector, condition and leak level."""
     rows = []
@@ -128,7 +127,7 @@ def verdicts(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("sizes", KIND)
+@table("sizes")
 def sizes(results: Results) -> pd.DataFrame:
     """Errors of the size and coverage of the 90 % intervals, over windows in which the detector gives an answer."""
     sigma = _bound_of(results)
@@ -158,16 +157,16 @@ def sizes(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _bound_of(results: Results) -> dict[tuple[str, float], float]:
+def _bound_of(results: Results) -> dict[Any, float]:
     """Median bound of each condition and level."""
     rows = results.part("leak_bound")
     if rows.empty:
         return {}
-    found = rows.groupby(["condition", "level"])["sigma_lpm"].median()
-    return {(str(condition), float(level)): float(value) for (condition, level), value in found.items()}
+    sigma: dict[Any, float] = rows.groupby(["condition", "level"])["sigma_lpm"].median().to_dict()
+    return sigma
 
 
-@table("reliability", KIND)
+@table("reliability")
 def reliability(results: Results) -> pd.DataFrame:
     """Probability against frequency of a leak, by detector and condition with drawn leaks, half of them healthy.
 
@@ -194,7 +193,7 @@ def reliability(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("masking", KIND)
+@table("masking")
 def masking(results: Results) -> pd.DataFrame:
     """Detection and position error by controller of the axes: does better control hide the leak?"""
     sigma = _bound_of(results)
@@ -208,6 +207,6 @@ def masking(results: Results) -> pd.DataFrame:
             {"detector": detector, "condition": condition, "acting": chosen.acting, "level": level}
             | {"error_mm": float(frame["error_mm"].mean())}
             | share(frame["at_1_percent"]).named("at_1_percent")
-            | {"bound_lpm": sigma.get((str(condition), float(level)), np.nan), "windows": len(frame)}
+            | {"bound_lpm": sigma.get((condition, level), np.nan), "windows": len(frame)}
         )
     return pd.DataFrame(rows)

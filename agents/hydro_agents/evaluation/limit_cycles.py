@@ -54,40 +54,31 @@ def find_limit_cycle(position: NDArray[Any], period: float, floor: float) -> Lim
     return LimitCycle(amplitude, cycles / (len(values) * period), sustained)
 
 
-def kicked(config: TaskConfig, place: float, step: float, kick: float, duration: float) -> TaskConfig:
-    """The task without noise, with constant force and leak: a place (m) with a step (m) of the reference and back.
-
-    The step begins after 0.1 s and lasts for ``kick`` (s).
-    """
-    begin, end, last = (round(time / config.control_period) for time in (BEFORE, BEFORE + kick, duration))
-    steps = np.repeat([0.0, step, 0.0], [begin, end - begin, last + 1 - end])
-    return own_reference(noiseless(config), place + steps)
-
-
 def standstill_task(config: TaskConfig) -> TaskConfig:
     """The task without noise, with constant force and leak, and with a small step about mid-stroke and back.
 
     The step is as small as the task's steps can be.
     """
-    return kicked(config, 0.0, config.references.step_range[0], KICK, BEFORE + KICK + SETTLING + JUDGED)
-
-
-def limit_cycles(position: NDArray[Any], config: TaskConfig) -> dict[str, NDArray[Any]]:
-    """Limit cycles of true positions (N, T) in m at a constant reference; the floor is one step of the sensor."""
-    floor = config.sensors.position.resolution
-    cycles = pd.DataFrame([find_limit_cycle(row, config.control_period, floor) for row in position])
-    return {
-        "limit_cycle": cycles["sustained"].to_numpy(),
-        "amplitude_um": 1e6 * cycles["amplitude"].to_numpy(),
-        "frequency_hz": cycles["frequency"].where(cycles["sustained"]).to_numpy(),
-    }
+    seconds = (BEFORE, KICK, SETTLING + JUDGED)
+    begin, end, last = (round(time / config.control_period) for time in np.cumsum(seconds))
+    steps = np.repeat([0.0, config.references.step_range[0], 0.0], [begin, end - begin, last + 1 - end])
+    return own_reference(noiseless(config), steps)
 
 
 def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArray[np.float64]]:
-    """Of every case, arrays (N,): limit_cycle (1: it oscillates without noise), amplitude_um, frequency_hz, failed."""
-    judged = round(JUDGED / config.control_period)
-    columns = limit_cycles(rollout.position[:, -judged:], config) | {"failed": rollout.failed_at >= 0}
-    return {name: values.astype(np.float64) for name, values in columns.items()}
+    """Of every case, arrays (N,): limit_cycle (1: it oscillates without noise), amplitude_um, frequency_hz, failed.
+
+    A limit cycle is larger than one step of the position sensor.
+    """
+    floor, judged = config.sensors.position.resolution, round(JUDGED / config.control_period)
+    found = [find_limit_cycle(row, config.control_period, floor) for row in rollout.position[:, -judged:]]
+    amplitude, frequency, sustained = np.array(found, dtype=np.float64).T
+    return {
+        "limit_cycle": sustained,
+        "amplitude_um": 1e6 * amplitude,
+        "frequency_hz": np.where(sustained == 1.0, frequency, np.nan),
+        "failed": (rollout.failed_at >= 0).astype(np.float64),
+    }
 
 
 # Counted per controller ---------------------------------------------------------------------------------------------

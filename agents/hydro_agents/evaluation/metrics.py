@@ -56,12 +56,7 @@ class Metric(NamedTuple):
         return f"{self.word}, {self.shown_unit or self.unit}"
 
 
-def by_name(*metrics: Metric) -> dict[str, Metric]:
-    """Metrics by their names."""
-    return {metric.name: metric for metric in metrics}
-
-
-METRICS = by_name(
+_METRICS = (
     Metric("mean_error_mm", "mm", "Mean error", "accuracy: mean of |reference − position|"),
     Metric("rms_error_mm", "mm", "Root-mean-square error", "root mean square of the error"),
     Metric("peak_error_mm", "mm", "Peak error", "largest error"),
@@ -149,6 +144,8 @@ METRICS = by_name(
     ),
     Metric("failed", "1", "Failed runs", "1 if the axis failed", shown_unit="%", factor=100.0, cost=True),
 )
+
+METRICS = {metric.name: metric for metric in _METRICS}
 """Every metric of an episode."""
 
 COMPARED = {
@@ -167,9 +164,9 @@ def standstills(reference: Array, period: float) -> list[tuple[int, int]]:
     return [(a, b) for a, b in pairwise(edges) if b - a >= shortest]
 
 
-def settling_time(error: Array, period: float, band: float = SETTLING_BAND) -> float:
+def settling_time(error: Array, period: float) -> float:
     """Time in s from the first sample until |error| stays within the band; NaN if it does not."""
-    outside = np.flatnonzero(np.abs(error) > band)
+    outside = np.flatnonzero(np.abs(error) > SETTLING_BAND)
     if len(outside) == 0:
         return 0.0
     if outside[-1] == len(error) - 1:
@@ -185,18 +182,18 @@ def overshoot(position: Array, start: float, target: float) -> float:
     return float(max(np.max((position - target) / size), 0.0) * 100.0)
 
 
-def reversals(command: Array, threshold: float = REVERSAL_THRESHOLD) -> int:
-    """Number of turning points at which the command swings back by more than the threshold."""
+def reversals(command: Array) -> int:
+    """Number of turning points at which the command swings back by more than :data:`REVERSAL_THRESHOLD`."""
     count, direction = 0, 0
     extreme = low = high = float(command[0])
     for value in np.asarray(command, dtype=np.float64).tolist():
         if direction == 0:
             low, high = min(low, value), max(high, value)
-            if high - low > threshold:
+            if high - low > REVERSAL_THRESHOLD:
                 direction, extreme = (1 if value == high else -1), value
         elif direction * (value - extreme) >= 0.0:
             extreme = value
-        elif direction * (extreme - value) > threshold:
+        elif direction * (extreme - value) > REVERSAL_THRESHOLD:
             count, direction, extreme = count + 1, -direction, value
     return count
 

@@ -15,7 +15,7 @@ from hydro_agents.evaluation.robustness_protocol import ControllerChoice, Paired
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.learning.trainers import TRAINERS
-from hydro_agents.running.cases import Cases, Rollout, check_predict
+from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError, TaskConfig
@@ -74,7 +74,7 @@ class Participants:
     controllers: Mapping[str, Controller]
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
     head: LeakageHead | None = None  # watches the episodes of a study
-    searches: Mapping[str, Callable[[TaskConfig, Cases], Rollout]] | None = None  # default: the best found, by name
+    searches: Mapping[str, Callable[[TaskConfig], Controller]] | None = None  # default: the best found, by name
 
     @property
     def corrected(self) -> dict[str, str]:
@@ -164,7 +164,11 @@ def sees(name: str, controller: Controller, task: TaskConfig) -> Sees:
     layout = getattr(getattr(controller, "features", controller), "layout", None)
     layout = layout if isinstance(layout, ObservationLayout) else ObservationLayout.of(task)
     ahead = max(layout.preview_times, default=0.0)
-    memory = _memory(controller)
+    features, memory = getattr(controller, "features", None), "unknown"
+    if names := getattr(getattr(controller, "memory", None), "_fields", None):
+        memory = ", ".join(names)
+    elif isinstance(features, PolicyFeatures):
+        memory = f"signals of the last {1e3 * max(features.lags) * features.layout.control_period:g} ms"
     found = {
         "preview": f"{1e3 * ahead:g} ms" if ahead > 0.0 else "no",
         "memory": memory,
@@ -175,17 +179,6 @@ def sees(name: str, controller: Controller, task: TaskConfig) -> Sees:
     if not isinstance(declared, Mapping):
         raise ConfigurationError(f"{name}: sees must be a mapping of texts, of {', '.join(Sees.model_fields)}")
     return validate(Sees, {**found, **declared}, f"{name}: sees")
-
-
-def _memory(controller: Controller) -> str:
-    kind = getattr(controller, "memory", None)
-    names = getattr(kind, "_fields", None)
-    if names:
-        return ", ".join(names)
-    features = getattr(controller, "features", None)
-    if isinstance(features, PolicyFeatures):
-        return f"signals of the last {1e3 * max(features.lags) * features.layout.control_period:g} ms"
-    return "unknown"
 
 
 def sees_table(chosen: Participants, task: TaskConfig) -> pd.DataFrame:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -38,7 +35,6 @@ PERTURBATION = 0.01
 """Change of a command, as a fraction of 10 V, for the sensitivities; its effect is far above the integrator's error."""
 
 STATE_CHANGE = 1e-4 * TYPICAL_SIZE  # of each state, for derivatives
-ROWS_PER_THREAD = 128  # smallest number of rows per thread; with fewer, starting the thread takes longer than its work
 
 
 class Prediction:
@@ -50,12 +46,9 @@ class Prediction:
         latency: from the start of a period until its command acts, (N,), s.
         schedule: the coefficients :data:`SCHEDULED` in each control period of the episode and of the horizon beyond
             its end, (periods, N, S).
-        threads: worker threads; ``None`` takes one per core.
     """
 
-    def __init__(
-        self, config: TaskConfig, coefficients: Floats, latency: Floats, schedule: Floats, threads: int | None = None
-    ) -> None:
+    def __init__(self, config: TaskConfig, coefficients: Floats, latency: Floats, schedule: Floats) -> None:
         self.count = len(coefficients)
         self._failure = config.failure
         self._coefficients = coefficients
@@ -63,8 +56,6 @@ class Prediction:
         self._durations = np.stack([latency, config.control_period - latency], axis=1)
         self._accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS_PER_PERIOD)
         self._rows = (coefficients.copy(), self._durations)
-        self._threads = threads if threads is not None else (os.cpu_count() or 1)
-        self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="bound") if self._threads > 1 else None
 
     def positions(self, state: Floats, before: Floats, commands: Floats, step: int) -> Floats:
         """Positions (N, M, H), m, at the end of each period; infinite from a failure on.
@@ -136,12 +127,6 @@ class Prediction:
         change = (states[1:] - states[0]) / STATE_CHANGE[:, None, None]
         return states[0], np.ascontiguousarray(change.transpose(1, 2, 0))
 
-    def close(self) -> None:
-        """Stop the worker threads; may be called more than once."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
-
     def _advance(self, states: Floats, voltage: Floats, peaks: Floats, step: int) -> None:
         """Advance copies of the plants, (copies, N, …) each, by one control period, in place."""
         copies = len(states)
@@ -154,13 +139,7 @@ class Prediction:
         plants = Plants(
             states.reshape(rows, -1), coefficients, voltage.reshape(rows, -1), durations, peaks.reshape(rows, -1)
         )
-        parts = max(1, min(self._threads, rows // ROWS_PER_THREAD))
-        if self._pool is None or parts == 1:
-            integrate(plants, self._accuracy, 0, rows)
-            return
-        bounds = pairwise([rows * part // parts for part in range(parts + 1)])
-        for work in [self._pool.submit(integrate, plants, self._accuracy, *ends) for ends in bounds]:
-            work.result()
+        integrate(plants, self._accuracy, 0, rows)
 
 
 def true_schedule(config: TaskConfig, axes: Axes, periods: int) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
-from hydro_agents.evaluation.conditions import Condition, Name, Protocol
+from hydro_agents.evaluation.conditions import Condition, Name, Protocol, refuse_unknown
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
@@ -118,34 +118,23 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
         """Parameters that a condition fixes in every plant, for the option ``parameters`` of ``reset``."""
         return self.conditions[name].parameters_on(self.task_in(name))
 
-    def levels_in(self, name: str) -> Sequence[float]:
-        """Leak levels of a condition."""
-        return self.conditions[name].leak_levels or self.leak_levels
-
     def standstill_levels(self, name: str) -> Sequence[float]:
         """Leak levels of the search for limit cycles under a condition."""
         raise NotImplementedError
 
-    def bound_levels(self, name: str) -> Sequence[float]:
-        """Leak levels of the best found under a condition: all of the condition."""
-        return self.levels_in(name)
-
-    def cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
-        """The cases of a condition, and a table with leak, family, plant and seed of each."""
+    def cases_in(self, name: str) -> pd.DataFrame:
+        """The cases of a condition: leak, family, plant and seed of each."""
         condition = self.conditions[name]
         families, plants = condition.families or self.families, condition.plants or self.plants
-        return self._with_cases(name, paired(self.levels_in(name), families, plants, LEDGER[self.seeds]))
+        return paired(condition.leak_levels or self.leak_levels, families, plants, LEDGER[self.seeds])
 
-    def standstill_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
-        """The cases of the search for limit cycles under a condition, and their table as in :meth:`cases_in`."""
-        levels, plants = self.standstill_levels(name), self.standstill_plants
-        return self._with_cases(name, paired(levels, ("user",), plants, LEDGER[self.seeds]))
+    def standstill_cases_in(self, name: str) -> pd.DataFrame:
+        """The cases of the search for limit cycles under a condition."""
+        return paired(self.standstill_levels(name), ("user",), self.standstill_plants, LEDGER[self.seeds])
 
-    def bound_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
-        """The cases of a condition for the best found, and their table as in :meth:`cases_in`."""
-        _, table = self.cases_in(name)
-        kept = (table["plant"] < self.bound_plants) & table["leakage_flow_lpm"].isin(self.bound_levels(name))
-        return self._with_cases(name, table[kept].reset_index(drop=True))
+    def bound_cases_in(self, name: str) -> pd.DataFrame:
+        """The cases of a condition for the best found: all of its leak levels."""
+        return self.cases_in(name).query(f"plant < {self.bound_plants}")
 
     def cases_of(self, name: str, table: pd.DataFrame) -> Cases:
         """The cases of a table of :func:`paired` under a condition."""
@@ -157,11 +146,8 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
             self.parameters_in(name),
         )
 
-    def _with_cases(self, name: str, table: pd.DataFrame) -> tuple[Cases, pd.DataFrame]:
-        return self.cases_of(name, table), table
 
-
-EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "pause", "take_over", "leak_price")
+EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "leak_price")
 """Parts about the task alone."""
 
 
@@ -202,7 +188,7 @@ class RobustnessProtocol(PairedProtocol):
     @model_validator(mode="after")
     def _possible(self) -> RobustnessProtocol:
         check_grid(self.standstill_leak_levels, ())
-        self.check_conditions("bound_conditions", self.bound_conditions)
+        refuse_unknown("bound_conditions", self.bound_conditions, self.conditions, "condition")
         if "all" in self.conditions:
             raise ValueError("conditions: 'all' is the name of their mean")
         return self
@@ -254,7 +240,7 @@ class RobustnessProtocol(PairedProtocol):
                     "description": condition.description,
                     "changes": json.dumps(changes),
                     "control_period_s": self.task_in(name).control_period,
-                    "cases": len(self.cases_in(name)[1]),
+                    "cases": len(self.cases_in(name)),
                 }
             )
         return pd.DataFrame(rows)

@@ -1,4 +1,4 @@
-"""The tables of a robustness protocol: summary, comparison with the baseline, ranking, profiles, worst cases."""
+"""The tables of a robustness protocol: summary, comparison with the baseline, ranking, worst cases."""
 
 from __future__ import annotations
 
@@ -10,21 +10,19 @@ from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
 from hydro_agents.evaluation.participants import sees_table
 from hydro_agents.evaluation.runner import FAILED, Results, table
 from hydro_agents.running.seeds import SEED_MARK
-from hydro_agents.running.statistics import interquartile_means, interval, means
+from hydro_agents.running.statistics import interquartile_means, interval
 
-KIND = "robustness"
 LEAK_GROUP = "leak"
 CLOSED = ("gap", "score", "score_low", "score_high")  # 0 for the baseline; all other figures of the ranking are ratios
-PROFILE_RATIOS = {"best": np.geomspace(1.0, 10.0, 41), "baseline": np.geomspace(0.2, 5.0, 41)}
 
 
-@table("sees", KIND)
+@table("sees")
 def inputs(results: Results) -> pd.DataFrame:
     """The inputs of every controller."""
     return sees_table(results.participants, results.protocol.task)
 
 
-@table("protocol", KIND)
+@table("protocol")
 def facts(results: Results) -> pd.DataFrame:
     """Keys and values: what ran, when, and where."""
     protocol, seeds = results.protocol, results.part("tracking")["seed"]
@@ -38,7 +36,7 @@ def facts(results: Results) -> pd.DataFrame:
     return pd.DataFrame([*own, *results.facts], columns=["key", "value"])
 
 
-@table("summary", KIND)
+@table("summary")
 def summary(results: Results) -> pd.DataFrame:
     """Every metric per controller and condition: mean and interquartile mean with intervals, and the worst case."""
     grid, cases, rows = results.grid, results.part("tracking"), []
@@ -70,7 +68,7 @@ def summary(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("comparison", KIND)
+@table("comparison")
 def comparison(results: Results) -> pd.DataFrame:
     """Each controller against the first, over all conditions and under each."""
     grid = results.grid
@@ -78,7 +76,7 @@ def comparison(results: Results) -> pd.DataFrame:
     return grid.comparisons("condition", [(name, grid.all_plants, grid.under(name)) for name in conditions])
 
 
-@table("families", KIND)
+@table("families")
 def families(results: Results) -> pd.DataFrame:
     """Each controller against the first, per family of references, over the conditions of the group ``leak``.
 
@@ -91,13 +89,13 @@ def families(results: Results) -> pd.DataFrame:
     return grid.comparisons("family", [(name, grid.family == name, situations) for name in names])
 
 
-@table("corrected", KIND)
+@table("corrected")
 def corrected(results: Results) -> pd.DataFrame:
     """Each policy against the controller that it corrects, over all conditions, if that one is not the baseline."""
     return results.grid.corrected(results.participants.corrected)
 
 
-@table("ranking", KIND)
+@table("ranking")
 def ranking(results: Results) -> pd.DataFrame:
     """Controllers in the order of their equally weighted ratio, with their costs."""
     grid, compared = results.grid, results.table("comparison")
@@ -132,32 +130,7 @@ def ranking(results: Results) -> pd.DataFrame:
     return ranked
 
 
-@table("profiles", KIND)
-def profiles(results: Results) -> pd.DataFrame:
-    """Share of cases with an error of at most τ times that of the best controller in the case, or of the baseline.
-
-    It includes only conditions under which every controller ran. Dolan & Moré (2002); intervals as Agarwal et al.
-    (2021).
-    """
-    grid = results.grid
-    errors = {name: grid.values(name, ERROR) for name in grid.controllers}
-    expected = np.array([np.where(np.isnan(values), np.inf, values).mean(axis=0) for values in errors.values()])
-    shared = np.isfinite(expected).all(axis=0)
-    references = {"best": expected.min(axis=0), "baseline": expected[0]}
-    used = shared.any(axis=1)
-    rows = []
-    for against, ratios in PROFILE_RATIOS.items():
-        for name, values in errors.items():
-            relative = np.where(shared, values / np.where(shared, references[against], np.nan), np.nan)[:, used]
-            weights = grid.weights(name, len(values), used)
-            for tau in ratios:
-                inside = np.where(np.isnan(relative), np.nan, relative <= tau * (1.0 + 1e-12))
-                share = interval(means(inside, weights), int(used.sum()))
-                rows.append({"controller": name, "against": against, "tau": float(tau), **share.columns("share")})
-    return pd.DataFrame(rows)
-
-
-@table("worst_cases", KIND)
+@table("worst_cases")
 def worst_cases(results: Results) -> pd.DataFrame:
     """The cases with the largest ratio of errors to the baseline; for the baseline, those with its largest errors."""
     cases, baseline, count = results.part("tracking"), results.grid.controllers[0], results.protocol.worst

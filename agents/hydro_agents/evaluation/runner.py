@@ -1,8 +1,8 @@
 """Runs a protocol: the jobs of all its parts side by side, and the tables of their results.
 
-A table is a function of the results, registered by its name and the kinds of protocols that publish it::
+A table is a function of the results, registered by its name in a module of a kind of protocols::
 
-    @table("ranking", "robustness")
+    @table("ranking")
     def ranking(results: Results) -> pd.DataFrame: ...
 
 The rows of each part are a table too (:data:`~hydro_agents.evaluation.conditions.PARTS`).
@@ -82,27 +82,26 @@ class Results:
 TableFunction = Callable[[Results], pd.DataFrame]
 _TABLES: dict[str, dict[str, TableFunction]] = {}
 _MODULES = {"robustness": "robustness_tables", "leakage": "leak_tables", "study": "evaluate"}
-"""Modules that register the tables of a kind of protocol."""
+"""Modules with the tables of a kind of protocol."""
 
 
-def table(name: str, *kinds: str) -> Callable[[TableFunction], TableFunction]:
-    """Register a function of the results as a table of some kinds of protocols."""
+def table(name: str) -> Callable[[TableFunction], TableFunction]:
+    """Register a function of the results as a table of the protocols to which its module belongs."""
 
     def register(function: TableFunction) -> TableFunction:
-        for kind in kinds:
-            _TABLES.setdefault(kind, {})[name] = function
+        _TABLES.setdefault(function.__module__, {})[name] = function
         return function
 
     return register
 
 
-@table("conditions", "robustness", "leakage")
+@table("conditions")
 def conditions(results: Results) -> pd.DataFrame:
     """One row per condition: its changes of the task, and how it is shown."""
     return pd.DataFrame(results.protocol.table())
 
 
-@table("status", "robustness", "leakage")
+@table("status")
 def status(results: Results) -> pd.DataFrame:
     """What became of every participant under every condition."""
     return results.status
@@ -110,9 +109,9 @@ def status(results: Results) -> pd.DataFrame:
 
 def tables_of(kind: str) -> dict[str, TableFunction]:
     """Tables of a kind of protocol by name: the rows of its parts, then those that are made of them."""
-    import_module(f"hydro_agents.evaluation.{_MODULES[kind]}")
+    module = import_module(f"{__package__}.{_MODULES[kind]}").__name__
     rows = {part.table: methodcaller("part", name) for name, part in PARTS.items() if kind in part.kinds}
-    return {**rows, **_TABLES[kind]}
+    return {**rows, **({} if kind == "study" else _TABLES[__name__]), **_TABLES[module]}
 
 
 def run(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.best_found import best_found
+from hydro_agents.evaluation.best_found import BestFound
 from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.evaluation.limit_cycles import standstill_metrics, standstill_task
 from hydro_agents.evaluation.metrics import rollout_metrics
@@ -21,32 +20,29 @@ from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_env import ConfigurationError, TaskConfig
 
 BEST_FOUND = "best found"
-
-BestFound = Callable[[TaskConfig, Cases], Rollout]  # runs cases under the best commands that a search finds
+SEARCHES: Mapping[str, Callable[[TaskConfig], Controller]] = {BEST_FOUND: BestFound}
 
 
 def tracking(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller on the cases of every condition."""
     for condition in protocol.conditions:
-        task = protocol.task_in(condition)
-        yield from _of_controllers(protocol, chosen, condition, tracked, task, *protocol.cases_in(condition))
+        task, cases = protocol.task_in(condition), protocol.cases_in(condition)
+        yield from _of_controllers(protocol, chosen, condition, tracked, task, cases)
 
 
 def standstill(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller after a small step of the reference and back, under every condition."""
     for condition in protocol.conditions:
-        task = standstill_task(protocol.task_in(condition))
-        yield from _of_controllers(protocol, chosen, condition, at_rest, task, *protocol.standstill_cases_in(condition))
+        task, cases = standstill_task(protocol.task_in(condition)), protocol.standstill_cases_in(condition)
+        yield from _of_controllers(protocol, chosen, condition, at_rest, task, cases)
 
 
 def best(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Searches for the best commands, on some cases of the conditions that the protocol names."""
-    # One thread: as many jobs as cores run side by side.
-    searches = chosen.searches or {BEST_FOUND: partial(best_found, settings={"threads": 1})}
     for condition in protocol.bound_conditions:
         task, cases = protocol.task_in(condition), protocol.bound_cases_in(condition)
-        for name, search in searches.items():
-            yield _cell(protocol, name, condition, search, searched, task, *cases)
+        for name, search in (chosen.searches or SEARCHES).items():
+            yield _cell(protocol, name, condition, search(task), tracked, task, cases)
 
 
 def _of_controllers(protocol: PairedProtocol, chosen: Participants, condition: str, *measured: Any) -> Iterator[Cell]:
@@ -63,18 +59,18 @@ def _cell(
     protocol: PairedProtocol,
     name: str,
     condition: str,
-    participant: Any,
+    participant: Controller,
     work: Callable[..., Columns],
     task: TaskConfig,
-    cases: Cases,
-    table: pd.DataFrame,
+    listed: pd.DataFrame,
 ) -> Cell:
-    """The cases of one participant in chunks, which ``work`` measures, with their table."""
+    """The listed cases of one participant in chunks, which ``work`` measures."""
     controller, seed = split_name(name)
     digest = fingerprint(participant)
+    cases = protocol.cases_of(condition, listed)
     jobs = tuple(Job(work, participant, (task, part), digest) for part in cases.chunks(protocol.chunk))
     known = {
-        **{str(column): table[column].to_numpy() for column in table},
+        **{str(column): listed[column].to_numpy() for column in listed},
         "condition": condition,
         "group": protocol.conditions[condition].group,
         "controller": controller,
@@ -90,34 +86,26 @@ def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns
         ControllerError: the controller failed.
         ConfigurationError: an episode cannot begin.
     """
-    return _metrics(_begun(run_cases, config, controller, cases), config, cases)
-
-
-def searched(search: BestFound, config: TaskConfig, cases: Cases) -> Columns:
-    """The same under the best commands that a search finds."""
-    return _metrics(_begun(search, config, cases), config, cases)
-
-
-def at_rest(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
-    """Limit cycles of cases whose task is a standstill."""
-    return standstill_metrics(_begun(run_cases, config, controller, cases), config)
-
-
-def _begun(run: Callable[..., Rollout], *arguments: Any) -> Rollout:
-    """What a function runs; an error at its start names the condition."""
-    try:
-        return run(*arguments)
-    except ControllerError:
-        raise
-    except ConfigurationError as error:
-        raise ConfigurationError(f"the condition cannot begin: {error}") from None
-
-
-def _metrics(rollout: Rollout, config: TaskConfig, cases: Cases) -> Columns:
+    rollout = _begun(controller, config, cases)
     families = np.full(len(cases), "user") if cases.families is None else cases.families
     preview = max(config.references.preview_times, default=0.0)
     metrics = rollout_metrics(rollout, families, config.control_period, preview)
     return {name: values.astype(np.float64) for name, values in metrics.items()}
+
+
+def at_rest(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
+    """Limit cycles of cases whose task is a standstill."""
+    return standstill_metrics(_begun(controller, config, cases), config)
+
+
+def _begun(controller: Controller, config: TaskConfig, cases: Cases) -> Rollout:
+    """The cases under a controller; an error at their start names the condition."""
+    try:
+        return run_cases(config, controller, cases)
+    except ControllerError:
+        raise
+    except ConfigurationError as error:
+        raise ConfigurationError(f"the condition cannot begin: {error}") from None
 
 
 def replay(protocol: PairedProtocol, chosen: Participants, row: Mapping[Any, Any]) -> Rollout:

@@ -201,37 +201,20 @@ def stiffness_text(part: pd.DataFrame, column: str) -> str:
 
 @section("Standstill", needs=("standstill",))
 def standstill(content: Content) -> list[Block]:
-    """Limit cycles, and residual motion with noise."""
-    cycles = cycles_by_condition(content)
-    note = (
-        "Noise moves every stiff loop; a limit cycle is motion that remains without noise. Each case runs twice: "
-        "without sensor noise after a small step (a remaining oscillation of more than one step of the position sensor "
-        "at 0.5 Hz or faster is a limit cycle), and with noise."
-    )
-    folded = [Fold("Limit cycles under each condition", cycles)] if cycles else []
-    return [Text(note), *standstill_tables(content), *folded]
-
-
-def standstill_tables(content: Content) -> list[Table]:
-    """Limit cycles by leak, and residual motion, offset and valve travel with noise."""
-    table = content.table("standstill")
+    """Residual motion, offset and valve travel with noise; limit cycles without."""
     words = {
         "residual motion, µm RMS": cell_of("unrest_um", 1),
         "offset, µm": cell_of("offset_um", 1),
         "valve travel, strokes per s": cell_of("valve_travel_per_s", 2),
     }
-    caption = "Held positions with a limit cycle (largest amplitude, its frequency)"
-    noisy = spread("At rest under sensor noise, mean over all leaks", table.assign(all="all leaks"), words, "all")
-    return [spread(caption, table, {"cycles": _cycles}), noisy]
-
-
-def _cycles(part: pd.DataFrame) -> str:
-    cycles = part[part["limit_cycle"].astype(bool)].sort_values("amplitude_um")
-    count = f"{len(cycles)} of {len(part)}"
-    if cycles.empty:
-        return count
-    largest = cycles.iloc[-1]
-    return f"{count} ({number(largest['amplitude_um'], 0)} µm, {number(largest['frequency_hz'], 1)} Hz)"
+    table = content.table("standstill").assign(all="all leaks")
+    cycles = cycles_by_condition(content)
+    note = (
+        "Noise moves every stiff loop; a limit cycle is motion that remains without noise: after a small step, an "
+        "oscillation of more than one step of the position sensor."
+    )
+    folded = [Fold("Limit cycles under each condition", cycles)] if cycles else []
+    return [Text(note), spread("At rest under sensor noise, mean over all leaks", table, words, "all"), *folded]
 
 
 def cycles_by_condition(content: Content) -> list[Table]:
@@ -247,34 +230,3 @@ def cycles_by_condition(content: Content) -> list[Table]:
         rows.append((content.label(str(condition)), *texts.reindex(content.controllers, fill_value="–")))
     caption = "Limit cycles by condition; none under the others"
     return [Table(caption, ("Condition", *content.controllers), rows)] if rows else []
-
-
-# Pauses -------------------------------------------------------------------------------------------------------------
-
-
-@section("Pauses and changes of the controller", needs=("pauses", "take_over"))
-def transitions(content: Content) -> list[Block]:
-    """Moves after pauses, and controllers that take over in motion."""
-    note = (
-        "One smooth move after a pause, and a controller that takes over from the first one while the axis moves. "
-        "Errors in µm in the frame of the position sensor, means over plants and leaks."
-    )
-    return [Text(note), _pauses_table(content.table("pauses")), _take_over_table(content.table("take_over"))]
-
-
-def _pauses_table(pauses: pd.DataFrame) -> Table:
-    caption = "Largest error in the first 0.3 s of a move after a pause (worst case); error at rest"
-    cells: dict[str, Callable[[pd.DataFrame], str]] = {
-        "in the move": lambda part: f"{number(part['peak_um'].mean(), 0)} ({part['peak_um'].max():.0f})",
-        "at rest": cell_of("rest_um", 1),
-    }
-    return spread(caption, pauses, cells, "pause_s", " s")
-
-
-def _take_over_table(changes: pd.DataFrame) -> Table:
-    words = {"largest_um": "largest", "never_switched_um": "never switched", "handed_over_um": "handed over"}
-    caption = (
-        "Largest error in the 0.2 s after a controller takes over; the same of a controller that drove from the start; "
-        "error that the first controller hands over"
-    )
-    return spread(caption, changes, {word: cell_of(column, 0) for column, word in words.items()}, "family")

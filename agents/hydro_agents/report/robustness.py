@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.metrics import FRAMES_TEXT, METRICS
-from hydro_agents.report.canvas import INK, Plot, curve_plot, ticks
 from hydro_agents.report.content import ALL, Content, interval, interval_text, shown, verdict
 from hydro_agents.report.palette import STRONGEST
 from hydro_agents.report.sections import Block, Fold, Points, Text, section, words_table
@@ -25,7 +23,6 @@ ROBUSTNESS = (
     "frequency",
     "stiffness",
     "standstill",
-    "transitions",
     "leak_price",
     "inputs",
     "method",
@@ -33,7 +30,6 @@ ROBUSTNESS = (
 )
 """Sections of the page, in order."""
 
-PROFILE_TICKS = (0.25, 0.5, 0.71, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 
 FULL_COLOUR = 2.0
 """A ratio of 2 or 1/2 has the strongest colour."""
@@ -86,9 +82,9 @@ def comparison(content: Content) -> list[Block]:
 
 @section("Errors and costs", needs=("summary",))
 def costs(content: Content) -> list[Block]:
-    """Ranking, errors and costs of every controller, and performance profiles."""
+    """Ranking, errors and costs of every controller."""
     compared = content.rows("comparison", condition=ALL)
-    return [*ranking_table(content), absolute_table(content), *profile_plots(content), *score_plot(content, compared)]
+    return [*ranking_table(content), absolute_table(content), *score_plot(content, compared)]
 
 
 @section("Where each controller fails")
@@ -238,34 +234,3 @@ def worst_table(content: Content) -> list[Table]:
     where = ("condition", "reference", "leak, l/min", "seed")
     header = ("Controller", *where, "error, mm", "baseline, mm", "ratio", "peak, mm")
     return [Table("Worst ratios of errors", header, rows)] if rows else []
-
-
-# Figures ------------------------------------------------------------------------------------------------------------
-
-
-def profile_plots(content: Content) -> list[Plot]:
-    """Share of cases whose error is at most tau times that of the best controller, and of the baseline."""
-    best = (
-        "Share of cases in which the error is at most τ times the smallest error of any controller in that case (Dolan "
-        "and Moré). Higher is better; at τ = 1: share of cases won."
-    )
-    own = (
-        "The same against the baseline: the curve at τ = 1 is the share of cases with a smaller error, and its right "
-        "end shows the worst cases."
-    )
-    plots = []
-    for against, name, note in (("best", "the best", best), ("baseline", content.baseline, own)):
-        table = content.rows("profiles", against=against)
-        shares = 100.0 * table.pivot_table("share", "tau", "controller") if len(table) else table
-        curves = {who: shares[who].dropna() for who in content.controllers if who in shares}
-
-        def finish(axes: Axes) -> None:
-            first, last = axes.dataLim.intervalx
-            axes.set(xscale="log", xlabel="τ", ylabel="share of cases, %", ylim=(0.0, 102.0), xlim=(first, last))
-            ticks(axes.xaxis, [tick for tick in PROFILE_TICKS if first <= tick <= last])
-            axes.axvline(1.0, color=INK, linewidth=0.8)
-
-        named = (f"profile-{against}", f"Performance profile against {name}", note)
-        if curves:
-            plots.append(curve_plot(*named, curves, content.looks, " %", finish, " × error", drawn="steps"))
-    return plots

@@ -8,10 +8,9 @@ from published import assert_published
 from refusal import refused
 from scipy.optimize import lsq_linear
 
-from hydro_agents.evaluation.best_found import BestFound, BoundSettings, best_found
+from hydro_agents.evaluation.best_found import BestFound, StateFilter, best_found
 from hydro_agents.evaluation.bound_comparison import MEASURED, TRUTH, means_by, summary
 from hydro_agents.evaluation.prediction import Prediction, bounded_least_squares, continued, true_schedule
-from hydro_agents.evaluation.state_filter import StateFilter
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.text import frame_markdown
@@ -43,7 +42,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def measured():
-    return best_found(SHORT, CASES, "measured")
+    return best_found(SHORT, CASES, measured=True)
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +50,10 @@ def pid():
     return run_cases(SHORT, shipped("pid", SHORT), CASES)
 
 
-def prediction_of(config, env, horizon, threads=1):
+def prediction_of(config, env, horizon):
     axes = env.axes
     schedule = true_schedule(config, axes, config.steps + horizon)
-    return Prediction(config, axes.coefficient.copy(), axes.column("latency").copy(), schedule, threads)
+    return Prediction(config, axes.coefficient.copy(), axes.column("latency").copy(), schedule)
 
 
 @pytest.mark.parametrize("config", [SHORT, CHANGING], ids=["constant", "changing leak, force, latency"])
@@ -112,15 +111,10 @@ def test_told_the_truth_it_is_never_worse_than_the_pid_and_than_without_it(truth
     assert errors(truth)[smooth].max() < 2e-6
 
 
-def test_the_state_is_worth_something(truth, measured):
-    assert np.all(errors(truth) <= errors(measured) + 1e-6)
-
-
-@pytest.mark.parametrize("told", ["truth", "measured"])
-def test_a_case_depends_on_neither_its_neighbours_nor_threads(told, truth, measured):
-    again = best_found(SHORT, CASES.part(4, 6), told, {"threads": 3}, chunk=1)
-    whole = {"truth": truth, "measured": measured}[told]
-    np.testing.assert_array_equal(again.position, whole.position[4:6])
+def test_a_case_does_not_depend_on_its_neighbours(truth, measured):
+    for told, whole in ((False, truth), (True, measured)):
+        again = run_cases(SHORT, BestFound(SHORT, told), CASES.part(4, 6), chunk=1)
+        np.testing.assert_array_equal(again.position, whole.position[4:6])
 
 
 def test_with_a_measured_state_it_is_better_than_the_pid(measured, pid):
@@ -164,12 +158,6 @@ def test_the_filter_derives_as_the_integrator_does():
     )
 
 
-def test_without_the_sensors_aim_the_true_position_follows():
-    case = CASES.part(3, 4)
-    rollout = best_found(SHORT, case, settings={"aim": "axis"})
-    assert np.abs(rollout.reference - rollout.position)[:, 40:].mean() < 2e-6 < 10e-6 < np.abs(rollout.position_bias[0])
-
-
 def test_the_reference_beyond_the_preview():
     ramp = np.arange(20.0)[None]
     jump = np.where(np.arange(20) < 8, 0.0, 5.0)[None]
@@ -183,12 +171,8 @@ def test_the_reference_beyond_the_preview():
 
 
 def test_wrong_input_gets_one_line(tmp_path):
-    with refused(r"told = 'half': must be 'truth' or 'measured'"):
-        best_found(SHORT, CASES, "half")
-    with refused("best found: horizon = 0"):
-        best_found(SHORT, CASES, settings={"horizon": 0})
     with refused("reads the true states"):
-        BestFound(SHORT, "truth", BoundSettings()).predict(np.zeros((1, 13)))
+        BestFound(SHORT).predict(np.zeros((1, 13)))
     assert_one_clear_line(hydro("bound", "--task", "none.yaml", "--output", tmp_path / "out"), "none.yaml")
     assert_one_clear_line(hydro("bound", "--leak", "-1", "--output", tmp_path / "out"), "leak_levels", "-1")
     assert not (tmp_path / "out").exists()

@@ -13,13 +13,12 @@ from hydro_agents.evaluation.detection import (
     LeakBounds,
     area_under_roc,
     average_precision,
+    curves,
     detection_columns,
     detection_curves,
     detection_rate,
     detection_rates,
     detection_summary,
-    precision_recall_curve,
-    roc_curve,
 )
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.statistics import share_interval
@@ -36,7 +35,7 @@ def scores_with_ties(seed, decimals=1):
 @pytest.mark.parametrize("decimals", [0, 1, 9])
 def test_curves_and_areas_are_those_of_scikit_learn(seed, decimals):
     scores, positive = scores_with_ties(seed, decimals)
-    roc, recall = roc_curve(scores, positive), precision_recall_curve(scores, positive)
+    roc, recall = curves(scores, positive).values()
     for own, other in zip(roc, sklearn.metrics.roc_curve(positive, scores, drop_intermediate=False), strict=True):
         np.testing.assert_allclose(own, other, rtol=1e-12)
     precision, share, thresholds = sklearn.metrics.precision_recall_curve(positive, scores)
@@ -54,7 +53,7 @@ def test_areas_and_curves_at_their_ends():
         assert math.isnan(area_under_roc(np.array([0.1, 0.2]), np.full(2, same)))
     assert math.isnan(average_precision(np.array([0.1, 0.2]), np.full(2, False)))
     for positive in (np.array([True, False, True]), np.zeros(3, dtype=bool)):  # nothing is flagged at first
-        curve = precision_recall_curve(np.array([0.2, 0.9, 0.5]), positive)
+        curve = curves(np.array([0.2, 0.9, 0.5]), positive)["precision_recall"]
         assert (curve.x[0], curve.y[0], curve.threshold[0], curve.y[1]) == (0.0, 1.0, np.inf, 0.0)
         assert curve.x[-1] == float(positive.any())
 

@@ -29,7 +29,9 @@ STRONG, WEAK = PID(PIDGains(proportional=200.0), CONFIG), PID(PIDGains(proportio
 
 def cases_of(**settings):
     """The cases of an evaluation, and their table."""
-    return StudyProtocol(conditions={"task": {}}, **settings).cases_in("task")
+    protocol = StudyProtocol(conditions={"task": {}}, **settings)
+    table = protocol.cases_in("task")
+    return protocol.cases_of("task", table), table
 
 
 def test_levels_share_plants_and_families_do_not():

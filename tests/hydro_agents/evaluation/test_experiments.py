@@ -11,14 +11,15 @@ from published import TABLES, assert_published
 
 from hydro_agents.controllers.sampled_loop import sampled_loop
 from hydro_agents.evaluation import experiments
-from hydro_agents.evaluation.experiments import EXPERIMENTS, bandwidths, crossing
-from hydro_agents.evaluation.leak_price import full_force, working_place
+from hydro_agents.evaluation.experiments import EXPERIMENTS, HiddenPreview, bandwidths, crossing, sine_fit
+from hydro_agents.evaluation.leak_price import working_place
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.robustness_protocol import EXPERIMENTS as PARTS
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import run
-from hydro_agents.evaluation.sweeps import HiddenPreview, sine_fit
-from hydro_env import resistance_from_flow
+from hydro_agents.learning.opponents import shipped
+from hydro_env import TaskConfig, resistance_from_flow
+from hydro_env.plant.analysis import force_limits
 
 EXACT = exact_task()
 
@@ -39,7 +40,7 @@ def small(monkeypatch):
     """Motions and forces (2 N) so small that a linearised loop describes them."""
     monkeypatch.setattr(experiments, "FREQUENCIES", (1.0, 4.0, 12.0, 30.0))
     monkeypatch.setattr(experiments, "AMPLITUDE_SHARE", 2.5e-5)
-    monkeypatch.setattr(experiments, "FORCE_SHARE", 2.0 / full_force(EXACT.plant))
+    monkeypatch.setattr(experiments, "FORCE_SHARE", 2.0 / min(force_limits(EXACT.plant)))
     monkeypatch.setattr(experiments, "SINE_FREQUENCIES", (0.1,))
 
 
@@ -124,10 +125,20 @@ def test_deviations_are_counted_from_the_rest_before_the_force_and_no_other_forc
     assert np.isfinite(table["recovery_s"]).all()
 
 
+def test_offsets_at_rest_are_those_of_the_reading(monkeypatch):
+    """With an integral a controller holds its reading on the reference, whatever the bias of the sensor is."""
+    monkeypatch.setattr(experiments, "PLACES", (0.3,))
+    config = TaskConfig()
+    table = EXPERIMENTS["hold"]._replace(leaks=[0.3], plants=4)(config, HiddenPreview(shipped("pid", config), config))
+    assert (table["offset_um"] < 10.0).all()  # biases reach 80 µm
+    assert (table["unrest_um"] > 0.0).all()
+    assert (table["valve_travel_per_s"] > 0.0).all()
+    assert not table["failed"].any()
+
+
 def test_a_broken_controller_loses_its_own_rows_only(monkeypatch):
     for name, experiment in EXPERIMENTS.items():
         monkeypatch.setitem(EXPERIMENTS, name, experiment._replace(plants=1))
-    monkeypatch.setattr(experiments, "TAKE_OVER", experiments.TAKE_OVER._replace(plants=1))
     protocol = RobustnessProtocol(parts=PARTS, conditions={"plain": {}})
     good = Proportional(100.0, protocol.task)
     results = run(protocol, Participants({"P#0": good, "P#1": good, "broken": Constant(np.nan)}), jobs=1)

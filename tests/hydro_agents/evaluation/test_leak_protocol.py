@@ -160,8 +160,8 @@ def test_groups_and_detectors_choose_what_is_read():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"base": "absent"}, "base: 'absent' is not a condition"),
-        ({"bound_conditions": ["absent"]}, "bound_conditions: 'absent' is not a condition"),
+        ({"base": "absent"}, "base: unknown condition 'absent'"),
+        ({"bound_conditions": ["absent"]}, "bound_conditions: unknown condition 'absent'"),
         ({"conditions": {"plain": {"acting": "nobody"}}}, "unknown controller 'nobody'; known: PID"),
         ({"conditions": {"plain": {"motion": "flying"}}}, "unknown motion 'flying'; known: ordinary"),
         ({"conditions": {"plain": {"faults": {"rust": 1.0}}}}, "unknown fault 'rust'"),

@@ -71,7 +71,7 @@ def test_settling_time_of_a_first_order_lag():
     error = SIZE * np.exp(-time / 0.03)
     assert settling_time(error, PERIOD) == pytest.approx(0.03 * math.log(SIZE / SETTLING_BAND), abs=1.5 * PERIOD)
     assert settling_time(-error, PERIOD) == settling_time(error, PERIOD)
-    assert settling_time(error, PERIOD, band=SIZE) == 0.0
+    assert settling_time(0.9 * SETTLING_BAND / SIZE * error, PERIOD) == 0.0
     again = np.isin(np.arange(100), [0, 40])  # leaves the band again
     assert settling_time(1.0 * again, 0.005) == pytest.approx(41 * 0.005)
 

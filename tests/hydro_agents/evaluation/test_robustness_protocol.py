@@ -16,7 +16,7 @@ from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 
 def plants_of(protocol, name):
     """Parameters of every plant of a condition."""
-    cases, _ = protocol.cases_in(name)
+    cases = protocol.cases_of(name, protocol.cases_in(name))
     env = ServoHydraulicVectorEnv(len(cases), protocol.task_in(name), info=False)
     options = {"leakage_flow_lpm": cases.leakage_flow_lpm, "parameters": cases.parameters or {}}
     env.reset(seed=[int(seed) for seed in cases.seeds], options=options)
@@ -57,29 +57,31 @@ def test_noise_and_bias_are_multiplied_on_every_sensor_and_the_controller_is_not
 
 def test_cases_are_paired_over_conditions_and_leaks_and_disjoint_from_the_ordinary_evaluation():
     protocol = small()
-    (first, table), (second, _) = protocol.cases_in("plain"), protocol.cases_in("late")
-    np.testing.assert_array_equal(first.seeds, second.seeds)
+    table, second = protocol.cases_in("plain"), protocol.cases_in("late")
+    np.testing.assert_array_equal(table["seed"], second["seed"])
     assert len(table) == 2 * 2 * 3
     for _, rows in table.groupby(["family", "plant"]):
         assert rows["seed"].nunique() == 1
         assert set(rows["leakage_flow_lpm"]) == {0.03, 4.0}
     everything = named("robustness")
-    own = np.concatenate([everything.cases_in(name)[0].seeds for name in everything.conditions])
+    own = np.concatenate([everything.cases_in(name)["seed"] for name in everything.conditions])
     assert ROBUSTNESS.first <= own.min() <= own.max() < ROBUSTNESS.first + ROBUSTNESS.count
-    study = StudyProtocol(plants=9_000, conditions={"task": {}}).cases_in("task")[0]
-    assert not set(own.tolist()) & set(study.seeds.tolist())
+    study = StudyProtocol(plants=9_000, conditions={"task": {}}).cases_in("task")
+    assert not set(own.tolist()) & set(study["seed"].tolist())
 
 
 def test_a_user_reference_is_followed_and_the_search_for_limit_cycles_has_its_own_cases():
     conditions = {"hold": {"families": ["user"], "task": {"references": {"user": [0.01]}}}}
     protocol = small(conditions=conditions, standstill_leak_levels=[1.0], standstill_plants=4)
-    cases, table = protocol.cases_in("hold")
+    table = protocol.cases_in("hold")
+    cases = protocol.cases_of("hold", table)
     assert cases.families is None
     assert set(table["family"]) == {"user"}
     env = ServoHydraulicVectorEnv(len(cases), protocol.task_in("hold"), info=False)
     env.reset(seed=[int(seed) for seed in cases.seeds])
     assert np.all(env.axes.reference == 0.01)
-    cases, table = protocol.standstill_cases_in("hold")
+    table = protocol.standstill_cases_in("hold")
+    cases = protocol.cases_of("hold", table)
     assert (len(cases), set(table["leakage_flow_lpm"]), cases.families) == (4, {1.0}, None)
 
 

@@ -157,22 +157,6 @@ def test_the_summary_names_the_worst_case(cases):
     assert row["iqm_low"] <= row["iqm"] <= row["iqm_high"]
 
 
-def test_profiles_rise_from_the_share_of_wins_to_one(cases):
-    def profiles(table):
-        return results_of(table).table("profiles").set_index(["controller", "against", "tau"])["share"].sort_index()
-
-    table = profiles(cases)
-    assert table["good", "best"].tolist() == [1.0] * 41
-    pid, good = table["PID", "best"], table["good", "baseline"]
-    assert pid[pid.index < 1.24].max() == 0.0
-    assert pid[(pid.index > 1.26) & (pid.index < 1.99)].unique().tolist() == [0.5]
-    assert pid[pid.index > 2.01].min() == 1.0
-    assert good[good.index < 0.49].max() == 0.0
-    assert good[good.index > 0.81].min() == 1.0
-    # With a controller of 'plain' alone, 'late', where good is the best, does not count.
-    assert profiles(joined(cases, rows("part", 0.25)))["good", "best"].iloc[0] == 0.0
-
-
 def test_worst_cases_can_be_found_again():
     cases = joined(rows("PID", 1.0), rows("odd", 0.9, scatter=0.5, seed=0))
     table = results_of(cases).table("worst_cases")

@@ -11,7 +11,7 @@ from small_protocol import Broken, Proportional, small
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.participants import Participants, participants, sees, split_name
 from hydro_agents.evaluation.runner import DONE, FAILED, NOT_APPLICABLE, run
-from hydro_agents.evaluation.tracking import replay
+from hydro_agents.evaluation.tracking import BEST_FOUND, replay
 from hydro_agents.running.cases import ControllerError, run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER, fingerprint
 from hydro_env import TaskConfig
@@ -40,7 +40,7 @@ def test_every_case_has_its_row(alone):
     assert set(METRICS) <= set(alone.part("tracking").columns)
     assert (alone.status["status"] == DONE).all()
     assert len(alone.part("standstill")) == 2 * 2 * 3
-    direct = run_cases(small().task, Proportional(), small().cases_in("plain")[0])
+    direct = run_cases(small().task, Proportional(), small().cases_of("plain", small().cases_in("plain")))
     error = 1e3 * np.abs(direct.reference.astype(np.float64) - direct.position).mean(axis=1)
     own = alone.part("tracking").query("controller == 'P' and condition == 'plain'")
     np.testing.assert_allclose(own["mean_error_mm"], error, rtol=1e-12)
@@ -102,15 +102,10 @@ def test_conditions_that_change_nothing_at_standstill_share_their_search(tmp_pat
     assert len(files) == 2 * 2 + 1  # two jobs for each condition, one search
 
 
-def strong(config, cases, **_):
-    """Stands for the best found."""
-    return run_cases(config, Proportional(60.0), cases)
-
-
-def test_the_best_found_runs_on_some_cases_and_gives_the_gap(monkeypatch):
-    monkeypatch.setattr("hydro_agents.evaluation.tracking.best_found", strong)
+def test_the_best_found_runs_on_some_cases_and_gives_the_gap():
     protocol = small(bound_conditions=["late"], bound_plants=2)
-    results = run(protocol, Participants({"P": Proportional(), "Q": Proportional(45.0)}), jobs=1)
+    both = {"P": Proportional(), "Q": Proportional(45.0)}
+    results = run(protocol, Participants(both, searches={BEST_FOUND: lambda _: Proportional(60.0)}), jobs=1)
     assert set(results.part("best_found")["condition"]) == {"late"}
     assert len(results.part("best_found")) == 2 * 2 * 2
     row = results.table("comparison").set_index("condition").loc["late"]

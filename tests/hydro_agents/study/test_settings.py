@@ -197,5 +197,5 @@ def changed(settings, others):
 @pytest.mark.parametrize(("seeds", "expected"), [("CHOICES", VALIDATION_SEEDS), ("EVALUATION", TEST_SEEDS)])
 def test_choices_are_made_on_validation_plants(seeds, expected):
     settings = ProtocolSettings(seeds=seeds, plants=3)
-    cases, _ = StudyProtocol(conditions={"task": PairedCondition()}, **settings.model_dump()).cases_in("task")
-    assert all(int(seed) in expected for seed in cases.seeds)
+    cases = StudyProtocol(conditions={"task": PairedCondition()}, **settings.model_dump()).cases_in("task")
+    assert all(int(seed) in expected for seed in cases["seed"])
