@@ -261,7 +261,7 @@ def try_agents() -> None:
     with tempfile.TemporaryDirectory() as name, ProgressDisplay() as display:
         folder = Path(name)
         short = trainer.settings(total_steps=160)
-        trained = train_controller(study, "TD3", folder, 0, False, None, display, settings=short)
+        trained = train_controller(study, "TD3", folder, 0, None, display, settings=short)
         loaded = trainer.load(folder / "policy")
     observation = np.random.default_rng(0).normal(size=(7, len(study.make("PID").layout.names))).astype(np.float32)
     np.testing.assert_array_equal(loaded.predict(observation)[0], trained.predict(observation)[0])

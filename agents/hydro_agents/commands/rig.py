@@ -16,8 +16,6 @@ from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
 from hydro_env.task.nameplates import QUESTIONS, Question, answers_from, parsed
 
-BACK = "<"  # typed as an answer: asks the question before once more
-
 
 def new_rig(
     figures: Annotated[
@@ -93,21 +91,12 @@ def _named_figures(words: Sequence[str]) -> dict[str, str]:
 
 def _ask(questions: list[Question], texts: dict[str, str]) -> None:
     """Add the answers that the user types to ``texts``; a skipped question has none."""
-    print(f"Give figures with their unit; Enter skips what you do not know, {BACK} goes back to the question before.")
-    group, number = "", 0
-    while number < len(questions):
-        question = questions[number]
-        if question.group != group:
-            group = question.group
-            print(f"\n{group.capitalize()}")
-        text = _answer(question)
-        texts.pop(question.key, None)
-        if text == BACK:
-            number = max(number - 1, 0)
-            continue
-        if text:
-            texts[question.key] = text
-        number += 1
+    print("Give figures with their unit; Enter skips what you do not know.")
+    for group, asked in groupby(questions, lambda question: question.group):
+        print(f"\n{group.capitalize()}")
+        for question in asked:
+            if text := _answer(question):
+                texts[question.key] = text
 
 
 def _answer(question: Question) -> str:
@@ -116,8 +105,6 @@ def _answer(question: Question) -> str:
     while True:
         text = input(f"  {question.what} ({hint}) ").strip()
         try:
-            if text == BACK:
-                return text
             if text:
                 parsed(question, text)
         except ConfigurationError as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -76,13 +75,6 @@ def study(
     say(f"written: {run_over_seeds(settings, folder, range(first, first + seeds), resume, overwrite, command_line())}")
 
 
-class Objective(StrEnum):
-    """The figure that tuning minimises; see :class:`hydro_agents.learning.trials.Score`."""
-
-    MEAN = "mean"
-    EQUAL = "equal"
-
-
 @side_by_side
 def train(
     what: Annotated[
@@ -104,9 +96,10 @@ def train(
         ),
     ] = None,
     objective: Annotated[
-        Objective | None,
+        str | None,
         typer.Option(
-            help="For gains: mean (mean absolute error) or equal (geometric mean over the families; the default)."
+            metavar="mean|equal",
+            help="For gains: mean (mean absolute error) or equal (geometric mean over the families; the default).",
         ),
     ] = None,
     start: Annotated[
@@ -140,8 +133,7 @@ def train(
     if part == "head":
         file = _head(study, output, seed, resume, overwrite, named_agents(agent))
     elif classical:
-        aim = objective or Objective.EQUAL
-        file = _gains(study, part, output, aim, steps, start, seed, resume, overwrite)
+        file = _gains(study, part, output, objective, steps, start, seed, resume, overwrite)
     else:
         kinds = [study.controllers[name].kind for name in study.trained]
         short = {name: kind for name, kind in zip(study.trained, kinds, strict=True) if kinds.count(kind) == 1}
@@ -162,14 +154,14 @@ def _refuse(option: str, given: bool, part: str) -> None:
 
 @contextmanager
 def _training(
-    folder: Path, part: str, files: Sequence[str], kept: Sequence[str], what: str, resume: bool, overwrite: bool
+    folder: Path, part: str, files: Sequence[str], kept: Sequence[str], resume: bool, overwrite: bool
 ) -> Iterator[ProgressDisplay]:
-    """Claim a folder for a training; ``kept`` are the files, ``what`` their name, without which none can be resumed."""
+    """Claim a folder for a training; without one of the files ``kept`` none can be resumed."""
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
 
     if resume and not any(file for pattern in kept for file in folder.glob(pattern)):
-        raise ConfigurationError(f"{folder}: nothing to resume, there is no {what}; leave --resume out")
+        raise ConfigurationError(f"{folder}: nothing to resume, there is no {kept[0].rstrip('*')}; leave --resume out")
     with (
         output_folder(folder, f"train {part}", files, resume=resume, overwrite=overwrite),
         ProgressDisplay() as display,
@@ -199,11 +191,10 @@ def _controller(
     base = study.make(corrected) if corrected is not None else None
     files = (*TRAINING_FILES, *TUNING_FILES) if corrected in study.tuned else TRAINING_FILES
     kept = (CHECKPOINTS, *TUNING_FILES)
-    with _training(folder, name, files, kept, "checkpoint", resume, overwrite) as display:
+    with _training(folder, name, files, kept, resume, overwrite) as display:
         if corrected in study.tuned:
             base = tune_controller(study, corrected, folder, seed, display)
-            resume = any(folder.glob(CHECKPOINTS))
-        train_controller(study, name, folder, seed, resume, base, display, settings)
+        train_controller(study, name, folder, seed, base, display, settings)
     return folder / f"{WEIGHTS}.safetensors"
 
 
@@ -215,9 +206,8 @@ def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite
     settings.check(study.task)
     named = study.with_weights(agents) if settings.law is None else {}
     tell_rigs(study, named)
-    what = "checkpoint of the head"
-    with _training(folder, "head", HEAD_FILES, [HEAD_CHECKPOINTS], what, resume, overwrite) as display:
-        train_leakage_head(study, folder, seed, resume, list(named.values()), display)
+    with _training(folder, "head", HEAD_FILES, [HEAD_CHECKPOINTS], resume, overwrite) as display:
+        train_leakage_head(study, folder, seed, list(named.values()), display)
     return folder / f"{HEAD_WEIGHTS}.safetensors"
 
 
@@ -225,7 +215,7 @@ def _gains(
     study: StudySettings,
     kind: str,
     folder: Path,
-    objective: Objective,
+    objective: str | None,
     steps: int | None,
     start: Path | None,
     seed: int,
@@ -238,11 +228,12 @@ def _gains(
     from hydro_agents.study.training import TUNING_LOG, tune_gains
     from hydro_env.files import read_yaml, validate
 
-    budget = TuningSettings(objective=objective.value, evaluations=steps or EVALUATIONS)
-    path, log = folder / f"{kind}.yaml", folder / TUNING_LOG
+    sizes = {"objective": objective or "equal", "evaluations": steps or EVALUATIONS}
+    budget = validate(TuningSettings, sizes, "train")
+    path = folder / f"{kind}.yaml"
     first = validate(CONTROLLERS[kind][1], read_yaml(start), str(start)) if start is not None else None
-    with _training(folder, kind, [path.name, log.name], [log.name], log.name, resume, overwrite) as display:
-        best = tune_gains(kind, study.task, budget, first, path, log, seed, resume, display, f"tune {kind}")
+    with _training(folder, kind, [path.name, TUNING_LOG], [TUNING_LOG], resume, overwrite) as display:
+        best = tune_gains(kind, study.task, budget, first, path, seed, display, kind)
         display.say(
             f"{kind}: on training cases, cost of command changes included: mean {1e3 * best.score.mean:.4f} mm, "
             f"geometric mean of the families {1e3 * best.score.equal:.4f} mm"

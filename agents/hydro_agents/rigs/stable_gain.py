@@ -58,9 +58,9 @@ def weakest(loops: Iterable[SampledLoop]) -> Weakest | None:
     return found
 
 
-def nominal_loops(task: TaskConfig, leak: float | None = HEALTHY_LEAK) -> Iterator[SampledLoop]:
-    """Loops around the task's own plant over its reach, with a leak in l/min at 100 bar; ``None``: its own leak."""
-    plant = beyond_dead_band(task.plant if leak is None else leaking(task.plant, leak))
+def nominal_loops(task: TaskConfig, leak: float = HEALTHY_LEAK) -> Iterator[SampledLoop]:
+    """Loops around the task's own plant over its reach, with a leak in l/min at 100 bar."""
+    plant = beyond_dead_band(leaking(task.plant, leak))
     return _loops(plant, places_in_reach(plant), task)
 
 
@@ -80,10 +80,10 @@ def _loops(plant: PlantParameters, places: list[float], task: TaskConfig) -> Ite
             continue
 
 
-def drawn_plants(task: TaskConfig, count: int = DRAWN, seed: int = 0) -> Iterator[PlantParameters]:
+def drawn_plants(task: TaskConfig) -> Iterator[PlantParameters]:
     """Plants drawn from the ranges of a task, as at the start of its episodes; the leak past the piston stays."""
-    generator, draws = np.random.default_rng(seed), draws_of(task)
-    for _ in range(count):
+    generator, draws = np.random.default_rng(0), draws_of(task)
+    for _ in range(DRAWN):
         vector = to_vector(task.plant)
         for draw in draws:
             low, high = draw["low"], draw["high"]

@@ -119,13 +119,10 @@ def evaluate_study(
         working.setdefault(split_name(name)[0], controllers[name])
     levels = sorted(study.evaluation.leak_levels)
     price = leak_price(study.task, levels)
-    write_tables(folder / "tables", evaluation)
     curve = training_curve if training_curve is not None else pd.DataFrame()
     corrects = {name: entry.corrects for name, entry in study.controllers.items() if entry.corrects}
     further = {"leak_price": price, "corrected": Grid(evaluation.cases).corrected(corrects)}
-    for name, table in further.items():
-        if not table.empty:
-            write_whole(folder / "tables" / f"{name}.csv", table.to_csv(index=False).encode())
+    write_tables(folder / "tables", {**tables_of(evaluation), **further})
     content = content_of(
         evaluation,
         {"command": command, "date": date_now(), "seed": seed, "machine": machine_description(), **package_versions()},
@@ -153,13 +150,13 @@ def evaluate_study(
     return evaluation
 
 
-def write_tables(folder: Path, evaluation: Evaluation) -> list[Path]:
-    """Write every table that is not empty as CSV; returns the files.
+def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> list[Path]:
+    """Write every table, by name, that is not empty as CSV; returns the files.
 
     Raises:
         ConfigurationError: a file cannot be written.
     """
-    written = {folder / f"{name}.csv": table for name, table in tables_of(evaluation).items() if not table.empty}
+    written = {folder / f"{name}.csv": table for name, table in tables.items() if not table.empty}
     for file, table in written.items():
         write_whole(file, table.to_csv(index=False).encode())
     return list(written)

@@ -26,8 +26,6 @@ from hydro_agents.running.seeds import TRIAL_RUN
 from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, STATE_FILE, Phases, evaluate_study, print_summary
 from hydro_agents.study.settings import StudySettings
 from hydro_agents.study.training import (
-    CHECKPOINTS,
-    HEAD_CHECKPOINTS,
     HEAD_FILES,
     HEAD_WEIGHTS,
     TRAINING_FILES,
@@ -187,8 +185,7 @@ def _trained(
         display.say(f"{name}: already trained")
         return opponent(entry.trainer.load(own / WEIGHTS), study.task, name)
     base = controllers[entry.corrects] if entry.corrects is not None else None
-    resume = any(own.glob(CHECKPOINTS))
-    return phases.run(f"train {name}", lambda: train_controller(study, name, own, seed, resume, base, display))
+    return phases.run(f"train {name}", lambda: train_controller(study, name, own, seed, base, display))
 
 
 def _head(
@@ -204,6 +201,5 @@ def _head(
     if HEAD_PHASE in phases.done:
         display.say("leakage head: already trained")
         return LeakageHead.load(folder / HEAD_WEIGHTS)
-    resume = any(folder.glob(HEAD_CHECKPOINTS))
     acting = list(controllers.values())
-    return phases.run(HEAD_PHASE, lambda: train_leakage_head(study, folder, seed, resume, acting, display))
+    return phases.run(HEAD_PHASE, lambda: train_leakage_head(study, folder, seed, acting, display))

@@ -42,30 +42,29 @@ def train_controller(
     name: str,
     folder: Path,
     seed: int,
-    resume: bool,
     base: Controller | None,
     display: ProgressDisplay,
     settings: Group | None = None,
 ) -> Controller:
-    """Train one controller of a study; write weights, checkpoints and log into the folder.
+    """Train one controller of a study, from the checkpoint in the folder on; write weights, checkpoints and log there.
 
     Args:
         study: the study.
         name: name of the controller.
         folder: for its files.
         seed: seed of all random numbers.
-        resume: continue from the checkpoint in the folder.
         base: the controller that it corrects.
         display: shows the progress.
         settings: settings of the training, instead of the study's.
 
     Raises:
-        ConfigurationError: the settings are impossible, or the checkpoint is missing, damaged or of other settings.
+        ConfigurationError: the settings are impossible, or the checkpoint is damaged or of other settings.
         KeyboardInterrupt: Ctrl-C; the trainer has written a checkpoint.
     """
     settings = settings if settings is not None else study.training_settings(name)
     trainer = study.controllers[name].trainer
     assert trainer is not None
+    resume = any(folder.glob(CHECKPOINTS))
     last = [0.0, 0.0]
 
     def report(progress: Progress) -> None:
@@ -99,15 +98,13 @@ def tune_controller(study: StudySettings, name: str, folder: Path, seed: int, di
         ConfigurationError: a log of other settings, or no candidate can control the axis.
         KeyboardInterrupt: Ctrl-C; the log keeps the finished generations.
     """
-    entry, log = study.controllers[name], folder / TUNING_LOG
+    entry = study.controllers[name]
     assert entry.tune is not None
     given = validate(CONTROLLERS[entry.kind][1], entry.settings, f"controllers.{name}")
     start = stable_start(study.task, given)
     if getattr(start, "proportional", None) != getattr(given, "proportional", None):
         display.say(f"{name}: its gains are unstable on this rig; the search starts from the figures of the rig")
-    tuned = tune_gains(
-        entry.kind, study.task, entry.tune, start, folder / GAINS_FILE, log, seed, log.exists(), display, f"tune {name}"
-    )
+    tuned = tune_gains(entry.kind, study.task, entry.tune, start, folder / GAINS_FILE, seed, display, name)
     return make_controller(entry.kind, study.task, tuned.gains.model_dump())
 
 
@@ -117,14 +114,13 @@ def tune_gains(
     budget: TuningSettings,
     start: Group | None,
     file: Path,
-    log: Path,
     seed: int,
-    resume: bool,
     display: ProgressDisplay,
-    phase: str,
+    name: str,
 ) -> Tuned:
     """Tune gains with progress on the console; the best gains so far are written after every generation.
 
+    The costs of every candidate stand in ``tuning.csv`` beside the gains; a search continues from an earlier one there.
     The file of the final gains says in a comment whether an axis under them comes to rest without sensor noise.
 
     Args:
@@ -133,16 +129,15 @@ def tune_gains(
         budget: objective, number of candidates and of training cases.
         start: gains where the search starts; default: those of their class.
         file: for the gains.
-        log: for the costs of every candidate.
         seed: seed of the search.
-        resume: continue from the log.
         display: shows the progress.
-        phase: name of the phase on the console.
+        name: of the controller on the console.
 
     Raises:
         ConfigurationError: a log of other settings, or no candidate can control the axis.
         KeyboardInterrupt: Ctrl-C; the log keeps the finished generations.
     """
+    phase, log = f"tune {name}", file.with_name(TUNING_LOG)
 
     def report(best: Tuned) -> None:
         note = f"mean {1e3 * best.score.mean:.4f} mm, equal weights {1e3 * best.score.equal:.4f} mm"
@@ -159,7 +154,7 @@ def tune_gains(
         budget.cases,
         start=start,
         log=log,
-        resume=resume,
+        resume=log.exists(),
         progress=report,
     )
     made = make_controller(kind, task, tuned.gains.model_dump())
@@ -181,17 +176,17 @@ def train_leakage_head(
     study: StudySettings,
     folder: Path,
     seed: int,
-    resume: bool,
     controllers: Sequence[Controller],
     display: ProgressDisplay,
 ) -> LeakageHead:
-    """Train the leakage head on episodes under each controller; write its weights into the folder.
+    """Train the leakage head on episodes under each controller, from the checkpoint in the folder on; write it there.
 
     Raises:
         ConfigurationError: the settings are impossible, or the rig lacks a sensor that the head reads.
     """
     settings = study.leakage_head or HeadTrainingSettings()
     settings.check(study.task)
+    resume = any(folder.glob(HEAD_CHECKPOINTS))
 
     def report(phase: str, done: int, total: int, loss: float) -> None:
         display.update(f"leakage head, {phase}", done, total, "" if math.isnan(loss) else f"loss {loss:.4f}")

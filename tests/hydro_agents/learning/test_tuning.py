@@ -7,7 +7,7 @@ from joblib import parallel_config
 from proportional import Constant
 from refusal import refused
 
-from hydro_agents.commands.study import Objective, train
+from hydro_agents.commands.study import train
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.base import gain, search_space
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
@@ -240,7 +240,7 @@ def test_every_kind_is_tuned_and_resumed(kind, study, tmp_path):
     wrong.write_text("proportional: -3\n")
     for options, message in (
         ({}, "holds results already"),
-        ({"resume": True, "objective": Objective.MEAN}, "was written with another objective"),
+        ({"resume": True, "objective": "mean"}, "was written with another objective"),
         ({"resume": True, "seed": 5}, "was written with another seed"),
         ({"resume": True, "start": wrong}, r"wrong\.yaml: line 1: proportional = -3"),
     ):

@@ -24,7 +24,7 @@ from hydro_agents.report.content import interval_text, verdict
 from hydro_agents.report.palette import LEAK_LOOKS, LEAKS, NEUTRALS, SERIES, VARIABLES, looks_of
 from hydro_agents.report.sections import Text, render_page
 from hydro_agents.report.shared import corrected_table, findings_of
-from hydro_agents.report.study import STUDY, content_of, growth_table, overview, warnings_of
+from hydro_agents.report.study import STUDY, content_of, growth_table, overview, tables_of, warnings_of
 from hydro_agents.report.study_detection import detection
 from hydro_agents.report.traces import Example
 from hydro_agents.report.training_plots import learning_plots, training_plots
@@ -189,12 +189,12 @@ def test_one_controller_without_a_head(tmp_path):
     assert "missing or rough" in text
     for absent in ("Detecting the leak", "Ratio of errors", "Difference to", "nan", "AUROC"):
         assert absent not in text
-    names = [path.name for path in write_tables(tmp_path / "tables", lonely)]
+    names = [path.name for path in write_tables(tmp_path / "tables", tables_of(lonely))]
     assert names == [f"{name}.csv" for name in ("cases", "levels", "families", "limit_cycles", "limit_cycle_summary")]
 
 
 def test_tables_hold_all_numbers(evaluation, tmp_path):
-    paths = write_tables(tmp_path, evaluation)
+    paths = write_tables(tmp_path, tables_of(evaluation))
     assert [path.stem for path in paths] == [
         name for name in Evaluation.__dataclass_fields__ if name not in ("bounds", "errors")
     ]

@@ -127,11 +127,7 @@ def test_a_part_of_the_cases():
 
 @pytest.mark.parametrize(
     ("thing", "message"),
-    [
-        (lambda observation: 0.0, "function has no method predict"),
-        (Proportional, "Proportional is a class"),
-        (3, "int has no method predict"),
-    ],
+    [(lambda observation: 0.0, "function has no method predict"), (Proportional, "Proportional is a class")],
 )
 def test_what_cannot_act_at_all_is_named(thing, message):
     with pytest.raises(ControllerError, match=message):
@@ -221,10 +217,8 @@ class Answers:
         (lambda o: (np.where(np.arange(5) == 1, np.inf, 0.0)[:, None], None), r"seed 12, reference sine, leak 4 l/min"),
         (lambda o: (np.zeros(5), None), r"shape \(5,\) for observations of shape \(5, .*must be \(5, 1\)"),
         (lambda o: (np.zeros((5, 2)), None), r"shape \(5, 2\)"),
-        (lambda o: (np.zeros((4, 1)), None), r"shape \(4, 1\)"),
         (lambda o: (None, None), "predict returned commands"),
         (lambda o: ("left", None), r"not numbers \(str\)"),
-        (lambda o: (object(), None), r"not numbers \(object\)"),
         (lambda o: np.zeros((5, 1)), r"returned ndarray, not a pair \(commands, state\)"),
         (lambda o: (np.zeros((5, 1)),), "not a pair"),
         (lambda o: sys.exit(0), "predict raised SystemExit: 0"),

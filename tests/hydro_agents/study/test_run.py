@@ -266,6 +266,7 @@ def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
     for what, options, message in (
         ("nothing", {}, "train 'nothing': unknown; this study trains: mine, head, pid, "),
         ("pid", {"resume": True}, "nothing to resume, there is no tuning.csv"),
+        ("pid", {"objective": "best"}, "train: objective = .best.: must be"),
         ("head", {"steps": 3}, "--steps: does not apply to hydro train head"),
         ("mine", {"objective": "mean"}, "--objective: does not apply to hydro train mine"),
         ("pid", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train pid"),
