@@ -85,12 +85,10 @@ class Outcomes:
     def curve(self) -> tuple[Floats, Floats]:
         """False alarms per hour, and the share of leaks found, for each threshold; both rise."""
         scores = np.unique(self.before[np.isfinite(self.before)])[::-1]
-        rate, found = [0.0], [float(self.found(np.inf if not len(scores) else np.nextafter(scores[0], np.inf)).sum())]
-        for score in scores:
-            rate.append(float((self.before >= score).sum()))
-            found.append(float(self.found(score).sum()))
-        share = np.maximum.accumulate(np.array(found) / max(int(self.leak.sum()), 1))
-        return np.array(rate) / max(self.hours, 1e-9), share
+        none = np.nextafter(scores[0], np.inf) if len(scores) else np.inf  # the lowest threshold without an alarm
+        found = np.array([self.found(threshold).sum() for threshold in (none, *scores)])
+        rate = np.array([0, *((self.before >= score).sum() for score in scores)])
+        return rate / max(self.hours, 1e-9), np.maximum.accumulate(found / max(int(self.leak.sum()), 1))
 
     def costs(self) -> Floats:
         """Lowest cost of an axis and year over that without a detector, for each of :data:`COST_RATIOS`, at most 1.
