@@ -7,7 +7,6 @@ leaks. A leak is found if the first alarm comes after its onset. The ranked figu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,10 +104,3 @@ def true_alarms(found: float, per_hour: float) -> float:
     """Share of the alarms that are leaks, where an axis leaks :data:`LEAKS_PER_YEAR` times."""
     right, wrong = LEAKS_PER_YEAR * found, HOURS_PER_YEAR * per_hour
     return right / (right + wrong) if right + wrong > 0.0 else float("nan")
-
-
-def groups_of(groups: Mapping[str, NDArray[np.bool_]], outcomes: Outcomes) -> dict[str, Interval]:
-    """The share found in each group of recordings, at the thresholds of the group itself."""
-    return {
-        name: outcomes.part(chosen).with_interval() for name, chosen in groups.items() if outcomes.leak[chosen].any()
-    }

@@ -25,7 +25,6 @@ from hydro_rig.challenge.outcomes import (
     HOURS_PER_YEAR,
     MONTHS_PER_YEAR,
     Outcomes,
-    groups_of,
     true_alarms,
 )
 
@@ -83,7 +82,11 @@ def score(name: str, predictions: pd.DataFrame, labels: pd.DataFrame) -> Score:
     row |= {f"cost_{ratio:g}": cost for ratio, cost in zip(COST_RATIOS, outcomes.costs(), strict=True)}
     last = looks.groupby("recording").last().reindex(labels["recording"])
     row |= _sizes(last, labels)
-    groups = groups_of(_groups(labels), outcomes)
+    groups = {
+        group: outcomes.part(chosen).with_interval()  # at the thresholds of the group itself
+        for group, chosen in _groups(labels).items()
+        if outcomes.leak[chosen].any()
+    }
     row |= {f"found_{group}": share.value for group, share in groups.items()}
     confusion = None
     if "cause" in looks:
