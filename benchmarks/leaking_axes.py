@@ -31,7 +31,7 @@ from hydro_env import TaskConfig
 from hydro_env.files import write_text
 from hydro_env.types import Floats
 from hydro_rig.challenge.axes import DURATION
-from hydro_rig.challenge.files import read_plates, read_table
+from hydro_rig.challenge.files import PLATES, read_table
 from hydro_rig.challenge.plates import read_plate, task_of
 from hydro_rig.challenge.score_page import render_scores
 from hydro_rig.challenge.scores import Score, bounds, labels_of, score, table_of, text_of
@@ -65,7 +65,7 @@ OWN: dict[str, tuple[Callable[[], Detector], float]] = {
 
 def axes_of(data: Path, split: str) -> Iterator[tuple[TaskConfig, float, NDArray[np.int64], Floats]]:
     """Per axis the task that follows from its plate, its smallest leak, numbers and signals (N, 5, T) in SI units."""
-    plates = {row["axis"]: row for row in read_plates(data).to_dict("records")}
+    plates = {row["axis"]: row for row in read_table(data / PLATES).to_dict("records")}
     for axis, table in read_table(data / split).groupby("axis"):
         row: Any = plates[axis]
         task = task_of(TaskConfig(), read_plate(row))

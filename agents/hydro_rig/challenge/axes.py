@@ -32,7 +32,7 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import SIGNED_KINDS, fault_limits, faults_of
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
-from hydro_rig.challenge.plates import FIRST_NEW, KNOWN, Plate, axis_numbers, plate_of, seed_of, task_of
+from hydro_rig.challenge.plates import FIRST_NEW, KNOWN, NEW_AXES, Plate, plate_of, seed_of, task_of
 from hydro_rig.recordings.columns import MEASURED, factor
 from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
@@ -185,7 +185,6 @@ class _Crew(NamedTuple):
     motion: str
     schedule: str
     noise: float
-    moving: bool
 
 
 def simulated_block(config: TaskConfig, benchmark: Benchmark, split: str, block: int) -> Block:
@@ -219,7 +218,6 @@ def simulated_block(config: TaskConfig, benchmark: Benchmark, split: str, block:
                 str(generator.choice(settings.motions)),
                 str(schedules[turn]),
                 float(generator.choice(settings.noise)),
-                moving,
             )
             kinds = list(MOVING) if moving else list(DAMAGED) if settings.harsh else [""]
             shares = (settings.sound, settings.other, 1.0 - settings.sound - settings.other)
@@ -233,12 +231,11 @@ def simulated_block(config: TaskConfig, benchmark: Benchmark, split: str, block:
 
 def _axes_of_crews(generator: np.random.Generator, split: str) -> list[int]:
     """The axis of each crew of a block; in the test split every other crew has an axis that no other split has."""
-    known, new = (np.array(part) for part in (range(KNOWN), axis_numbers(split)[KNOWN:]))
-    total = len(TIERS) * CREWS
-    axes = generator.permutation(np.resize(known, total))
-    if len(new):
-        axes[::2] = generator.permutation(np.resize(new, len(axes[::2])))
-    return [int(axis) for axis in axes]
+    axes = generator.permutation(np.resize(range(KNOWN), len(TIERS) * CREWS))
+    if split == "test":
+        axes[::2] = generator.permutation(np.resize(NEW_AXES, len(axes[::2])))
+    numbers: list[int] = axes.tolist()
+    return numbers
 
 
 _SOUND, _OTHER, _LEAKS = range(3)
@@ -267,7 +264,7 @@ def _run(
     faults, names = _faults(config, generator, states)
     controller = _acting(crew.acting, task, count, int(seeds[0]))
     moves = None
-    if crew.moving:
+    if np.isin(harsh, list(MOVING)).all():  # a crew has a moving supply or sensor, or damaged rows
         moves = drawn(generator, harsh, task.steps, task.control_period)
         controller = Disturbed(controller, moves)
     noted = _Noted(controller)

@@ -107,15 +107,6 @@ def checksums(folder: Path, benchmark: Benchmark) -> str:
     return "".join(lines)
 
 
-def read_plates(folder: Path) -> pd.DataFrame:
-    """The nameplates of a challenge, a row per axis.
-
-    Raises:
-        ConfigurationError: they are not there, or not readable.
-    """
-    return read_table(folder / PLATES)
-
-
 def block_files(folder: Path, split: str, block: int) -> tuple[Path, Path]:
     """The files of a block: recordings and labels."""
     return folder / split / f"{block:04d}.parquet", labels_folder(folder, split) / f"{block:04d}.parquet"

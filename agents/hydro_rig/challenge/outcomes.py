@@ -7,7 +7,6 @@ leaks. A leak is found if the first alarm comes after its onset. The ranked figu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,12 +84,10 @@ class Outcomes:
     def curve(self) -> tuple[Floats, Floats]:
         """False alarms per hour, and the share of leaks found, for each threshold; both rise."""
         scores = np.unique(self.before[np.isfinite(self.before)])[::-1]
-        rate, found = [0.0], [float(self.found(np.inf if not len(scores) else np.nextafter(scores[0], np.inf)).sum())]
-        for score in scores:
-            rate.append(float((self.before >= score).sum()))
-            found.append(float(self.found(score).sum()))
-        share = np.maximum.accumulate(np.array(found) / max(int(self.leak.sum()), 1))
-        return np.array(rate) / max(self.hours, 1e-9), share
+        none = np.nextafter(scores[0], np.inf) if len(scores) else np.inf  # the lowest threshold without an alarm
+        found = np.array([self.found(threshold).sum() for threshold in (none, *scores)])
+        rate = np.array([0, *((self.before >= score).sum() for score in scores)])
+        return rate / max(self.hours, 1e-9), np.maximum.accumulate(found / max(int(self.leak.sum()), 1))
 
     def costs(self) -> Floats:
         """Lowest cost of an axis and year over that without a detector, for each of :data:`COST_RATIOS`, at most 1.
@@ -107,10 +104,3 @@ def true_alarms(found: float, per_hour: float) -> float:
     """Share of the alarms that are leaks, where an axis leaks :data:`LEAKS_PER_YEAR` times."""
     right, wrong = LEAKS_PER_YEAR * found, HOURS_PER_YEAR * per_hour
     return right / (right + wrong) if right + wrong > 0.0 else float("nan")
-
-
-def groups_of(groups: Mapping[str, NDArray[np.bool_]], outcomes: Outcomes) -> dict[str, Interval]:
-    """The share found in each group of recordings, at the thresholds of the group itself."""
-    return {
-        name: outcomes.part(chosen).with_interval() for name, chosen in groups.items() if outcomes.leak[chosen].any()
-    }

@@ -7,7 +7,7 @@ those from :data:`FIRST_NEW` on in the test split alone.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -25,6 +25,9 @@ from hydro_env.task.rig import moved
 
 KNOWN, NEW, FIRST_NEW = 24, 12, 1000
 """Axes of every split, axes of the test split alone, and the number of the first of these."""
+
+NEW_AXES = range(FIRST_NEW, FIRST_NEW + NEW)
+"""Numbers of the axes of the test split alone."""
 
 LAW = RigLaw(periods={5.0: 0.6, 10.0: 0.4})
 FIRST_SEED = FIRST_SEEDS["test"] + 20_000  # no training, choice or test of this project draws rigs from here
@@ -88,15 +91,10 @@ def seed_of(axis: int, key: str = "") -> int:
     return SECRET_SEED + int.from_bytes(digest[:4]) % SECRET_SEEDS
 
 
-def axis_numbers(split: str) -> Sequence[int]:
-    """The axes of a split."""
-    return [*range(KNOWN), *(range(FIRST_NEW, FIRST_NEW + NEW) if split == "test" else ())]
-
-
 def plates_table(key: str = "") -> pd.DataFrame:
     """A row per axis: every figure in SI and, with the ending `` plate``, as it stands on the machine."""
     rows = []
-    for axis in axis_numbers("test"):
+    for axis in (*range(KNOWN), *NEW_AXES):
         plate = plate_of(seed_of(axis, key))
         task = task_of(TaskConfig(), plate)
         coefficients = plant_coefficients(task.plant)

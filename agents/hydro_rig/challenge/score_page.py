@@ -71,13 +71,11 @@ def costs_and_probabilities(content: Content) -> list[Block]:
     scores, looks = _shown(content)
     costs = {one.name: pd.Series(one.outcomes.costs(), index=list(COST_RATIOS)) for one in scores}
 
-    def scale(axes: Axes) -> None:
-        axes.set_xscale("log")
-
     note = "1: no better than no detector. One leak per axis and year, 8760 h; each point has the best threshold."
     blocks: list[Block] = [
         curve_plot(
-            *("costs", "Cost of misses and false call-outs", note, costs, looks, "", scale),
+            *("costs", "Cost of misses and false call-outs", note, costs, looks, ""),
+            finish=lambda axes: axes.set_xscale("log"),
             per=" to 1",
             xlabel="cost of a missed leak ÷ cost of a false call-out",
             ylabel="cost ÷ cost without a detector",
@@ -86,14 +84,14 @@ def costs_and_probabilities(content: Content) -> list[Block]:
     ]
     told = {one.name: one.reliability.set_index("told")["leaks"] for one in scores if len(one.reliability)}
     if told:
-
-        def diagonal(axes: Axes) -> None:
-            axes.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linewidth=0.9)
-
         note = "At the last look of each recording; on the line a probability holds."
-        named = ("reliability", "Does the probability hold?", note, told, looks, "", diagonal)
+        named = ("reliability", "Does the probability hold?", note, told, looks, "", _diagonal)
         blocks.append(curve_plot(*named, per="", xlabel="probability of a leak", ylabel="share that leaks"))
     return blocks
+
+
+def _diagonal(axes: Axes) -> None:
+    axes.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linewidth=0.9)
 
 
 @section("In numbers", needs=("scores",))

@@ -25,7 +25,6 @@ from hydro_rig.challenge.outcomes import (
     HOURS_PER_YEAR,
     MONTHS_PER_YEAR,
     Outcomes,
-    groups_of,
     true_alarms,
 )
 
@@ -37,6 +36,15 @@ OPTIONAL = ("alarm", "probability", "cause", "size", "low", "high")
 CAUSES = tuple(dict.fromkeys(cause.word for cause in Cause if cause < Cause.UNKNOWN))
 PERFECT, SILENT = "perfect", "silent"
 """Names of the two detectors that stand in every table: the best that can be, and one that never answers."""
+
+ANSWERED = {
+    "cause right": ("cause_right", 100, " %"),
+    "Brier score": ("brier", 1, ""),
+    "calibration error": ("calibration_error", 1, ""),
+    "size off by": ("size_factor", 1, " ×"),
+    "90 % interval holds": ("interval_holds", 100, " %"),
+}
+"""Heading, column, factor and unit of what a detector may answer."""
 
 BINS = 10
 """Of the probability, for its calibration."""
@@ -74,7 +82,11 @@ def score(name: str, predictions: pd.DataFrame, labels: pd.DataFrame) -> Score:
     row |= {f"cost_{ratio:g}": cost for ratio, cost in zip(COST_RATIOS, outcomes.costs(), strict=True)}
     last = looks.groupby("recording").last().reindex(labels["recording"])
     row |= _sizes(last, labels)
-    groups = groups_of(_groups(labels), outcomes)
+    groups = {
+        group: outcomes.part(chosen).with_interval()  # at the thresholds of the group itself
+        for group, chosen in _groups(labels).items()
+        if outcomes.leak[chosen].any()
+    }
     row |= {f"found_{group}": share.value for group, share in groups.items()}
     confusion = None
     if "cause" in looks:
@@ -241,7 +253,6 @@ def labels_of(folder: Path, split: str) -> pd.DataFrame:
         raise ConfigurationError(f"--split {split}: must be one of {', '.join(SPLITS)}")
     expected = read_json(folder / MANIFEST).get("labels_sha256", {})
     table = read_labels(folder, split)
-    table = table.sort_values("recording", ignore_index=True) if "recording" in table else table
     if not isinstance(expected, Mapping) or digest_of_labels(table) != expected.get(split):
         raise ConfigurationError(f"{folder}: the labels of '{split}' are not those of {folder / MANIFEST}")
     return table
@@ -269,30 +280,27 @@ def differences(scores: Sequence[Score]) -> list[tuple[str, Interval]]:
 def tables_of(scores: Sequence[Score]) -> dict[str, tuple[list[str], list[list[str]]]]:
     """The tables of the console and of the page by title: header and rows."""
     ordered = by_rank(scores)
-    found, plant, answers = [], [], []
+    groups = [*(f"tier {tier}" for tier in TIERS), "known axes", "new axes"]
+    kinds = [kind for kind in HARSH if any(kind in one.groups for one in ordered)]
+    found, plant, answers, harsh = [], [], [], []
     for one in ordered:
         row = one.row
-        tiers = [_share(one.groups.get(f"tier {tier}")) for tier in TIERS]
-        axes = [_share(one.groups.get(group)) for group in ("known axes", "new axes")]
-        found.append([one.name, _share(Interval(row["found_share"], row["low"], row["high"])), *tiers, *axes])
+        whole = Interval(row["found_share"], row["low"], row["high"])
+        found.append([one.name, *map(_share, [whole, *map(one.groups.get, groups)])])
         rate = f"{number(row['per_100_h'])} ({number(row['per_100_h_low'])} to {number(row['per_100_h_high'])})"
         missed = _share(Interval(row["missed"], row["missed_low"], row["missed_high"]))
-        month, right = number(row["per_month"]), _known(row, "true_alarms", 100, " %", digits=2)
-        plant.append([one.name, row["alarm"], rate, missed, number(row["delay"]), month, right])
-        known = [_known(row, "cause_right", 100, " %"), _known(row, "brier"), _known(row, "calibration_error")]
-        known += [_known(row, "size_factor", 1, " ×"), _known(row, "interval_holds", 100, " %")]
+        right = _with_unit(100 * row["true_alarms"], " %", 2)
+        plant.append([one.name, row["alarm"], rate, missed, number(row["delay"]), number(row["per_month"]), right])
+        known = (_with_unit(scale * row.get(name, np.nan), unit) for name, scale, unit in ANSWERED.values())
         answers.append([one.name, *known])
-    kinds = [kind for kind in HARSH if any(kind in one.groups for one in ordered)]
-    harsh = [[one.name, *(_percent(one.groups.get(kind)) for kind in kinds)] for one in ordered]
+        shares = (one.groups[kind].value if kind in one.groups else np.nan for kind in kinds)
+        harsh.append([one.name, *(_with_unit(100 * share, " %", decimals=0) for share in shares)])
     ahead = [[name, _share(value)] for name, value in differences(scores)]
     alarms = ["alarm", "false alarms per 100 h", "missed", "median delay, s", "false alarms per month"]
     return {
-        "Leaks found": (["detector", "all", *(f"tier {tier}" for tier in TIERS), "known axes", "new axes"], found),
+        "Leaks found": (["detector", "all", *groups], found),
         "In a plant": (["detector", *alarms, "alarms that are leaks"], plant),
-        "Answers": (
-            ["detector", "cause right", "Brier score", "calibration error", "size off by", "90 % interval holds"],
-            answers,
-        ),
+        "Answers": (["detector", *ANSWERED], answers),
         "Leaks found in tier 3": (["detector", *kinds], harsh),
         "Paired differences of leaks found": (["detectors", "difference (95 %)"], ahead),
     }
@@ -327,10 +335,5 @@ def _share(share: Interval | None) -> str:
     return f"{number(100 * share.value, 1)} % ({number(100 * share.low, 0)} to {number(100 * share.high, 0)})"
 
 
-def _percent(share: Interval | None) -> str:
-    return "–" if share is None else f"{number(100 * share.value, 0)} %"
-
-
-def _known(row: Mapping[str, Any], name: str, scale: float = 1.0, unit: str = "", digits: int = 3) -> str:
-    known = np.isfinite(row.get(name, np.nan))
-    return f"{number(scale * row[name], digits=digits)}{unit}" if known else "–"
+def _with_unit(value: float, unit: str, digits: int = 3, decimals: int | None = None) -> str:
+    return f"{number(value, decimals, digits)}{unit}" if np.isfinite(value) else "–"

@@ -31,7 +31,7 @@ import pandas as pd
 
 from hydro_agents.running.jobs import Report
 from hydro_env import ConfigurationError
-from hydro_rig.challenge.files import read_plates, read_table
+from hydro_rig.challenge.files import PLATES, read_table
 from hydro_rig.challenge.scores import OPTIONAL
 from hydro_rig.recordings.simulated import heading
 
@@ -87,17 +87,16 @@ def run_program(
         ConfigurationError: there is no program.
     """
     command = command_of(folder)
-    plates = {int(row["axis"]): row for row in read_plates(data).to_dict("records")}
+    plates = read_table(data / PLATES).set_index("axis", drop=False)
     recordings = read_table(data / split).groupby("recording", sort=True)
     looks: list[dict[str, Any]] = []
     remarks: list[str] = []
     program = _Program(command, folder, limits)
     try:
         for done, (number, rows) in enumerate(recordings, 1):
-            axis = int(rows["axis"].iloc[0])
             head: dict[str, Any] = {"recording": int(str(number)), "every": EVERY}
             if not signals_only:
-                head["axis"] = _present(plates[axis])
+                head["axis"] = plates.loc[rows["axis"].iloc[0]].dropna().to_dict()  # the figures that the axis has
             try:
                 for look in program.answers(head, rows.drop(columns=["recording", "axis"])):
                     looks.append({"recording": number, **look})
@@ -124,11 +123,6 @@ def command_of(folder: Path) -> list[str]:
     if binary.is_file() and os.access(binary, os.X_OK):
         return [str(binary.absolute())]
     raise ConfigurationError(f"--code {folder}: has no {PROGRAM}, and no executable '{binary.name}'")
-
-
-def _present(plate: Mapping[str, Any]) -> dict[str, Any]:
-    """The figures that an axis has."""
-    return {str(key): value for key, value in plate.items() if not pd.isna(value)}
 
 
 class _Program:

@@ -216,7 +216,7 @@ def _controller(what: str, request: _Request, language: str) -> Job:
 def _controller_and_task(what: str, request: _Request) -> tuple[Controller, TaskConfig]:
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped
+    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped_weights
     from hydro_agents.learning.policy import PolicyController
     from hydro_agents.running.tasks import timed_task
     from hydro_agents.running.weights import weight_files
@@ -235,13 +235,9 @@ def _controller_and_task(what: str, request: _Request) -> tuple[Controller, Task
                 f"export {what}: --period and --latency need --rig or --task; gains and weights have those for which "
                 "they were made"
             )
-        policy: Controller | None = None
-        if what in SHIPPED_WEIGHTS:
-            policy = shipped(what, config)
-        elif ":" not in what and weight_files(path)[0].is_file():
-            policy = PolicyController.load(path)
-        if isinstance(policy, PolicyController):
-            return policy, policy.features.config
+        weights = shipped_weights(SHIPPED_WEIGHTS[what], config) if what in SHIPPED_WEIGHTS else path
+        if ":" not in what and weight_files(weights)[0].is_file():
+            config = PolicyController.load(weights).features.config
         if path.suffix == ".yaml":
             config = _task_of_gains(path)
     return opponent(what, config, what), config

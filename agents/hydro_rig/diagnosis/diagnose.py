@@ -265,33 +265,26 @@ def _about_auxiliary(recording: Recording) -> list[Finding]:
     findings: list[Finding] = []
     for name, values in recording.auxiliary.items():
         if np.isfinite(values).any() and name != "flow":
-            low, high = np.nanquantile(values, [0.01, 0.99])
-            if name == "oil_temperature":
-                what = f"is {low:.4g} to {high:.4g} °C; a leak past the seal grows as the oil thins"
-            else:
-                what = f"is {1e-5 * low:.4g} to {1e-5 * high:.4g} bar; the model follows it"
+            warm = name == "oil_temperature"
+            low, high = (1.0 if warm else 1e-5) * np.nanquantile(values, [0.01, 0.99])
+            end = "°C; a leak past the seal grows as the oil thins" if warm else "bar; the model follows it"
+            what = f"is {low:.4g} to {high:.4g} {end}"
             findings.append(Finding(name, what, Weight.NOTE))
     return findings
 
 
 def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:
     """The readings of all detectors, one row per window; leaks in l/min at 100 bar."""
-    columns: dict[str, object] = {
-        "begin_s": np.round(diagnosis.windows.begin, 6),
-        "end_s": np.round(diagnosis.windows.end, 6),
-    }
+    windows = diagnosis.windows
+    tables = [pd.DataFrame({"begin_s": windows.begin, "end_s": windows.end}).round(6)]
     for _, column, reading, own in diagnosis.readings:
+        sizes = {"leak": reading.flow_lpm, "low": reading.low_lpm, "high": reading.high_lpm}
+        table = pd.DataFrame(sizes).round(5)
+        table = table.assign(counts=reading.answers, fault=reading.fault, remark=reading.remarks)
         if own:
-            columns[f"{column}_score"] = reading.score
-        columns |= {
-            f"{column}_leak": np.round(reading.flow_lpm, 5),
-            f"{column}_low": np.round(reading.low_lpm, 5),
-            f"{column}_high": np.round(reading.high_lpm, 5),
-            f"{column}_counts": reading.answers,
-            f"{column}_fault": reading.fault,
-            f"{column}_remark": reading.remarks,
-        }
-    return pd.DataFrame(columns)
+            table.insert(0, "score", reading.score)
+        tables.append(table.add_prefix(f"{column}_"))
+    return pd.concat(tables, axis=1)
 
 
 def in_json(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -10,7 +10,7 @@ bound (:mod:`hydro_rig.estimation.information`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -59,7 +59,7 @@ MOST_TRAVEL_TIME = 0.7  # largest share of the test that the axis may need to re
 SAFETY = 0.95  # of the limit of speed, which the largest opening reaches
 SIMULATED_LEAK = 0.01  # l/min at 100 bar, of the simulated axes
 ATTEMPTS = 5  # to find the largest opening
-UNLIMITED = 100.0, 2e8  # m/s and Pa: limits of a trial whose peaks are still to be measured
+UNLIMITED = {"end_stop_speed": 100.0, "pressure_rating": 2e8}  # of a trial whose peaks are still to be measured
 FIND, MISS = 2.326, 1.645  # quantiles of the normal distribution: 1 % false alarms, and 95 % found
 
 
@@ -115,10 +115,7 @@ def worn_task(config: TaskConfig) -> TaskConfig:
         if drawn.times is not None:
             continue
         low, high = drawn.bounds(own)
-        if path in WEAR:
-            ends = own + WEAR[path][0], own + WEAR[path][1]
-        else:
-            ends = own * WEAR_FACTORS[path][0], own * WEAR_FACTORS[path][1]
+        ends = [own + end for end in WEAR[path]] if path in WEAR else [own * end for end in WEAR_FACTORS[path]]
         lowest = -0.5 if path == "valve.null_shift" else 0.0
         ranges[path] = {"uniform": (max(min(low, ends[0]), lowest), max(high, ends[1]))}
     return task_config(config, randomisation=ranges)
@@ -186,7 +183,8 @@ def _tried(task: TaskConfig, settings: LeakTestSettings, form: Form, opening: fl
     fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
     bound = sigma(information(task, windows, priors_of_test(task, fitted), (length,)))[:, 0]
     try:
-        kept = _run(task, steps, settings.plants, SIMULATED_LEAK, settings.speed, settings.pressure).case
+        limits = {"end_stop_speed": settings.speed, "pressure_rating": settings.pressure}
+        kept = simulated(task, steps, settings.plants, limits=limits).case
     except ConfigurationError:  # not one reaches the end
         kept = np.zeros(0, np.int64)
     speeds = _speeds(task, position)
@@ -205,23 +203,16 @@ def _tried(task: TaskConfig, settings: LeakTestSettings, form: Form, opening: fl
 
 
 def simulated(
-    task: TaskConfig, steps: Sequence[Step], plants: int, leak: float = SIMULATED_LEAK, seeds: range | None = None
-) -> KnownWindows:
-    """Signals of simulated axes during a test, those of the plan or of other seeds; no limit ends it."""
-    return _run(task, steps, plants, leak, *UNLIMITED, seeds)
-
-
-def _run(
     task: TaskConfig,
     steps: Sequence[Step],
     plants: int,
-    leak: float,
-    speed: float,
-    pressure: float,
+    leak: float = SIMULATED_LEAK,
     seeds: range | None = None,
+    limits: Mapping[str, float] = UNLIMITED,
 ) -> KnownWindows:
+    """Signals of simulated axes during a test, those of the plan or of other seeds; ``limits`` end it."""
     openings = commands_of(steps, task.control_period)
-    loose = task_config(task, failure={"end_stop_speed": speed, "pressure_rating": pressure})
+    loose = task_config(task, failure=dict(limits))
     standing = own_reference(loose, np.full(len(openings) + 1, resting_place(task.plant)))
     cases = leak_cases(LEARNING.take(plants) if seeds is None else seeds, plants, leak)
     return known_windows(standing, Played(openings), cases, 0.0, (len(openings) - 2) * task.control_period)

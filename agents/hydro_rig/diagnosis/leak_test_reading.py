@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,19 +29,18 @@ from hydro_rig.diagnosis.leak_test_plan import Progress, priors_of_test, worn_ta
 from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged
 from hydro_rig.diagnosis.verdict import Leak, Limits
 from hydro_rig.diagnosis.volume_balance import leak_of_blocks
-from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.estimator import SURE, WEAR, healthy_range
 from hydro_rig.estimation.first_guess import first_values
 from hydro_rig.estimation.model import Indices
 from hydro_rig.estimation.unknowns import LEAKAGE, Prior
 from hydro_rig.identification.common_fit import (
-    ROUGHLY,
     WELL_FITTED,
     Common,
     common_fit,
     costs_of,
     descend,
     fit_together,
+    fitted_alone,
     replayed,
     shared_and_own,
     trials_of,
@@ -258,17 +258,13 @@ def quick_fit(
     It takes a third of the time. The caller tries :func:`common_fit` if windows stay unexplained.
     """
     report("windows", 0, len(chosen))
-    few = windows.part(chosen)
-    alone = estimate(few.signals, config, list(priors), settings=ROUGHLY, boundary=few.boundary)
+    alone = fitted_alone(windows.part(chosen), config, priors)
     report("windows", len(chosen), len(chosen))
     problem = replayed(windows, config, priors)
     model, (shared, _) = problem.model, shared_and_own(problem.model)
     guess = model.scaled(first_values(windows.signals, model.commands.durations, config, priors))
     trials = trials_of(guess, shared, alone.scaled[:, shared])
-
-    def progress(done: int, total: int) -> None:
-        report("common fit", done, total)
-
+    progress = partial(report, "common fit")
     first = trials[int(np.argmin(costs_of(problem, trials)))]
     rough, _ = descend(problem, first, progress)
     joint = fit_together(problem, rough, progress)

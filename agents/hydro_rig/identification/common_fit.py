@@ -180,7 +180,7 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
         report: called with phase, done, total.
     """
     report("windows", 0, len(windows))
-    alone = _alone(windows, config, priors, ROUGHLY)
+    alone = fitted_alone(windows, config, priors)
     report("windows", len(windows), len(windows))
     best = _common_fit(windows, config, priors, alone, report)
     if best.explained < len(windows):
@@ -189,7 +189,7 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
             other = _nearby(windows.part(again), config, best, alone.scaled[again])
         else:
             again = np.sort(np.argsort(alone.misfit)[:FEW])
-            other = _alone(windows.part(again), config, priors, RANDOMLY)
+            other = fitted_alone(windows.part(again), config, priors, RANDOMLY)
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
             second = _common_fit(windows, config, priors, alone, report)
             best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
@@ -229,7 +229,9 @@ def _continued(found: Common, more: Mapping[str, Prior], phase: str, report: Rep
     return Common.of(len(found.misfit), np.flatnonzero(np.isfinite(found.misfit)), problem, joint)
 
 
-def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], settings: EstimationSettings) -> Estimate:
+def fitted_alone(
+    windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], settings: EstimationSettings = ROUGHLY
+) -> Estimate:
     """Each window by itself."""
     return estimate(windows.signals, config, list(priors), settings=settings, boundary=windows.boundary)
 

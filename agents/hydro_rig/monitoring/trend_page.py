@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -31,9 +30,6 @@ COLOURS = {
     Kind.UNKNOWN: GREY,
 }
 MARKERS = {Kind.HEALTHY: "o", Kind.LEAK: "s", Kind.OTHER: "D", Kind.UNKNOWN: "x"}
-# matplotlib's dates have no types
-_date_locator: Any = AutoDateLocator
-_date_formatter: Any = ConciseDateFormatter
 
 MOST_PANELS = 40  # axes with a panel
 LOWEST = 1e-3  # l/min; lower end of the scale
@@ -197,9 +193,9 @@ def _panel(axes: Axes, one: AxisTrend) -> None:
     axes.set_xlim(first - 0.02 * length, end)
     axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
     axes.set_ylim(LOWEST, 3.0 * max(one.limit, float(np.nanmax(sizes, initial=one.limit))))
-    locator: Any = _date_locator(minticks=3, maxticks=6)
+    locator = AutoDateLocator(minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
     axes.xaxis.set_major_locator(locator)
-    axes.xaxis.set_major_formatter(_date_formatter(locator))
+    axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
     axes.set_title(f"{one.axis}: {one.state.value}", fontsize=9)
 
 

@@ -24,7 +24,6 @@ LATEST = 5  # the state of an axis is the verdict on which three of its last fiv
 MOST_COMMON = 0.1  # decades, of an error of the plant that all readings share
 SURE = 0.999  # smallest probability of growth for which a date is told
 FARTHEST = 365.0  # days ahead, up to which a date is told
-MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
 @dataclass(frozen=True)
@@ -158,7 +157,7 @@ def exit_code(states: Sequence[Kind]) -> int:
 def date_text(time: float) -> str:
     """``14 Feb 2027``."""
     day = datetime.fromtimestamp(time, UTC)
-    return f"{day.day} {MONTHS[day.month - 1]} {day.year}"
+    return f"{day.day} {day:%b %Y}"
 
 
 def _finite(value: float) -> float | None:
