@@ -318,7 +318,7 @@ def controller_model(controller: ControllerGraph) -> Any:
     writer = OnnxWriter(inputs, OUTPUTS)
     first = 0
     for part in parts:
-        tensor = writer.slice_of("state", first, part.size, f"state.{part.name}")
+        tensor = writer.gathered("state", np.arange(first, first + part.size), f"state.{part.name}")
         writer.given[part.name] = writer.cast(tensor, DOUBLE, part.kind, f"state.{part.name}")
         first += part.size
     chosen = controller.chosen()

@@ -20,11 +20,11 @@ from hydro_env import HydroError, ServoHydraulicVectorEnv, __version__
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
-from hydro_rig.export.c_files import FILE, CCode, c_code, compared, csv_text, sealed, signal_facts, with_test
+from hydro_rig.export.c_files import FILE, CCode, c_code, compared, csv_text, sealed, with_test
 from hydro_rig.export.c_writer import CWriter
 from hydro_rig.export.expressions import DOUBLE, array
 from hydro_rig.export.graph import Graph
-from hydro_rig.export.measured import SENSOR_MEANINGS
+from hydro_rig.export.measured import SENSOR_MEANINGS, Signal
 from hydro_rig.export.onnx_writer import OnnxWriter, onnx_session
 from hydro_rig.export.tracing import trace
 from hydro_rig.export.translator import Translator
@@ -222,7 +222,7 @@ def _facts(head: LeakageHead) -> dict[str, Any]:
         sensor = getattr(config.sensors, name, None)
         low, high = (sensor.low, sensor.high) if sensor is not None else (-limit, limit)
         unit, meaning = MEANINGS[name]
-        signals.append(signal_facts(name, unit, low, high, limit, meaning))
+        signals.append(Signal(name, unit, low, high, limit, meaning).facts)
     return {
         "sample_time": config.control_period,
         "window": head.settings.window,

@@ -17,7 +17,7 @@ from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_env.types import Floats
-from hydro_rig.recordings.findings import Code, Finding, Weight
+from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import LONGEST_FILL, Sampled, sampled
 
@@ -71,7 +71,7 @@ class Liveliest:
         """The next rows of the recording."""
         if np.isnan(self.first):
             self.first = self.origin = piece.begin
-            self.findings = [finding for finding in piece.findings if finding.code is Code.NOT_RECORDED]
+            self.findings = [finding for finding in piece.findings if finding.absent]
         self.rows += len(piece.time)
         self.last = piece.begin + float(piece.time[-1])
         rows = piece if self.rest is None else _joined(self.rest, piece)
@@ -116,16 +116,12 @@ class Liveliest:
             for place in fresh:
                 begin = self.origin + float(index[starts[place]]) * self.window
                 rows = max(int(starts[place]) - MARGIN, 0), min(int(ends[place]) + MARGIN, len(index))
-                self._keep(float(score[place]), begin, run, rows)
+                section = int((begin - self.first) // SECTION)
+                if section not in self.best or score[place] > self.best[section].score:
+                    self.best[section] = Candidate(float(score[place]), begin, run.part(*rows))
             self.next = done
         keep = int(np.searchsorted(index, done - 1)) if not ended else len(index)
         self.rest = None if ended else run.part(keep, len(index))
-
-    def _keep(self, score: float, begin: float, run: Recording, rows: tuple[int, int]) -> None:
-        """Keep a window if it is the best of its section."""
-        section = int((begin - self.first) // SECTION)
-        if section not in self.best or score > self.best[section].score:
-            self.best[section] = Candidate(score, begin, run.part(*rows))
 
     def _scores(self, run: Recording, starts: Places, ends: Places) -> tuple[Floats, Floats]:
         """Liveliness of windows of rows, and travel in m (NaN without a position)."""

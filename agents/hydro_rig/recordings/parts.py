@@ -77,7 +77,8 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     filled = [bridged(samples) for samples in recordings]
     cut_up = [cut(samples, length) for samples, _ in filled]
     commanded = [windows.part(windows.commanded) for windows in cut_up]
-    cuts = [_with_position(windows) for windows in commanded]
+    # Most readings of the position are known: not those at rest at the end of its range.
+    cuts = [windows.part(np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5) for windows in commanded]
     count = sum(map(len, cuts))
     if count < FEWEST_WINDOWS - 1:
         raise ConfigurationError(
@@ -140,11 +141,6 @@ def _window_length(recordings: Sequence[Sampled], sources: Sequence[str]) -> int
             f"{sources[shortest]}: holds {durations[shortest]:.3g} s of samples; at least {needed:g} s are needed"
         )
     return length
-
-
-def _with_position(windows: Windows) -> Windows:
-    """The windows in which most readings of the position are known: not those at rest at the end of its range."""
-    return windows.part(np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5)
 
 
 def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], str]:
