@@ -139,7 +139,12 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
     """
     samples, answers = head_vectors(head)
     episodes, length, _ = samples.shape
-    model = network_model(head_graph(head)).SerializeToString()
+    graph = head_graph(head)
+    writer = OnnxWriter({name: (node.size, node.kind) for name, node in graph.inputs.items()}, [*graph.outputs])
+    outputs = {name: (writer.tensor(node), node.size, node.kind) for name, node in graph.outputs.items()}
+    network = {"features": ", ".join(FEATURES), "answer": ", ".join(FIELDS)}
+    title = "Network of the leakage head of a hydraulic servo axis"
+    model = writer.model(outputs, title, network).SerializeToString()
     values = _texts(head) | {"samples": episodes * length, "allowed": LARGEST_DIFFERENCE}
     starts = np.tile(np.arange(length) == 0, episodes)
     rows = np.concatenate([samples, answers], axis=2).reshape(episodes * length, -1)
@@ -149,16 +154,6 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
     largest = f"largest difference {in_onnx['largest_difference']:.2g}"
     report = [f"{NETWORK_FILE}: {in_onnx['windows']} windows in onnxruntime, {largest}", f"leakage_head.c: {in_c}"]
     return sealed("leakage head", {NETWORK_FILE: model, **texts}, facts, command), report
-
-
-def network_model(graph: Graph) -> Any:
-    """The ONNX model of a head's network: ``features`` in, ``answer`` out."""
-    given = graph.inputs["features"]
-    writer = OnnxWriter({"features": (given.size, given.kind)}, ["answer"])
-    answer = graph.outputs["answer"]
-    outputs = {"answer": (writer.tensor(answer), answer.size, answer.kind)}
-    facts = {"features": ", ".join(FEATURES), "answer": ", ".join(FIELDS)}
-    return writer.model(outputs, "Network of the leakage head of a hydraulic servo axis", facts)
 
 
 def head_vectors(head: LeakageHead) -> tuple[Floats, Floats]:

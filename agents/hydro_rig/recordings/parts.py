@@ -14,6 +14,7 @@ from hydro_env import ConfigurationError
 from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.recordings.findings import Finding
+from hydro_rig.recordings.recording import FULL_COMMAND
 from hydro_rig.recordings.sampling import Sampled, bridged, cut
 
 WINDOW, FEWEST_WINDOWS = 2.0, 5  # s
@@ -29,7 +30,6 @@ FEWEST_OF_EACH = 3  # windows of each recording, if there are many: one out, one
 LONGEST_HELD_BACK = 10.0  # s, of one recording
 LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
 SAME_AMPLITUDE = 1.1  # largest ratio of the largest commands of recordings with the same amplitude
-FULL_COMMAND = 0.99  # of the largest command
 
 MOST_SATURATED = 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""

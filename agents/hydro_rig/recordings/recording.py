@@ -19,6 +19,7 @@ from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
 FEWEST_ROWS = 3
+FULL_COMMAND = 0.99  # of the largest command, from which the valve counts as fully open
 
 
 class Recording(NamedTuple):
