@@ -131,8 +131,8 @@ def _record_dataset(
     options = {option: value for option, value in given.items() if value is not None}
     with ProgressDisplay() as display:
         report = partial(display.update, "episodes", total=episodes)
-        data = record_dataset(name, config, mover, controller, episodes, seed, options, command_line(), report)
-    say(f"{name}: {data.episodes} episodes, {data.steps} steps, in {data.folder}")
+        steps, folder = record_dataset(name, config, mover, controller, episodes, seed, options, command_line(), report)
+    say(f"{name}: {episodes} episodes, {steps} steps, in {folder}")
 
 
 def _record_benchmark(folder: Path, config: TaskConfig, recordings: int, key: Path | None) -> None:

@@ -16,7 +16,7 @@ from hydro_env import TaskConfig
 from hydro_env.task.configuration import LeakageDraw
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
 from hydro_rig.recordings.driving import AXIS
-from hydro_rig.recordings.findings import Code, Finding, Weight
+from hydro_rig.recordings.findings import Finding, Weight
 
 MOST = 0.5  # share of the windows that counts as "most"
 CHANGED = 3.0
@@ -152,7 +152,7 @@ def judge(
         return Verdict(Kind.LEAK, "; ".join(part for part in parts if part), leak, leader)
     if fault:  # rule 5
         return Verdict(Kind.OTHER, fault, leak, leader)
-    absent = {finding.signal for finding in findings if finding.code is Code.NOT_RECORDED}
+    absent = {finding.signal for finding in findings if finding.absent}
     if leak.high >= limits.fault:  # rule 7
         why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
         return Verdict(Kind.UNKNOWN, why, leak, leader)

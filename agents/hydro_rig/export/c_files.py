@@ -171,8 +171,3 @@ def sealed(
     }
     values["digest"] = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
     return {**files, FILE: (json.dumps(values, indent=2, ensure_ascii=False) + "\n").encode()}
-
-
-def signal_facts(name: str, unit: str, low: float, high: float, limit: float, meaning: str) -> dict[str, Any]:
-    """A signal in a contract: range of the sensor or of the stroke; values beyond ± the limit are clipped."""
-    return {"name": name, "unit": unit, "range": [low, high], "limit": limit, "meaning": meaning}

@@ -119,11 +119,8 @@ class CWriter:
             if node not in self._names:
                 self._names[node] = self._new_table(node.name, node.table)
             return f"{self._names[node]}[{index}]"
-        if node.operation == "collect":
-            if run := regular(node):
-                return self.element(run.source, loop_place(run.start, run.step, index))
-            if isinstance(index, int):
-                return self.element(*node.piece(index))
+        if run := regular(node):
+            return self.element(run.source, loop_place(run.start, run.step, index))
         if node in self._inside:
             text = self._elementwise(node, index)
             return text if self._is_closed(node) else f"({text})"

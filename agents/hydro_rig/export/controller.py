@@ -136,10 +136,7 @@ def variable_gains(controller: Any, config: TaskConfig) -> list[GainRow]:
     if not isinstance(gains, Group) or make not in {kind for kind, _ in CONTROLLERS.values()}:
         return []
     rows = [row for row in gain_rows(gains) if isinstance(row.value, float)]
-    if _gains_used(controller, config, rows) is None:
-        rows = [row for row in rows if _gains_used(controller, config, [row])]
-    used = _gains_used(controller, config, rows) or ()
-    rows = [row for row in rows if row.name in used]
+    rows = [row for row in rows if _is_used(controller, config, row)]
 
     def text(controller: Controller) -> str:
         """The code without the values of these gains."""
@@ -155,14 +152,13 @@ def variable_gains(controller: Any, config: TaskConfig) -> list[GainRow]:
     return [row for row in rows if text(changed(row)) == same]
 
 
-def _gains_used(controller: Controller, config: TaskConfig, rows: Sequence[GainRow]) -> set[str] | None:
-    """Names of the gains on which the voltage depends, now or later; ``None`` if the controller decides on one."""
+def _is_used(controller: Controller, config: TaskConfig, row: GainRow) -> bool:
+    """Whether the voltage depends on a gain, now or later, and the controller does not decide on it."""
     try:
-        graph = controller_graph(controller, config, rows).graph
+        graph = controller_graph(controller, config, [row]).graph
     except (TraceError, TypeError):
-        return None
-    used = graph.used([*graph.outputs.values()])
-    return {row.name for row in rows if used[GAINS + row.name].any()}
+        return False
+    return bool(graph.used([*graph.outputs.values()])[GAINS + row.name].any())
 
 
 def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
@@ -318,7 +314,7 @@ def controller_model(controller: ControllerGraph) -> Any:
     writer = OnnxWriter(inputs, OUTPUTS)
     first = 0
     for part in parts:
-        tensor = writer.slice_of("state", first, part.size, f"state.{part.name}")
+        tensor = writer.gathered("state", np.arange(first, first + part.size), f"state.{part.name}")
         writer.given[part.name] = writer.cast(tensor, DOUBLE, part.kind, f"state.{part.name}")
         first += part.size
     chosen = controller.chosen()

@@ -17,7 +17,7 @@ from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version
 from hydro_env.files import Group
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.export.c_files import FILE, compared, csv_text, sealed, signal_facts, with_test
+from hydro_rig.export.c_files import FILE, compared, csv_text, sealed, with_test
 from hydro_rig.export.c_writer import C_TYPES
 from hydro_rig.export.controller import (
     ControllerGraph,
@@ -26,7 +26,7 @@ from hydro_rig.export.controller import (
     controller_model,
     variable_gains,
 )
-from hydro_rig.export.measured import MeasuredController
+from hydro_rig.export.measured import MeasuredController, Signal
 from hydro_rig.export.onnx_writer import onnx_session
 from hydro_rig.export.structured_text import structured_text
 
@@ -208,10 +208,10 @@ def _facts(controller: Controller, graph: ControllerGraph) -> dict[str, Any]:
         "controller": describe(controller),
         "sample_time": config.control_period,
         "latency": config.command_latency,
-        "signals": [signal_facts(**signal._asdict()) for signal in graph.signals.signals],
-        "output": signal_facts(
+        "signals": [signal.facts for signal in graph.signals.signals],
+        "output": Signal(
             "voltage", "V", -FULL_VOLTAGE, FULL_VOLTAGE, FULL_VOLTAGE, "to the drive of the valve; positive: extends"
-        ),
+        ).facts,
         "state": [{"name": part.name, "size": part.size, "type": C_TYPES[part.kind]} for part in graph.memory],
         "rules": RULES,
         "scores": {

@@ -20,11 +20,11 @@ from hydro_env import HydroError, ServoHydraulicVectorEnv, __version__
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
-from hydro_rig.export.c_files import FILE, CCode, c_code, compared, csv_text, sealed, signal_facts, with_test
+from hydro_rig.export.c_files import FILE, CCode, c_code, compared, csv_text, sealed, with_test
 from hydro_rig.export.c_writer import CWriter
 from hydro_rig.export.expressions import DOUBLE, array
 from hydro_rig.export.graph import Graph
-from hydro_rig.export.measured import SENSOR_MEANINGS
+from hydro_rig.export.measured import SENSOR_MEANINGS, Signal
 from hydro_rig.export.onnx_writer import OnnxWriter, onnx_session
 from hydro_rig.export.tracing import trace
 from hydro_rig.export.translator import Translator
@@ -139,7 +139,12 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
     """
     samples, answers = head_vectors(head)
     episodes, length, _ = samples.shape
-    model = network_model(head_graph(head)).SerializeToString()
+    graph = head_graph(head)
+    writer = OnnxWriter({name: (node.size, node.kind) for name, node in graph.inputs.items()}, [*graph.outputs])
+    outputs = {name: (writer.tensor(node), node.size, node.kind) for name, node in graph.outputs.items()}
+    network = {"features": ", ".join(FEATURES), "answer": ", ".join(FIELDS)}
+    title = "Network of the leakage head of a hydraulic servo axis"
+    model = writer.model(outputs, title, network).SerializeToString()
     values = _texts(head) | {"samples": episodes * length, "allowed": LARGEST_DIFFERENCE}
     starts = np.tile(np.arange(length) == 0, episodes)
     rows = np.concatenate([samples, answers], axis=2).reshape(episodes * length, -1)
@@ -149,16 +154,6 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
     largest = f"largest difference {in_onnx['largest_difference']:.2g}"
     report = [f"{NETWORK_FILE}: {in_onnx['windows']} windows in onnxruntime, {largest}", f"leakage_head.c: {in_c}"]
     return sealed("leakage head", {NETWORK_FILE: model, **texts}, facts, command), report
-
-
-def network_model(graph: Graph) -> Any:
-    """The ONNX model of a head's network: ``features`` in, ``answer`` out."""
-    given = graph.inputs["features"]
-    writer = OnnxWriter({"features": (given.size, given.kind)}, ["answer"])
-    answer = graph.outputs["answer"]
-    outputs = {"answer": (writer.tensor(answer), answer.size, answer.kind)}
-    facts = {"features": ", ".join(FEATURES), "answer": ", ".join(FIELDS)}
-    return writer.model(outputs, "Network of the leakage head of a hydraulic servo axis", facts)
 
 
 def head_vectors(head: LeakageHead) -> tuple[Floats, Floats]:
@@ -222,7 +217,7 @@ def _facts(head: LeakageHead) -> dict[str, Any]:
         sensor = getattr(config.sensors, name, None)
         low, high = (sensor.low, sensor.high) if sensor is not None else (-limit, limit)
         unit, meaning = MEANINGS[name]
-        signals.append(signal_facts(name, unit, low, high, limit, meaning))
+        signals.append(Signal(name, unit, low, high, limit, meaning).facts)
     return {
         "sample_time": config.control_period,
         "window": head.settings.window,

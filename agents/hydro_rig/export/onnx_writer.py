@@ -78,9 +78,9 @@ class OnnxWriter:
                 self._names[one] = self._written(one)
         return self._names[node]
 
-    def slice_of(self, tensor: str, start: int, size: int, name: str) -> str:
-        """Elements of a tensor as a separate tensor."""
-        return self._gathered(tensor, np.arange(start, start + size), name)
+    def gathered(self, tensor: str, places: NDArray[np.int64], name: str) -> str:
+        """Elements of a tensor at constant places as a separate tensor."""
+        return self.add("Gather", [tensor, self._constant(places, f"{name}_places")], name, axis=0)
 
     def cast(self, tensor: str, kind: np.dtype[Any], wanted: np.dtype[Any], name: str) -> str:
         """A tensor of one type in another one."""
@@ -132,15 +132,12 @@ class OnnxWriter:
         if node.operation == "constant":
             assert node.table is not None
             return self._constant(node.table, name)
-        for one in node.operands:  # inputs and constants
-            if one not in self._names:
-                self._names[one] = self._written(one)
-        tensors = [self._names[one] for one in node.operands]
+        tensors = [self._names.get(one) or self.tensor(one) for one in node.operands]  # new: inputs and constants
         if node.operation == "collect":
             assert node.table is not None
             joined = tensors[0] if len(tensors) == 1 else self.add("Concat", tensors, name, origin, axis=0)
             whole = sum(one.size for one in node.operands)
-            return joined if np.array_equal(node.table, np.arange(whole)) else self._gathered(joined, node.table, name)
+            return joined if np.array_equal(node.table, np.arange(whole)) else self.gathered(joined, node.table, name)
         if node.operation == "cast":
             return self.add("Cast", tensors, name, origin, to=self._type(node.kind))
         if node.operation == "not_equal":
@@ -173,9 +170,6 @@ class OnnxWriter:
         below = [self.add("Less", [tensor, zero], f"{node.name}_negative") for tensor in (sign, inverse)]
         negative = self.add("Or", below, f"{node.name}_negative")
         return self.add("Where", [negative, self.add("Neg", [size], node.name), size], node.name, node.origin)
-
-    def _gathered(self, tensor: str, places: NDArray[np.int64], name: str) -> str:
-        return self.add("Gather", [tensor, self._constant(places, f"{name}_places")], name, axis=0)
 
     def _shaped(self, tensor: str, shape: tuple[int, ...], name: str) -> str:
         return self.add("Reshape", [tensor, self._constant(np.array(shape), f"{name}_shape")], f"{name}_shaped")

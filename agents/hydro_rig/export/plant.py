@@ -30,7 +30,14 @@ from hydro_env.plant.equations import (
     time_to_kink,
 )
 from hydro_env.plant.equilibrium import equilibrium_state
-from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, Physical, PlantParameters, to_vector
+from hydro_env.plant.parameters import (
+    MODEL_CODES,
+    PARAMETER_PATHS,
+    PARAMETER_UNITS,
+    Physical,
+    PlantParameters,
+    to_vector,
+)
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, State
 from hydro_env.task.settings import settings_of
@@ -147,12 +154,10 @@ def _rig_parameters(config: TaskConfig) -> Iterator[tuple[str, str, str, float]]
         if path == f"leakage.{LEAK_LAWS[config.leakage.law].parameter}":
             continue
         group, field = path.split(".")
-        info = type(getattr(config.plant, group)).model_fields[field]
-        extra = info.json_schema_extra
-        unit = str(extra["unit"]) if isinstance(extra, dict) else "1"
         codes = MODEL_CODES.get(path)
-        meaning = ", ".join(f"{i} {name}" for i, name in enumerate(codes)) if codes else (info.description or "")
-        yield f"rig.{path}", meaning, unit, value
+        described = type(getattr(config.plant, group)).model_fields[field].description or ""
+        meaning = ", ".join(f"{i} {name}" for i, name in enumerate(codes)) if codes else described
+        yield f"rig.{path}", meaning, PARAMETER_UNITS[path], value
 
 
 def with_one_leak(config: TaskConfig) -> PlantParameters:

@@ -134,8 +134,6 @@ class Traced(NDArrayOperatorsMixin):
         value = self._value.sum(axis=axis)
         axis %= self.ndim
         outer, inner = (int(np.prod(part, dtype=int)) for part in (self.shape[:axis], self.shape[axis + 1 :]))
-        if self.shape[axis] == 1:
-            return Traced(self._builder, self._node, value)
         return self._result("sum", [self], value, sizes=(outer, self.shape[axis], inner))
 
     def clip(self, low: Any, high: Any) -> Any:

@@ -52,7 +52,7 @@ def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding],
         if signal != "command" and np.nanmin(values) == np.nanmax(values):
             findings.append(Finding(signal, f"is constant at {_shown(signal, values[known][0])}", Weight.SEVERE))
             continue
-        beyond = _out_of_range(values, samples, signal, _largest(signal, config), config)
+        beyond = _out_of_range(values, samples, signal, config)
         found(row, *beyond)
         if signal != "command" and beyond[2] is not Weight.SEVERE:
             values = np.where(bad[row], np.nan, values)
@@ -72,8 +72,9 @@ def _largest(signal: str, config: TaskConfig) -> float:
     return max(config.failure.pressure_rating, 1.5 * config.plant.supply.pressure)
 
 
-def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float, config: TaskConfig) -> Found:
+def _out_of_range(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
     """Impossible values; if there are many, with a unit that would fit."""
+    largest = _largest(signal, config)
     both_ways = "pressure" not in signal or config.sensors.differential_pressure
     lowest = -largest if both_ways else LOWEST_PRESSURE
     beyond = np.isfinite(values) & ((values > OVERRANGE * largest) | (values < OVERRANGE * lowest))

@@ -11,6 +11,7 @@ from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.recordings.channels import OVERRANGE
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
+from hydro_rig.recordings.recording import FULL_COMMAND
 from hydro_rig.recordings.sampling import Sampled, cut
 
 AXIS = "axis"  # what findings about the manner of operation are about
@@ -20,7 +21,6 @@ LEAST_CYCLES = 3  # in a stretch
 LEAST_SWING = 0.05  # of the command of an oscillation, as a fraction of full command
 LEAST_POWER = 0.6  # share of the oscillation's frequency in the power of command and position
 MANY_STRETCHES = 0.25  # share of stretches that oscillate, and of samples at full command, that is worth a word
-FULL_COMMAND = 0.99  # of the largest command
 
 
 def check_driving(samples: Sampled, config: TaskConfig) -> list[Finding]:

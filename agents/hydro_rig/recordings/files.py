@@ -209,22 +209,15 @@ def read_mdf(path: Path, asammdf: Any) -> list[Channel]:
     """All numeric channels."""
     channels: list[Channel] = []
     with asammdf.MDF(path) as file:
-        for number in range(len(file.groups)):
-            channels += _group(file, number)
-    return channels
-
-
-def _group(file: Any, number: int) -> list[Channel]:
-    """The numeric channels of a group."""
-    channels = []
-    for place in range(len(file.groups[number].channels)):
-        if place == file.masters_db.get(number):
-            continue
-        signal = file.get(group=number, index=place)
-        if np.ndim(signal.samples) == 1 and np.issubdtype(signal.samples.dtype, np.number):
-            # Copies: what the library gives are views of the records of all channels.
-            stamps = np.array(signal.timestamps, dtype=np.float64)
-            channels.append(Channel(f"group {number}", signal.name, signal.unit or "", signal.samples.copy(), stamps))
+        places = [(number, place) for number, group in enumerate(file.groups) for place in range(len(group.channels))]
+        for number, place in places:
+            if place == file.masters_db.get(number):
+                continue
+            signal = file.get(group=number, index=place)
+            if np.ndim(signal.samples) == 1 and np.issubdtype(signal.samples.dtype, np.number):
+                # Copies: what the library gives are views of the records of all channels.
+                values, stamps = signal.samples.copy(), np.array(signal.timestamps, dtype=np.float64)
+                channels.append(Channel(f"group {number}", signal.name, signal.unit or "", values, stamps))
     return channels
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import Enum, StrEnum, auto
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -23,13 +23,6 @@ class Weight(StrEnum):
     SEVERE = "severe"  # no verdict is possible
 
 
-class Code(Enum):
-    """The findings on which code decides; the words of a finding are for people."""
-
-    OTHER = auto()
-    NOT_RECORDED = auto()
-
-
 class Finding(NamedTuple):
     """One defect of a recording."""
 
@@ -39,7 +32,7 @@ class Finding(NamedTuple):
     begin: float = np.nan  # s, first place; NaN for the whole recording
     end: float = np.nan  # s, end of the first place
     share: float = np.nan  # of the recording, 0 to 1
-    code: Code = Code.OTHER
+    absent: bool = False  # the signal was not recorded; code decides on this, the words are for people
 
     def line(self) -> str:
         """The finding in one line."""

@@ -17,13 +17,13 @@ from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_env.types import Floats
-from hydro_rig.recordings.findings import Code, Finding, Weight
-from hydro_rig.recordings.recording import Recording
+from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.recording import FULL_COMMAND, Recording
 from hydro_rig.recordings.sampling import LONGEST_FILL, Sampled, sampled
 
 SECTION = 300.0  # s; one window of each is kept, about 25 kB
 MARGIN = 5  # rows before and after a window, from which lost rows at its ends are completed
-SATURATED, MOST_SATURATED = 0.99, 0.5  # of full command; largest share of such rows in a useful window
+MOST_SATURATED = 0.5  # largest share of rows at full command in a useful window
 LEAST_ROWS = 0.8  # of a whole window
 UNUSABLE = -1e3  # added to the score of a window that lacks commands
 
@@ -60,7 +60,7 @@ class Liveliest:
         plant = config.plant
         self.size = np.array([plant.cylinder.stroke, plant.supply.pressure, plant.supply.pressure, 1.0, 1.0])
         self.first = self.last = self.origin = np.nan  # s; origin: where window 0 begins since the clock ran back
-        self.rows = self.windows = self.located = self.moving = 0
+        self.windows = self.located = self.moving = 0
         self.next = 0  # number of the first window that was not weighed
         self.rest: Recording | None = None  # rows of windows that may go on
         self.best: dict[int, Candidate] = {}  # by section
@@ -71,8 +71,7 @@ class Liveliest:
         """The next rows of the recording."""
         if np.isnan(self.first):
             self.first = self.origin = piece.begin
-            self.findings = [finding for finding in piece.findings if finding.code is Code.NOT_RECORDED]
-        self.rows += len(piece.time)
+            self.findings = [finding for finding in piece.findings if finding.absent]
         self.last = piece.begin + float(piece.time[-1])
         rows = piece if self.rest is None else _joined(self.rest, piece)
         back = np.flatnonzero(np.diff(rows.time) < 0.0) + 1
@@ -116,16 +115,12 @@ class Liveliest:
             for place in fresh:
                 begin = self.origin + float(index[starts[place]]) * self.window
                 rows = max(int(starts[place]) - MARGIN, 0), min(int(ends[place]) + MARGIN, len(index))
-                self._keep(float(score[place]), begin, run, rows)
+                section = int((begin - self.first) // SECTION)
+                if section not in self.best or score[place] > self.best[section].score:
+                    self.best[section] = Candidate(float(score[place]), begin, run.part(*rows))
             self.next = done
         keep = int(np.searchsorted(index, done - 1)) if not ended else len(index)
         self.rest = None if ended else run.part(keep, len(index))
-
-    def _keep(self, score: float, begin: float, run: Recording, rows: tuple[int, int]) -> None:
-        """Keep a window if it is the best of its section."""
-        section = int((begin - self.first) // SECTION)
-        if section not in self.best or score > self.best[section].score:
-            self.best[section] = Candidate(score, begin, run.part(*rows))
 
     def _scores(self, run: Recording, starts: Places, ends: Places) -> tuple[Floats, Floats]:
         """Liveliness of windows of rows, and travel in m (NaN without a position)."""
@@ -133,7 +128,7 @@ class Liveliest:
         score = np.nansum(np.minimum(span / self.size[:, None], 1.0), axis=0)
         command, count = run.signals[COMMAND], ends - starts
         way = np.add.reduceat(np.abs(np.nan_to_num(np.diff(command, prepend=command[0]))), starts)
-        full = np.add.reduceat((np.abs(command) >= SATURATED).astype(np.int64), starts)
+        full = np.add.reduceat((np.abs(command) >= FULL_COMMAND).astype(np.int64), starts)
         step = float(np.median(np.diff(run.time))) if len(run.time) > 1 else self.window
         period = max(self.config.control_period, step)
         known = np.flatnonzero(np.isfinite(command))

@@ -14,6 +14,7 @@ from hydro_env import ConfigurationError
 from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_env.types import Floats
 from hydro_rig.recordings.findings import Finding
+from hydro_rig.recordings.recording import FULL_COMMAND
 from hydro_rig.recordings.sampling import Sampled, bridged, cut
 
 WINDOW, FEWEST_WINDOWS = 2.0, 5  # s
@@ -29,7 +30,6 @@ FEWEST_OF_EACH = 3  # windows of each recording, if there are many: one out, one
 LONGEST_HELD_BACK = 10.0  # s, of one recording
 LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
 SAME_AMPLITUDE = 1.1  # largest ratio of the largest commands of recordings with the same amplitude
-FULL_COMMAND = 0.99  # of the largest command
 
 MOST_SATURATED = 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""
@@ -77,7 +77,8 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     filled = [bridged(samples) for samples in recordings]
     cut_up = [cut(samples, length) for samples, _ in filled]
     commanded = [windows.part(windows.commanded) for windows in cut_up]
-    cuts = [_with_position(windows) for windows in commanded]
+    # Most readings of the position are known: not those at rest at the end of its range.
+    cuts = [windows.part(np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5) for windows in commanded]
     count = sum(map(len, cuts))
     if count < FEWEST_WINDOWS - 1:
         raise ConfigurationError(
@@ -140,11 +141,6 @@ def _window_length(recordings: Sequence[Sampled], sources: Sequence[str]) -> int
             f"{sources[shortest]}: holds {durations[shortest]:.3g} s of samples; at least {needed:g} s are needed"
         )
     return length
-
-
-def _with_position(windows: Windows) -> Windows:
-    """The windows in which most readings of the position are known: not those at rest at the end of its range."""
-    return windows.part(np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5)
 
 
 def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], str]:

@@ -68,11 +68,6 @@ class Checked(NamedTuple):
         """Findings that rule out a verdict."""
         return [finding for finding in self.findings if finding.weight is Weight.SEVERE]
 
-    @property
-    def faults(self) -> list[Finding]:
-        """Findings that show a faulty sensor."""
-        return [finding for finding in self.findings if finding.weight is Weight.FAULT]
-
 
 def check_recording(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Checked:
     """Check time stamps, channels and wiring of a recording for the rig of a task.
@@ -95,16 +90,15 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool | N
 def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig) -> Checked:
     """Check samples at the control period of a task; ``known`` are earlier findings."""
     findings = [*known, *samples.findings]
-    checked = Checked(samples, findings)
     if not len(samples.time):
-        return checked
+        return Checked(samples, findings)
     samples, beyond = _within_full_scale(samples)
     findings += beyond
     findings += check_driving(samples, config)
     of_channels, bad = check_channels(samples, config)
     findings += of_channels
     samples = samples._replace(signals=np.where(bad, np.nan, samples.signals))
-    if not checked.severe and not checked.faults:
+    if all(finding.weight is Weight.NOTE for finding in findings):
         early = row_of_command(samples, config)
         if early:
             samples = _with_command_moved(samples, early)

@@ -14,11 +14,12 @@ from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, numbers_of, read_columns, together
-from hydro_rig.recordings.findings import Code, Finding, Weight, severe_if
+from hydro_rig.recordings.findings import Finding, Weight, severe_if
 from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
 FEWEST_ROWS = 3
+FULL_COMMAND = 0.99  # of the largest command, from which the valve counts as fully open
 
 
 class Recording(NamedTuple):
@@ -103,7 +104,7 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
         values["pressure_a"], units["pressure_a"] = values.pop(LOAD_PRESSURE), units.pop(LOAD_PRESSURE)
     for signal in MEASURED:
         if signal not in values:
-            findings.append(Finding(signal, "was not recorded", Weight.NOTE, code=Code.NOT_RECORDED))
+            findings.append(Finding(signal, "was not recorded", Weight.NOTE, absent=True))
     time = values.pop("time")
     known = np.isfinite(time)
     if known.sum() < FEWEST_ROWS:

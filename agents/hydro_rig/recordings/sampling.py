@@ -52,13 +52,8 @@ class Sampled(NamedTuple):
     auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (T,), SI
 
 
-class _Grid(NamedTuple):
-    """Rows of a recording as samples."""
-
-    place: NDArray[np.int64]
-    time: Floats
-    values: Floats  # (channels, T)
-    period: float
+_Grid = tuple[NDArray[np.int64], Floats, Floats, float]
+"""Rows of a recording as samples: place and time (T,), values (channels, T), period in s."""
 
 
 def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Sampled:
@@ -74,17 +69,17 @@ def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = Fa
             faster than the control period and its commands keep no fixed place in it.
     """
     findings: list[Finding] = []
-    grid = _grid_of(recording, config, own_grid, findings)
-    signals, others = np.split(grid.values, [len(recording.signals)])
+    place, time, values, period = _grid_of(recording, config, own_grid, findings)
+    signals, others = np.split(values, [len(recording.signals)])
     auxiliary = dict(zip(recording.auxiliary, others, strict=True))
-    return Sampled(grid.place, grid.time, signals, grid.period, recording.units, findings, auxiliary)
+    return Sampled(place, time, signals, period, recording.units, findings, auxiliary)
 
 
 def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool | None, findings: list[Finding]) -> _Grid:
     """The samples of the rows; none after a severe finding."""
     time, rows = recording.time, np.vstack([recording.signals, *recording.auxiliary.values()])
     period = config.control_period
-    nothing = _Grid(np.zeros(0, np.int64), time[:0], rows[:, :0], period)
+    nothing = np.zeros(0, np.int64), time[:0], rows[:, :0], period
     steps = np.diff(time, prepend=-np.inf)
     if (back := steps < 0.0).any():
         worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s"
@@ -116,7 +111,7 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool | None, fi
         return nothing
     chosen = place % per_period == phase
     index = (place[chosen] - place[chosen][:1]) // per_period
-    return _Grid(index, time[chosen], rows[:, chosen], period)
+    return index, time[chosen], rows[:, chosen], period
 
 
 def _own_grid(
@@ -146,7 +141,7 @@ def _own_grid(
         what += f" of {1e3 * period:.4g} ms, each sample the median of {rows} rows"
     findings.append(Finding("time", what, Weight.NOTE))
     number = number - number[0]
-    return _Grid(number, time[0] + number * period, samples, period)
+    return number, time[0] + number * period, samples, period
 
 
 def _medians(values: Floats, group: NDArray[np.int64], count: int) -> Floats:

@@ -87,11 +87,12 @@ def record_axis(
         faults={name: np.array([size]) for name, size in (faults or {}).items()} or None,
     )
     signals, run = measured_run(config, controller, cases)
-    rows = config.steps if run.failed_at[0] < 0 else int(run.failed_at[0]) + 1
+    failed = bool(run.failed_at[0] >= 0)
+    rows = int(run.failed_at[0]) + 1 if failed else config.steps
+    duration = rows * config.control_period
     time = np.arange(rows, dtype=np.float64) * config.control_period
     write_text(path, recording_csv(time, signals[0, :, :rows], note))
-    failed = None if run.failed_at[0] < 0 else rows * config.control_period
-    return Recorded(rows, rows * config.control_period, float(run.leakage_flow_lpm[0]), failed)
+    return Recorded(rows, duration, float(run.leakage_flow_lpm[0]), duration if failed else None)
 
 
 def recording_csv(time: Floats, signals: Floats, note: str = "") -> str:
@@ -109,14 +110,6 @@ def recording_csv(time: Floats, signals: Floats, note: str = "") -> str:
 def heading(signal: str) -> str:
     """Heading of a column: ``position [mm]``."""
     return f"{signal} [{WRITTEN_UNITS[signal]}]"
-
-
-class DatasetSummary(NamedTuple):
-    """Summary of a recorded data set."""
-
-    episodes: int
-    steps: int
-    folder: str
 
 
 def check_dataset(name: str) -> None:
@@ -148,8 +141,10 @@ def record_dataset(
     options: Mapping[str, Any],
     note: str = "",
     progress: Callable[[int], None] | None = None,
-) -> DatasetSummary:
+) -> tuple[int, Path]:
     """Run episodes of the environment and store them in Minari's folder (``MINARI_DATASETS_PATH``).
+
+    Returns the number of steps, and the folder of the data set.
 
     The data set contains the whole task; ``recover_environment`` therefore works on another machine. The infos are
     those of ``info="flat"``: leak, class, faults and true motion, which are not in the observations.
@@ -189,7 +184,7 @@ def record_dataset(
                 description=note,
                 requirements=[f"hydro_env=={__version__}"],
             )
-    return DatasetSummary(episodes, int(dataset.total_steps), str(dataset.storage.data_path.parent))
+    return int(dataset.total_steps), Path(dataset.storage.data_path).parent
 
 
 def _episode(env: Any, controller: Controller, number: int, seed: int, options: Mapping[str, Any]) -> Any:

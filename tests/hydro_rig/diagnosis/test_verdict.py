@@ -7,10 +7,10 @@ from hydro_agents.detection.detector import Cause, Reading, Why
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_rig.diagnosis.verdict import Kind, Limits, combined, judge
-from hydro_rig.recordings.findings import Code, Finding, Weight
+from hydro_rig.recordings.findings import Finding, Weight
 
 LIMITS = Limits(0.03, 0.1)
-NO_PRESSURES = [Finding(f"pressure_{chamber}", "", Weight.NOTE, code=Code.NOT_RECORDED) for chamber in "ab"]
+NO_PRESSURES = [Finding(f"pressure_{chamber}", "", Weight.NOTE, absent=True) for chamber in "ab"]
 NOTE = Finding("time", "has a gap of 200 ms", Weight.NOTE)
 STUCK = Finding("pressure_a", "is stuck at one value", Weight.FAULT)
 OSCILLATES = Finding("axis", "oscillates at 18 Hz", Weight.NOTE)
