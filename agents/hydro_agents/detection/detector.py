@@ -271,11 +271,6 @@ class Reading(NamedTuple):
         """The reason for no answer of each window in words; empty for an answer."""
         return [Why(why).word for why in self.why.tolist()]
 
-    def followed_by(self, other: Reading) -> Reading:
-        """The windows of this reading and then those of another one."""
-        both: Any = (np.concatenate(pair) for pair in zip(self, other, strict=True))
-        return Reading(*both)
-
     def part(self, chosen: NDArray[np.int64]) -> Reading:
         """Some of the windows."""
         some: Any = (values[chosen] for values in self)
@@ -319,7 +314,7 @@ class Detector(Protocol):
         ...
 
 
-def logit(probability: NDArray[Any]) -> Floats:
+def logit(probability: ArrayLike) -> Floats:
     """Logarithm of the odds, finite for 0 and 1."""
     inside = np.clip(np.asarray(probability, dtype=np.float64), 1e-15, 1.0 - 1e-15)
     return np.asarray(np.log(inside / (1.0 - inside)))

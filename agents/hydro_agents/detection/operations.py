@@ -189,13 +189,6 @@ class Acting(NamedTuple):
     trained: bool  # whether it is part of the leakage head's training
 
 
-class Motion(NamedTuple):
-    """The motion of the axes: a change of the task."""
-
-    change: Change
-    label: str
-
-
 def ordinary(config: TaskConfig) -> TaskConfig:
     """The task as it is."""
     return config
@@ -239,15 +232,13 @@ ACTING: dict[str, Acting] = {
 }
 """Controllers of the axes, by name."""
 
-ACTING["PPO"] = ACTING["PPO on flow linearisation"]  # the name in files of version 0.2
-
-MOTIONS: dict[str, Motion] = {
-    "ordinary": Motion(ordinary, "all kinds of reference"),
-    "slow": Motion(slow, "references 12 times slower"),
-    "standing still": Motion(at_rest, "a place that is held"),
-    "changing loads": Motion(loaded, "changing external forces"),
+MOTIONS: dict[str, Change] = {
+    "ordinary": ordinary,  # all kinds of reference
+    "slow": slow,
+    "standing still": at_rest,
+    "changing loads": loaded,
 }
-"""Motions of the axes, by name."""
+"""Motions of the axes, changes of the task, by name."""
 
 
 class Row(NamedTuple):
