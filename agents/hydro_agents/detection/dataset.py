@@ -205,7 +205,11 @@ class Plan:
                 own = np.tile(rig_features(config), (len(values), 1))
                 values = np.concatenate([values, own], axis=1)
             told = fault[kept], np.full(len(kept), LEAKS.index(chunk.leak)), np.full(len(kept), noise)
-            felt = moves.part(kept).felt(begins, size) if moves is not None else np.zeros(len(kept))
+            felt = (
+                moves._replace(course=moves.course[kept]).felt(begins, size)
+                if moves is not None
+                else np.zeros(len(kept))
+            )
             parts.append(Windows(values, labels[kept], leaks[kept], *told, felt))
         return Windows.joined(parts)
 

@@ -105,12 +105,17 @@ class _StoredHead(HeadSettings):
     features: tuple[str, ...]
 
 
-def lacks_sensors(absent: Sequence[str]) -> str:
-    """The refusal of a rig without some sensors."""
-    return (
-        f"leakage head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the leak "
-        "without it"
-    )
+def check_sensors(config: TaskConfig, needed: Sequence[str] = SENSORS) -> None:
+    """Check that a rig has the sensors that a head needs.
+
+    Raises:
+        ConfigurationError: it lacks one.
+    """
+    if absent := [name for name in needed if not getattr(config.sensors, name).fitted]:
+        raise ConfigurationError(
+            f"leakage head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the leak "
+            "without it"
+        )
 
 
 class HeadState(NamedTuple):
@@ -205,8 +210,7 @@ class LeakageHead:
         """
         if not self.for_any_axis:
             raise ConfigurationError("moved_to: must be a leakage head for any axis")
-        if absent := [name for name in SENSORS if name != SENSORS[SPOOL] and not getattr(config.sensors, name).fitted]:
-            raise ConfigurationError(lacks_sensors(absent))
+        check_sensors(config, SENSORS[:SPOOL])
         times = self.settings.task.control_period / config.control_period
         sizes = self.settings.window, self.settings.longest
         window, longest = (max(round(size * times), SHORTEST_WINDOW) for size in sizes)

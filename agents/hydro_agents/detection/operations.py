@@ -244,24 +244,23 @@ MOTIONS: dict[str, Change] = {
 class Row(NamedTuple):
     """A part of the training data: its share, the task of the axes, and their manner of operation."""
 
-    name: str
     share: float
     task: Change
     manner: Manner | None  # None: the controllers of the study
 
 
 OPERATIONS = (
-    Row("controllers", 0.23, ordinary, None),
-    Row("controllers, slow references", 0.08, slow, None),
-    Row("controllers, standing still", 0.11, at_rest, None),
-    Row("controllers, changing loads", 0.06, loaded, None),
-    Row("proportional", 0.08, ordinary, MANNERS["proportional"]),
-    Row("proportional, standing still", 0.07, at_rest, MANNERS["proportional"]),
-    Row("by hand", 0.10, ordinary, MANNERS["by hand"]),
-    Row("chattering", 0.08, ordinary, MANNERS["chattering"]),
-    Row("chattering, standing still", 0.03, at_rest, MANNERS["chattering"]),
-    Row("dithering", 0.05, ordinary, MANNERS["dithering"]),
-    Row("dithering, standing still", 0.03, at_rest, MANNERS["dithering"]),
-    Row("open loop", 0.08, ordinary, MANNERS["open loop"]),
+    Row(0.23, ordinary, None),
+    Row(0.08, slow, None),
+    Row(0.11, at_rest, None),
+    Row(0.06, loaded, None),
+    Row(0.08, ordinary, MANNERS["proportional"]),
+    Row(0.07, at_rest, MANNERS["proportional"]),
+    Row(0.10, ordinary, MANNERS["by hand"]),
+    Row(0.08, ordinary, MANNERS["chattering"]),
+    Row(0.03, at_rest, MANNERS["chattering"]),
+    Row(0.05, ordinary, MANNERS["dithering"]),
+    Row(0.03, at_rest, MANNERS["dithering"]),
+    Row(0.08, ordinary, MANNERS["open loop"]),
 )
 """The mixture of the training data."""

@@ -14,8 +14,6 @@ from hydro_env.types import Floats
 
 Indices = NDArray[np.int64]
 
-UNDETERMINED = 0.7  # an unknown is undetermined if its standard deviation remains above this share of the prior's
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -61,10 +59,6 @@ class Estimate:
         """Lower and upper end, (B,) each, of the interval that covers the true value with probability ``coverage``."""
         reach = ndtri(0.5 + 0.5 * coverage) * self.deviation(name)
         return self.value(name) - reach, self.value(name) + reach
-
-    def undetermined(self, window: int) -> tuple[str, ...]:
-        """Unknowns that a window hardly determines: their standard deviation stays above 0.7 of the prior's."""
-        return tuple(np.array(self.names)[self.remaining[window] > UNDETERMINED].tolist())
 
     def widen(self, scaled: Floats, scale: Floats) -> None:
         """Add a difference of scaled values, (B, P), to the uncertainty; ``scale``: value per scaled value, (B, P)."""
