@@ -278,11 +278,10 @@ class Reading(NamedTuple):
 
     def replaced(self, chosen: NDArray[np.int64], other: Reading) -> Reading:
         """This reading with the windows ``chosen`` as another one reads them."""
-        copies: Any = (values.copy() for values in self)
-        result = Reading(*copies)
-        for values, new in zip(result, other, strict=True):
+        copies: list[Any] = [values.copy() for values in self]
+        for values, new in zip(copies, other, strict=True):
             values[chosen] = new
-        return result
+        return Reading(*copies)
 
     def among(self, chosen: NDArray[np.int64], count: int, why: Why) -> Reading:
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""
