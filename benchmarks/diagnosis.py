@@ -136,7 +136,7 @@ TABLES: dict[str, tuple[Axis, ...]] = {
     ),
     "handling": (
         *(
-            Axis(f"{motion}, {leak:g} l/min", 8, leak, task=MOTIONS[motion].change(TASK))
+            Axis(f"{motion}, {leak:g} l/min", 8, leak, task=MOTIONS[motion](TASK))
             for motion in ("standing still", "slow")
             for leak in (0.01, 0.1, 0.5)
         ),

@@ -101,7 +101,7 @@ def line(name: str, signals: Floats, config: TaskConfig, leak: Floats, threshold
     sized = holds & (sigma < 0.2 * value)  # the others say themselves that they cannot tell the size
     # A window that the model cannot explain although it could: the search stopped in a local minimum.
     beyond = holds & (error > 5.0 * sigma)
-    surely = holds & (found.probability_above(LEAKAGE, CONFIG.leakage.class_bounds[0]) > 0.99)
+    surely = holds & (found.interval(LEAKAGE, 0.98)[0] > CONFIG.leakage.class_bounds[0])
     numbers = [
         f"{_mean(ratio[sized] ** 2) ** 0.5:.4f}",
         f"{_median(error[holds]):.4f}",
@@ -109,7 +109,7 @@ def line(name: str, signals: Floats, config: TaskConfig, leak: Floats, threshold
         f"{100 * _mean((error <= 1.645 * sigma)[holds]):.1f}",
     ]
     shares = [f"{100 * chosen.mean():.1f}" for chosen in (holds & (value > threshold), ~holds, sized, beyond, surely)]
-    odd = Counter(unknown for window in range(len(leak)) for unknown in found.unlikely(window))
+    odd = Counter(np.array(found.names)[np.nonzero(np.abs(found.scaled) > 4.0)[1]].tolist())
     odd_ones = ", ".join(f"{unknown} in {number}" for unknown, number in odd.most_common(2)) or "–"
     return [name, *shares[:3], *numbers, *shares[3:], f"{cost:.2f}", odd_ones]
 
@@ -161,7 +161,7 @@ def rest(windows: int) -> None:
     """Axes that stand still or move slowly, each controller on plants of its own; windows begin 3 s after the start."""
     lines = []
     for place, (motion, controller, leak) in enumerate(REST):
-        task = MOTIONS[motion].change(TaskConfig(episode_duration=5.1))
+        task = MOTIONS[motion](TaskConfig(episode_duration=5.1))
         seeds = EVALUATION.take(windows, 42_000 + place * windows)
         truth = np.full(windows, leak) if leak else healthy_leaks(windows)
         signals = record(task, seeds, truth, controller=controller)[:, :, 600:1001]

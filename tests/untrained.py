@@ -9,4 +9,7 @@ def untrained_head(config: TaskConfig, width: int = 8) -> LeakageHead:
     """A head for windows of one to four episodes of the task."""
     tensors = tensors_like(width) | network_tensors(make_network(width))
     tensors["scale"][:] = tensors["widening"][:] = tensors["limit"][:] = 1.0
-    return LeakageHead(tensors, HeadSettings(config, config.steps, 4 * config.steps, 0.5, {}))
+    settings = HeadSettings(
+        task=config, window=config.steps, longest=4 * config.steps, threshold=0.5, width=width, training={}
+    )
+    return LeakageHead(tensors, settings)

@@ -17,7 +17,7 @@ from hydro_agents.evaluation.participants import (
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results, run
 from hydro_agents.evaluation.tracking import replay
-from hydro_agents.report.content import Content
+from hydro_agents.report.content import Content, interval
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.robustness import PAGE_FILE, ROBUSTNESS
 from hydro_agents.report.sections import render_page, sections_named
@@ -205,10 +205,10 @@ def evaluate_leak_protocol(file: Path, head: Path | None, options: Options) -> N
         """Share of windows that each detector reports under the base condition, by size of the leak."""
         found = content(results)
         levels = sorted(level for level in protocol.levels_in(protocol.base) if level != DRAWN)
-        rows = [
-            (name, *(number(found.share(name, protocol.base, level).value, 1) for level in levels))
-            for name in found.detectors
-        ]
+        rows = []
+        for name in found.detectors:
+            cells = [found.row("detection", detector=name, condition=protocol.base, level=level) for level in levels]
+            rows.append((name, *(number(interval(cell, "flagged", 100.0).value, 1) for cell in cells)))
         title = f"Windows reported as a leak, %: {found.label(protocol.base)}"
         return Table(title, ("detector", *map(level_text, levels)), rows)
 

@@ -28,7 +28,6 @@ from pydantic import Field
 
 from hydro_agents.detection.detector import Cause, Reading
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.types import Floats
 
@@ -56,13 +55,21 @@ class Scale(Group):
     shift: float = Field(ge=0.0, le=1e9, description="rise of the score by the design leak; 0: no evidence")
 
 
+class Scales(Group):
+    """The scale of each activity."""
+
+    standing: Scale
+    slow: Scale
+    moving: Scale
+
+
 class AlarmSettings(Group):
     """Settings of an alarm; ``hydro alarms`` computes them."""
 
     detector: str = Field("", description="the detector of the calibration")
     interval: float = Field(4.0, gt=0.0, le=3600.0, description="s; between looks")
     clip: float = Field(2.0, gt=0.0, le=1e6, description="largest contribution of one look: an outlier raises no alarm")
-    scales: dict[str, Scale] = Field(description="by activity: standing, slow, moving")
+    scales: Scales
     threshold: float = Field(1.0, gt=0.0, le=1e9, description="of the sum")
     false_alarms_per_100_h: float | None = Field(None, ge=0.0, description="rate that set the threshold")
 
@@ -80,15 +87,8 @@ class AlarmSettings(Group):
         write_yaml(path, self.model_dump(mode="json"))
 
     def table(self, field: str) -> Floats:
-        """One field of the scales, (activities,).
-
-        Raises:
-            ConfigurationError: an activity has no scale.
-        """
-        for activity in Activity:
-            if activity.name.lower() not in self.scales:
-                raise ConfigurationError(f"alarm: scales: hold no '{activity.name.lower()}'")
-        return np.array([getattr(self.scales[activity.name.lower()], field) for activity in Activity])
+        """One field of the scales, (activities,)."""
+        return np.array([getattr(getattr(self.scales, activity.name.lower()), field) for activity in Activity])
 
 
 class AlarmState(NamedTuple):

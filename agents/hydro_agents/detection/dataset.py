@@ -63,7 +63,6 @@ class Windows(NamedTuple):
     features: NDArray[np.float32]  # (N, F); with a law those of the rig at the end
     labels: NDArray[np.float32]  # (N, labels), 0 or 1
     size: NDArray[np.float64]  # (N,), internal leak, in the rig's unit of leaks
-    operation: NDArray[np.int64]  # (N,), index into OPERATIONS
     fault: NDArray[np.int64]  # (N,), index into FAULTS of the first fault, −1 for none
     leak: NDArray[np.int64]  # (N,), index into LEAKS
     noise: NDArray[np.float64]  # (N,), of the sensors, as a factor on the task's
@@ -205,9 +204,13 @@ class Plan:
             if settings.law is not None:
                 own = np.tile(rig_features(config), (len(values), 1))
                 values = np.concatenate([values, own], axis=1)
-            told = np.full(len(kept), chunk.row), fault[kept], np.full(len(kept), LEAKS.index(chunk.leak))
-            felt = moves.part(kept).felt(begins, size) if moves is not None else np.zeros(len(kept))
-            parts.append(Windows(values, labels[kept], leaks[kept], *told, np.full(len(kept), noise), felt))
+            told = fault[kept], np.full(len(kept), LEAKS.index(chunk.leak)), np.full(len(kept), noise)
+            felt = (
+                moves._replace(course=moves.course[kept]).felt(begins, size)
+                if moves is not None
+                else np.zeros(len(kept))
+            )
+            parts.append(Windows(values, labels[kept], leaks[kept], *told, felt))
         return Windows.joined(parts)
 
     def _leaks(self, generator: np.random.Generator, count: int, largest: float) -> NDArray[np.float64]:

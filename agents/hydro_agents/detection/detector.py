@@ -271,11 +271,6 @@ class Reading(NamedTuple):
         """The reason for no answer of each window in words; empty for an answer."""
         return [Why(why).word for why in self.why.tolist()]
 
-    def followed_by(self, other: Reading) -> Reading:
-        """The windows of this reading and then those of another one."""
-        both: Any = (np.concatenate(pair) for pair in zip(self, other, strict=True))
-        return Reading(*both)
-
     def part(self, chosen: NDArray[np.int64]) -> Reading:
         """Some of the windows."""
         some: Any = (values[chosen] for values in self)
@@ -283,11 +278,10 @@ class Reading(NamedTuple):
 
     def replaced(self, chosen: NDArray[np.int64], other: Reading) -> Reading:
         """This reading with the windows ``chosen`` as another one reads them."""
-        copies: Any = (values.copy() for values in self)
-        result = Reading(*copies)
-        for values, new in zip(result, other, strict=True):
+        copies: list[Any] = [values.copy() for values in self]
+        for values, new in zip(copies, other, strict=True):
             values[chosen] = new
-        return result
+        return Reading(*copies)
 
     def among(self, chosen: NDArray[np.int64], count: int, why: Why) -> Reading:
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""
@@ -319,7 +313,7 @@ class Detector(Protocol):
         ...
 
 
-def logit(probability: NDArray[Any]) -> Floats:
+def logit(probability: ArrayLike) -> Floats:
     """Logarithm of the odds, finite for 0 and 1."""
     inside = np.clip(np.asarray(probability, dtype=np.float64), 1e-15, 1.0 - 1e-15)
     return np.asarray(np.log(inside / (1.0 - inside)))

@@ -28,7 +28,6 @@ class DetectorChoice(Group):
         default_factory=dict,
         description="of an estimator: changed fields of its task, such as ranges; unknowns and priors follow from it",
     )
-    unknowns: tuple[str, ...] = Field((), description="of an estimator: in addition to its own")
     groups: tuple[str, ...] = Field((), description="of the conditions that it reads; default: all")
     windows: int = Field(1000, ge=1, le=100_000, description="windows per leak level")
     validation_windows: int = Field(
@@ -64,10 +63,10 @@ def make_detector(choice: DetectorChoice, head: HeadDetector | None = None) -> D
             raise ConfigurationError(f"'{choice.kind}': is no leak detector, it has no {', '.join(missing)}")
         return own
     if choice.kind == "estimator":
-        detector: Detector = imported(ESTIMATOR)(choice.task, choice.unknowns)
+        detector: Detector = imported(ESTIMATOR)(choice.task)
         return detector
     head = head or HeadDetector.load(choice.weights)
     if choice.kind == "two_stage":
-        both: Detector = imported(TWO_STAGE)(head, imported(ESTIMATOR)(choice.task, choice.unknowns, restarts=0))
+        both: Detector = imported(TWO_STAGE)(head, imported(ESTIMATOR)(choice.task, restarts=0))
         return both
     return head

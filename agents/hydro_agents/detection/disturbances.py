@@ -86,10 +86,6 @@ class Disturbances(NamedTuple):
         """Add the drift of the transducers to readings, (N, signals, T) in Pa, in place."""
         signals[:, PRESSURES] += self.course[:, (PRESSURE_A, PRESSURE_B)]
 
-    def part(self, chosen: NDArray[Any]) -> Disturbances:
-        """Those of some axes."""
-        return Disturbances(self.course[chosen], self.direct[chosen])
-
 
 def drawn(generator: np.random.Generator, kinds: NDArray[np.str_], steps: int, period: float) -> Disturbances:
     """Disturbances of axes, one kind each; ``steps`` control periods of ``period`` s."""

@@ -8,7 +8,6 @@ takes the same observations. A small network evaluates the flow balance of the w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -75,14 +74,16 @@ BESIDE_STUCK_SENSOR = {
 """The answer with a stuck sensor: the sensor is faulty, and the leak is unknown."""
 
 
-@dataclass(frozen=True)
-class HeadSettings:
-    """Settings of inference besides the weights."""
+class HeadSettings(Group):
+    """Settings of inference: what the JSON beside the weights holds, besides the names of signals and features."""
 
-    task: TaskConfig  # observations, and data sheet of the axis
-    window: int  # observations of the shortest window, which ``predict`` reads
-    longest: int  # observations
-    threshold: float  # probability at which a leak is flagged: 1 % false alarms on validation plants
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    task: TaskConfig = Field(description="observations, and data sheet of the axis")
+    window: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW, description="observations, as ``predict`` reads")
+    longest: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW, description="observations")
+    threshold: float = Field(ge=0.0, le=1.0, description="probability of a leak: 1 % false alarms in validation")
+    width: int = Field(ge=2, le=LARGEST_WIDTH, description="of the network")
     training: dict[str, Any]
 
     @property
@@ -97,12 +98,24 @@ class HeadSettings:
         return ObservationLayout.of(self.task)
 
 
-def lacks_sensors(absent: Sequence[str]) -> str:
-    """The refusal of a rig without some sensors."""
-    return (
-        f"leakage head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the leak "
-        "without it"
-    )
+class _StoredHead(HeadSettings):
+    """The JSON beside the weights of a head."""
+
+    signals: tuple[str, ...]
+    features: tuple[str, ...]
+
+
+def check_sensors(config: TaskConfig, needed: Sequence[str] = SENSORS) -> None:
+    """Check that a rig has the sensors that a head needs.
+
+    Raises:
+        ConfigurationError: it lacks one.
+    """
+    if absent := [name for name in needed if not getattr(config.sensors, name).fitted]:
+        raise ConfigurationError(
+            f"leakage head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the leak "
+            "without it"
+        )
 
 
 class HeadState(NamedTuple):
@@ -111,21 +124,6 @@ class HeadState(NamedTuple):
     history: tuple[NDArray[np.float32], ...]  # measured columns (N, C), at most a window of them, newest last
     seen: NDArray[np.int64]  # observations since the start of each axis's episode, (N,)
     answer: NDArray[np.float64]  # the last estimate, (N, fields of LeakageEstimate)
-
-
-class _StoredHead(Group):
-    """The JSON beside the weights of a head."""
-
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
-
-    task: TaskConfig
-    signals: tuple[str, ...]
-    features: tuple[str, ...]
-    window: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW)
-    longest: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW)
-    threshold: float = Field(ge=0.0, le=1.0)
-    width: int = Field(ge=2, le=LARGEST_WIDTH)
-    training: dict[str, Any]
 
 
 def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, NDArray[np.float32]]:
@@ -212,12 +210,12 @@ class LeakageHead:
         """
         if not self.for_any_axis:
             raise ConfigurationError("moved_to: must be a leakage head for any axis")
-        if absent := [name for name in SENSORS if name != SENSORS[SPOOL] and not getattr(config.sensors, name).fitted]:
-            raise ConfigurationError(lacks_sensors(absent))
+        check_sensors(config, SENSORS[:SPOOL])
         times = self.settings.task.control_period / config.control_period
         sizes = self.settings.window, self.settings.longest
         window, longest = (max(round(size * times), SHORTEST_WINDOW) for size in sizes)
-        return LeakageHead(self.tensors, replace(self.settings, task=config, window=window, longest=longest))
+        changes = {"task": config, "window": window, "longest": longest}
+        return LeakageHead(self.tensors, self.settings.model_copy(update=changes))
 
     def predict(
         self,
@@ -233,36 +231,20 @@ class LeakageHead:
         """
         del deterministic
         batch, single = as_batch(observation)
-        state = self.remember(batch, state, episode_start)
-        late = state.seen - self.settings.window
-        answer = self._answers(state, (late >= 0) & (late % self.interval == 0), state.answer)
-        return (answer[0] if single else answer), state._replace(answer=answer)
-
-    def remember(
-        self, observation: Observation, state: HeadState | None, episode_start: NDArray[np.bool_] | None = None
-    ) -> HeadState:
-        """Add observations (N, n) to the memory without reading an estimate."""
         if state is None:
-            nothing = np.full((len(observation), len(LeakageEstimate._fields)), np.nan)
-            state = HeadState((), np.zeros(len(observation), dtype=np.int64), nothing)
-        history, seen, answer = state
-        if episode_start is not None and np.any(episode_start):
-            seen = np.where(episode_start, 0, seen)
-            answer = np.where(np.asarray(episode_start)[:, None], np.nan, answer)
-        measured = np.asarray(observation[:, self.columns], dtype=np.float32)
-        return HeadState((*history, measured)[-self.settings.window :], seen + 1, answer)
-
-    def estimate_remembered(self, state: HeadState) -> LeakageEstimate:
-        """Estimate from the stored windows (N,); NaN for an incomplete window."""
-        return LeakageEstimate(*self._answers(state, state.seen >= self.settings.window, np.nan).T)
-
-    def _answers(self, state: HeadState, due: NDArray[np.bool_], other: Any) -> NDArray[np.float64]:
-        """New estimates (N, 9) of the axes that are ``due``, and the ``other`` ones."""
-        answer = np.full((len(due), len(LeakageEstimate._fields)), other, dtype=np.float64)
+            nothing = np.full((len(batch), len(LeakageEstimate._fields)), np.nan)
+            state = HeadState((), np.zeros(len(batch), dtype=np.int64), nothing)
+        seen, answer = state.seen + 1, state.answer.copy()
+        if episode_start is not None:
+            seen[episode_start], answer[episode_start] = 1, np.nan
+        measured = np.asarray(batch[:, self.columns], dtype=np.float32)
+        history = (*state.history, measured)[-self.settings.window :]
+        late = seen - self.settings.window
+        due = (late >= 0) & (late % self.interval == 0)
         if due.any():
-            seen = np.stack(state.history)[:, due].transpose(1, 2, 0)
-            answer[due] = np.column_stack(self.estimate_windows(self._measured.si(seen)))
-        return answer
+            window = np.stack(history)[:, due].transpose(1, 2, 0)
+            answer[due] = np.column_stack(self.estimate_windows(self._measured.si(window)))
+        return (answer[0] if single else answer), HeadState(history, seen, answer)
 
     def estimate_windows(self, signals: NDArray[Any]) -> LeakageEstimate:
         """Estimate from SIGNALS, (N, 5, T), in SI units; NaN where a sample is lost or a sensor absent.
@@ -322,36 +304,24 @@ class LeakageHead:
             "task": self.settings.task.model_dump(mode="json"),
             "signals": list(SIGNALS),
             "features": [*FEATURES, *(RIG_FEATURES if self.for_any_axis else ())],
-            "window": self.settings.window,
-            "longest": self.settings.longest,
-            "threshold": self.settings.threshold,
-            "width": len(self.tensors["bias_0"]),
-            "training": self.settings.training,
         }
-        return save_weights(path, KIND, self.tensors, settings)
+        others = self.settings.model_dump(mode="json", exclude=set(settings))
+        return save_weights(path, KIND, self.tensors, settings | others)
 
     @classmethod
     def load(cls, path: str | Path) -> LeakageHead:
         """Read what ``save`` wrote.
 
         Raises:
-            ConfigurationError: missing, damaged or foreign files, or weights of the first version.
+            ConfigurationError: missing, damaged or foreign files.
         """
         tensors, settings = load_weights(path, KIND)
-        if "features" not in settings:
-            raise ConfigurationError(f"{path}: was made by an earlier version; train it again: hydro train head")
         stored = validate(_StoredHead, settings, str(path))
-        described = HeadSettings(stored.task, stored.window, stored.longest, stored.threshold, stored.training)
-        known = FEATURES if described.law is None else FEATURES + RIG_FEATURES
+        known = FEATURES if stored.law is None else FEATURES + RIG_FEATURES
         if stored.signals != SIGNALS or stored.features != known:
             raise ConfigurationError(f"{path}: was trained on other signals or features than this version reads")
         if stored.longest < stored.window:
             raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")
-        if np.shape(tensors.get("bias_0", 0.0)) != (stored.width,):  # checked before arrays of that width take memory
-            raise ConfigurationError(f"{path}: width = {stored.width}: its tensors belong to another network")
         like = tensors_like(stored.width, len(known))
         require(tensors, like, path)
-        try:
-            return cls({name: tensors[name] for name in like}, described)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{path}: {error}") from None
+        return cls({name: tensors[name] for name in like}, stored)

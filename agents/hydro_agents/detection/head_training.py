@@ -118,7 +118,7 @@ def train_head(
         job.tensors(), config, settings.longest_window(config), Windows.joined(job.parts["validation"]), record
     )
     if not resume:  # the time of the runs before is unknown
-        record["seconds"] = round(time.monotonic() - began, 1)
+        head.settings.training["seconds"] = round(time.monotonic() - began, 1)
     return head
 
 
@@ -272,7 +272,9 @@ def calibrated(
     """
     windows = windows.part(windows.disturbance == 0.0)
     inputs = standardised(windows.features, tensors["mean"], tensors["scale"])
-    plain = HeadSettings(config, config.steps, longest, 0.5, record)
+    plain = HeadSettings(
+        task=config, window=config.steps, longest=longest, threshold=0.5, width=len(tensors["bias_0"]), training=record
+    )
     output = LeakageHead(tensors, plain).outputs(inputs)
     strange = np.column_stack([np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), output[:, OUTSIDE]])
     tensors["limit"] = np.quantile(strange, 1.0 - OUTSIDE_RATE, axis=0).astype(np.float32)
@@ -294,4 +296,4 @@ def calibrated(
     group = groups(found, windows.features[:, CHANGE], tensors["widths"], float(tensors["changing"][0]))
     for number in range(GROUPS):
         tensors["widening"][number] = distances(found, size, group == number)
-    return LeakageHead(tensors, HeadSettings(config, config.steps, longest, threshold, record))
+    return LeakageHead(tensors, plain.model_copy(update={"threshold": threshold}))

@@ -20,7 +20,6 @@ HEAD_FILE = "leakage_head"
 OTHER_CAUSES = tuple(cause for cause in Cause if Cause.INTERNAL_LEAK < cause < Cause.UNKNOWN)
 """Causes that the head names besides a leak past the piston."""
 
-
 _OTHER_LABELS = [cause.word.replace(" ", "_") for cause in OTHER_CAUSES]
 
 
@@ -37,7 +36,7 @@ class HeadDetector:
     def __init__(self, head: LeakageHead, elsewhere: Path | None = None) -> None:
         self.head, self._elsewhere = head, elsewhere
         self._moved: tuple[TaskConfig, LeakageHead] | None = None
-        self.threshold: float | None = _logit(head.settings.threshold)
+        self.threshold: float | None = float(logit(head.settings.threshold))
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> HeadDetector:
@@ -94,7 +93,7 @@ class HeadDetector:
         thresholds = logit(head.tensors["thresholds"])[[LABELS.index(name) for name in _OTHER_LABELS]]
         excess: Any = logit(np.column_stack([getattr(found, name) for name in _OTHER_LABELS])) - thresholds
         named = np.where(excess.max(axis=1) > 0.0, np.array(OTHER_CAUSES)[excess.argmax(axis=1)], Cause.NONE)
-        evidence = logit(found.probability) + _logit(self.head.settings.threshold) - _logit(head.settings.threshold)
+        evidence = logit(found.probability) + logit(self.head.settings.threshold) - logit(head.settings.threshold)
         return Reading.of(
             np.where(stuck, np.nan, evidence),
             np.where(stuck, Cause.SENSOR, np.where(outside, Cause.UNKNOWN, named)),
@@ -108,10 +107,6 @@ class HeadDetector:
             ],
             why=np.where(outside, Why.OUTSIDE, Why.ANSWERED),
         )
-
-
-def _logit(probability: float) -> float:
-    return float(logit(np.array([probability]))[0])
 
 
 def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:

@@ -189,13 +189,6 @@ class Acting(NamedTuple):
     trained: bool  # whether it is part of the leakage head's training
 
 
-class Motion(NamedTuple):
-    """The motion of the axes: a change of the task."""
-
-    change: Change
-    label: str
-
-
 def ordinary(config: TaskConfig) -> TaskConfig:
     """The task as it is."""
     return config
@@ -239,38 +232,35 @@ ACTING: dict[str, Acting] = {
 }
 """Controllers of the axes, by name."""
 
-ACTING["PPO"] = ACTING["PPO on flow linearisation"]  # the name in files of version 0.2
-
-MOTIONS: dict[str, Motion] = {
-    "ordinary": Motion(ordinary, "all kinds of reference"),
-    "slow": Motion(slow, "references 12 times slower"),
-    "standing still": Motion(at_rest, "a place that is held"),
-    "changing loads": Motion(loaded, "changing external forces"),
+MOTIONS: dict[str, Change] = {
+    "ordinary": ordinary,  # all kinds of reference
+    "slow": slow,
+    "standing still": at_rest,
+    "changing loads": loaded,
 }
-"""Motions of the axes, by name."""
+"""Motions of the axes, changes of the task, by name."""
 
 
 class Row(NamedTuple):
     """A part of the training data: its share, the task of the axes, and their manner of operation."""
 
-    name: str
     share: float
     task: Change
     manner: Manner | None  # None: the controllers of the study
 
 
 OPERATIONS = (
-    Row("controllers", 0.23, ordinary, None),
-    Row("controllers, slow references", 0.08, slow, None),
-    Row("controllers, standing still", 0.11, at_rest, None),
-    Row("controllers, changing loads", 0.06, loaded, None),
-    Row("proportional", 0.08, ordinary, MANNERS["proportional"]),
-    Row("proportional, standing still", 0.07, at_rest, MANNERS["proportional"]),
-    Row("by hand", 0.10, ordinary, MANNERS["by hand"]),
-    Row("chattering", 0.08, ordinary, MANNERS["chattering"]),
-    Row("chattering, standing still", 0.03, at_rest, MANNERS["chattering"]),
-    Row("dithering", 0.05, ordinary, MANNERS["dithering"]),
-    Row("dithering, standing still", 0.03, at_rest, MANNERS["dithering"]),
-    Row("open loop", 0.08, ordinary, MANNERS["open loop"]),
+    Row(0.23, ordinary, None),
+    Row(0.08, slow, None),
+    Row(0.11, at_rest, None),
+    Row(0.06, loaded, None),
+    Row(0.08, ordinary, MANNERS["proportional"]),
+    Row(0.07, at_rest, MANNERS["proportional"]),
+    Row(0.10, ordinary, MANNERS["by hand"]),
+    Row(0.08, ordinary, MANNERS["chattering"]),
+    Row(0.03, at_rest, MANNERS["chattering"]),
+    Row(0.05, ordinary, MANNERS["dithering"]),
+    Row(0.03, at_rest, MANNERS["dithering"]),
+    Row(0.08, ordinary, MANNERS["open loop"]),
 )
 """The mixture of the training data."""

@@ -6,13 +6,12 @@ import math
 
 from pydantic import ConfigDict, Field
 
-from hydro_agents.detection.head import LARGEST_WIDTH, SHORTEST_WINDOW, lacks_sensors
+from hydro_agents.detection.head import LARGEST_WIDTH, SHORTEST_WINDOW, check_sensors
 from hydro_agents.running.seeds import THRESHOLDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT
 from hydro_env.task.law import RigLaw
-from hydro_env.task.sensors import SENSORS
 
 RISE = 0.05  # part of the training during which the learning rate rises
 
@@ -54,9 +53,7 @@ class HeadTrainingSettings(Group):
             ConfigurationError: a bound lies on the wrong side of the task's bound, an episode is too short, or the rig
                 lacks a sensor.
         """
-        absent = [name for name in SENSORS if not getattr(config.sensors, name).fitted]
-        if absent:
-            raise ConfigurationError(lacks_sensors(absent))
+        check_sensors(config)
         if config.steps < SHORTEST_WINDOW:
             raise ConfigurationError(
                 f"leakage_head: an episode of {config.steps} control periods is its shortest window: must have at "

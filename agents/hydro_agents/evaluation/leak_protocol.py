@@ -96,7 +96,7 @@ class LeakProtocol(Protocol[LeakCondition]):
             ConfigurationError: the changed task is impossible.
         """
         condition = self.conditions[name]
-        task = MOTIONS[condition.motion].change(condition.task_on(self.task, f"conditions.{name}"))
+        task = MOTIONS[condition.motion](condition.task_on(self.task, f"conditions.{name}"))
         runs = 1.0 if condition.begins == "at rest" else 3.0
         return task_config(task, episode_duration=runs * condition.duration)
 

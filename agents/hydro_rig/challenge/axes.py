@@ -257,7 +257,7 @@ def _run(
         sensors[name]["noise"] *= crew.noise
     leakage = config.leakage.model_dump() | {"schedule": crew.schedule, "start_range": (0.1, 0.7)}
     task = task_config(config, episode_duration=DURATION, leakage=leakage, sensors=sensors)
-    task = MOTIONS[crew.motion].change(task)
+    task = MOTIONS[crew.motion](task)
     bound = config.leakage.class_bounds[0]
     shares = np.where(states[:, None] == _LEAKS, LEAKS, HEALTHY)
     flow = np.minimum(bound * np.exp(generator.uniform(*np.log(shares).T)), LEAKAGE_LIMIT)

@@ -256,8 +256,7 @@ def read_windows(
         later = None if progress is None else lambda done: progress(2 * len(first) + done)
         rest, more = detector.read_and_fit(windows.part(others), config, later)
         fitted = fitted if more is None else join([fitted, more])
-    order = np.argsort(np.concatenate([first, others]))
-    return reading.followed_by(rest).part(order), fitted
+    return reading.among(first, len(windows), Why.NOT_READ).replaced(others, rest), fitted
 
 
 def _about_auxiliary(recording: Recording) -> list[Finding]:

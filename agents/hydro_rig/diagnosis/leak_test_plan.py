@@ -220,9 +220,8 @@ def simulated(
 
 def _true_course(task: TaskConfig, windows: KnownWindows) -> tuple[Floats, Floats]:
     """Position (plants, T) and pressures (plants, 2, T) of simulated axes, without noise."""
-    count, _, samples = windows.signals.shape
-    commands = Commands(windows.signals[:, COMMAND], np.full((count, samples - 1), task.control_period))
-    read = replay(task, commands, np.arange(count), windows.physical, windows.start, windows.latency)
+    commands, rows = Commands(windows.signals[:, COMMAND]), np.arange(len(windows.signals))
+    read = replay(task, commands, rows, windows.physical, windows.start, windows.latency)
     return read[:, POSITION], read[:, [PRESSURE_A, PRESSURE_B]]
 
 

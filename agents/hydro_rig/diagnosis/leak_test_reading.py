@@ -262,7 +262,7 @@ def quick_fit(
     report("windows", len(chosen), len(chosen))
     problem = replayed(windows, config, priors)
     model, (shared, _) = problem.model, shared_and_own(problem.model)
-    guess = model.scaled(first_values(windows.signals, model.commands.durations, config, priors))
+    guess = model.scaled(first_values(windows.signals, config, priors))
     trials = trials_of(guess, shared, alone.scaled[:, shared])
     progress = partial(report, "common fit")
     first = trials[int(np.argmin(costs_of(problem, trials)))]

@@ -26,7 +26,6 @@ def estimate(
     unknowns: Sequence[str] | None = None,
     *,
     priors: Mapping[str, Prior] | None = None,
-    durations: Floats | None = None,
     physical: Floats | None = None,
     first: Mapping[str, Floats | float] | None = None,
     settings: EstimationSettings | None = None,
@@ -42,7 +41,6 @@ def estimate(
         config: the task: the rig, its ranges, its sensors.
         unknowns: names (:mod:`hydro_rig.estimation.unknowns`); ``None``: all that an episode draws, and the start.
         priors: priors that replace those of the task, by name.
-        durations: from each sample to the next, (T − 1,) or (B, T − 1), s; ``None``: the control period.
         physical: known parameters of each window, (B, parameters); ``None``: those of the task's plant.
         first: initial values by name, each (B,) or a number; ``None``: guessed from the signals.
         settings: of the search.
@@ -51,7 +49,7 @@ def estimate(
         boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
 
     Raises:
-        ConfigurationError: a shape, a command, a duration or a name is wrong.
+        ConfigurationError: a shape, a command or a name is wrong.
 
     Example:
         >>> import numpy as np
@@ -69,8 +67,8 @@ def estimate(
     """
     windows = checked_signals(signals)
     known = priors_of(config, unknowns, priors)
-    model = Model(config, known, windows[:, -1], durations, physical, None, threads, boundary)
-    guess = first_values(windows, model.commands.durations, config, known)
+    model = Model(config, known, windows[:, -1], physical, None, threads, boundary)
+    guess = first_values(windows, config, known)
     for name, values in (first or {}).items():
         if name not in known:
             raise ConfigurationError(f"first: '{name}' is not among the unknowns")

@@ -87,7 +87,6 @@ class EstimatorDetector:
 
     Args:
         changes: of the task that gives unknowns and priors.
-        unknowns: additional names (:mod:`hydro_rig.estimation.unknowns`).
         threads: worker threads; ``None`` takes one per core.
         restarts: further searches for windows that the model does not explain.
     """
@@ -97,11 +96,10 @@ class EstimatorDetector:
     def __init__(
         self,
         changes: Mapping[str, Any] | None = None,
-        unknowns: tuple[str, ...] = (),
         threads: int | None = 1,
         restarts: int = EstimationSettings().restarts,
     ) -> None:
-        self.changes, self.unknowns, self.threads = dict(changes or {}), unknowns, threads
+        self.changes, self.threads = dict(changes or {}), threads
         self.settings = EstimationSettings(restarts=restarts)
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
@@ -130,7 +128,7 @@ class EstimatorDetector:
         if not len(chosen):
             return Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS), None
         used, expected = windows.part(chosen), task_config(task, **self.changes)
-        names, wear = (*default_unknowns(expected), *self.unknowns), wear_priors(expected)
+        names, wear = default_unknowns(expected), wear_priors(expected)
         worn = self._estimate(used, expected, (*names, *wear), wear, progress=progress)
         moves = self._with_moving_supply(used, expected, worn)
         excess = _excess(worn, task)

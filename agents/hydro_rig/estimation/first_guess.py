@@ -10,29 +10,30 @@ from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS, SPOOL
 from hydro_env.types import Floats
+from hydro_rig.estimation.replay import times
 from hydro_rig.estimation.unknowns import STARTS, Prior
 
 _FIRST_SAMPLES = 6  # number of samples for the straight line that gives each start value
 
 
-def first_values(signals: Floats, durations: Floats, config: TaskConfig, priors: Mapping[str, Prior]) -> Floats:
+def first_values(signals: Floats, config: TaskConfig, priors: Mapping[str, Prior]) -> Floats:
     """First values (B, P) of the unknowns of B windows; the prior's mean where the signals give no information.
 
     Args:
         signals: (B, channels + 1, T), NaN where a reading is missing.
-        durations: (B, T − 1), s.
         config: the task.
         priors: the unknowns by name.
     """
     if config.sensors.differential_pressure:
         signals = _two_pressures(signals, config)
-    value, slope = _starts(signals[:, : len(SENSORS)], durations)
+    time = times(signals.shape[2], config)
+    value, slope = _starts(signals[:, : len(SENSORS)], time)
     seen = {f"start.{channel}": value[:, row] for row, channel in enumerate(SENSORS)}
     seen["start.velocity"] = slope[:, POSITION]
     spool = value[:, SPOOL]  # without a spool sensor, the spool equals its command
     seen["start.spool_position"] = np.where(np.isnan(spool), signals[:, -1, 0], spool)
     seen["supply.pressure"] = seen["start.supply_pressure"] = supply_pressure(signals, config)
-    stiffness, force = _spring_and_force(signals, durations, config, "load.external_force" in priors)
+    stiffness, force = _spring_and_force(signals, time, config, "load.external_force" in priors)
     seen["load.spring_stiffness"], seen["load.external_force"] = stiffness, force
     first = np.tile([prior.mean for prior in priors.values()], (len(signals), 1))
     for column, (name, prior) in zip(first.T, priors.items(), strict=True):
@@ -57,10 +58,9 @@ def _near(values: Floats, prior: Prior) -> Floats:
     return np.clip(values, prior.mean - 3.0 * prior.deviation, prior.mean + 3.0 * prior.deviation)
 
 
-def _starts(signals: Floats, durations: Floats) -> tuple[Floats, Floats]:
+def _starts(signals: Floats, time: Floats) -> tuple[Floats, Floats]:
     """Value and slope of each channel at the first sample, (B, channels) each, from a line through a few samples."""
-    time = np.concatenate([np.zeros((len(signals), 1)), np.cumsum(durations, axis=1)], axis=1)[:, None, :_FIRST_SAMPLES]
-    near = signals[:, :, :_FIRST_SAMPLES]
+    time, near = time[:_FIRST_SAMPLES], signals[:, :, :_FIRST_SAMPLES]
     weight = np.isfinite(near) * np.ones_like(near)
     reading = np.nan_to_num(near)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -84,9 +84,7 @@ def supply_pressure(signals: Floats, config: TaskConfig) -> Floats:
     return result - config.plant.supply.tank_pressure
 
 
-def _spring_and_force(
-    signals: Floats, durations: Floats, config: TaskConfig, with_force: bool
-) -> tuple[Floats, Floats]:
+def _spring_and_force(signals: Floats, time: Floats, config: TaskConfig, with_force: bool) -> tuple[Floats, Floats]:
     """Spring stiffness (N/m) and external force (N), (B,) each, by least squares on the balance of forces.
 
     p_a A_a − p_b A_b = k x + F + (friction with the sign of the speed) + c v + m dv/dt.
@@ -94,7 +92,6 @@ def _spring_and_force(
     c = plant_coefficients(config.plant)
     stiffness, force = np.full(len(signals), np.nan), np.full(len(signals), np.nan)
     for window, (position, pressure_a, pressure_b, *_) in enumerate(signals):
-        time = np.concatenate([[0.0], np.cumsum(durations[window])])
         load = pressure_a * c.area_a - pressure_b * c.area_b
         known = np.isfinite(position) & np.isfinite(load)
         if known.sum() < 20:

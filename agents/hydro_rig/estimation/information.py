@@ -92,7 +92,7 @@ def true_model(
 ) -> tuple[Model, Floats]:
     """The model of known windows with a strict integrator, and the true scaled unknowns (B, P)."""
     strict = task_config(config, tolerance=min(config.tolerance, TOLERANCE))
-    model = Model(strict, priors, windows.signals[:, -1], None, windows.physical, windows.start, threads)
+    model = Model(strict, priors, windows.signals[:, -1], windows.physical, windows.start, threads)
     return model, model.scaled(np.stack([windows.value(name) for name in priors], axis=1))
 
 

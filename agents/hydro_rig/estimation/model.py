@@ -14,7 +14,7 @@ from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
-from hydro_rig.estimation.replay import RISE, Commands, replay
+from hydro_rig.estimation.replay import RISE, Commands, replay, times
 from hydro_rig.estimation.unknowns import (
     BIASES,
     COURSE,
@@ -46,8 +46,6 @@ MOST_LATE = 3.0  # largest latency, and largest lead, of an unknown latency, con
 LARGEST_CHANGE = 1e6
 """Largest change of a reading by a step, over its noise; beyond it the integration of the moved plant has diverged."""
 
-LONGEST_INTERVAL = 10.0  # s; a longer gap between two samples must be a mistake
-
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
 _SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
 _NULL = PARAMETER_PATHS.index("valve.null_shift")
@@ -74,7 +72,6 @@ class Model:
         config: the task; its plant gives the known parameters, its sensors give noise and lag.
         priors: the unknowns and their priors, by name.
         commands: recorded commands (B, T); column k acts until one latency after sample k.
-        durations: from each sample to the next, (T − 1,) or (B, T − 1), s; ``None``: the control period.
         physical: known parameters, (B, parameters) in the order of ``PARAMETER_PATHS``; ``None``: those of the task's
             plant.
         start: known start states, (B, N_STATES). NaN as coil current means the current of the first command, NaN as gas
@@ -92,7 +89,6 @@ class Model:
         config: TaskConfig,
         priors: Mapping[str, Prior],
         commands: Floats,
-        durations: Floats | None = None,
         physical: Floats | None = None,
         start: Floats | None = None,
         threads: int | None = None,
@@ -107,19 +103,11 @@ class Model:
             raise ConfigurationError(
                 f"commands: window {window}, sample {sample} = {command[window, sample]:g}: must be within -1 to 1"
             )
-        steps = np.full(samples - 1, config.control_period) if durations is None else np.asarray(durations, float)
-        if steps.shape not in ((samples - 1,), (count, samples - 1)):
-            raise ConfigurationError(
-                f"durations: shape {steps.shape}: must be ({samples - 1},) or ({count}, {samples - 1})"
-            )
-        odd = steps[~((steps > 0.0) & (steps <= LONGEST_INTERVAL))]
-        if len(odd):
-            raise ConfigurationError(f"durations: {odd[0]:g} s: must be above 0 and at most {LONGEST_INTERVAL:g} s")
         if boundary is not None and np.shape(boundary) != (count, 2, samples):
             raise ConfigurationError(
                 f"boundary: shape {np.shape(boundary)}: must be ({count}, 2, {samples}), supply and tank"
             )
-        self.commands = Commands(command, np.array(np.broadcast_to(steps, (count, samples - 1))), boundary)
+        self.commands = Commands(command, boundary)
         own = to_vector(config.plant) if physical is None else np.asarray(physical, dtype=np.float64)
         self._physical = np.array(np.broadcast_to(own, (count, len(PARAMETER_PATHS))))
         resting = np.zeros(N_STATES)
@@ -199,7 +187,7 @@ class Model:
         drift: Floats | float = 0.0
         for name, value in zip(self.names, self.values(scaled).T, strict=True):
             if name.startswith(COURSE):
-                time = np.pad(np.cumsum(commands.durations[window], axis=1), ((0, 0), (1, 0)))
+                time = times(commands.command.shape[1], self.config)
                 rise = value[:, None] * np.clip(time / KNOTS - int(name.removeprefix(COURSE)) + 1, 0.0, 1.0)
                 course = rise if course is None else course + rise
             elif name == LEAKAGE:

@@ -60,24 +60,22 @@ class Commands(NamedTuple):
     """The commands of B recorded windows of T samples; see docs/estimation.md for the format."""
 
     command: Floats  # (B, T), −1 to 1; column k acts until one latency after sample k
-    durations: Floats  # (B, T − 1), s, from each sample to the next
     boundary: Floats | None = None  # (B, 2, T), recorded supply and tank pressure, Pa; NaN, None: those of the plant
 
     def beginning(self, samples: int) -> Commands:
         """The first samples."""
         boundary = None if self.boundary is None else self.boundary[:, :, :samples]
-        return Commands(self.command[:, :samples], self.durations[:, : samples - 1], boundary)
+        return Commands(self.command[:, :samples], boundary)
 
     def part(self, windows: NDArray[np.int64]) -> Commands:
         """Some of the windows."""
         boundary = None if self.boundary is None else self.boundary[windows]
-        return Commands(self.command[windows], self.durations[windows], boundary)
+        return Commands(self.command[windows], boundary)
 
 
-def time_constant(config: TaskConfig) -> float:
-    """Time constant in s of the pressure transducers; 0 for exact sensors."""
-    settings = settings_of(config)[0]
-    return float(settings["pressure_lag"] * config.control_period)
+def times(samples: int, config: TaskConfig) -> Floats:
+    """Time of each sample, (samples,), s, from the first one on."""
+    return np.pad(np.cumsum(np.full(samples - 1, config.control_period)), (1, 0))
 
 
 def replay(
@@ -111,15 +109,15 @@ def replay(
     rows, samples = len(window), commands.command.shape[1]
     readings = np.full((rows, len(SENSORS), samples), np.nan)
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
-    boundary = commands.boundary
+    boundary, usual = commands.boundary, float(settings_of(config)[0]["pressure_lag"] * config.control_period)
     arguments: tuple[Any, ...] = (
         commands.command,
-        commands.durations,
+        config.control_period,
         np.full((len(commands.command), 2, samples), np.nan) if boundary is None else np.ascontiguousarray(boundary),
         window,
         physical,
         latency,
-        np.full(rows, time_constant(config)) if lag is None else np.asarray(lag, dtype=np.float64),
+        np.full(rows, usual) if lag is None else np.asarray(lag, dtype=np.float64),
         np.zeros((rows, samples)) if course is None else course,
         accuracy,
         np.array(start, dtype=np.float64),
@@ -138,7 +136,7 @@ def replay(
 def _build(sources: int) -> Any:
     def run(
         command: Floats,
-        durations: Floats,
+        duration: float,
         boundary: Floats,
         window: Any,
         physical: Floats,
@@ -184,7 +182,6 @@ def _build(sources: int) -> Any:
         for sample in range(1, samples):
             for row in range(rows):
                 source = window[first + row]
-                duration = durations[source, sample - 1]
                 late = math.floor(latency[first + row] / duration)  # whole samples
                 interval[row, 0] = latency[first + row] - late * duration
                 interval[row, 1] = duration - interval[row, 0]
@@ -206,7 +203,7 @@ def _build(sources: int) -> Any:
             for row in range(rows):
                 if peaks[row, STEPS] > accuracy.most_steps:
                     states[row, :] = np.nan
-                duration, time_constant = durations[window[first + row], sample - 1], time_constants[first + row]
+                time_constant = time_constants[first + row]
                 lag = Lag(time_constant / duration, math.exp(-duration / time_constant) if time_constant > 0.0 else 0.0)
                 s = read_state(states[row])
                 sensed[row, 0] = lagged(sensed[row, 0], true[row, 0], s.pressure_a, lag)

@@ -7,15 +7,12 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 
 Indices = NDArray[np.int64]
-
-UNLIKELY = 4.0  # standard deviations of the prior beyond which a value contradicts it
-UNDETERMINED = 0.7  # an unknown is undetermined if its standard deviation remains above this share of the prior's
 
 
 @dataclass(frozen=True)
@@ -62,18 +59,6 @@ class Estimate:
         """Lower and upper end, (B,) each, of the interval that covers the true value with probability ``coverage``."""
         reach = ndtri(0.5 + 0.5 * coverage) * self.deviation(name)
         return self.value(name) - reach, self.value(name) + reach
-
-    def probability_above(self, name: str, limit: float) -> Floats:
-        """Probability, (B,), that an unknown is above a limit."""
-        return np.asarray(ndtr((self.value(name) - limit) / self.deviation(name)))
-
-    def undetermined(self, window: int) -> tuple[str, ...]:
-        """Unknowns that a window hardly determines: their standard deviation stays above 0.7 of the prior's."""
-        return tuple(np.array(self.names)[self.remaining[window] > UNDETERMINED].tolist())
-
-    def unlikely(self, window: int) -> tuple[str, ...]:
-        """Unknowns whose value lies more than 4 standard deviations from the prior's mean."""
-        return tuple(np.array(self.names)[np.abs(self.scaled[window]) > UNLIKELY].tolist())
 
     def widen(self, scaled: Floats, scale: Floats) -> None:
         """Add a difference of scaled values, (B, P), to the uncertainty; ``scale``: value per scaled value, (B, P)."""

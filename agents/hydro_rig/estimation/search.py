@@ -151,7 +151,7 @@ def _descend(problem: Problem, first: Floats, settings: EstimationSettings, sear
 def _approach(problem: Problem, first: Floats, settings: EstimationSettings) -> Floats:
     """Fit short and then longer beginnings of the windows roughly; returns the scaled unknowns, (B, P)."""
     scaled, whole = first, problem.model.samples
-    interval = float(np.median(problem.model.commands.durations))
+    interval = problem.model.config.control_period
     lengths = [max(round(length / interval), SHORTEST_FIT) for length in settings.horizons]
     lengths = [samples for samples in lengths if samples < 0.8 * whole]
     for samples in [*lengths, whole] if settings.horizons else []:

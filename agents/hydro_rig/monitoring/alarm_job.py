@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.stats import norm
 
-from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm, Scale
+from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm, Scale, Scales
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.running.seeds import ALARM_CALIBRATION, ALARMS, SeedRange
 from hydro_agents.running.statistics import Interval, mean_interval, share_interval
@@ -226,7 +226,7 @@ def calibrate(
     for activity, (size, leaking) in designs.items():
         scales[activity.name.lower()] = scale_of(healthy, leaking, activity, learning, (healthy_bound, size))
     interval = round(healthy.interval, 6)
-    settings = AlarmSettings(detector=detector, interval=interval, scales=scales, false_alarms_per_100_h=rate)
+    settings = AlarmSettings(detector=detector, interval=interval, scales=Scales(**scales), false_alarms_per_100_h=rate)
     if not settings.table("shift").any():
         raise ConfigurationError(f"alarms: the score of '{detector}' does not rise with the leak in any activity")
     per_axis, hours = healthy_peaks(settings, healthy)

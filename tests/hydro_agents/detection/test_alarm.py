@@ -151,5 +151,5 @@ def test_settings_round_trip_and_bad_ones_are_refused(tmp_path):
     settings = alarm().settings
     settings.save(tmp_path / "alarm.yaml")
     assert AlarmSettings.load(tmp_path / "alarm.yaml") == settings
-    with pytest.raises(ConfigurationError, match="hold no 'moving'"):
+    with pytest.raises(ConfigurationError, match="moving"):
         alarm(scales={"standing": SCALE, "slow": SCALE})

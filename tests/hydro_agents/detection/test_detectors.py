@@ -68,16 +68,14 @@ def test_a_window_that_no_leak_explains_is_unknown():
     assert EstimatorDetector().read(windows, CONFIG).cause.tolist() == [Cause.UNKNOWN, Cause.NONE]
 
 
-def test_changes_of_the_task_and_further_unknowns_reach_the_fit():
-    choice = DetectorChoice(
-        kind="estimator", task={"faults": {"external_leak": {"probability": 0.1}}}, unknowns=("spool_position_gain",)
-    )
-    detector = make_detector(choice)
+def test_changes_of_the_task_reach_the_fit():
+    detector = make_detector(DetectorChoice(kind="estimator", task={"command_latency_range": (1e-3, 2e-3)}))
     assert isinstance(detector, EstimatorDetector)
-    assert detector.unknowns == ("spool_position_gain",)
     assert detector.refuses(TaskConfig(control_period=0.01), 10) == ""
     assert detector.threshold is None
-    reading = detector.read(made("none", 0.5), CONFIG)
+    reading, found = detector.read_and_fit(made("none", 0.5), CONFIG)
+    assert found is not None
+    assert "command_latency" in found.names
     np.testing.assert_allclose(reading.flow_lpm, 0.5, atol=0.05)
 
 

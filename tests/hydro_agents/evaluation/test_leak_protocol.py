@@ -145,7 +145,7 @@ def test_the_detector_knows_the_rig_and_nothing_else_of_a_condition():
 def test_windows_anywhere_are_cut_from_longer_runs_and_motions_change_what_is_asked_alone():
     protocol = small(conditions={"plain": {"duration": 0.3}, "late": {"duration": 0.3, "begins": "anywhere"}})
     assert protocol.task_in("late").steps == 3 * protocol.task_in("plain").steps == 180
-    assert all(motion.change(protocol.task).plant == protocol.task.plant for motion in MOTIONS.values())
+    assert all(change(protocol.task).plant == protocol.task.plant for change in MOTIONS.values())
 
 
 def test_groups_and_detectors_choose_what_is_read():

@@ -98,7 +98,7 @@ def test_another_program_reads_verdict_and_exit_code(tmp_path, leaking):
 
 
 def test_an_axis_at_rest_with_worn_edges_must_be_moved(tmp_path):
-    task = MOTIONS["standing still"].change(CONFIG)
+    task = MOTIONS["standing still"](CONFIG)
     recorded_file(tmp_path / "a.csv", task, 0.3, None, {"valve_underlap": 0.02}, seed=90_210_000, duration=2.0)
     assert verdict_on(tmp_path, tmp_path / "a.csv") == f"cannot tell: {Why.AT_REST.word}"
 

@@ -130,7 +130,7 @@ def test_another_rig_ends_in_cannot_tell_after_any_duration(wrong_rig, tmp_path,
 def test_one_value_of_a_reading_holds_for_all_windows():
     one = Reading.of([0.1, np.nan], Cause.UNKNOWN, flow_lpm=0.3, why=Why.MISFIT)
     assert [len(values) for values in one] == [2] * len(Reading._fields)
-    assert one.followed_by(one).cause.tolist() == [Cause.UNKNOWN] * 4
+    assert one.cause.tolist() == [Cause.UNKNOWN] * 2
     assert one.remarks == [Why.MISFIT.word] * 2
     assert one.flow_lpm.tolist() == [0.3, 0.3]
     with pytest.raises(ValueError, match="shape"):

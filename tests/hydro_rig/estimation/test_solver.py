@@ -18,7 +18,7 @@ def problem_of(leak, seeds, unknowns=None):
     signals, physical, _ = driven(CONFIG, leak, seeds, start_moving=True)
     priors = priors_of(CONFIG, unknowns)
     model = Model(CONFIG, priors, signals[:, -1], physical=physical)
-    guess = model.scaled(first_values(signals, model.commands.durations, CONFIG, priors))
+    guess = model.scaled(first_values(signals, CONFIG, priors))
     return Problem.of(model, usable_readings(signals, CONFIG, model)), guess
 
 
