@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = ("hydro_env", "agents", "configs", "tests", "benchmarks", "docs", "paper")
+FOLDERS = ("hydro_env", "agents", "configs", "tests", "benchmarks", "challenge", "docs", "paper")
 FILES = ("pyproject.toml", "README.md", "CONTRIBUTING.md")
 
 

@@ -39,10 +39,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 65_700,
-    "hydro_agents": 172_500,
-    "hydro_rig": 151_600,
-    "tests": 269_350,
+    "hydro_env": 59_100,
+    "hydro_agents": 152_300,
+    "hydro_rig": 137_000,
+    "tests": 242_600,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 
