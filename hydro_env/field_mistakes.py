@@ -92,7 +92,8 @@ def _message(root: Mapping[str, Any], path: Path, given: Any, mistake: Mapping[s
         case "invalid_key":
             return "a key must be text; decimals need a point"
         case "too_short":
-            return f"must hold at least {mistake['ctx']['min_length']} entries"
+            least = mistake["ctx"]["min_length"]
+            return f"must hold at least {least} {'entry' if least == 1 else 'entries'}"
         case "value_error":  # of a validator of this project
             return f"{mistake['msg'].removeprefix('Value error, ')}{unit}"
     if "enum" in schema:

@@ -40,14 +40,21 @@ def integrator():
     """A pure integrator: the position after one period is known by hand."""
     one, zero = np.eye(1), np.zeros(1)
     return SampledLoop(
-        one, np.array([SPEED * LATE]), np.array([SPEED * (CONTROL_PERIOD - LATE)]), 0.0 * one, zero, zero, 1.0
+        one,
+        np.array([SPEED * LATE]),
+        np.array([SPEED * (CONTROL_PERIOD - LATE)]),
+        0.0 * one,
+        zero,
+        zero,
+        1.0,
+        CONTROL_PERIOD,
     )
 
 
 @pytest.fixture(scope="module")
 def prompt_integrator():
     one, zero = np.eye(1), np.zeros(1)
-    return SampledLoop(one, zero, np.array([SPEED * CONTROL_PERIOD]), 0.0 * one, zero, zero, 1.0)
+    return SampledLoop(one, zero, np.array([SPEED * CONTROL_PERIOD]), 0.0 * one, zero, zero, 1.0, CONTROL_PERIOD)
 
 
 def step_response(loop, gain, periods):

@@ -187,6 +187,9 @@ class ClassicalController:
     estimate_names: tuple[str, ...] = ()
     """Names of the values of :meth:`estimates`."""
 
+    memory: type[Any]
+    """Class of its memory, whose fields tables of controllers name."""
+
     def __init__(self, gains: Any, config: TaskConfig) -> None:
         self.gains, self.config, self.layout = gains, config, ObservationLayout.of(config)
 

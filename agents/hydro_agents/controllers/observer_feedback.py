@@ -113,6 +113,8 @@ class ObserverFeedback(ClassicalController):
     correction: Floats
     disturbance: int
 
+    memory = ObserverState
+
     def __init__(self, gains: Any, config: TaskConfig) -> None:
         super().__init__(gains, config)
         self.layout.needs(("pressure_a", "pressure_b", "spool_position"), type(self).__name__)

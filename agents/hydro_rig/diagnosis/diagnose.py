@@ -305,5 +305,5 @@ def in_json(diagnosis: Diagnosis) -> dict[str, Any]:
 def findings_table(findings: list[Finding]) -> str:
     """The findings as CSV."""
     table = pd.DataFrame(findings, columns=Finding._fields)
-    text: str = table.drop(columns="code").to_csv(index=False, lineterminator="\n", float_format="%.6g")
+    text: str = table.drop(columns="absent").to_csv(index=False, lineterminator="\n", float_format="%.6g")
     return text
