@@ -244,7 +244,7 @@ def test_thresholds_and_intervals_hold_what_they_say_on_validation_windows(head)
     nobody = np.full(count, -1)
     features[:, SPREAD] -= 3.5  # half of them stand still
     nothing = np.zeros(count, dtype=np.int64)
-    windows = Windows(features, labels, flow, nothing, nobody, nothing, np.ones(count), np.zeros(count))
+    windows = Windows(features, labels, flow, nobody, nothing, np.ones(count), np.zeros(count))
     found = calibrated(dict(head.tensors), CONFIG, 4 * CONFIG.steps, windows, {})
     estimate = LeakageEstimate(*found.judge(features).T)
     still = features[:, SPREAD] < STILL
