@@ -42,6 +42,7 @@ exclude_patterns = [
     "tests",
     "configs",
     "benchmarks",
+    "challenge",
     "paper",
 ]
 nitpicky = True

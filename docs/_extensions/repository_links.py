@@ -22,7 +22,7 @@ from sphinx.application import Sphinx
 from sphinx.transforms import SphinxTransform
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("hydro_env", "agents", "configs", "tests", "paper", "benchmarks", "docs")
+FOLDERS = ("hydro_env", "agents", "configs", "tests", "paper", "benchmarks", "challenge", "docs")
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".toml": "toml", ".j2": "html+jinja", ".csv": "text", ".json": "json"}
 LARGEST = 100_000  # characters of a file that is shown
 SINGLE_FILES = {
