@@ -11,7 +11,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: install study test slow-test faults lint types check docs versions release clean
+.PHONY: install study test slow-test faults lint types check docs figures versions release clean
 
 install: $(VENV)/.installed-agents
 
@@ -45,6 +45,10 @@ docs: $(VENV)/.installed-dev
 # sdist and wheel, checked and tried in clean environments; URL=https://… is the address of the repository.
 release: $(VENV)/.torch
 	$(BIN)/python benchmarks/release.py --url '$(URL)'
+
+# Every published figure again, a day on two cores; finished ones stay. `benchmarks/figures.py --list` shows the plan.
+figures: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks.figures
 
 versions:
 	$(PYTHON) benchmarks/versions.py

@@ -4,12 +4,14 @@ Run: python benchmarks/put_into_docs.py [results]
 
 The folder holds what commands wrote: ``benchmark``, ``study``, ``seeds``, ``robustness``, ``leakage``, ``reproduce``,
 ``alone``, ``baselines``. What is absent keeps what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``;
-what stands between is made from ``docs/tables/NAME.csv``, and ``tests/site/test_site.py`` checks that it still is. The
-tables of ``hydro benchmark`` stand between ``<!-- benchmark: GROUP -->`` and ``<!-- end -->``.
+what stands between is made from ``docs/tables/NAME.csv``, whose first line says which version, commit, date and command
+it is of; ``tests/site/test_site.py`` checks both. The tables of ``hydro benchmark`` stand between
+``<!-- benchmark: GROUP -->`` and ``<!-- end -->``.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from collections.abc import Callable, Mapping
@@ -17,6 +19,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
+
+from benchmarks.figures import ORIGIN
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TABLES = DOCS / "tables"
@@ -194,15 +198,30 @@ SOURCES = {
 
 
 def table_of(name: str) -> str:
-    """A kept table in Markdown."""
+    """A kept table in Markdown, and where it comes from."""
     source = SOURCES[name]
-    rows = source.change(pd.read_csv(TABLES / f"{name}.csv"))
+    rows = source.change(pd.read_csv(TABLES / f"{name}.csv", skiprows=1))
     header = list(source.columns)
     lines = [
         [_written(row, form) if form else row[heading] for heading, form in source.columns.items()]
         for _, row in rows.iterrows()
     ]
-    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *lines))
+    table = "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *lines))
+    return f"{table}\n\n*{origin_of(name)}*"
+
+
+def origin_of(name: str) -> str:
+    """Version, commit, date and command of a kept table."""
+    with open(TABLES / f"{name}.csv", encoding="utf-8") as text:
+        return text.readline().removeprefix("# ").strip()
+
+
+def _keep(name: str, source: Source, results: Path) -> None:
+    """Keep a table that ``make figures`` computed."""
+    facts = json.loads((results / Path(source.file).parts[0] / ORIGIN).read_text(encoding="utf-8"))
+    origin = f"hydro_env {facts['hydro_env']}, commit {facts['commit']}, {facts['date']}: `{facts['command']}`"
+    table = source.keep(pd.read_csv(results / source.file)).to_csv(index=False, float_format="%.6g")
+    (TABLES / f"{name}.csv").write_text(f"# {origin}\n{table}", encoding="utf-8")
 
 
 def tables() -> dict[str, str]:
@@ -229,9 +248,10 @@ def main(results: str = "results") -> None:
     """Keep new results, fill the pages."""
     for name, source in SOURCES.items():
         file = Path(results) / source.file
-        if file.is_file():
-            source.keep(pd.read_csv(file)).to_csv(TABLES / f"{name}.csv", index=False, float_format="%.6g")
-        print(f"{name}: {file if file.is_file() else 'as before'}")
+        finished = (Path(results) / Path(source.file).parts[0] / ORIGIN).is_file()
+        if finished and file.is_file():
+            _keep(name, source, Path(results))
+        print(f"{name}: {file if finished else 'as before'}")
     made = dict.fromkeys(PAGES, tables())
     benchmark = Path(results, "benchmark", "benchmark.md")
     if benchmark.is_file():

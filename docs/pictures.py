@@ -80,7 +80,7 @@ def axis() -> None:
 
 def controllers() -> None:
     """Error of each controller over that of the PID under all conditions of the robustness protocol."""
-    table = pd.read_csv(TABLES / "robustness.csv")
+    table = pd.read_csv(TABLES / "robustness.csv", skiprows=1)
     looks = looks_of(dict.fromkeys(["PID", "Flow linearisation", POLICY, *table["controller"][::-1]]))
 
     def paint(figure: Figure) -> None:
@@ -96,7 +96,7 @@ def controllers() -> None:
 
 def detectors() -> None:
     """Share of leaks that each detector finds at 1 % false alarms, over the leak."""
-    table = pd.read_csv(TABLES / "detectors.csv")
+    table = pd.read_csv(TABLES / "detectors.csv", skiprows=1)
     names = list(table["detector"].unique())
     looks = looks_of(names)
 
@@ -115,7 +115,7 @@ def detectors() -> None:
 
 def learning() -> None:
     """Error of the policy while it learns over that of the PID, with a band over the training seeds."""
-    (plot,) = learning_plots(relative(pd.read_csv(TABLES / "learning_curves.csv")), "PID", 1.0)
+    (plot,) = learning_plots(relative(pd.read_csv(TABLES / "learning_curves.csv", skiprows=1)), "PID", 1.0)
     (FOLDER / "chart_learning.svg").write_bytes(plot.file + data_mark("chart_learning.svg").encode())
 
 

@@ -6,8 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from browser import open_page, problems_everywhere, problems_of
+
+import hydro_env
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -32,6 +35,22 @@ def test_the_tables_of_the_pages_are_those_of_the_results(monkeypatch):
     for name, table in results.tables().items():
         assert table in shown, name
         assert table.count("\n") > 2
+
+
+def test_every_kept_table_is_of_this_version_and_says_where_it_comes_from(monkeypatch):
+    results = script(ROOT / "benchmarks" / "put_into_docs.py", monkeypatch)
+    minor = hydro_env.__version__.rpartition(".")[0]
+    for name in results.SOURCES:
+        assert re.match(rf"hydro_env {minor}\.\d+, (kept with )?commit \w+, \d{{4}}-\d\d-\d\d", results.origin_of(name))
+
+
+def test_the_readme_gives_the_numbers_of_the_tables():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    score = pd.read_csv(DOCS / "tables" / "score.csv", skiprows=1)
+    for row in score.iloc[1:].itertuples():
+        errors = f"{row.mean_error_sensor_mm:.3f} | {row.mean_error_mm:.3f}"
+        shown = f"| {row.controller} | {row.score:.0f} ({row.low:.0f} to {row.high:.0f}) | {errors} |"
+        assert shown.lower() in readme.lower()
 
 
 def test_the_charts_show_the_numbers_of_their_files(monkeypatch):

@@ -1,0 +1,66 @@
+"""Compute the published figures again: ``make figures``.
+
+    python benchmarks/figures.py [--list] [--only NAME ...] [--results results]
+
+``figures.yaml`` is the plan. What a command prints is kept in ``printed.txt`` of its folder, its version, commit and
+date in ``origin.json``, which marks it as finished: a later call leaves it out. Ctrl-C stops; most commands resume.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hydro_agents.running.machine import date_now, package_versions
+from hydro_env.files import write_text
+
+PLAN: list[dict[str, Any]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+ORIGIN = "origin.json"
+
+
+def compute(entry: dict[str, Any], folder: Path) -> None:
+    """Run one command, show and keep what it prints, and note its origin."""
+    own = Path(sys.executable).parent
+    words = shlex.split(entry["command"].replace("results/", f"{folder.parent}/"))
+    folder.mkdir(parents=True, exist_ok=True)
+    origin = {"command": entry["command"], "date": date_now(), **package_versions()}
+    with open(folder / "printed.txt", "w", encoding="utf-8") as kept:
+        with subprocess.Popen([own / words[0], *words[1:]], stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                print(line, end="", flush=True)
+                kept.write(line)
+        if process.returncode:
+            sys.exit(f"{entry['folder']}: the command ended with {process.returncode}; the next call goes on here")
+    write_text(folder / ORIGIN, json.dumps(origin, indent=2))
+
+
+def main() -> None:
+    """Compute what is not finished, then put the tables into the pages."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--list", action="store_true", help="show the plan only")
+    parser.add_argument("--only", nargs="+", choices=[entry["folder"] for entry in PLAN])
+    parser.add_argument("--results", type=Path, default=Path("results"))
+    given = parser.parse_args()
+    chosen = [entry for entry in PLAN if given.only is None or entry["folder"] in given.only]
+    for entry in chosen:
+        folder = given.results / entry["folder"]
+        done = (folder / ORIGIN).is_file()
+        print(
+            f"{entry['folder']}: {'done' if done else str(entry['minutes']) + ' min'}, {entry['command']}", flush=True
+        )
+        if not (done or given.list):
+            compute(entry, folder)
+    if not given.list:
+        subprocess.run([sys.executable, "-m", "benchmarks.put_into_docs", str(given.results)], check=True)
+
+
+if __name__ == "__main__":
+    main()
