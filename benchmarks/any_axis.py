@@ -40,7 +40,7 @@ from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 UNTUNED, POLICY, TUNED = "flow linearisation, untuned", "policy for any axis", "flow linearisation, tuned for the rig"
 CHOSEN = "flow linearisation, gains chosen by simulation"
-FIGURES, PROPORTIONAL = "PID from the rig's figures", "P from the rig's figures"
+FIGURES, PROPORTIONAL, NOTHING = "PID from the rig's figures", "P from the rig's figures", "no command"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
 PLANTS = 8  # of each family and leak
 STANDSTILLS = 16
@@ -79,6 +79,9 @@ def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) ->
         controllers[FIGURES] = PID(figures, task)
         more = ("integral", "feedforward_extending", "feedforward_retracting", "overlap_compensation")
         controllers[PROPORTIONAL] = PID(figures.model_copy(update=dict.fromkeys(more, 0.0)), task)
+        controllers[NOTHING] = PID(
+            figures.model_copy(update=dict.fromkeys((*more, "proportional", "derivative"), 0.0)), task
+        )
     if tuned is not None:
         controllers[TUNED] = FlowLinearising(tuned_for(task, tuned / f"rig_{number:03}", 420), task)
     facts = {"rig": number, "period_ms": 1e3 * task.control_period, "pace_ms": 1e3 * pace(task)}
