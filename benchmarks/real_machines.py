@@ -25,7 +25,6 @@ from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.identification.found_rig import shown
 from hydro_rig.identification.held_back import HeldBack
 from hydro_rig.identification.identify import identify
-from hydro_rig.identification.repeatability import share_inside
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.sampling import Sampled, sampled
@@ -87,7 +86,7 @@ def festo(folder: Path, samples: list[int], fitted: list[int]) -> None:
         cells = [look.value(one.value, one.high - one.low), look.span(one.low, one.high)]
         lines.append((look.words, look.unit, *cells, "yes" if fit.knows(one) else "no"))
     print(markdown(("unknown", "unit", "found", "95 % interval", "determined"), lines))
-    print(f"\nintervals of single recordings that hold the common value: {share_inside(found.repeats):.0%}\n")
+    print()
     path_of, lines = list(names), []
     for volts in others:
         for place, chamber in enumerate("AB", 1):

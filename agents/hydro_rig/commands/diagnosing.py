@@ -45,9 +45,6 @@ def diagnose(
             help="Detector beside the estimator: weights of a leakage head, or your own; default: the shipped head.",
         ),
     ] = None,
-    alarm: Annotated[
-        Path | None, typer.Option(help="Settings of an alarm, from `hydro alarms`, that watches the recording.")
-    ] = None,
     window: Annotated[float, typer.Option(min=0.2, max=60.0, help="Length of one reading in s.")] = 2.0,
     as_json: Json = False,
     output: Output = Path("results/diagnose"),
@@ -62,7 +59,6 @@ def diagnose(
 
     Exit codes: 0 healthy, 10 internal leak, 11 something else, 12 cannot tell, 2 wrong input.
     """
-    from hydro_agents.detection.alarm import AlarmSettings
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
     from hydro_rig.diagnosis.diagnose import Companion, in_json
@@ -75,9 +71,8 @@ def diagnose(
     config = task_config(task, rig=rig)
     companion = Companion.named(detector)
     mapped = read_map(columns) if columns is not None else None
-    settings = AlarmSettings.load(alarm) if alarm is not None else None
     with reading(as_json) as progress:
-        diagnosis = diagnose_recording(recording, config, companion, mapped, window, settings, progress)
+        diagnosis = diagnose_recording(recording, config, companion, mapped, window, progress)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line())
     say(*([json.dumps(in_json(diagnosis), indent=1, ensure_ascii=False)] if as_json else lines))
     raise typer.Exit(EXIT_CODES[diagnosis.verdict.kind])

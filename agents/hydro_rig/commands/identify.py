@@ -48,12 +48,12 @@ def identify(
 ) -> None:
     """Estimate the unknowns of a rig file: fit its ranges, the leak and the sensors' offsets to recordings.
 
-    Several recordings share the unknowns, each with the sensors that it has; the page then shows how far they agree.
+    Several recordings share the unknowns, each with the sensors that it has.
 
     Writes `rig.yaml` (estimated values, ranges narrowed to their 95 % intervals; ready for `hydro check-rig` and `hydro
-    study --rig`), a page (`identification.html`: measured and simulated signals, each interval, the unknowns that the
-    recording cannot determine, and motions that would), and all numbers (`identification.json`). If the recording
-    contradicts the rig, the command ends with one line. See `docs/identify.md`.
+    study --rig`), a page (`identification.html`: measured and simulated signals, each interval, and the unknowns that
+    the recording does not determine), and all numbers (`identification.json`). If the recording contradicts the rig,
+    the command ends with one line. See `docs/identify.md`.
     """
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Reading
-from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot
+from hydro_agents.report.canvas import GREY, PAPER, WIDE, Plot, make_plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import MEANINGS, Look, looks_of
@@ -92,7 +92,6 @@ def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, comm
         write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
         render_diagnosis(diagnosis, Origin.now(command)).write(folder / PAGE_FILE)
     lines = [finding.line() for finding in diagnosis.checked.findings]
-    lines += [diagnosis.alarm.line()] if diagnosis.alarm is not None else []
     fitted = diagnosis.read.fitted
     mend = lines_to_paste(fitted, diagnosis.task) if fitted is not None else ""
     lines += [f"{MEND}\n{mend.rstrip()}"] if mend else []
@@ -149,8 +148,6 @@ def leak_over_time(content: Content) -> list[Block]:
     """The readings and the signals over time."""
     diagnosis = content.part("diagnosis", Diagnosis)
     blocks: list[Block] = [_plot(diagnosis)]
-    if diagnosis.alarm is not None:
-        blocks.append(Text(diagnosis.alarm.line()))
     if diagnosis.note:
         blocks.append(Text(f"{capitalised(diagnosis.note)}. Only the estimator was used.", "soft"))
     return blocks
@@ -233,8 +230,6 @@ def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
         estimator = column == "estimator"
         look = looks["estimator" if estimator else "companion"]
         _paint_reading(axes, middle + (shift if estimator else -shift), reading, look, name)
-    if diagnosis.alarm is not None and diagnosis.alarm.at is not None:
-        axes.axvline(diagnosis.alarm.at, color=INK, linestyle="--", linewidth=1.2, label="alarm")
     handles, labels = axes.get_legend_handles_labels()
     if handles:
         axes.legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)

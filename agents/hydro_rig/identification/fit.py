@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from hydro_agents.detection.detector import Windows
 from hydro_agents.running.jobs import Report
@@ -43,6 +44,9 @@ from hydro_rig.identification.profiles import pinned, ridge
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 DETERMINED = 0.5
 """A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
+
+BY_CHANCE = 0.05  # probability of a disagreement of sound recordings that counts
+FARTHEST = 3.0  # standard deviations of the range; a single step of a linear model reaches no further
 
 
 class Unknown(NamedTuple):
@@ -182,3 +186,57 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
         away = np.flatnonzero((other < scaled[:, 0]) | (other > scaled[:, 1]))
         second = {names[row]: float(priors[names[row]].value(other[row])) for row in away.tolist()}
     return Fit(tuple(unknowns), misfit, joint, second)
+
+
+def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
+    """The fit with intervals at least as wide as the recordings disagree; a single recording is cut in two halves.
+
+    Source: random effects, DerSimonian and Laird, *Controlled Clinical Trials* 7, 1986.
+
+    Args:
+        fit: the common fit of B windows.
+        recording: number of the recording of each window, (B,).
+    """
+    group = recording[np.isfinite(fit.misfit)]
+    if len(group) < 2:
+        return fit
+    if len(np.unique(group)) < 2:
+        group = np.arange(len(group)) * 2 // len(group)
+    unknowns, between = list(fit.unknowns), _disagreement(fit, group)
+    for place, one in enumerate(unknowns):
+        if between[place] > 0.0 and not one.side:
+            middle = fit.joint.common[place]
+            reach = np.minimum(np.hypot(COVERAGE * one.remaining, COVERAGE * between[place]), COVERAGE)
+            low, high = one.prior.value(np.array([middle - reach, middle + reach])).tolist()
+            low, high = min(one.low, low), max(one.high, high)
+            unknowns[place] = one._replace(low=low, high=high, remaining=float(reach / COVERAGE))
+    return fit._replace(unknowns=tuple(unknowns))
+
+
+def _disagreement(fit: Fit, group: NDArray[np.int64]) -> Floats:
+    """Standard deviation between groups of windows that their own uncertainty does not explain, (p,) scaled.
+
+    One Gauss–Newton step from the common values gives the values that each group alone says.
+
+    Args:
+        fit: the common fit.
+        group: number of each used window.
+    """
+    joint, numbers, own = fit.joint, np.unique(group), np.eye(len(fit.names))
+    middle, deviation = np.empty((2, len(numbers), len(fit.names)))
+    for row, number in enumerate(numbers):
+        information = joint.information[group == number].sum(axis=0) + own
+        # The common values are the optimum of all windows and the prior; this group alone keeps the whole prior.
+        step = np.linalg.solve(information, joint.score[group == number].sum(axis=0) - joint.common)
+        middle[row] = joint.common + np.clip(step, -FARTHEST, FARTHEST)
+        deviation[row] = np.minimum(fit.widening * np.sqrt(np.diag(np.linalg.inv(information))), 1.0)
+    disagreement = np.zeros(len(fit.names))
+    for place in range(len(fit.names)):
+        known = deviation[:, place] <= DETERMINED
+        values, variances = middle[known, place], deviation[known, place] ** 2
+        if len(values) < 2:
+            continue
+        mean = np.average(values, weights=1.0 / variances)
+        if np.sum((values - mean) ** 2 / variances) > stats.chi2.isf(BY_CHANCE, len(values) - 1):
+            disagreement[place] = np.sqrt(max(values.var(ddof=1) - variances.mean(), 0.0))
+    return disagreement

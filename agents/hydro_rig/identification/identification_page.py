@@ -32,15 +32,12 @@ from hydro_rig.identification.found_rig import path_of, rig_yaml, share_in_words
 from hydro_rig.identification.held_back import HeldBack, sizes_of
 from hydro_rig.identification.identify import Identification
 from hydro_rig.identification.intervals import hull
-from hydro_rig.identification.repeatability import share_inside
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
 FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
 JOB = "identify"
 
-ERRORS = ("Position, mm", "Speed, mm/s", "Pressure a, bar", "Pressure b, bar")
-
-IDENTIFICATION = ("identified", "held_back", "unknowns", "repeatability", "undetermined", "recording")
+IDENTIFICATION = ("identified", "held_back", "unknowns", "recording")
 """Sections of the page, in order."""
 
 SOURCES = Markup(
@@ -86,9 +83,8 @@ def as_json(found: Identification, command: str) -> Any:
     def by_sensor(values: Floats, what: str = "") -> dict[str, float]:
         return {f"{name}{what}": value for name, value in zip(SENSORS, values.tolist(), strict=True)}
 
-    unknowns, repeats = {}, {}
+    unknowns = {}
     for one in fit.unknowns:
-        advice = found.advice.get(one.name)
         unknowns[one.name] = {
             "value": one.value,
             "low": one.low,
@@ -98,14 +94,7 @@ def as_json(found: Identification, command: str) -> Any:
             "determined": fit.knows(one),
             "known_ends": {0: "both", 1: "low", -1: "high"}[one.side],
             "widening": one.widening,
-            "motion_that_helps": advice.motion if advice is not None else None,
         }
-    for repeat in found.repeats:
-        columns = repeat.recordings, repeat.values, repeat.low, repeat.high, repeat.determined
-        repeats[repeat.name] = [
-            {"recording": sources[recording], "value": value, "low": low, "high": high, "determined": known}
-            for recording, value, low, high, known in zip(*columns, strict=True)
-        ]
     parts = [
         {
             "recording": sources[part.recording],
@@ -134,8 +123,6 @@ def as_json(found: Identification, command: str) -> Any:
         "share_of_variance": by_sensor(found.tested[math.inf].share),
         "forecasts": forecasts,
         "held_back": {"why": found.parts.reason, "parts": parts},
-        "repeatability": repeats,
-        "repeats_inside_their_intervals": share_inside(found.repeats),
         "windows": len(fit.misfit),
         "windows_explained": int(fit.explained.sum()),
         "another_minimum": fit.second,
@@ -206,10 +193,10 @@ def held_back(content: Content) -> list[Block]:
     note = (
         f"The fit did not use these parts: {found.parts.reason}. The simulation gets the state at the start of a part "
         f"and the recorded commands, and then runs freely: its errors add up. {which}: {place_of_part(found, worst)}. "
-        "The last table also begins every 2 s at the measured state: of an axis that a controller held in place, only "
+        "The table also begins every 2 s at the measured state: of an axis that a controller held in place, only "
         "this says whether the model is right."
     )
-    return [Text(note), plot, errors_table(found), forecasts_table(found)]
+    return [Text(note), plot, forecasts_table(found)]
 
 
 @section("Identified values", needs=("identification",))
@@ -218,7 +205,8 @@ def unknowns(content: Content) -> list[Block]:
     found = content.part("identification", Identification)
     note = (
         "An unknown is determined if its uncertainty is at most half of that of its range. The ranges come from the "
-        "rig file and from the sensors' data sheets."
+        "rig file and from the sensors' data sheets. What to record for the others: the table of motions in "
+        f"{page('identify.md')}."
     )
     rows = []
     for one in found.fit.unknowns:
@@ -241,48 +229,6 @@ def range_before(found: Identification, name: str) -> tuple[float, float] | None
     return hull(found.config.plant, found.plant, path, found.rig.randomisation[path])
 
 
-@section("Repeatability", needs=("identification",))
-def repeatability(content: Content) -> list[Block]:
-    """Spread of each unknown over the recordings that determine it; nothing for a single recording."""
-    found = content.part("identification", Identification)
-    if not found.repeats:
-        return []
-    rows = []
-    for one, common in zip(found.repeats, found.fit.own().values(), strict=True):
-        look, known = found.look(one.name), one.determined
-        if known.any():
-            width = float(np.median((one.high - one.low)[known]))
-            values = (common, float(one.values[known].min()), float(one.values[known].max()), one.spread)
-            holds = f"{int(one.inside[known].sum())} of {int(known.sum())}"
-            rows.append((look.words, look.unit, *(look.value(value, width) for value in values), holds))
-    note = (
-        "Each recording by itself: one step of the fit from the common values with its own windows and the ranges of "
-        "the rig file. Values count where the recording alone determines them."
-    )
-    header = ("Unknown", "Unit", "All together", "Lowest", "Highest", "Standard deviation", "Intervals that hold it")
-    return [Text(note), Table("", header, rows, style="words", folded=False)]
-
-
-@section("What this recording cannot determine", needs=("identification",))
-def undetermined(content: Content) -> list[Block]:
-    """The undetermined unknowns, each with a motion that would determine it."""
-    found, rows = content.part("identification", Identification), []
-    if not found.undetermined:
-        return [Text("Every unknown is determined.")]
-    for one in found.undetermined:
-        motion, left = "none of the candidates", "–"
-        if one.name in found.advice:
-            motion, after, enough = found.advice[one.name]
-            left = f"{100 * after:.0f} %{'' if enough else ', not enough alone'}"
-        rows.append((found.look(one.name).words, f"{100 * one.remaining:.0f} %", motion, left))
-    note = (
-        "“Uncertainty left” is the standard deviation as a share of that of the range. The motions were simulated on "
-        "the identified rig, from rest."
-    )
-    header = ("Unknown", "Uncertainty left", "Most informative motion", "Left after 8 s of it")
-    return [Text(note), Table("", header, rows, style="words")]
-
-
 # Errors --------------------------------------------------------------------------------------------------------------
 
 
@@ -295,26 +241,14 @@ def forecasts_table(found: Identification) -> Table:
         rows.append((name, *(number(size, digits=2) for size in sizes_of(forecast)), *shares))
     shares = [f"Share: {word}" for word in ("position", "pressure a", "pressure b", "spool")]
     caption = "How the error grows: root mean square error, and share of the variance explained"
-    return Table(caption, ("Simulated for", *ERRORS, *shares), rows, style="words")
+    errors = ("Position, mm", "Speed, mm/s", "Pressure a, bar", "Pressure b, bar")
+    return Table(caption, ("Simulated for", *errors, *shares), rows, style="words")
 
 
 def place_of_part(found: Identification, part: HeldBack) -> str:
     """Recording and time of a held-back part."""
     name = f"{Path(found.recordings[part.recording].source).name}, " if len(found.recordings) > 1 else ""
     return f"{name}{part.begin:g} to {part.begin + float(part.time[-1]):.4g} s"
-
-
-def errors_table(found: Identification) -> Table:
-    """Errors of each held-back part in mm, mm/s and bar."""
-    rows = []
-    for part in found.held_back:
-        out, back = (
-            "–" if math.isnan(ratio) else f"{number(100 * ratio, 1, signed=True)} %" for ratio in part.speed_ratios
-        )
-        position, speed, *pressures = (number(size, digits=2) for size in sizes_of(part))
-        rows.append((place_of_part(found, part), position, speed, out, back, *pressures))
-    header = ("Held back", *ERRORS[:2], "Speed out", "Speed in", *ERRORS[2:])
-    return Table("Root mean square errors; median of simulated over measured speed", header, rows, style="words")
 
 
 def paint_held_back(figure: Figure, part: HeldBack) -> None:

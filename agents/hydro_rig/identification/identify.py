@@ -17,9 +17,8 @@ from hydro_env.task.randomisation import Distribution
 from hydro_env.task.rig import Rig
 from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
-from hydro_rig.identification.advice import Advice, advise
 from hydro_rig.identification.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
-from hydro_rig.identification.fit import Fit, Unknown, fit_windows
+from hydro_rig.identification.fit import Fit, Unknown, fit_windows, widened
 from hydro_rig.identification.found_rig import (
     Shown,
     beyond_range,
@@ -37,7 +36,6 @@ from hydro_rig.identification.held_back import (
     simulate_held_back,
     whole_parts,
 )
-from hydro_rig.identification.repeatability import Repeat, repeats_of, widened
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.driving import AXIS
 from hydro_rig.recordings.findings import Finding
@@ -69,8 +67,6 @@ class Identification:
     fit: Fit
     plant: PlantParameters
     held_back: list[HeldBack]
-    advice: dict[str, Advice]  # by undetermined unknown, where a motion helps
-    repeats: list[Repeat]
 
     @cached_property
     def tested(self) -> dict[float, Forecast]:
@@ -260,8 +256,6 @@ def identify(
         fit=fit,
         plant=plant,
         held_back=[simulate_held_back(part, config, plant, fit.own()) for part in parts.held_back],
-        advice=advise(fit, config, plant),
-        repeats=repeats_of(fit, parts.recording),
     )
 
 

@@ -121,24 +121,6 @@ def test_bad_input_leaves_nothing_behind(tmp_path):
     assert not (tmp_path / "r.csv").exists()
 
 
-@pytest.fixture
-def alarm(tmp_path):
-    """A file with settings of an alarm for any detector."""
-    scale = {"highest_baseline": -3.0, "spread": 1.0, "shift": 2.0}
-    settings = {"interval": 0.5, "scales": dict.fromkeys(("standing", "slow", "moving"), scale)}
-    settings |= {"threshold": 1.5, "false_alarms_per_100_h": 1.0}
-    (tmp_path / "alarm.yaml").write_text(yaml.safe_dump(settings))
-    return tmp_path / "alarm.yaml"
-
-
-@pytest.mark.parametrize(("leakage", "words"), [(0.01, "stayed silent"), (3.0, "rose at 2.0 s")])
-def test_an_alarm_follows_the_recording(tmp_path, alarm, leakage, words):
-    recorded_file(tmp_path / "a.csv", leakage=leakage, duration=3.0)
-    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out", "--alarm", alarm)
-    assert words in answer.stdout, answer.stdout + answer.stderr
-    assert words in (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
-
-
 OWN = """
 import numpy as np
 from hydro_agents.detection.detector import Reading
@@ -154,11 +136,10 @@ class Spread:
 """
 
 
-def test_any_detector_reads_beside_the_estimator_under_its_own_name(tmp_path, alarm, leaking, monkeypatch):
+def test_any_detector_reads_beside_the_estimator_under_its_own_name(tmp_path, leaking, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "spread_of_spool.py").write_text(OWN)
-    own = ("--detector", "spread_of_spool:Spread", "--alarm", alarm)
-    answer = hydro("diagnose", leaking, *own, "--output", tmp_path / "out")
+    answer = hydro("diagnose", leaking, "--detector", "spread_of_spool:Spread", "--output", tmp_path / "out")
     assert answer.returncode == EXIT_CODES[Kind.LEAK], answer.stderr
     table, spool = pd.read_csv(tmp_path / "out" / "leak.csv"), read_recording(leaking).signals[SPOOL]
     assert table["Spread_score"].tolist() == pytest.approx([np.std(spool)])
@@ -167,7 +148,6 @@ def test_any_detector_reads_beside_the_estimator_under_its_own_name(tmp_path, al
     page = (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
     assert "no size; score " in page
     assert "eakage head" not in page
-    assert "The alarm" in answer.stdout
     for text in ("nowhere:Spread", "spread_of_spool:OWN", "spread_of_spool:np"):
         refused = hydro("diagnose", leaking, "--detector", text, "--output", tmp_path / "none")
         assert_one_clear_line(refused, f"'{text}'")

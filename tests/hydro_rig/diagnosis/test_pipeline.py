@@ -5,18 +5,16 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-import yaml
 from command_line import hydro, own_lines
 from recorded import CONFIG, recorded_file
 
-from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.detector import Cause, Reading, Why
 from hydro_agents.detection.monitor import load_head
 from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.units import LITRE_PER_MINUTE
 from hydro_rig.diagnosis import diagnose as diagnosing
-from hydro_rig.diagnosis.diagnose import Companion, detector_of, diagnose
+from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind, Limits, Verdict, by_volume
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
 
@@ -166,62 +164,3 @@ def test_a_command_beyond_full_scale(tmp_path, volts, code, words):
     answer = hydro("diagnose", tmp_path / "b.csv", "--output", tmp_path / "out")
     assert words in answer.stdout, answer.stderr
     assert answer.returncode == code
-
-
-# The detector of an alarm --------------------------------------------------------------------------------------------
-
-
-class Own:
-    """A detector that reads nothing."""
-
-    threshold = None
-
-    def refuses(self, task, samples):
-        return ""
-
-    def read(self, windows, task):
-        return Reading.of(np.full(len(windows), np.nan))
-
-
-SCALE = {"highest_baseline": -3.0, "spread": 1.0, "shift": 2.0}
-SETTINGS = {"interval": 0.5, "scales": dict.fromkeys(("standing", "slow", "moving"), SCALE), "threshold": 1.5}
-
-
-@pytest.mark.parametrize(
-    ("detector", "given", "watches"),
-    [
-        ("", "head", "HeadDetector"),
-        ("head leakage_head", "head", "HeadDetector"),
-        ("two_stage leakage_head", "head", "TwoStageDetector"),
-        ("estimator", "head", "EstimatorDetector"),
-        ("estimator", "own", "EstimatorDetector"),
-        ("", "own", "Own"),
-        (f"{__name__}:Own", "own", "Own"),
-        ("two_stage other_head", "head", ""),
-        ("two_stage leakage_head", "own", ""),
-        (f"{__name__}:Own", "head", ""),
-        ("magic", "head", ""),
-    ],
-)
-def test_an_alarm_runs_on_the_detector_that_it_was_set_for(detector, given, watches):
-    settings = AlarmSettings(**SETTINGS, detector=detector)
-    available = Companion.of(load_head(None, CONFIG) if given == "head" else Own())
-    assert available.own == (given == "own")
-    if watches:
-        assert type(detector_of(settings, available)).__name__ == watches
-        return
-    with pytest.raises(ConfigurationError, match=f"it was set for the detector '{detector}', and '.*' is given"):
-        detector_of(settings, available)
-
-
-def test_an_alarm_that_does_not_watch_says_so(tmp_path, recordings):
-    recorded_file(tmp_path / "a.csv", leakage=3.0, duration=2.0)
-    cases = (
-        (tmp_path / "a.csv", "two_stage other_head", "it was set for the detector 'two_stage other_head'"),
-        (recordings["kPa as bar"], "head leakage_head", "pressure_a reads"),
-    )
-    for file, detector, words in cases:
-        (tmp_path / "alarm.yaml").write_text(yaml.safe_dump(SETTINGS | {"detector": detector}))
-        line = ("--output", tmp_path / "out", "--overwrite", "--alarm", tmp_path / "alarm.yaml")
-        answer = hydro("diagnose", file, *line)
-        assert f"The alarm did not watch: {words}" in answer.stdout, answer.stderr

@@ -88,7 +88,7 @@ def test_a_fit_that_explains_no_window_says_so_first(misfit):
     time, moving = np.linspace(0.0, 1.0, 101), np.tile(np.linspace(0.0, 0.1, 101), (4, 1))
     held = HeldBack(0, 0.0, time, moving, moving + 1e-5, np.ones(4))
     rig = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(8e-4, 2e-3))})
-    empty = dict.fromkeys(("recordings", "checked", "advice", "repeats", "parts"), ())
+    empty = dict.fromkeys(("recordings", "checked", "parts"), ())
     found = Identification(rig=rig, config=CONFIG, fit=fit, plant=PlantParameters(), held_back=[held], **empty)
     assert found.describes
     assert found.unexplained == (misfit > 4.0)

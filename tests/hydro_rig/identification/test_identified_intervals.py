@@ -13,7 +13,7 @@ from hydro_env.task.configuration import task_config
 from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification.common_fit import Joint
-from hydro_rig.identification.fit import Fit, Unknown, fit_windows
+from hydro_rig.identification.fit import Fit, Unknown, fit_windows, widened
 from hydro_rig.identification.found_rig import found_values, narrowed, shown
 from hydro_rig.identification.intervals import (
     _rises,
@@ -22,7 +22,6 @@ from hydro_rig.identification.intervals import (
     truncated_end,
     within_bounds,
 )
-from hydro_rig.identification.repeatability import widened
 from hydro_rig.recordings.recording import read_recording
 
 WINDOWS, UNKNOWNS, READINGS = 7, 6, 40

@@ -18,7 +18,6 @@ from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorE
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.rig import read_rig
-from hydro_rig.identification.advice import advise
 from hydro_rig.identification.fit import fit_windows
 from hydro_rig.recordings.recording import read_recording
 
@@ -132,13 +131,6 @@ def test_recordings_with_their_own_sensors_share_the_unknowns(folder, tmp_path):
     assert {"pressure_a_bias", "pressure_b_bias"} < set(result["unknowns"])
     for path, value in truth(folder).items():
         assert_near(result["unknowns"][path], value, 3.0)
-        own = result["repeatability"][path]
-        assert [Path(repeat["recording"]).name for repeat in own] == ["one_a.csv", "two_b.csv"]
-        assert all(repeat["low"] <= repeat["value"] <= repeat["high"] for repeat in own)
-    assert result["repeatability"]["valve.rated_flow"][0]["determined"]
-    assert result["repeats_inside_their_intervals"] > 0.5
-    page = (tmp_path / "out" / "identification.html").read_text(encoding="utf-8")
-    assert "Repeatability" in page
 
 
 @pytest.mark.parametrize(
@@ -189,8 +181,7 @@ def test_another_machine_gets_a_page_and_no_rig(folder, tmp_path):
     assert not (out / "rig.yaml").exists()
 
 
-def test_without_pressures_the_motion_that_would_help_is_named(folder):
-    """A window at rest tells neither mass nor flow; a motion is advised for each of them."""
+def test_a_window_at_rest_without_pressures_tells_neither_mass_nor_flow(folder):
     config = hidden(folder)
     signals = read_recording(folder / "a.csv").signals[None, :, :300].repeat(2, axis=0)
     signals[:, 1:4] = np.nan
@@ -199,9 +190,7 @@ def test_without_pressures_the_motion_that_would_help_is_named(folder):
     fit = fit_windows(Windows.of(signals), config, config.randomisation)
     assert not fit.knows(fit.unknowns[fit.names.index("load.mass")])
     assert set(fit.names) == {"leakage_flow_lpm", *RANGES, "position_bias"}  # of the sensors and ranges that there are
-    advice = advise(fit, config, config.plant)
-    assert advice["valve.rated_flow"].enough
-    assert advice["valve.rated_flow"].motion != "standing still"
+    assert not fit.knows(fit.unknowns[fit.names.index("valve.rated_flow")])
 
 
 def test_a_load_pressure_of_unknown_gain_stands_for_two_pressures(folder, tmp_path):
