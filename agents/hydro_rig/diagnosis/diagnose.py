@@ -23,9 +23,10 @@ from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.parts import lively
-from hydro_rig.recordings.quality import Checked, check_recording
+from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import cut
+
 
 class Companion(NamedTuple):
     """The detector that reads beside the estimator, and its names."""

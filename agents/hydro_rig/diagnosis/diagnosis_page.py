@@ -27,7 +27,7 @@ from hydro_agents.running.text import capitalised, number, setting
 from hydro_env.files import write_text
 from hydro_rig.diagnosis.diagnose import Diagnosis, findings_table, leak_table
 from hydro_rig.diagnosis.verdict import Kind, Verdict, combined, named_fault
-from hydro_rig.identification.data_sheet import lines_to_paste, residual_table
+from hydro_rig.identification.data_sheet import lines_to_paste
 from hydro_rig.recordings.columns import MEASURED
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.recording import Recording
@@ -153,16 +153,13 @@ def leak_over_time(content: Content) -> list[Block]:
     return blocks
 
 
-@section("How the signals fit", needs=("diagnosis",))
+@section("How the data sheet would agree", needs=("diagnosis",))
 def signals(content: Content) -> list[Block]:
-    """What is left of each signal when the model has been fitted, and how the data sheet would agree."""
+    """Lines of the task's file with which its data sheet agrees with the recording."""
     diagnosis = content.part("diagnosis", Diagnosis)
     fitted = diagnosis.read.fitted
-    if fitted is None:
-        return []
-    mend = lines_to_paste(fitted, diagnosis.task)
-    lines: list[Block] = [Text(MEND), Code(mend)] if mend else []
-    return [residual_table(fitted, diagnosis.task), *lines]
+    mend = lines_to_paste(fitted, diagnosis.task) if fitted is not None else ""
+    return [Text(MEND), Code(mend)] if mend else []
 
 
 # The figure ---------------------------------------------------------------------------------------------------------

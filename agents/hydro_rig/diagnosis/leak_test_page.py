@@ -35,7 +35,7 @@ from hydro_rig.recordings.simulated import recording_csv
 
 PLAN_PAGE, COMMANDS_FILE, TRIAL_FILE = "plan.html", "commands.csv", "simulated.csv"
 PLAN_FILES = (PLAN_PAGE, COMMANDS_FILE, TRIAL_FILE, FIGURE_FILES)
-PLAN_SECTIONS = ("planned_test", "plan_course", "plan_steps", "plan_forms", "plan_running")
+PLAN_SECTIONS = ("planned_test", "plan_course", "plan_steps", "plan_running")
 
 LIMIT_BEFORE = (
     "The limits hold on the simulated axes. Clear the whole stroke, keep the emergency stop at hand, and run the test "
@@ -130,11 +130,10 @@ def _limits(plan: Plan) -> Table:
     """What the simulated axes reach, and the limits."""
     limits, best = plan.settings, plan.best
     low, high = (f"{1e3 * end:.0f}" for end in (best.position.min(), best.position.max()))
-    ends = ("the stop" if np.isinf(end) else f"{1e3 * end:.0f}" for end in (limits.low, limits.high))
     rows = [
         ("Speed, also against a stop, mm/s", f"{1e3 * best.speed:.0f}", f"{1e3 * limits.speed:.0f}"),
         ("Pressure, bar", f"{1e-5 * best.pressures.max():.0f}", f"{1e-5 * limits.pressure:.0f}"),
-        ("Positions, mm", f"{low} to {high}", " to ".join(ends)),
+        ("Positions, mm", f"{low} to {high}", "the stops"),
         ("Start, mm", f"{1e3 * resting_place(plan.task.plant):.0f}", ""),
     ]
     title = f"{len(best.position)} simulated axes with worn valves"
@@ -173,27 +172,6 @@ def plan_steps(content: Content) -> list[Block]:
         begin += step.seconds
     note = f"The opening changes by {100 * RAMP:.0f} % of full stroke per second at most. Positive extends the axis."
     return [Table("", ("Begin", "Opening", "For", "What"), rows, folded=False), Text(note, "soft")]
-
-
-@section("Why this test", needs=("plan",))
-def plan_forms(content: Content) -> list[Block]:
-    """The tests that were tried, and what this one finds."""
-    plan = content.part("plan", Plan)
-    rows = [
-        (
-            trial.form.name + (" (chosen)" if trial is plan.best else ""),
-            number(trial.mean_bound, digits=2),
-            number(trial.largest_bound, digits=2),
-            "all within" if not trial.beyond else f"{trial.beyond} of {len(trial.position)} beyond",
-        )
-        for trial in plan.trials
-    ]
-    header = ("Test", "Bound, l/min", "On the worst axis", "Limits")
-    lead = (
-        "Each test was simulated on plants with worn valves (null shift, underlap, rated flow, edge ratio), a clogged "
-        "return line and offsets of the sensors, all unknown. Chosen is the lowest bound within the limits."
-    )
-    return [Text(lead), Table("", header, rows, style="words")]
 
 
 @section("How to run it", needs=("plan",))

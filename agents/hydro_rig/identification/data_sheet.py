@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from hydro_agents.running.text import Table, number
+from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SENSORS
 from hydro_rig.estimation.model import noise_of
@@ -87,17 +87,6 @@ def worst_signal(found: Estimate, task: TaskConfig) -> str:
     how = "slowly" if slow[channel] > white[channel] else "from sample to sample"
     name = SENSORS[channel]
     return f"{name} differs most from the model, {how}, by {_size(name, float(total[channel]), task)}"
-
-
-def residual_table(found: Estimate, task: TaskConfig) -> Table:
-    """Noise, slow error and spikes of each signal that was recorded, medians over the windows."""
-    rows = []
-    values = zip(SENSORS, *(np.median(part, axis=0) for part in (found.white, found.slow, found.spikes)), strict=True)
-    for name, white, slow, spikes in values:
-        sizes = (_size(name, float(part), task) if part > 0.0 else "none" for part in (1.0, white, slow))
-        rows.append((name.replace("_", " "), *sizes, f"{number(100.0 * float(spikes), 1)} %"))
-    header = ("Signal", "noise of the data sheet", "noise found", "slow difference from the model", "spikes")
-    return Table("Standard deviations; what the model does not explain, median over the windows", header, rows)
 
 
 def lines_to_paste(found: Estimate, task: TaskConfig) -> str:

@@ -76,7 +76,6 @@ def test_a_late_command_is_read_and_the_page_says_how_the_task_would_agree(tmp_p
     mended = yaml.safe_load(next(line for line in lines if line.startswith("command_latency:")))
     assert mended["command_latency"] == pytest.approx(3e-3, abs=2e-4)
     page = (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
-    assert "noise found" in page
     assert f"command_latency: {mended['command_latency']}" in page
 
 
