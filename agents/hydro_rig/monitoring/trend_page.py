@@ -16,11 +16,10 @@ from hydro_agents.report.page import Page
 from hydro_agents.report.palette import MEANINGS, SERIES
 from hydro_agents.report.sections import Block, Fold, Points, Text, render_page, section
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import Cell, Table, number
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.monitoring.trend_summary import DAY, AxisTrend, date_text
 
-TREND = ("axes_and_dates", "sizes_over_time", "axes_in_numbers", "how_trends_are_read")
+TREND = ("axes_and_dates", "sizes_over_time", "how_trends_are_read")
 SOURCES = Markup("All readings: <code>{}</code> beside this page.")
 
 COLOURS = {
@@ -106,31 +105,8 @@ def sizes_over_time(content: Content) -> list[Block]:
     """A panel per axis."""
     ordered = by_urgency(content.part("trends", list))
     more = len(ordered) - MOST_PANELS
-    rest = [Text(f"{more} more axes are in the table below.", "soft")] if more > 0 else []
+    rest = [Text(f"{more} more axes have no panel; --json has the numbers of all.", "soft")] if more > 0 else []
     return [_plot(ordered[:MOST_PANELS]), *rest]
-
-
-@section("The axes in numbers", needs=("trends",))
-def axes_in_numbers(content: Content) -> list[Block]:
-    """One row per axis."""
-    rows: list[tuple[str | Cell, ...]] = []
-    for one in by_urgency(content.part("trends", list)):
-        found, style = one.growth, "worse" if one.state in (Kind.LEAK, Kind.OTHER) else ""
-        value, low, high = (number(size, digits=2) for size in found.level)
-        date, early, late = (one.date(days) if np.isfinite(days) else "–" for days in found.ahead)
-        rows.append(
-            (
-                one.axis,
-                Cell(one.state.value, style, 20 if style else 0),
-                f"{value} ({low} to {high})",
-                number(30.0 * found.rate.value, 2, signed=True) if found.grows >= 0.95 else "–",
-                f"{date} ({early} to {late})" if one.dated else "–",
-                one.date(found.not_before) if found.not_before < 365.0 else "–",
-                f"{len(one.time)}",
-            )
-        )
-    header = ("Axis", "Now", "l/min (90 %)", "Decades a month", "At the limit (90 %)", "Not before", "Readings")
-    return [Table("Leaks at 100 bar and 40 °C", header, rows, folded=False)]
 
 
 @section("How it was read", needs=("trends",))
