@@ -158,23 +158,6 @@ def test_a_structure_that_the_model_lacks_is_flagged(fault):
     assert not wrong.holds.any()
 
 
-def test_an_offset_beyond_the_sensor_is_unlikely(moving):
-    _, signals, *_ = moving
-    beside = signals[2:3].copy()
-    beside[:, 3] += 0.02
-    odd = estimate(beside, CONFIG, settings=QUICK)
-    assert abs(odd.scaled[0, odd.names.index("spool_position_bias")]) > 4.0
-    assert np.abs(estimate(signals[2:3], CONFIG, settings=QUICK).scaled).max() <= 4.0
-
-
-def test_a_null_shift_that_is_unknown_is_read():
-    signals, *_ = driven(CONFIG, [0.1, 0.1], [41, 42], faults={"valve_null_shift": 0.02})
-    right = estimate(signals, CONFIG, (*default_unknowns(CONFIG), "valve.null_shift"))
-    assert right.holds.all()
-    np.testing.assert_allclose(right.value("valve.null_shift"), 0.02, atol=0.005)
-    assert_within(right, LEAKAGE, 0.1)
-
-
 def test_batches_threads_and_neighbours_change_nothing(moving, found):
     _, signals, *_ = moving
     alone = estimate(signals[1], CONFIG, threads=1)
