@@ -45,6 +45,10 @@ def leak_test(
         str,
         typer.Option(metavar="both|extended|retracted", help="Stops to press against.", rich_help_panel=_PLAN),
     ] = "both",
+    between: Annotated[
+        str | None,
+        typer.Option(metavar="LOW..HIGH", help="Allowed positions in mm from mid-stroke.", rich_help_panel=_PLAN),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Folder; default: results/leak_test_plan, or results/leak_test."),
@@ -71,11 +75,14 @@ def leak_test(
     from hydro_rig.recordings.columns import read_map
 
     config = task_config(task, rig=rig)
+    low, high = _ends(between)
     limits = {
         "duration": (duration, 1.0),
         "speed": (speed, 1e-3),
         "opening": (opening, 1e-2),
         "pressure": (pressure, 1e5),
+        "low": (low, 1e-3),
+        "high": (high, 1e-3),
     }
     given = {name: factor * value for name, (value, factor) in limits.items() if value is not None}
     if recording is None:
@@ -88,7 +95,7 @@ def leak_test(
         say(json.dumps(pages.plan_facts(planned), indent=1) if as_json else "\n".join(lines))
         return
     if given or stop != "both":
-        option = next(iter(given), "stop")
+        option = next(iter(given), "stop") if between is None else "between"
         raise ConfigurationError(f"--{option}: belongs to the plan; leave out RECORDING, or the option")
     folder = output or Path("results/leak_test")
     refuse_taken(folder, pages.JOB, pages.READING_FILES, overwrite)
@@ -98,3 +105,14 @@ def leak_test(
     lines = pages.reading_to_folder(folder, found, overwrite, command_line())
     say(json.dumps(pages.reading_facts(found), indent=1) if as_json else "\n".join(lines))
     raise typer.Exit(EXIT_CODES[found.verdict.kind])
+
+
+def _ends(between: str | None) -> tuple[float | None, float | None]:
+    """Both ends of ``LOW..HIGH``; ``None``: not given."""
+    from hydro_env import ConfigurationError
+
+    low, _, high = (between or "..").partition("..")
+    try:
+        return float(low) if low else None, float(high) if high else None
+    except ValueError:
+        raise ConfigurationError(f"--between {between}: must be positions in mm as -60..60") from None

@@ -130,10 +130,11 @@ def _limits(plan: Plan) -> Table:
     """What the simulated axes reach, and the limits."""
     limits, best = plan.settings, plan.best
     low, high = (f"{1e3 * end:.0f}" for end in (best.position.min(), best.position.max()))
+    ends = ("the stop" if np.isinf(end) else f"{1e3 * end:.0f}" for end in (limits.low, limits.high))
     rows = [
         ("Speed, also against a stop, mm/s", f"{1e3 * best.speed:.0f}", f"{1e3 * limits.speed:.0f}"),
         ("Pressure, bar", f"{1e-5 * best.pressures.max():.0f}", f"{1e-5 * limits.pressure:.0f}"),
-        ("Positions, mm", f"{low} to {high}", "the stops"),
+        ("Positions, mm", f"{low} to {high}", " to ".join(ends)),
         ("Start, mm", f"{1e3 * resting_place(plan.task.plant):.0f}", ""),
     ]
     title = f"{len(best.position)} simulated axes with worn valves"

@@ -153,6 +153,7 @@ def plan(config: TaskConfig, settings: LeakTestSettings, progress: Progress | No
         ConfigurationError: no test is possible within the limits.
     """
     task = worn_task(config)
+    _check_positions(task, settings)
     report = progress or (lambda phase, done, total: None)
     report("plan", 0, len(FORMS) + 1)
     opening, travel = _largest_opening(task, settings)
@@ -164,10 +165,11 @@ def plan(config: TaskConfig, settings: LeakTestSettings, progress: Progress | No
     within = [trial for trial in trials if not trial.beyond]
     if not within:
         least = min(trials, key=lambda trial: trial.beyond)
+        lowest, highest = 1e3 * least.position.min(), 1e3 * least.position.max()
         raise ConfigurationError(
             f"leak-test: {least.beyond} of {len(least.position)} simulated axes go beyond a limit in every test; they "
-            f"reach {1e-5 * least.pressures.max():.0f} bar: raise --pressure, lower --opening or --duration, or test "
-            "another --stop"
+            f"reach {lowest:.0f} to {highest:.0f} mm, {1e-5 * least.pressures.max():.0f} bar: widen --between or "
+            "--pressure, lower --opening or --duration, or test another --stop"
         )
     return Plan(task, settings, trials, min(within, key=lambda trial: trial.mean_bound))
 
@@ -187,6 +189,7 @@ def _tried(task: TaskConfig, settings: LeakTestSettings, form: Form, opening: fl
         kept = np.zeros(0, np.int64)
     speeds = _speeds(task, position)
     within = np.isin(np.arange(len(position)), kept) & (speeds <= settings.speed)
+    within &= (position.min(axis=1) >= settings.low) & (position.max(axis=1) <= settings.high)
     return Trial(
         form=form,
         steps=steps,
@@ -225,6 +228,19 @@ def _true_course(task: TaskConfig, windows: KnownWindows) -> tuple[Floats, Float
 def _speeds(task: TaskConfig, position: Floats) -> Floats:
     """Largest speed of each axis, m/s, (plants,)."""
     return np.asarray(np.abs(np.gradient(position, task.control_period, axis=1)).max(axis=1))
+
+
+def _check_positions(task: TaskConfig, settings: LeakTestSettings) -> None:
+    """Check that the allowed positions lie within the stroke, and the start between them."""
+    half, start = 0.5 * task.plant.cylinder.stroke, resting_place(task.plant)
+    for name, place in (("low", settings.low), ("high", settings.high)):
+        if np.isfinite(place) and not -half <= place <= half:
+            raise ConfigurationError(
+                f"--between: {name} end {1e3 * place:g} mm: must be within the stroke, {-1e3 * half:g} to "
+                f"{1e3 * half:g} mm"
+            )
+    if not settings.low < start < settings.high:
+        raise ConfigurationError(f"--between: {1e3 * start:g} mm, where the axis rests, must lie between its ends")
 
 
 def _largest_opening(task: TaskConfig, settings: LeakTestSettings) -> tuple[float, Sequence[float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -24,6 +25,8 @@ class LeakTestSettings(Group):
     speed: float = Field(gt=0.0, le=100.0, description="m/s, also against an end stop")
     pressure: float = Field(gt=0.0, le=2e8, description="Pa")
     stop: Literal["both", "extended", "retracted"] = Field("both", description="stops that it presses against")
+    low: float = Field(-math.inf, description="m, lowest position that the axis may reach")
+    high: float = Field(math.inf, description="m")
     plants: int = Field(6, ge=2, le=1000, description="simulated ones, of the training seeds")
 
     @classmethod

@@ -123,10 +123,11 @@ def test_the_interval_of_a_quantity_is_that_of_90_percent():
 
 def test_the_command_writes_plan_commands_and_header(tmp_path):
     out = tmp_path / "plan"
-    limits = ("--duration", 8, "--opening", 20, "--stop", "extended", "--json")
+    limits = ("--duration", 8, "--opening", 20, "--stop", "extended", "--between", "-60..", "--json")
     answer = done("leak-test", *limits, "--output", out)
     facts = json.loads(answer.stdout)
     assert facts["largest_speed"] <= 0.05
+    assert facts["positions"][0] >= -0.06
     assert facts["bound_lpm"] < 0.02
     assert sum(step["seconds"] for step in facts["steps"]) == pytest.approx(8.0, abs=0.2)
     for name in ("plan.html", "commands.csv", "simulated.csv"):
@@ -136,9 +137,13 @@ def test_the_command_writes_plan_commands_and_header(tmp_path):
 @pytest.mark.parametrize(
     ("options", "parts"),
     [
+        (("--between", "-900..60"), ("-900 mm", "-200 to 200 mm")),
         (("--duration", 0), ("duration",)),
         (("--opening", "nan"), ("opening",)),
         (("--duration", 5), ("--duration 5 s", "raise --speed")),
+        (("--between", "10.."), ("0 mm", "between")),
+        (("--between", "wide"), ("--between wide", "-60..60")),
+        (("none.csv", "--between", "-60..60"), ("--between", "plan")),
         (("none.csv", "--speed", 20), ("--speed", "plan")),
         (("none.csv",), ("none.csv",)),
         (("none.csv", "--limit", -1), ("--limit",)),
@@ -150,6 +155,6 @@ def test_leak_test_refuses_in_one_line(tmp_path, options, parts):
 
 
 def test_limits_that_no_test_keeps_are_said():
-    tight = LeakTestSettings.of(CONFIG, duration=8.0, opening=0.2, stop="extended", pressure=30e5, plants=2)
+    tight = LeakTestSettings.of(CONFIG, duration=8.0, opening=0.2, stop="extended", high=0.02, plants=2)
     with pytest.raises(ConfigurationError, match="go beyond a limit in every test"):
         plan(CONFIG, tight)
