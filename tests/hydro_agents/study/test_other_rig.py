@@ -10,7 +10,6 @@ from hydro_agents.commands.options import exact_task
 from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.opponents import gains_file, shipped, usual_gains
 from hydro_agents.learning.policy import PolicyController
@@ -87,11 +86,6 @@ def test_a_policy_without_pressures_is_trained_saved_and_read_again(tmp_path):
     trained.save(tmp_path / "policy")
     again = PolicyController.load(tmp_path / "policy")
     assert mean_error(again, POSITION_ALONE) == mean_error(trained, POSITION_ALONE)
-
-
-def test_the_head_names_the_sensors_that_it_misses():
-    with pytest.raises(ConfigurationError, match="leakage head: reads spool_position, but this rig has no such sensor"):
-        HeadTrainingSettings().check(TaskConfig(sensors=SPOOL))
 
 
 def test_a_study_leaves_out_what_cannot_work(files, capsys):
