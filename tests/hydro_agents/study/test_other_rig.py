@@ -10,6 +10,7 @@ from hydro_agents.commands.options import exact_task
 from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
+from hydro_agents.learning import tuning
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.opponents import gains_file, shipped, usual_gains
 from hydro_agents.learning.policy import PolicyController
@@ -36,7 +37,7 @@ controllers:
   Flow linearisation: {kind: flow_linearising}
   PPO: {kind: ppo, corrects: Flow linearisation, settings: {total_steps: 1024, axes: 16, steps_per_rollout: 16,
         minibatches: 2, epochs: 1, hidden_sizes: [8], see_estimates: true}}
-evaluation: {plants: 3, detection_episodes: 100}
+evaluation: {plants: 3, detection_episodes: 100, leak_levels: [0.01, 4.0]}
 """
 
 
@@ -116,8 +117,9 @@ def test_a_policy_that_corrects_nothing_is_left_out(files, capsys):
         default_study(file, rig=rig)
 
 
-def test_a_study_with_a_position_sensor_alone_tunes_trains_and_reports(files, tmp_path):
+def test_a_study_with_a_position_sensor_alone_tunes_trains_and_reports(files, tmp_path, monkeypatch):
     rig, file = files
+    monkeypatch.setattr(tuning, "REST", 2.0)
     answer = hydro("study", "--config", file, "--rig", rig, "--output", tmp_path / "study")
     assert answer.returncode == 0, answer.stderr
     for name in ("controllers/PID/gains.yaml", "controllers/PPO/policy.safetensors", "report.html", "tuned_study.yaml"):
