@@ -26,7 +26,7 @@ class Answer(NamedTuple):
     stderr: str
 
 
-def hydro(*arguments: object) -> Answer:
+def hydro(*arguments: object, columns: int = 120) -> Answer:
     """Run ``hydro`` in this process; an exception that it lets through fails the test."""
     out, errors, code = io.StringIO(), io.StringIO(), 0
     given, handlers = sys.argv, {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
@@ -35,7 +35,7 @@ def hydro(*arguments: object) -> Answer:
         with (
             contextlib.redirect_stdout(out),
             contextlib.redirect_stderr(errors),
-            mock.patch.dict(os.environ, COLUMNS="120"),
+            mock.patch.dict(os.environ, COLUMNS=str(columns)),
         ):
             application.main()
     except SystemExit as stop:

@@ -19,22 +19,9 @@ def pytest_configure():
 
 
 LONG = (
-    *(
-        "test_recipes.py",
-        "test_run.py",
-        "test_cli.py",
-        "test_tuning.py",
-        "test_rates.py",
-        "test_job.py",
-    ),
-    *("test_structured_text.py", "test_controller_folder.py", "test_diagnose.py", "test_identify.py", "test_errors.py"),
-    *(
-        "test_runs_anywhere.py",
-        "test_pages.py",
-        "test_examples.py",
-        "test_pretrained.py",
-        "test_command.py",
-    ),
+    *("test_recipes.py", "test_run.py", "test_structured_text.py", "test_cli.py", "test_controller_folder.py"),
+    *("test_diagnose.py", "test_tuning.py", "test_identify.py", "test_errors.py", "test_pipeline.py"),
+    *("test_runs_anywhere.py", "test_pages.py", "test_examples.py", "test_rates.py", "test_command.py"),
 )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import inf, pi, sqrt
 
-from hydro_env import ConfigurationError, PlantParameters
+from hydro_env import PlantParameters
 from hydro_env.plant.states import State
 
 RightHandSide = Callable[[float, Sequence[float], float], State]
@@ -21,13 +21,7 @@ def right_hand_side(parameters: PlantParameters) -> RightHandSide:
     """f(t, y, u): derivative of the states y (order of ``STATE_NAMES``, SI) at the voltage u (V).
 
     The valve with its drive, friction without bristles, supply constant or with accumulator.
-
-    Raises:
-        ConfigurationError: the rig is modelled otherwise.
     """
-    kinds = parameters.valve.model, parameters.friction.model, parameters.supply.model
-    if kinds[0] != "drive" or kinds[1] == "lugre" or kinds[2] == "pump":
-        raise ConfigurationError(f"this plant has no model {' / '.join(kinds)}")
     cylinder, valve, fluid = parameters.cylinder, parameters.valve, parameters.fluid
     lines = parameters.lines
     load, friction, supply, leakage = parameters.load, parameters.friction, parameters.supply, parameters.leakage

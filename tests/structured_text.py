@@ -52,11 +52,12 @@ class FunctionBlock:
         parsed = parse_source_code(text)
         if parsed.exception is not None:
             raise parsed.exception
-        block = next(item for item in parsed.transform().items if type(item).__name__ == "FunctionBlock")
+        items = parsed.transform().items
+        block = next(item for item in items if type(item).__name__ == "FunctionBlock")
         self.kinds: dict[str, str] = {}
         self.memory: dict[str, Any] = {}
         self.gains: dict[str, float] = {}
-        for item in parsed.transform().items:
+        for item in items:
             if type(item).__name__ == "DataTypeDeclaration":
                 for entry in item.declaration.declarations:
                     self.gains[_name(entry.variables[0])] = float(str(entry.init.value.value))

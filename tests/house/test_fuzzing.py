@@ -1,4 +1,4 @@
-"""Random damage to everything that a user can give: the answer is a result or one clear line, and it comes soon.
+"""Random damage to everything that a user can give: the answer is a result or one clear line.
 
 Each target draws a valid input and damages it. A few hundred cases run always, ten thousand with ``-m slow``.
 """
@@ -7,7 +7,6 @@ import contextlib
 import json
 import math
 import shutil
-import time
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +34,6 @@ from hydro_rig.recordings.columns import read_map
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.simulated import recording_csv
-
-SLOWEST = 400.0
-"""Processor time of the slowest case of a target over its median, and no less than a second."""
 
 NUMBERS = st.one_of(
     st.integers(-3, 3),
@@ -299,22 +295,11 @@ TARGETS: dict[str, tuple[Any, Any]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def compiled():
-    """Everything is compiled before any case is timed."""
-    simulate(PlantParameters(), [1.0], 1e-3)
-    for env in (ServoHydraulicEnv(SMALL_TASK), ServoHydraulicVectorEnv(2, SMALL_TASK)):
-        env.reset(seed=0)
-        env.step(np.zeros(env.action_space.shape, dtype=np.float32))
-
-
-@pytest.mark.usefixtures("compiled")
 @pytest.mark.parametrize("cases", [25, pytest.param(800, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("target", TARGETS)
 def test_damage_is_answered_with_one_line(target, cases, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     strategy, check = TARGETS[target]
-    seconds = []
 
     @settings(
         max_examples=cases,
@@ -326,13 +311,9 @@ def test_damage_is_answered_with_one_line(target, cases, tmp_path, monkeypatch):
     )
     @given(strategy)
     def run(case: Any) -> None:
-        began = time.process_time()
         try:
             check(tmp_path, case)
         finally:
-            seconds.append(time.process_time() - began)
             shutil.rmtree(tmp_path / "out", ignore_errors=True)
 
     run()
-    seconds.remove(max(seconds))  # the first imports
-    assert max(seconds) <= max(SLOWEST * float(np.median(seconds)), 1.0), sorted(seconds)[-5:]

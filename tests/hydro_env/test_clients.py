@@ -134,6 +134,7 @@ def test_a_spec_is_json_of_the_content_and_makes_the_same_environment_again(tmp_
         assert again.unwrapped.config == single.unwrapped.config == copy.deepcopy(again.spec).make().unwrapped.config
         json.loads(of_many.to_json())
         again = gym.make_vec(of_many).unwrapped
+        assert isinstance(again, ServoHydraulicVectorEnv)
         assert again.config == single.unwrapped.config
         assert again.autoreset_mode is AutoresetMode.SAME_STEP
 

@@ -30,14 +30,10 @@ RIGS = [
     ("supply: {pressure: 120 MPa}", "(unit: Pa); 120 bar meant?"),
     ("supply: {pressure: 3000 bar}", "(unit: Pa); 3000 psi meant?"),
     ("cylinder: {bore_diameter: 40 m}", "(unit: m); 40 mm meant?"),
-    ("cylinder: {stroke: 400}", "cylinder.stroke = 400: must be a number within 0.01 to 10 (unit: m)"),
-    ("valve: {rated_flow: 10}", "valve.rated_flow = 10: must be a number within 1e-07 to 0.1 (unit: m³/s)"),
     ("load: {mass: -60.0}", "load.mass = -60.0: must be a number within 0.01 to 1e+06 (unit: kg)"),
     ("leakage: {internal_resistance: 1}", "must be a number, at least 1e+08 (unit"),  # the other bound is infinity
     ("load: {mass: .nan}", "load.mass = nan: "),
-    ("load: {mass: .inf}", "load.mass = inf: must be a number within 0.01 to 1e+06 (unit: kg)"),
     ("load: {mass: true}", "load.mass = true: must be a number, not true/false"),
-    ("load: {mass: [60]}", "load.mass = [60]: "),
     ("load:\n  mass:", "line 2: load.mass: is empty; must be a number within"),
     ("cylinder: {stroke: 1:30}", "cylinder.stroke = '1:30': must be a number within 0.01 to 10"),
     (
@@ -53,9 +49,7 @@ RIGS = [
     ("cylinder: {rod: 36 mm}", "cylinder.rod = '36 mm': unknown key; did you mean rod_diameter?"),
     ("mass: 120 kg", "mass = '120 kg': unknown key; did you mean load.mass?"),
     ("randomisation: {mass: {factor: [1, 2]}}", "'mass' is not a number of the plant; did you mean load.mass?"),
-    ("randomisation: {leakage.internal_resistance: {factor: [1, 2]}}", "is drawn by the group 'leakage' of the task"),
     ("randomisation: {load.mass: {factor: [2, 1]}}", "randomisation.load.mass: bounds = [2, 1]"),
-    ("randomisation: {load.mass: {uniform: [0, 1]}}", "randomisation: load.mass = 0 kg is below its limit"),
     ("supply: {model: accumulater}", "must be one of constant, accumulator, pump; did you mean accumulator?"),
     # What does not fit together.
     ("cylinder: {rod_diameter: 0.05}", "rod_diameter = 50 mm does not fit: "),
@@ -74,8 +68,6 @@ RIGS = [
     ("\nload: {mass: 3\nfluid: {}", "not valid YAML in line 2: the bracket that opens here is not closed"),
     ("load: {mass: '3 kg}", "not valid YAML in line 1: the quotation mark that opens here is not closed"),
     ('"lo\\nad": 1', "lo ad = 1: unknown key"),
-    ("- load", "must be a mapping of settings, not a list"),
-    ("7: 1", "7 is a key: keys must be text"),
 ]
 
 

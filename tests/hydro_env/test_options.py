@@ -9,7 +9,7 @@ from refusal import refused
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicEnv, ServoHydraulicVectorEnv
 
 SHORT = {"episode_duration": 0.05}
-NAN, HUGE = float("nan"), 10**400
+NAN = float("nan")
 STIFF = {"load": {"spring_stiffness": 89e3}, "supply": {"pressure": 70e5}}
 
 
@@ -149,13 +149,6 @@ def test_a_reference_given_for_one_episode_leaves_the_reference_of_the_task(make
     assert (env.axes.reference[:, 1:] == 0.01).all()
 
 
-class Odd:
-    """An object that NumPy cannot make numbers of."""
-
-    def __array__(self, *_, **__):
-        raise RuntimeError("no array")
-
-
 def of_load(**values):
     return {"parameters": {"load": values}}
 
@@ -167,8 +160,6 @@ WRONG = [
     ({"leakage_flow_lpm": NAN}, "leakage_flow_lpm = nan l/min at 100 bar: must be within 0 to 20"),
     ({"leakage_flow_lpm": "much"}, "leakage_flow_lpm = 'much': must be a number"),
     ({"leakage_flow_lpm": [0.1, 0.2]}, r"leakage_flow_lpm has shape \(2,\): must be one number"),
-    ({"leakage_flow_lpm": [[1.0]]}, "leakage_flow_lpm"),
-    ({"leakage_flow_lpm": HUGE}, "leakage_flow_lpm"),
     ({"reference": [0.0, NAN]}, r"reference\[1\] = nan m: must be a position within the stroke"),
     ({"reference": [0.0, 10.0]}, r"reference\[1\] = 10 m: .*±0.2 m"),
     ({"reference": [-0.2]}, r"reference\[0\] = -0.2 m: must be a position within"),
@@ -177,22 +168,15 @@ WRONG = [
     ({"reference": ["up", "down"]}, "reference has 2 names for [13] axes"),
     ({"reference": "zigzag"}, "reference = 'zigzag': must be an array in m, or of step"),
     ({"reference": "user"}, "reference = 'user': must be an array in m"),
-    ({"reference": {"a": 1}}, "reference must be numbers in m"),
-    ({"reference": [[0.1], [0.2, 0.3]]}, "reference"),
-    ({"reference": Odd()}, "reference"),
     ({"reference": [0.0, 0.15], "parameters": STIFF}, "reference of 150 mm cannot be .* only -48.99 to 98.12 mm can"),
     ({"reference": [0.0, -0.15, 0.0], "parameters": STIFF}, "reference of -150 mm cannot be reached, only -48.99 to"),
     ({"initial_position": 0.3}, "initial_position = 0.3 m: must be within -0.2 to 0.2"),
-    ({"initial_position": NAN}, "initial_position = nan m: must be within"),
-    ({"initial_position": "left"}, "initial_position = 'left': must be a number"),
-    ({"initial_position": 1j}, "initial_position"),
     ({"rig": 1}, "rig = 1: must be within 0 to 0"),
     ({"initial_position": -0.1, "parameters": STIFF}, "initial position -100 mm cannot be held by its plant"),
     (of_load(weight=1.0), "parameters.load.weight is not a parameter of the"),
     ({"parameters": {"loads": {"mass": 1.0}}}, "parameters.loads.mass is not a parameter of the plant"),
     ({"parameters": 3}, "parameters must be groups of fields"),
     ({"parameters": {"load": 3}}, "parameters must be groups of fields"),
-    ({"parameters": {"load": {None: 60.0}}}, "parameters"),
     (of_load(mass=-5.0), r"load\.mass = -5\.0: .*unit: kg"),
     (of_load(mass=NAN), "parameters.load.mass = nan: must be a number"),
     (of_load(mass="60"), "parameters.load.mass = '60': must be a number"),
@@ -204,7 +188,6 @@ WRONG = [
     ({"parameters": {"supply": {"precharge_pressure": 65e5}}}, "precharge_pressure = 65 bar .* pressure = 60 bar"),
     ({"parameters": {"friction": {"breakaway_force": 200.0}}}, "breakaway_force = 200 N .* coulomb_force = 300 N"),
     (5, "reset options: 5: must be a mapping, of leakage_flow_lpm"),
-    ({3: 4}, "3"),
 ]
 OF_THREE = [
     ({"leakage_flow_lpm": [0.1, 0.2]}, r"has shape \(2,\): must be one number, or one per axis"),
@@ -264,8 +247,8 @@ def test_the_first_reset_must_begin_every_axis():
     assert np.isfinite(stepped(envs, 0.0)).all()
 
 
-BAD_ACTIONS = [np.array([NAN]), np.array([-np.inf], np.float32), [1j], [HUGE], np.zeros(2), 0.1, np.zeros((2, 2))]
-BAD_ACTIONS += [[[0.1], [0.2, 0.3]], np.zeros(0), ["0.5"], "full", [True], None, Odd()]
+BAD_ACTIONS = [np.array([NAN]), np.array([-np.inf], np.float32), np.zeros(2), 0.1, ["0.5"], [True], None]
+"""``tests/house/test_fuzzing.py`` draws others."""
 OF_ONE = r"action = .*: must be finite, of shape \(1,\)"
 ACTIONS = [(ServoHydraulicEnv, action, OF_ONE) for action in BAD_ACTIONS]
 ACTIONS += [(three, action, "^action") for action in BAD_ACTIONS]

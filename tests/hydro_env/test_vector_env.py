@@ -4,7 +4,6 @@ import copy
 import pickle
 import threading
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
@@ -109,22 +108,6 @@ def test_seeds():
     partly = np.concatenate([first([3, None, None, None])[0] for _ in range(2)])
     assert len(np.unique(partly[:, 5])) == 7  # only the seeded axis repeats
     np.testing.assert_array_equal(partly[0], partly[4])
-
-
-def test_make_vec():
-    envs = gym.make_vec("ServoHydraulic-v0", num_envs=3, control_period=0.004, episode_duration=0.4)
-    assert isinstance(envs.unwrapped, ServoHydraulicVectorEnv)
-    assert envs.num_envs == 3
-    assert envs.spec.id == "ServoHydraulic-v0"
-    observation, _ = envs.reset(seed=1)
-    assert envs.observation_space.contains(observation)
-    single = gym.make("ServoHydraulic-v0", control_period=0.004, episode_duration=0.4)
-    np.testing.assert_array_equal(observation[2], single.reset(seed=3)[0])
-    sync = gym.make_vec("ServoHydraulic-v0", 3, vectorization_mode="sync", control_period=0.004, episode_duration=0.4)
-    np.testing.assert_array_equal(observation, sync.reset(seed=1)[0])
-    limited = gym.make_vec("ServoHydraulic-v0", num_envs=2, max_episode_steps=5)
-    limited.reset(seed=0)
-    assert [limited.step(np.zeros((2, 1)))[3].all() for _ in range(5)] == [False] * 4 + [True]
 
 
 def test_vector_environments_side_by_side_and_in_a_thread():

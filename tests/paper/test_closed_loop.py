@@ -6,33 +6,16 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers.sampled_loop import (
-    COMMAND_LATENCY,
     CONTROL_PERIOD,
     SampledLoop,
     places_in_reach,
     sampled_loop,
 )
-from hydro_env import PlantParameters, equilibrium, simulate
-from hydro_env.plant.states import STATE_NAMES
+from hydro_env import PlantParameters
 from paper.loop import bandwidth, closed_bode_table, sensible_gain
 from paper.rig import simplified, with_leak
 
 SPEED, LATE = 0.2, 1e-3  # m/s per command, s
-
-
-def closed_loop(parameters, reference, gain, start, offset):
-    """Positions (m) of the nonlinear plant under a sampled proportional controller, one per control period."""
-    state, holding = equilibrium(parameters, start)
-    before = holding / 10.0
-    inner, late = round(CONTROL_PERIOD / 1e-3), round(COMMAND_LATENCY / 1e-3)
-    positions = []
-    for target in reference:
-        positions.append(state["position"])
-        command = float(np.clip(gain * (target - state["position"]) + offset, -1.0, 1.0))
-        run = simulate(parameters, 10.0 * np.repeat([before, command], [late, inner - late]), 1e-3, state)
-        state = dict(zip(STATE_NAMES, run.states[-1].tolist(), strict=True))
-        before = command
-    return np.array([*positions, state["position"]])
 
 
 @pytest.fixture(scope="module")
@@ -104,14 +87,6 @@ def test_the_gain_keeps_the_margin_at_every_place():
     axis = with_leak(PlantParameters(), 0.01, "laminar")
     limits = [sampled_loop(axis, place).largest_stable_gain() for place in places_in_reach(axis)]
     assert sensible_gain() == pytest.approx(min(limits) / 2.0)
-
-
-def test_a_step_of_the_linear_loop_is_that_of_the_nonlinear_one():
-    axis, place, gain, step = plant(4.0), 0.022, 474.0, 2e-5
-    loop = sampled_loop(axis, place)
-    _, holding = equilibrium(axis, place)
-    seen = (closed_loop(axis, np.full(400, place + step), gain, place, holding / 10.0) - place) / step
-    assert seen == pytest.approx(step_response(loop, gain, 400), abs=0.02)
 
 
 def test_closed_loop_table_holds_bandwidth_and_peak_of_its_own_curves():

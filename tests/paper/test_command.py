@@ -8,7 +8,6 @@ import pytest
 from browser import problems_everywhere
 from refusal import refused
 
-from hydro_agents.commands.application import main
 from hydro_env.task.sensors import Sensors
 from paper import run as command
 from paper.moves import displacement_table
@@ -46,17 +45,6 @@ def test_nothing_is_cut_off_in_a_browser(browser, folder):
 def test_a_folder_with_results_is_kept_unless_told(folder):
     with refused("--overwrite"):
         command.reproduce_to_folder(folder, overwrite=False)
-
-
-def test_a_file_in_place_of_the_folder_is_one_line_and_exit_2(tmp_path, monkeypatch, capsys):
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    monkeypatch.setattr("sys.argv", ["hydro", "reproduce", "--output", str(tmp_path / "file")])
-    with pytest.raises(SystemExit) as caught:
-        main()
-    assert caught.value.code == 2
-    error = capsys.readouterr().err
-    assert error.startswith("hydro: ")
-    assert error.count("\n") == 1
 
 
 def test_recorded_displacement_has_the_noise_of_the_sensor():

@@ -8,12 +8,8 @@ import pytest
 
 from hydro_env import PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
-from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.plant.parts.leakage import internal_leakage
-from hydro_env.plant.states import STATE_NAMES, State
 from hydro_env.task.sensors import Sensors
-from hydro_env.units import LITRE_PER_MINUTE
-from paper.rig import LAWS, SAMPLE_TIME, quick_stop, with_leak
+from paper.rig import LAWS, SAMPLE_TIME, quick_stop
 from paper.settling import trends
 from paper.signals import (
     ACCELEROMETER_RANGE,
@@ -104,15 +100,6 @@ def test_known_settling_times(flow_lpm, seconds):
     outline = swing_envelope(run.time, run.acceleration, closed_port_natural_frequency(parameters, -0.1))
     fell = last_above(run.time, outline, 0.1) - last_above(run.time, outline, 5.0)
     assert fell == pytest.approx(seconds, rel=0.03, abs=0.012)
-
-
-@pytest.mark.parametrize("law", list(LAWS))
-def test_a_leak_is_quoted_at_100_bar(law):
-    plant = with_leak(PlantParameters(), 0.7, law)
-    state = State(**{**dict.fromkeys(STATE_NAMES, 0.0), "pressure_a": 100e5})
-    flow = internal_leakage(state.pressure_a, state.pressure_b, plant_coefficients(plant))
-    # The throttle's gain is that of a plain root; the root of the model is smoothed near zero drop.
-    assert flow / LITRE_PER_MINUTE == pytest.approx(0.7, rel=1e-9 if law == "laminar" else 3e-5)
 
 
 def test_accelerometer_noise_and_range():

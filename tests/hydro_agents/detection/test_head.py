@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from refusal import refused, undigested
+from refusal import undigested
 from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
@@ -112,24 +112,6 @@ def test_round_trip(head, tmp_path):
     del stored["features"]
     (tmp_path / "head.json").write_text(json.dumps(stored))
     with pytest.raises(ConfigurationError, match="features"):
-        LeakageHead.load(tmp_path / "head")
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [
-        ("threshold", float("nan"), "threshold = nan: must be a number within 0 to 1"),
-        ("window", 10**30, "window: must be a whole number within 50"),
-        ("longest", 60, "longest = 60: must be at least window = 80"),
-        ("width", 8, "mean|weight_|bias_"),
-        ("task", None, "task: is empty; must be a group of settings"),
-    ],
-)
-def test_impossible_settings_of_a_file_are_refused_with_one_line(head, tmp_path, field, value, message):
-    head.save(tmp_path / "head")
-    file = tmp_path / "head.json"
-    file.write_text(json.dumps(undigested(file) | {field: value}))
-    with refused(message):
         LeakageHead.load(tmp_path / "head")
 
 

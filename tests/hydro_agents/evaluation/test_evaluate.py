@@ -94,14 +94,11 @@ def test_detection_cases_are_healthy_and_leaking_in_turn():
     ("values", "message"),
     [
         ({"leak_levels": [0.1, 0.0]}, "leak_levels: 0 l/min: must be within 0"),
-        ({"leak_levels": [20.1]}, "leak_levels: 20.1 l/min"),
         ({"families": ["user"]}, r"families.0 = 'user': unknown family 'user'.* known: step, "),
         ({"families": ["step", "step"]}, "families: has a duplicate entry"),
         ({"leak_levels": [1.0, 1.0]}, "leak_levels: has a duplicate entry"),
         ({"plants": 2}, "plants"),
-        ({"plants": True}, "plants"),
         ({"detection_episodes": 99}, "detection_episodes"),
-        ({"plant": 3}, "plant"),
     ],
 )
 def test_impossible_settings_are_refused(values, message):

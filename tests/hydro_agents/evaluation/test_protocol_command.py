@@ -106,14 +106,10 @@ def test_tables_page_and_the_shares_found_on_the_console(place):
     [
         (("--protocol", "robst"), ("protocol 'robst': unknown", "quick, robustness")),
         (("--protocol", "own.yaml", "--rig", "nowhere"), ("rig 'nowhere': unknown", "symmetric_eha")),
-        (("--protocol", "own.yaml", "--task", "hard"), ("task 'hard': unknown", "no_preview")),
         (("--protocol", "own.yaml", "--plants", "9"), ("--plants", "from its file")),
         (("--protocol", "own.yaml", "--agent", "mine=nowhere:Agent"), ("mine", "nowhere")),
         (("--resume",), ("--resume: needs --protocol",)),
-        (("--protocol", "own.yaml", "--jobs", "0"), ("--jobs", "equal to 1")),
         (("--protocol", "leaks.yaml", "--agent", "x=pid"), ("--agent: a protocol takes it from its file",)),
-        (("--protocol", "leaks.yaml", "--plants", "5"), ("--plants: a protocol takes it from its file",)),
-        (("--protocol", "leaks.yaml", "--head", "absent"), ("absent",)),
     ],
 )
 def test_what_is_wrong_is_one_line_and_writes_nothing(place, arguments, parts):

@@ -8,6 +8,7 @@ from driven import commands
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
+from hydro_agents.learning import tuning
 from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_PACES, PREVIEW_SCALE, USUAL_ERROR, AnyAxisFeatures
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.learning.policy import PolicyController
@@ -44,6 +45,14 @@ SETTINGS = validate(
 
 def untuned(task):
     return FlowLinearising(FlowLinearisingGains(), task)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_rest():
+    """Resting cases of 2 s for the choice of gains."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tuning, "REST", 2.0)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -124,14 +124,11 @@ def changed(tensors, name, value):
     ("change", "message"),
     [
         (lambda t, d: (t, d | {"steps": "many"}), "damaged: steps"),
-        (lambda t, d: (t, d | {"steps": -5}), "damaged: steps"),
         (lambda t, d: (t, d | {"made_with": []}), "damaged: made_with"),
         (lambda t, d: (changed(t, "episodes", np.zeros((3, 5))), d), "'episodes' holds float64 of shape"),
-        (lambda t, d: (changed(t, "axes.env.record", np.zeros((2, 2))), d), "'axes.env.record' holds"),
         (lambda t, d: (changed(t, "axes.env.record", t["axes.env.record"] + np.uint8(1)), d), "env.record"),
         (lambda t, d: (changed(t, "axes.own.state.ring", np.zeros((16, 36, 7), np.float32)), d), "own.state.ring"),
         (lambda t, d: (changed(t, "torch_generator", t["torch_generator"] * 0), d), "torch_generator"),
-        (lambda t, d: (changed(t, "numpy_generator_position", np.array(9999)), d), "numpy_generator"),
         (lambda t, d: ({k.replace("exp_avg_sq", "momentum"): v for k, v in t.items()}, d), "no tensor 'optimiser"),
         (lambda t, d: (changed(t, "optimiser.x.step", np.zeros(())), d), "optimiser.x.step"),
     ],
@@ -141,12 +138,3 @@ def test_a_checkpoint_that_was_tampered_with_is_refused_with_one_line(tmp_path, 
     save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, description)
     with refused(message):
         train(tmp_path, resume=True)
-
-
-@pytest.mark.parametrize("content", ["one,two\n1,2\n", f"{STEPS},b\n1,x\n"])
-def test_a_garbled_curve_is_left_out_with_a_warning_and_the_training_resumes(tmp_path, stored, content):
-    save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, *stored)
-    (tmp_path / PROGRESS_FILE).write_text(content)
-    with pytest.warns(UserWarning, match="is no log of a training"):
-        train(tmp_path, resume=True)
-    assert read_progress(tmp_path / PROGRESS_FILE)[-1][STEPS] == SETTINGS.total_steps

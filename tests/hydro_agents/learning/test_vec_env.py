@@ -69,22 +69,6 @@ def test_the_parts_of_the_reward_add_up(paired):
     assert set(env.mean_rewards().values()) == {0.0}  # nothing since then
 
 
-def test_infos_of_ended_axes():
-    env = make(seed=5)
-    env.reset()
-    for step in range(20):
-        inputs, _, done, infos = env.step(np.zeros((6, 1)))
-        if step < 19:
-            assert not done.any()
-            assert all(info == {} for info in infos)
-    assert done.all()
-    for axis, info in enumerate(infos):
-        assert info["TimeLimit.truncated"] is True
-        assert info["episode"]["l"] == 20
-        assert info["terminal_observation"].shape == inputs[axis].shape
-        assert not np.array_equal(info["terminal_observation"], inputs[axis])
-
-
 def test_stagger_spreads_the_ends_and_inputs_are_cut_off():
     env = make(count=10, stagger=True)
     env.reset()

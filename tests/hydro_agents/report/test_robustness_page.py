@@ -14,7 +14,7 @@ from hydro_agents.report.experiments import cycles_by_condition, standstill, sti
 from hydro_agents.report.palette import MEANINGS, NEUTRALS
 from hydro_agents.report.robustness import ROBUSTNESS, heat_map, ranking_table
 from hydro_agents.report.sections import render_page
-from hydro_agents.report.shared import energy_table, findings_of
+from hydro_agents.report.shared import energy_table
 from hydro_agents.report.traces import Example
 
 
@@ -30,16 +30,6 @@ def content():
 @pytest.fixture(scope="module")
 def page(content):
     return render_page("Robustness", ROBUSTNESS, content).html
-
-
-@pytest.mark.parametrize(
-    ("high", "sentence"),
-    [(0.8, "Good positions best: 70 % of the error of PID."), (1.2, "No controller is clearly better")],
-)
-def test_nobody_is_called_best_without_a_clear_difference(high, sentence):
-    tables = protocol_tables()
-    tables["comparison"]["equal_weight_high"] = high
-    assert findings_of(Content(tables))[0].text.startswith(sentence)
 
 
 def test_the_ranking_holds_ratios_and_counts(content):

@@ -176,15 +176,11 @@ def test_the_command_writes_a_file_that_check_rig_reads(tmp_path):
 
 WRONG = {
     "decimal comma": ({"bore": "63,5 mm"}, "such as 63 mm; decimals need a point"),
-    "too much pressure": ({"supply_pressure": "120 MPa"}, "(unit: Pa); 120 bar meant?"),
     "missing": ({"bore": None}, "bore: must be given"),
-    "another quantity": ({"bore": "63 bar"}, "bore '63 bar': unit 'bar': must be one of mm, m, cm"),
     "no unit": ({"rod": "36"}, "rod '36': needs a unit, such as 36 mm"),
     "no number": ({"mass": "heavy"}, "mass 'heavy': must be a number with its unit, such as 200 kg"),
-    "a comma": ({"mass": "1,5 t"}, "mass '1,5 t': must be a number with its unit"),
     "negative": ({"stroke": "-1 m"}, "stroke '-1 m': must not be negative"),
     "zero": ({"step_time": "0 ms"}, "step-time '0 ms': must be above 0"),
-    "a rod too thick": ({"rod": "70 mm"}, "cylinder: rod_diameter = 70 mm does not fit"),
     "too strong a force": ({"external_force": "90 kN"}, "load.external_force = 90000 N"),
     "no pump": ({"accumulator": "4 l"}, "accumulator: needs pump-flow"),
     "half a line": ({"line_length": "2 m"}, "line-length: needs line-diameter"),
@@ -197,7 +193,6 @@ WRONG = {
     "an accuracy in mm": ({"position_accuracy": "1 mm"}, "position-accuracy '1 mm': unit 'mm': must be one of %"),
     "an accuracy of nothing": ({"pressure_accuracy": "0.5 %"}, "pressure-accuracy: needs pressure-range"),
     "an unknown sensor": ({"absent": "position"}, "absent 'position': 'position': must be one of pressure_a"),
-    "an unknown line": ({"line_kind": "wire"}, "line-kind 'wire': 'wire': must be one of pipe, hose"),
 }
 
 

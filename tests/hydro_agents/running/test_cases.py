@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from hydro_agents.running.cases import Cases, ControllerError, check_predict, run_cases
+from hydro_agents.running.cases import Cases, ControllerError, run_cases
 from hydro_agents.running.tasks import own_reference
 from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 
@@ -84,15 +84,6 @@ def test_each_case_is_the_episode_of_a_single_environment():
     assert np.abs(np.diff(run.spool, axis=1)).max() > 0.0
 
 
-def test_what_is_not_fixed_is_drawn_from_the_seed():
-    cases = (Cases(np.arange(40)), Cases(np.arange(40)), Cases(np.arange(40), np.full(40, 0.5)))
-    drawn, again, fixed = (run_cases(CONFIG, Proportional(), each) for each in cases)
-    assert len(set(drawn.leakage_flow_lpm)) > 20
-    np.testing.assert_array_equal(drawn.position, again.position)
-    np.testing.assert_allclose(fixed.leakage_flow_lpm, 0.5)
-    np.testing.assert_array_equal(fixed.reference[:, 0] != 0, drawn.reference[:, 0] != 0)
-
-
 def test_chunks_do_not_change_results_and_without_states_only_signals_are_kept():
     sizes, done = Proportional(), []
     whole = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR])
@@ -123,18 +114,6 @@ def test_a_part_of_the_cases():
         *([12, 13], [4.0, 0.3], ["sine", "step"]),
     )
     assert (len(part), len(bare), bare.leakage_flow_lpm, bare.families) == (2, 2, None, None)
-
-
-@pytest.mark.parametrize(
-    ("thing", "message"),
-    [(lambda observation: 0.0, "function has no method predict"), (Proportional, "Proportional is a class")],
-)
-def test_what_cannot_act_at_all_is_named(thing, message):
-    with pytest.raises(ControllerError, match=message):
-        check_predict(thing)
-    with pytest.raises(ControllerError, match=message):
-        run_cases(CONFIG, thing, CASES)
-    check_predict(Proportional())
 
 
 def test_the_controller_gets_its_memory_back_and_hears_where_episodes_begin():
@@ -169,15 +148,6 @@ def test_a_failed_axis_keeps_its_last_values(failing):
         assert np.all(run.reward[case, last + 1 :] == 0.0)
         assert np.all(run.command[case] == 1.0)
         assert np.ptp(run.reference[case, last:]) > 0.0  # its reference goes on
-
-
-def test_axes_beside_a_failed_one_are_not_touched(failing):
-    cases, run = failing
-    calm = run_cases(LONG, Ram([]), cases, signal_columns=[POSITION])
-    for case in (1, 3):
-        np.testing.assert_array_equal(run.position[case], calm.position[case])
-        np.testing.assert_array_equal(run.reward[case], calm.reward[case])
-        np.testing.assert_array_equal(run.signals[case], calm.signals[case])
 
 
 def test_the_leak_of_a_failed_axis_is_that_at_its_failure(failing):

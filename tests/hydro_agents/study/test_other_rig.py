@@ -10,7 +10,7 @@ from hydro_agents.commands.options import exact_task
 from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.detection.training_settings import HeadTrainingSettings
+from hydro_agents.learning import tuning
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.opponents import gains_file, shipped, usual_gains
 from hydro_agents.learning.policy import PolicyController
@@ -37,7 +37,7 @@ controllers:
   Flow linearisation: {kind: flow_linearising}
   PPO: {kind: ppo, corrects: Flow linearisation, settings: {total_steps: 1024, axes: 16, steps_per_rollout: 16,
         minibatches: 2, epochs: 1, hidden_sizes: [8], see_estimates: true}}
-evaluation: {plants: 3, detection_episodes: 100}
+evaluation: {plants: 3, detection_episodes: 100, leak_levels: [0.01, 4.0]}
 """
 
 
@@ -89,11 +89,6 @@ def test_a_policy_without_pressures_is_trained_saved_and_read_again(tmp_path):
     assert mean_error(again, POSITION_ALONE) == mean_error(trained, POSITION_ALONE)
 
 
-def test_the_head_names_the_sensors_that_it_misses():
-    with pytest.raises(ConfigurationError, match="leakage head: reads spool_position, but this rig has no such sensor"):
-        HeadTrainingSettings().check(TaskConfig(sensors=SPOOL))
-
-
 def test_a_study_leaves_out_what_cannot_work(files, capsys):
     rig, file = files
     study = default_study(file, rig=rig)
@@ -122,8 +117,9 @@ def test_a_policy_that_corrects_nothing_is_left_out(files, capsys):
         default_study(file, rig=rig)
 
 
-def test_a_study_with_a_position_sensor_alone_tunes_trains_and_reports(files, tmp_path):
+def test_a_study_with_a_position_sensor_alone_tunes_trains_and_reports(files, tmp_path, monkeypatch):
     rig, file = files
+    monkeypatch.setattr(tuning, "REST", 2.0)
     answer = hydro("study", "--config", file, "--rig", rig, "--output", tmp_path / "study")
     assert answer.returncode == 0, answer.stderr
     for name in ("controllers/PID/gains.yaml", "controllers/PPO/policy.safetensors", "report.html", "tuned_study.yaml"):

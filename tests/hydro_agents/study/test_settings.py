@@ -104,12 +104,8 @@ WRONG = (
     (PLAIN + "seed: true\n", r"seed = true"),
     (PLAIN + "seed: -1\n", r"seed = -1"),
     (PLAIN + "leakage_head: {lowest_healthy_flow: 5}\n", r"lowest_healthy_flow"),
-    (PLAIN + "leakage_head: {highest_flow: 0.05}\n", r"highest_flow"),
     (PLAIN + "task: {episode_duration: 0.2}\n", r"an episode of 40 control periods .* at least 50"),
     (PLAIN + "task: nothing\n", r"task 'nothing': unknown; known: as_given, default, "),
-    (PLAIN + "task: {plant: nothing}\n", r"rig 'nothing': unknown; known: aalborg_svsdp_2017, "),
-    (PLAIN + "evaluation: {plants: 2}\n", r"evaluation.plants = 2"),
-    (PLAIN + "evaluation: {leak_levels: [-1]}\n", r"leak_levels: -1 l/min"),
 )
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from hydro_env import PlantParameters, ServoHydraulicEnv, equilibrium, simulate
-from hydro_env.plant.analysis import leak_at_test_pressure
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import from_vector, to_vector
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE, STATE_NAMES
@@ -90,24 +89,6 @@ def test_an_accumulator_alone_gives_what_its_gas_gives():
     assert drawn[-1] > 2e-5
     assert run.gas_volume - run.gas_volume[0] == pytest.approx(drawn, abs=2e-3 * drawn[-1])
     assert run.supply_pressure[-1] < run.supply_pressure[0] - 1e5
-
-
-def test_the_throttle_alone_or_with_the_seal():
-    plant = PlantParameters()
-    gain = 1e-3 / 60 / math.sqrt(100e5)  # 1 l/min at 100 bar
-    start = {"pressure_a": 5e5, "pressure_b": 55e5}
-    flows = []
-    for leakage in (
-        {"internal_resistance": math.inf, "orifice_gain": gain},
-        {"internal_resistance": 6e11, "orifice_gain": 0.0},
-        {"internal_resistance": 6e11, "orifice_gain": gain},
-    ):
-        flows.append(simulate(plant.replace(leakage=leakage), [0.0], SAMPLE, start).leakage_flow[0])
-    assert flows[0] == pytest.approx(-gain * math.sqrt(50e5), rel=1e-3)
-    assert flows[1] == pytest.approx(-50e5 / 6e11, rel=1e-12)
-    assert flows[2] == pytest.approx(flows[0] + flows[1], rel=1e-12)
-    both = plant.replace(leakage={"internal_resistance": 6e11, "orifice_gain": gain})
-    assert leak_at_test_pressure(both) == pytest.approx(2.0, rel=1e-4)
 
 
 CIRCUITS = {

@@ -73,16 +73,6 @@ def test_no_load_speed_and_pressures(voltage, speed, bar_a, bar_b):
     assert abs(run.velocity[-1]) == pytest.approx(limits.extending if voltage > 0 else limits.retracting, rel=1e-3)
 
 
-def test_a_null_shift_moves_the_spool_and_nothing_else():
-    parameters = PlantParameters().replace(valve={"model": "ideal"})
-    shifted = parameters.replace(valve={"null_shift": 0.05})
-    voltage = np.repeat([2.0, -1.5, 4.0, 0.0], 20)
-    usual = simulate(parameters, voltage, 5e-3)
-    moved = simulate(shifted, voltage + 0.5, 5e-3)
-    assert np.abs(moved.position - usual.position).max() < 1e-9
-    assert moved.spool_position[10] - usual.spool_position[10] == pytest.approx(0.05)
-
-
 def no_load_speed(voltage, **valve):
     """Mean speed of a frictionless piston that carries nothing, from 0.5 to 0.75 s."""
     parameters = PlantParameters().replace(
@@ -137,17 +127,6 @@ def test_a_spool_cut_to_the_areas_keeps_the_pressures_at_a_reversal():
     root = math.sqrt(area_a / area_b)
     assert speeds[0] == pytest.approx(root * speeds[1], rel=1e-3)
     assert speeds[2] == pytest.approx(root * speeds[3], rel=1e-3)
-
-
-def test_a_hose_lowers_the_natural_frequency_as_its_compliance_says():
-    stiff = double_rod_cylinder()
-    hose = {"volume_a": 40e-6, "volume_b": 40e-6, "wall_bulk_modulus": 0.2e9}
-    soft = stiff.replace(lines=hose)
-    volume, modulus = 106.3e-6, 0.981e9
-    ratio = (volume / modulus) / ((volume + 40e-6) / modulus + 40e-6 / 0.2e9)
-    assert closed_port_natural_frequency(soft) == pytest.approx(277.7 * math.sqrt(ratio), rel=1e-3)
-    mode = linearise(soft, voltage=0.0).hydraulic_mode
-    assert mode.natural_frequency == pytest.approx(277.7 * math.sqrt(ratio), rel=1e-3)
 
 
 def test_reachable_range_is_where_equilibria_end():

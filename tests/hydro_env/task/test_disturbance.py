@@ -7,7 +7,6 @@ from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, simulate
 from hydro_env.plant.states import STATE_NAMES
 
 PERIOD = 5e-3
-SMOOTH = {"friction": {"model": "none"}}
 
 
 def forces(steps=100, count=40, plant=None, **disturbance):
@@ -49,26 +48,6 @@ def test_what_acts_when(kind, settings):
         assert 1.0 <= frequency.min() < 1.5 < 4.5 < frequency.max() <= 5.0
     if kind == "pulse":
         assert set(inside.sum(axis=0)) <= {9, 10, 11}
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_step_force_changes_the_acceleration_by_force_over_mass(sign):
-    """Positive against extension. Seen over one half millisecond, before pressures answer."""
-    period, force = 0.5e-3, 700.0
-    shared = {"control_period": period, "command_latency": 0.0, "plant": SMOOTH, "randomisation": {}}
-    disturbance = {"kind": "step", "force_range": [force, force], "start_range": [0.0, 0.0]}
-    env = ServoHydraulicEnv(disturbance=disturbance, **shared)
-    plain = ServoHydraulicEnv(**shared)
-    for seed in range(20):
-        env.reset(seed=seed)
-        if np.sign(env.axes.column("force_amplitude")[0]) == sign:
-            break
-    plain.reset(seed=seed)
-    hold = plain.axes.column("command").copy()
-    assert abs(plain.step(hold)[-1]["velocity"]) < 1e-9  # at rest without the force
-    velocity = env.step(hold)[-1]["velocity"]
-    assert velocity == pytest.approx(-sign * force / 63.0 * period, rel=0.01)
-    assert env.parameters.load.external_force == 0.0  # the plant's own
 
 
 def test_a_disturbed_axis_moves_as_the_plant_with_that_force():

@@ -57,15 +57,6 @@ def test_labels_at_the_bounds_belong_to_the_lower_class(factor):
     assert info["leakage_class"].tolist() == [label for _, label in BOUNDS]
 
 
-def test_a_given_leak_acts_and_stands_in_the_info():
-    env = ServoHydraulicEnv()
-    _, info = env.reset(seed=0, options={"leakage_flow_lpm": 0.7})
-    assert info["leakage_flow_lpm"] == pytest.approx(0.7, rel=1e-12)
-    assert info["leakage_resistance"] == pytest.approx(6e11 / 0.7, rel=1e-12)
-    leakage = env.parameters.leakage
-    assert (leakage.internal_resistance, leakage.orifice_gain) == (pytest.approx(6e11 / 0.7, rel=1e-12), 0.0)
-
-
 def test_the_leak_of_the_task_replaces_that_of_the_plant():
     """Else the labels would not tell the leak that acts."""
     env = ServoHydraulicEnv(plant={"leakage": {"internal_resistance": 1e11, "orifice_gain": 1e-7}})

@@ -107,21 +107,3 @@ def test_the_rated_pressure_is_watched_between_the_samples():
     rows = rollout(ServoHydraulicEnv(**slow, failure={"pressure_rating": rating}), policy, options=options)
     assert len(rows) <= highest + 1
     assert rows[-1][1]["failure"] == "pressure above the rating"
-
-
-@pytest.mark.parametrize(
-    ("config", "steps"),
-    [
-        ({}, 400),
-        ({"episode_duration": 0.5}, 100),
-        ({"episode_duration": 0.3, "control_period": 2e-3}, 150),
-        ({"episode_duration": 0.01}, 2),
-    ],
-)
-def test_truncation_by_the_clock(config, steps):
-    env = ServoHydraulicEnv(**config)
-    rows = rollout(env, lambda _: 0.0, options={"reference": "sine"})
-    assert len(rows) == steps == env.config.steps
-    assert [row[3] for row in rows] == [False] * (steps - 1) + [True]
-    assert not any(row[2] for row in rows)
-    assert rows[-1][1]["failure"] == "none"

@@ -152,7 +152,6 @@ SHARED = {"uniform": [50, 60], "otherwise": 55}
 RIG = "aalborg_svsdp_2017"
 WRONG = [
     ({"controll_period": 0.01}, "controll_period = 0.01: unknown key; did you mean control_period"),
-    ({"plant": {"supply": {"pressure": 70}}}, "plant.supply.pressure = 70: .*unit: Pa"),
     ({"plant": {"supply": {"precharge_pressure": 65e5}}}, "randomisation: .*precharge_pressure = 65 bar must be below"),
     # What is drawn.
     (ranges(supply__model={"uniform": [0, 1]}), "'supply.model' is not a number of the plant"),
@@ -160,7 +159,6 @@ WRONG = [
     (mass(), "needs either 'uniform"),
     (mass(uniform=[1, 2], log_uniform=[1, 2]), "needs either 'uniform"),
     (mass(uniform=[70, 50]), r"bounds = \[70, 50\]: must be finite and rising"),
-    (mass(log_uniform=[0, 50]), "log_uniform needs positive bounds"),
     (mass(uniform=[0, 50]), "load.mass = 0 kg is below its limit 0.01 kg"),
     (mass(uniform=[1, 1e9]), "load.mass = 1e[+]09 kg is above its limit 1e[+]06 kg"),
     (mass(uniform=[1, 2], times="load.weight"), "times = 'load.weight' is not a parameter"),
@@ -182,21 +180,17 @@ WRONG = [
     (leak(schedule="sudden"), "leakage.schedule = 'sudden': .*one of constant, onset, growth"),
     ({"faults": {"valve_flow": {"range": [0.2, 0.1]}}}, r"faults.valve_flow: range = \[0.2, 0.1\]: must rise within 0"),
     ({"faults": {"sensor_gain": {"sensors": ["force"]}}}, "unknown sensor 'force'; known: position"),
-    ({"faults": {"pump": {}}}, "faults.pump"),
     (disturbance(kind="gust"), "disturbance.kind = 'gust': .*one of none, step, pulse, sine"),
     # References, sensors, rewards.
     (references(weights={"zigzag": 1.0}), "unknown family 'zigzag'; known: step, point_to_point"),
     (references(weights={"step": 0.0}), "at least one family needs a positive weight"),
-    (references(weights={"step": -1.0}), r"weights.step = -1.0: .*within 0 to 1e\+06"),
     (references(weights={"user": 1.0}), "family 'user' needs 'user', an array of positions"),
     (references(weights={"user": 1.0}, user=[0.0, 0.3]), r"references.user\[1\] = 0.3 m: must be a position within"),
     (references(weights={"user": 1.0}, user=[NAN]), r"references.user.*nan"),
     (references(preview_times=[0.02, 0.01]), "preview_times must rise"),
     (position(low=0.3), "low = 0.3 must be below high = 0.2"),
-    (position(scale=1.0), "sensors.position.scale = 1.0: unknown key; known here: noise, bias"),
     (position(fitted=False), "position.fitted = false"),
     ({"sensors": {"pressure_a": {"high": "40000 bar"}}}, "= '40000 bar': must be a number within"),
-    ({"sensors": {"enabled": "perhaps"}}, "sensors.enabled = 'perhaps'"),
     # Time.
     ({"command_latency": 6e-3}, "command_latency = 0.006 s must not exceed control_period = 0.005 s"),
     *(
@@ -208,7 +202,6 @@ WRONG = [
     # Task and rig by name.
     ({"rig": "aalborg"}, f"rig 'aalborg': unknown; did you mean {RIG}. known: {RIG}, "),
     ({"task": "hard"}, "task 'hard': unknown; known: "),
-    ({"rig": "absent/rig.yaml"}, "absent/rig.yaml: cannot be read: No such file"),
     ({"task": "default", "config": {}}, "task: 'task' and 'config' are two names of one argument"),
     ({"rig": "symmetric_eha", "plant": "kovari_2015"}, "task: rig = 'symmetric_eha' and plant = "),
     ({"rig": 3}, "task: rig = '3': must be the name or the YAML file of a rig"),

@@ -32,25 +32,21 @@ def contract_of(folder):
     return json.loads((folder / "contract.json").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("language", ["python", "onnx", "c", "st"])
+@pytest.mark.parametrize("language", ["python", "onnx", "c"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_language_gives_the_voltages_of_the_vectors_sample_by_sample(kind, language, exported, block, tmp_path):
-    if language == "st" and kind not in ("pid", "flow_linearising"):
-        pytest.skip("the parser of the test reads the longer texts for minutes")
+def test_each_language_gives_the_voltages_of_the_vectors_sample_by_sample(kind, language, exported, tmp_path):
     made = exported(kind)
     rows = np.genfromtxt(made.folder / "vectors.csv", delimiter=",", skip_header=1)
     starts, signals, expected = rows[:, 0] > 0.0, rows[:, 1:-1], rows[:, -1]
     assert starts.sum() == 4  # episodes
     assert (np.abs(expected) == 10.0).any()
     assert np.isnan(signals).any()
-    if language == "st":
-        run = block(kind)
-    elif language == "c":
+    if language == "c":
         run = InC(library(tmp_path, sources_in(made.folder)))
     else:
         run = InOnnx(made.folder / "controller.onnx") if language == "onnx" else InPython(made.graph.measured)
     voltage = np.array([run(row, bool(start)) for row, start in zip(signals, starts, strict=True)])
-    assert np.abs(voltage - expected).max() <= (1e-6 if language == "st" else 1e-5)
+    assert np.abs(voltage - expected).max() <= 1e-5
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -20,6 +20,13 @@ def varied(request, exported):
     return request.param, made.controller, controller_graph(made.controller, config, gains)
 
 
+def test_it_gives_the_voltages_of_the_vectors_sample_by_sample(varied, block, exported):
+    kind, *_ = varied
+    rows, run = np.genfromtxt(exported(kind).folder / "vectors.csv", delimiter=",", skip_header=1), block(kind)
+    voltage = [run(row[1:-1], row[0] > 0.0) for row in rows]
+    np.testing.assert_allclose(voltage, rows[:, -1], rtol=0, atol=1e-6)
+
+
 def test_a_gain_that_is_changed_acts_as_in_a_new_controller(varied, block):
     kind, controller, graph = varied
     config = graph.signals.config

@@ -11,7 +11,8 @@ from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.estimation.two_stage import TwoStageDetector
-from hydro_rig.monitoring.alarm_job import COPIES, AlarmJob, run_job
+from hydro_rig.monitoring import alarm_job
+from hydro_rig.monitoring.alarm_job import AlarmJob, run_job
 
 CONFIG = TaskConfig()
 JOB = AlarmJob(axes=12)
@@ -40,6 +41,13 @@ class MadeUp:
         return Looks(time, score, np.full(shape, np.nan), seen, cause, activity, flow)
 
 
+@pytest.fixture(autouse=True)
+def short_shifts(monkeypatch):
+    """Hours in place of shifts, and fewer of them."""
+    monkeypatch.setattr(alarm_job, "SHIFT_HOURS", 2.0)
+    monkeypatch.setattr(alarm_job, "COPIES", 10)
+
+
 def test_the_job_finds_settings_and_tests_them():
     settings, tables = run_job(MadeUp(), JOB)
     assert settings.false_alarms_per_100_h == 1.0
@@ -51,7 +59,7 @@ def test_the_job_finds_settings_and_tests_them():
     assert shift.loc[("after a healthy shift", 0.3), "median_minutes"] < 10.0
     rates = tables["false_alarms"].set_index("threshold")
     assert rates["per_100_h"].is_monotonic_decreasing
-    assert rates.loc[1.0, "hours"] == 12 * 16 * COPIES
+    assert rates.loc[1.0, "hours"] == 12 * 4 * 10
 
 
 def test_a_detector_that_sees_nothing_is_refused():

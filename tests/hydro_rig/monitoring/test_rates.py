@@ -6,8 +6,8 @@ import pytest
 from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.detector import Cause
 from hydro_agents.detection.looks import Activity, Looks
+from hydro_rig.monitoring import alarm_job
 from hydro_rig.monitoring.alarm_job import (
-    COPIES,
     SAFETY,
     Axes,
     calibrate,
@@ -17,6 +17,14 @@ from hydro_rig.monitoring.alarm_job import (
     scale_of,
     threshold_for,
 )
+
+COPIES = 6
+
+
+@pytest.fixture(autouse=True)
+def few_copies(monkeypatch):
+    """Fewer shifts of each axis than the job draws: enough for what these tests count."""
+    monkeypatch.setattr(alarm_job, "COPIES", COPIES)
 
 
 def test_an_excursion_has_one_peak():
