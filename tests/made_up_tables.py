@@ -106,14 +106,8 @@ def experiment_tables():
     swept = base.merge(pd.DataFrame({"frequency_hz": frequencies}), how="cross")
     lag = 1.0 / (1.0 + 1j * swept["frequency_hz"] / 10.0)
     swept = swept.assign(gain=np.abs(lag), phase_deg=np.angle(lag, deg=True), amplitude_mm=1.0, rest=0.0)
-    price = pd.DataFrame({"leakage_flow_lpm": [0.01, 4.0, 8.0], "place_mm": 29.0})
-    price = price.assign(holding_power_w=[20.0, 30.0, np.nan], holding_command=[0.0, 0.01, np.nan])
-    for name in ("speed_out_mm_s", "speed_back_mm_s", "force_out_n", "force_back_n"):
-        price[name] = [100.0, 80.0, 60.0]
     return {
         "standstill": standstill,
         "force_step": step,
-        "force_sine": swept.assign(force_n=872.0, compliance_mm_per_kn=0.1),
         "frequency": pd.concat([swept.assign(preview=True), swept.assign(preview=False)], ignore_index=True),
-        "leak_price": price,
     }

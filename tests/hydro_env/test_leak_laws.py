@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.rigs.simulation import simulate_to_folder
 from hydro_agents.running.seeds import THRESHOLDS
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig, simulate
@@ -118,14 +117,6 @@ def test_model_of_the_estimator(law):
 def test_identified_rig(law):
     fit = SimpleNamespace(own=lambda: {LEAKAGE: FLOW})
     assert leak_at_test_pressure(found_plant(fit, task_with(law))) == TWO
-
-
-@ANY_LAW
-def test_price_of_a_leak_is_that_of_this_leak_alone(law):
-    rows = [leak_price(task_with(law), [FLOW])]
-    rows.append(leak_price(task_config(plant=plant_with(law).model_dump(), leakage={"law": law}), [FLOW]))
-    assert rows[0].equals(rows[1])
-    assert rows[0]["holding_power_w"].iloc[0] > leak_price(task_with(law), [0.0])["holding_power_w"].iloc[0]
 
 
 def test_simulate(tmp_path):

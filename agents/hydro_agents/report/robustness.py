@@ -23,7 +23,6 @@ ROBUSTNESS = (
     "frequency",
     "stiffness",
     "standstill",
-    "leak_price",
     "inputs",
     "method",
     "run",

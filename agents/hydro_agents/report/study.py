@@ -25,7 +25,6 @@ STUDY = (
     "study_findings",
     "positioning",
     "one_leak",
-    "leak_price",
     "detection",
     "training",
     "study_method",
@@ -63,7 +62,7 @@ def content_of(
     Args:
         evaluation: its results.
         facts: keys and values of the run, such as command, date, seed and versions.
-        tables: further ones: ``leak_price``, ``training_curve`` (see :mod:`hydro_agents.report.training_plots`).
+        tables: further ones: ``corrected``, ``training_curve`` (see :mod:`hydro_agents.report.training_plots`).
         others: ``examples`` (the same episodes at every leak), ``timings`` (s, by phase), ``configuration`` (YAML
             text) and ``validation_error_mm`` (of the first controller, on the plants of the training curve).
     """

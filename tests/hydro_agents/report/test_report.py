@@ -19,7 +19,6 @@ from untrained import untrained_head
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.evaluate import Evaluation, ProtocolSettings, evaluate, growth_of
-from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.report.content import interval_text, verdict
 from hydro_agents.report.palette import LEAK_LOOKS, LEAKS, NEUTRALS, SERIES, VARIABLES, looks_of
 from hydro_agents.report.sections import Text, render_page
@@ -52,7 +51,7 @@ def rendered(evaluation, examples=(), curve=True, **others):
     """The page of an evaluation with made-up facts; ``others`` are parts of its content."""
     steps = np.arange(0.0, 5000.0, 100.0)
     reward = np.where(steps > 0.0, -np.exp(-steps / 1000), np.nan)
-    tables = {"leak_price": others.pop("leak_price", pd.DataFrame())}
+    tables = {}
     if curve:
         tables["training_curve"] = pd.DataFrame({"steps": steps, "seconds": steps / 100, "mean_reward": reward})
     others = {"configuration": "task:\n  control_period: 0.005 # <&>\n", "examples": list(examples), **others}
@@ -422,8 +421,7 @@ def test_a_correction_is_shown_beside_what_it_corrects(base):
 def written(evaluation, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
     examples = [example(evaluation.controllers, leak=leak) for leak in (0.01, 4.0)]
-    price = leak_price(CONFIG, (0.01, 4.0))
-    rendered(evaluation, examples, leak_price=price).write(path)
+    rendered(evaluation, examples).write(path)
     return path
 
 
