@@ -202,7 +202,7 @@ def test_a_terminal_without_utf_8_and_a_name_without_it(tmp_path):
     assert answer.returncode == 0, answer.stderr
     assert "natural frequency" in answer.stdout
     assert "f\\udcff" in answer.stdout
-    assert os.path.exists(folder + b"/check.md")
+    assert os.path.exists(folder + b"/check.csv")
     assert_one_clear_line(hydro("check-rig", "-o", os.fsdecode(folder)), "f\\udcff: holds results already")
     assert hydro_process("--help", text=False, PYTHONIOENCODING="latin-1").returncode == 0
 

@@ -126,7 +126,7 @@ def _answer(question: Question) -> str:
 def check_rig(
     rig: Rig = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for check.csv and check.md; default: no files.")
+        Path | None, typer.Option("--output", "-o", help="Folder for check.csv; default: no file.")
     ] = None,
     overwrite: Overwrite = False,
     period: Period = None,

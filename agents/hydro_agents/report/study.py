@@ -126,19 +126,15 @@ def positioning(content: Content) -> list[Block]:
     ]
 
 
-@section("One leak at a time", needs=("cases",))
+@section("One leak at a time", needs=("examples",))
 def one_leak(content: Content) -> list[Block]:
-    """Errors, costs and single runs at each leak."""
+    """Single runs at each leak."""
     examples: list[Example] = content.other("examples", [])
     plots: dict[float, list[Block]] = {}
     for count, example in enumerate(examples):
         plots.setdefault(example.leak, []).append(example_plot(example, f"run-{count}", content.looks))
     note = "Single runs: the same plant, reference and noise at every leak."
-    folds = (
-        Fold(f"Leak of {setting(leak)} l/min", [table, *plots.get(leak, [])], opened=not plots)
-        for leak, table in level_tables(content).items()
-    )
-    return [Text(note), *folds]
+    return [Text(note), *(Fold(f"Leak of {setting(leak)} l/min", plots[leak]) for leak in sorted(plots))]
 
 
 @section("How it was measured", needs=("cases",))
@@ -211,16 +207,6 @@ def _limit_cycles(content: Content, name: str) -> str:
     size = f" (to {amplitude_text(row['largest_amplitude_um'])})" if row["limit_cycles"] else ""
     failed = f", {row['failures']} failed" if row["failures"] else ""
     return f"{row['limit_cycles']} of {row['standstills']}{size}{failed}"
-
-
-def level_tables(content: Content) -> dict[float, Table]:
-    """The same for each leak level, without the ratio."""
-    tables = {}
-    for leak, cases in content.table("cases").groupby("leakage_flow_lpm"):
-        rows = [(name, *_means(cases[cases["controller"] == name])) for name in content.controllers]
-        header = ("Controller", *_overview_header())
-        tables[float(leak)] = Table("Means over all runs with this leak", header, rows, style="dense")
-    return tables
 
 
 def _overview_header() -> list[str]:
