@@ -38,12 +38,6 @@ FEW_PLANTS = 12
 OVERVIEW = tuple(metric for metric in METRICS.values() if metric.cost or metric.name in FRAMES)
 """Metrics side by side: an error is no result without its cost."""
 
-BY = {
-    "levels": ("leakage_flow_lpm", "Leak, l/min", "leak size"),
-    "families": ("family", "Reference", "kind of reference"),
-}
-"""Tables of all metrics: the column of their rows, and its words."""
-
 
 def tables_of(evaluation: Evaluation) -> dict[str, pd.DataFrame]:
     """Every table of an evaluation by the name of its CSV file."""
@@ -108,10 +102,6 @@ def positioning(content: Content) -> list[Block]:
         f"{FRAMES_TEXT} Each run lasts one episode; a plant is one draw of the uncertain parameters. Leaks are in "
         f"l/min at 100 bar across the piston; up to {healthy} l/min a seal counts as healthy."
     )
-    tails = "“Worst 5 %” is the mean over the worst twentieth of the runs; “worst run” is the largest value of all."
-    settled = (
-        "The settling time includes only standstills in which the axis settled: read it with the share of the others."
-    )
     ratios = ratio_tables(content)
     return [
         Text(terms),
@@ -119,10 +109,7 @@ def positioning(content: Content) -> list[Block]:
         *growth_table(content),
         *score_plot(content, content.table("score")),
         *tracking_plots(content),
-        Text(tails, "soft"),
         *([Fold("Ratios of errors", ratios)] if ratios else []),
-        Fold("All metrics by leak size", [Text(settled), *metric_tables(content, "levels")]),
-        Fold("All metrics by kind of reference", metric_tables(content, "families")),
     ]
 
 
@@ -230,30 +217,6 @@ def growth_table(content: Content) -> list[Table]:
     header = ("Controller", "all runs", *map(family_name, table["family"].unique()[1:]))
     least, most = setting(leaks.min()), setting(leaks.max())
     return [Table(f"Mean error with {most} l/min ÷ mean error with {least} l/min, same plants", header, rows)]
-
-
-def metric_table(content: Content, by: str, metric: str) -> Table:
-    """Mean with interval, worst 5 % and worst run of every controller, by the rows of a table of BY."""
-    column, first, words = BY[by]
-    table, each, names = content.rows(by, metric=metric), METRICS[metric], content.controllers
-    rows = []
-    for value in table[table["mean"].notna()][column].unique():
-        cells = [setting(value) if by == "levels" else family_name(value)]
-        for name in names:
-            row = content.row(by, metric=metric, controller=name, **{column: value})
-            tails = (number(each.factor * row[key]) for key in ("cvar_5_percent", "worst"))
-            cells += [shown(row, "mean", factor=each.factor), *tails]
-        rows.append(tuple(cells))
-    header = (first, *("mean (95 % interval)", "worst 5 %", "worst run") * len(names))
-    return Table(f"{each.label}, by {words}", header, rows, tuple((name, 3) for name in names))
-
-
-def metric_tables(content: Content, by: str) -> list[Table]:
-    """All metrics that have a value, and the failures if there are any."""
-    table = content.table(by)
-    has_value = table["mean"].notna() & ((table["metric"] != "failed") | (table["mean"] > 0.0))
-    valued = set(table[has_value]["metric"])
-    return [metric_table(content, by, metric) for metric in METRICS if metric in valued]
 
 
 def ratio_tables(content: Content) -> list[Table]:
