@@ -76,7 +76,6 @@ def protocol_tables():
     worst |= {"plant": 0, "seed": 2_200_007, "mean_error_mm": 0.4, "baseline_error_mm": 0.2, "ratio": 2.0}
     cycles = [("PID", "leak_0.01", 1.0), ("PID", "leak_0.01", 0.0), ("Good", "leak_0.01", 0.0), ("PID", "leak_8", 0.0)]
     families = comparison().query("condition == 'leak_8'").drop(columns="condition").assign(family="step")
-    sees = {"leak": "no", "state": "measured signals", "preview": "40 ms", "memory": "integral", "signals": "position"}
     status = ("Good", "period_10ms", "not applicable", "no controller of this name is tuned for 10 ms")
     facts = {"protocol": "robustness", "sha256": "41b35ac0", "baseline": "PID", "command": "hydro evaluate <x>"}
     return {
@@ -88,7 +87,6 @@ def protocol_tables():
         "ranking": pd.DataFrame(ranking),
         "limit_cycles": pd.DataFrame(cycles, columns=["controller", "condition", "limit_cycle"]),
         "worst_cases": pd.DataFrame([{"controller": name, **worst, "peak_error_mm": 3.0} for name in RATIOS]),
-        "sees": pd.DataFrame([{"controller": name, **sees, "note": ""} for name in ("PID", *RATIOS)]),
         "status": pd.DataFrame([status], columns=["controller", "condition", "status", "message"]),
         "protocol": pd.DataFrame(facts.items(), columns=["key", "value"]),
     }

@@ -7,7 +7,7 @@ import numpy as np
 from hydro_agents.evaluation.metrics import FRAMES_TEXT, METRICS
 from hydro_agents.report.content import ALL, Content, interval, interval_text, shown, verdict
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.sections import Block, Fold, Points, Text, section, words_table
+from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import COSTS, findings_of, problems, score_plot, score_text
 from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.running.text import Cell, Table, number
@@ -23,7 +23,6 @@ ROBUSTNESS = (
     "frequency",
     "stiffness",
     "standstill",
-    "inputs",
     "method",
     "run",
 )
@@ -99,12 +98,6 @@ def failures(content: Content) -> list[Block]:
     )
     plots = [example_plot(trace, f"worst-{count}", content.looks) for count, trace in enumerate(traces, 1)]
     return [Text(note), *plots]
-
-
-@section("Inputs of each controller", needs=("sees",))
-def inputs(content: Content) -> list[Block]:
-    """What each controller observes and remembers."""
-    return [words_table(content.table("sees"))]
 
 
 @section("How it was measured", needs=("summary",))
