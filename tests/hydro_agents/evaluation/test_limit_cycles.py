@@ -127,16 +127,3 @@ def test_an_evaluation_finds_the_limit_cycles_of_a_high_gain_and_none_of_flow_li
     assert (calm["controller"], calm["limit_cycles"], calm["standstills"]) == ("calm", 0, 4)
     one_leak = SIZE | {"leak_levels": (0.3,)}
     assert set(evaluate(CONFIG, {"PID": WILD}, settings=one_leak).limit_cycles["leakage_flow_lpm"]) == {0.3}
-
-
-def test_training_seeds_share_a_row():
-    seeds = {"mine#0": "pid", "mine#1": "flow_linearising"}
-    both = evaluate(CONFIG, {"PID": "pid", **seeds}, settings=SIZE)
-    assert both.controllers == ["PID", "mine"]
-    own = both.cases[both.cases["controller"] == "mine"]
-    assert own.groupby("training_seed").size().tolist() == [9, 9]
-    ratios = both.ratios[both.ratios["group"] == "all"]
-    assert ratios["controller"].tolist() == ["mine"]
-    mean = both.cases.groupby("controller")["mean_error_mm"].mean()
-    assert ratios["ratio"].item() == pytest.approx(mean["mine"] / mean["PID"], rel=1e-12)
-    assert both.limit_cycle_summary["standstills"].tolist() == [4, 8]

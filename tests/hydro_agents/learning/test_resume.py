@@ -141,12 +141,3 @@ def test_a_checkpoint_that_was_tampered_with_is_refused_with_one_line(tmp_path, 
     save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, description)
     with refused(message):
         train(tmp_path, resume=True)
-
-
-@pytest.mark.parametrize("content", ["one,two\n1,2\n", f"{STEPS},b\n1,x\n"])
-def test_a_garbled_curve_is_left_out_with_a_warning_and_the_training_resumes(tmp_path, stored, content):
-    save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, *stored)
-    (tmp_path / PROGRESS_FILE).write_text(content)
-    with pytest.warns(UserWarning, match="is no log of a training"):
-        train(tmp_path, resume=True)
-    assert read_progress(tmp_path / PROGRESS_FILE)[-1][STEPS] == SETTINGS.total_steps

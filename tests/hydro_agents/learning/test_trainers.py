@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from refusal import refused
-from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3 import PPO, TD3
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.controllers.base import rows
@@ -140,15 +140,6 @@ def test_plain_observations_are_those_of_the_vector_environment():
         for axis in np.flatnonzero(done):
             np.testing.assert_array_equal(infos[axis]["terminal_observation"], info["final_obs"][axis])
             assert infos[axis]["TimeLimit.truncated"] == (not terminated[axis])
-
-
-def test_an_algorithm_of_stable_baselines3_learns_on_it_and_acts_as_a_controller():
-    options = {"learning_starts": 16, "buffer_size": 200, "batch_size": 16}
-    model = SAC("MlpPolicy", AxisVecEnv(CONFIG, 4), device="cpu", seed=0, **options)
-    model.learn(128)
-    run = run_cases(CONFIG, model, Cases(np.arange(3)))
-    assert np.abs(run.command).max() <= 1.0
-    assert np.isfinite(run.position).all()
 
 
 def test_memory_of_some_axes_goes_on_alone():
