@@ -76,7 +76,6 @@ def protocol_tables():
     worst |= {"plant": 0, "seed": 2_200_007, "mean_error_mm": 0.4, "baseline_error_mm": 0.2, "ratio": 2.0}
     cycles = [("PID", "leak_0.01", 1.0), ("PID", "leak_0.01", 0.0), ("Good", "leak_0.01", 0.0), ("PID", "leak_8", 0.0)]
     families = comparison().query("condition == 'leak_8'").drop(columns="condition").assign(family="step")
-    sees = {"leak": "no", "state": "measured signals", "preview": "40 ms", "memory": "integral", "signals": "position"}
     status = ("Good", "period_10ms", "not applicable", "no controller of this name is tuned for 10 ms")
     facts = {"protocol": "robustness", "sha256": "41b35ac0", "baseline": "PID", "command": "hydro evaluate <x>"}
     return {
@@ -88,7 +87,6 @@ def protocol_tables():
         "ranking": pd.DataFrame(ranking),
         "limit_cycles": pd.DataFrame(cycles, columns=["controller", "condition", "limit_cycle"]),
         "worst_cases": pd.DataFrame([{"controller": name, **worst, "peak_error_mm": 3.0} for name in RATIOS]),
-        "sees": pd.DataFrame([{"controller": name, **sees, "note": ""} for name in ("PID", *RATIOS)]),
         "status": pd.DataFrame([status], columns=["controller", "condition", "status", "message"]),
         "protocol": pd.DataFrame(facts.items(), columns=["key", "value"]),
     }
@@ -106,14 +104,8 @@ def experiment_tables():
     swept = base.merge(pd.DataFrame({"frequency_hz": frequencies}), how="cross")
     lag = 1.0 / (1.0 + 1j * swept["frequency_hz"] / 10.0)
     swept = swept.assign(gain=np.abs(lag), phase_deg=np.angle(lag, deg=True), amplitude_mm=1.0, rest=0.0)
-    price = pd.DataFrame({"leakage_flow_lpm": [0.01, 4.0, 8.0], "place_mm": 29.0})
-    price = price.assign(holding_power_w=[20.0, 30.0, np.nan], holding_command=[0.0, 0.01, np.nan])
-    for name in ("speed_out_mm_s", "speed_back_mm_s", "force_out_n", "force_back_n"):
-        price[name] = [100.0, 80.0, 60.0]
     return {
         "standstill": standstill,
         "force_step": step,
-        "force_sine": swept.assign(force_n=872.0, compliance_mm_per_kn=0.1),
         "frequency": pd.concat([swept.assign(preview=True), swept.assign(preview=False)], ignore_index=True),
-        "leak_price": price,
     }

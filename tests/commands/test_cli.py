@@ -12,7 +12,7 @@ import time
 
 import pytest
 import yaml
-from command_line import COMMAND, ROOT, assert_one_clear_line, done, environment, hydro, hydro_process, own_lines
+from command_line import COMMAND, assert_one_clear_line, done, environment, hydro, hydro_process, own_lines
 from matplotlib.figure import Figure
 
 import hydro_env
@@ -67,15 +67,6 @@ def test_simulate_says_which_voltage_acts(tmp_path):
     assert f"({holding:.3g} V hold the initial position" in answer.stdout
 
 
-def test_simulate_reads_a_rig_and_a_csv(tmp_path):
-    (tmp_path / "voltage.csv").write_text("time,voltage\n0,0\n0.001,1.5\n0.002,-1.5\n")
-    rig = ROOT / "configs" / "rigs" / "kovari_2015.yaml"
-    done("simulate", "--rig", rig, "--input", tmp_path / "voltage.csv", "--output", tmp_path / "run")
-    assert voltages(tmp_path / "run") == [0.0, 1.5, -1.5, -1.5]
-    done("simulate", "--rig", rig, "--input", tmp_path / "run" / "trajectory.csv", "-o", tmp_path / "2")
-    assert voltages(tmp_path / "2") == [0.0, 1.5, -1.5, -1.5, -1.5]
-
-
 def test_simulate_starts_where_the_rig_can_rest(tmp_path):
     """At mid-stroke the leak of this rig takes more than the valve feeds; where the spring bears the load it rests."""
     (tmp_path / "rig.yaml").write_text("load: {external_force: 5000}\nleakage: {internal_resistance: 2.0e+10}\n")
@@ -107,8 +98,6 @@ FILES = {
     "ppo.yaml": "total_steps: -1\n",
     "wrong.yaml": "cylinder: {bore: 0.04}",
     "stiff.yaml": "load: {spring_stiffness: 1.0e+8}",
-    "ragged.csv": "t,v\n0,001,1,5\n",
-    "high.csv": "v\n1.5\n12\n",
 }
 
 
@@ -124,8 +113,7 @@ FILES = {
         ("simulate --rig absent.yaml", ["absent.yaml: cannot be read: No such file"]),
         ("simulate --rig wrong.yaml", ["wrong.yaml: line 1: cylinder.bore = 0.04", "did you mean bore_diameter?"]),
         ("check-rig --rig stiff.yaml", ["stiff.yaml: load.spring_stiffness = 1e+08 N/m", "limit is 8.732e+06 N/m"]),
-        ("simulate --input ragged.csv", ["ragged.csv: is not a table of numbers", "saw 4"]),
-        ("simulate --input high.csv", ["high.csv: row 3: 12 V", "-10 to 10 V"]),
+        ("simulate --input sinus", ["--input sinus: unknown", "did you mean sine?"]),
         ("evaluate --agent PPO=foreign", ["foreign.json", "must be 'hydro_env policy'"]),
         ("evaluate --agent =SUM(A1)=pid", ["--agent", "must be NAME=module:attribute"]),
         ("evaluate --agent @x=pid", ["--agent", "must be a name of at most 40 letters"]),
@@ -195,7 +183,7 @@ def test_a_terminal_without_utf_8_and_a_name_without_it(tmp_path):
     assert answer.returncode == 0, answer.stderr
     assert "natural frequency" in answer.stdout
     assert "f\\udcff" in answer.stdout
-    assert os.path.exists(folder + b"/check.md")
+    assert os.path.exists(folder + b"/check.csv")
     assert_one_clear_line(hydro("check-rig", "-o", os.fsdecode(folder)), "f\\udcff: holds results already")
     assert hydro_process("--help", text=False, PYTHONIOENCODING="latin-1").returncode == 0
 

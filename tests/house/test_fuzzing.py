@@ -17,7 +17,6 @@ from command_line import hydro, own_lines
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hydro_agents.rigs.simulation import read_voltage
 from hydro_agents.running.folders import config_folder
 from hydro_agents.study.settings import StudySettings
 from hydro_env import (
@@ -194,7 +193,7 @@ def use_actions(folder: Path, drawn: Any) -> None:
 
 SIMULATE = {
     "--voltage": ["3", "-10", "nan", "1e9", "abc"],
-    "--input": ["step", "sine", "stop", "sweep", "x", "a.csv", "absent.csv", "/dev/null"],
+    "--input": ["step", "sine", "stop", "sweep", "x"],
     "--duration": ["0.01", "0", "-1", "nan", "inf", "1e300"],
     "--sample-time": ["0.001", "0", "1e-300", "inf"],
     "--leakage": ["1", "0", "-1", "nan", "20", "1e300"],
@@ -249,10 +248,6 @@ def use_command_line(folder: Path, drawn: Any) -> None:
         assert_one_line_or_a_heading(lines)
 
 
-def use_table(folder: Path, content: bytes) -> None:
-    refused_or_done(read_voltage, file_of(folder, "a.csv", content))
-
-
 def use_recording(folder: Path, drawn: Any) -> None:
     content, columns = drawn
     mapped = refused_or_done(read_map, file_of(folder, "map.yaml", columns))
@@ -289,7 +284,6 @@ TARGETS: dict[str, tuple[Any, Any]] = {
         use_options,
     ),
     "actions and seeds": (st.tuples(ARRAYS, ARRAYS), use_actions),
-    "tables": (edited(b"time,voltage\n" + b"".join(b"%d.5,1e-1\n" % n for n in range(20))), use_table),
     "recordings": (st.tuples(edited(RECORDING), edited(COLUMNS)), use_recording),
     "command lines": (command_lines(), use_command_line),
 }

@@ -325,7 +325,7 @@ def try_evaluation() -> None:
     # The section: on the page at its place, and not without its table.
     page = render_page("Mine", ROBUSTNESS, Content(tables)).html
     named = re.findall(r'<section id="(\w+)"', page)
-    assert named[named.index("peaks") - 1 : named.index("peaks") + 2] == ["failures", "peaks", "inputs"]
+    assert named[named.index("peaks") - 1 : named.index("peaks") + 2] == ["costs", "peaks", "method"]
     worst = tables["worst_cases"].query("controller == 'Flow linearisation'").nlargest(1, "peak_error_mm").iloc[0]
     where = conditions[worst["condition"]].label
     assert f"<td>{number(worst['peak_error_mm'])}</td><td>{where}</td>" in page

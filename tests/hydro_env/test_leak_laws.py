@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.rigs.simulation import simulate_to_folder
 from hydro_agents.running.seeds import THRESHOLDS
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig, simulate
@@ -120,17 +119,9 @@ def test_identified_rig(law):
     assert leak_at_test_pressure(found_plant(fit, task_with(law))) == TWO
 
 
-@ANY_LAW
-def test_price_of_a_leak_is_that_of_this_leak_alone(law):
-    rows = [leak_price(task_with(law), [FLOW])]
-    rows.append(leak_price(task_config(plant=plant_with(law).model_dump(), leakage={"law": law}), [FLOW]))
-    assert rows[0].equals(rows[1])
-    assert rows[0]["holding_power_w"].iloc[0] > leak_price(task_with(law), [0.0])["holding_power_w"].iloc[0]
-
-
 def test_simulate(tmp_path):
     THROTTLED.to_yaml(tmp_path / "rig.yaml")
-    arguments = {"signal": "step", "voltage": 1.0, "input_file": None, "duration": 0.05, "sample_time": 1e-3}
+    arguments = {"signal": "step", "voltage": 1.0, "duration": 0.05, "sample_time": 1e-3}
     where = {"position": None, "overwrite": False}
     simulate_to_folder(tmp_path / "run", tmp_path / "rig.yaml", **arguments, leakage=FLOW, **where)
     assert leak_at_test_pressure(read_rig(tmp_path / "run" / "rig.yaml").plant) == TWO

@@ -48,12 +48,11 @@ GROUPS = {
         "train": "hydro_agents.commands.study:train",
         "evaluate": "hydro_agents.commands.evaluate:evaluate",
         "bound": "hydro_agents.commands.bound:bound",
-        "render": "hydro_agents.commands.axis:render",
     },
     "A rig": {
         "new-rig": "hydro_agents.commands.rig:new_rig",
         "check-rig": "hydro_agents.commands.rig:check_rig",
-        "simulate": "hydro_agents.commands.axis:simulate",
+        "simulate": "hydro_agents.commands.rig:simulate",
         "record": "hydro_rig.commands.datasets:record",
         "identify": "hydro_rig.commands.identify:identify",
         "export": "hydro_rig.commands.export:export",

@@ -1,4 +1,4 @@
-"""``hydro new-rig`` and ``hydro check-rig``: the file of a rig from its nameplates, and the figures of a rig."""
+"""``hydro new-rig``, ``check-rig`` and ``simulate``: the file of a rig from its nameplates, its figures, one run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,16 @@ from typing import Annotated
 
 import typer
 
-from hydro_agents.commands.options import Latency, Overwrite, OverwriteFile, Period, Rig, check_new_file, say
+from hydro_agents.commands.options import (
+    Latency,
+    Output,
+    Overwrite,
+    OverwriteFile,
+    Period,
+    Rig,
+    check_new_file,
+    say,
+)
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
 from hydro_env.task.nameplates import QUESTIONS, Question, answers_from, parsed
@@ -117,7 +126,7 @@ def _answer(question: Question) -> str:
 def check_rig(
     rig: Rig = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for check.csv and check.md; default: no files.")
+        Path | None, typer.Option("--output", "-o", help="Folder for check.csv; default: no file.")
     ] = None,
     overwrite: Overwrite = False,
     period: Period = None,
@@ -134,3 +143,31 @@ def check_rig(
     files = check_to_console(rig, output, overwrite, period, latency)
     if files:
         say(*files)
+
+
+def simulate(
+    output: Output = Path("results/simulate"),
+    rig: Rig = None,
+    signal: Annotated[
+        str, typer.Option("--input", metavar="step|sine|sweep|stop", help="Shape of the voltage.")
+    ] = "stop",
+    voltage: Annotated[
+        float, typer.Option(help="Amplitude in V, −10 to 10, added to the voltage that holds the initial position.")
+    ] = 3.0,
+    duration: Annotated[float, typer.Option(help="Length in s.")] = 1.0,
+    sample_time: Annotated[float, typer.Option(help="Time in s for which each voltage is held.")] = 1e-3,
+    leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar, instead of the rig's own.")] = None,
+    position: Annotated[
+        float | None,
+        typer.Option(help="Start at rest, in m from mid-stroke; default: mid-stroke if it can be held."),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Run the rig open loop: states, flows and forces as CSV and as a picture.
+
+    `--input stop` moves at constant voltage and then closes the valve: the quick stop of the paper. Compare
+    `--leakage 0.01` with `--leakage 4`: the leak damps the oscillation.
+    """
+    from hydro_agents.rigs.simulation import simulate_to_folder
+
+    say(*simulate_to_folder(output, rig, signal, voltage, duration, sample_time, leakage, position, overwrite))

@@ -68,11 +68,9 @@ PARTS = {
     "best_found": Part("bound", "tracking:best", ("robustness", "study")),
     "frequency": Part("frequency", "experiments:frequency"),
     "force_step": Part("force_step", "experiments:force_step"),
-    "force_sine": Part("force_sine", "experiments:force_sine"),
     "hold": Part("standstill", "experiments:hold"),
     "windows": Part("windows", "leak_protocol:windows", ("leakage",)),
     "leak_bound": Part("bound", "hydro_rig.estimation.information:leak_bound", ("leakage",)),
-    "leak_price": Part("leak_price", "experiments:price"),
 }
 """Every part by its name. Its module is imported when a protocol has the part."""
 

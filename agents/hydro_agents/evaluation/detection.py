@@ -1,4 +1,4 @@
-"""Evaluation of the leakage head under each controller: episodes, rates, curves over all thresholds, sizes."""
+"""Evaluation of the leakage head under each controller: episodes, rates, areas over all thresholds, sizes."""
 
 from __future__ import annotations
 
@@ -146,19 +146,6 @@ def detection_summary(detection: pd.DataFrame, threshold: float, config: TaskCon
     return pd.DataFrame(rows)
 
 
-def detection_curves(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame:
-    """ROC and precision over recall of each controller, at every threshold."""
-    bounds = LeakBounds.of(config)
-    frames = []
-    for controller, frame in detection.groupby("controller", sort=False):
-        healthy, leaking = _healthy_and_leaking(frame["leakage_flow_lpm"].to_numpy(), bounds)
-        kept = healthy | leaking
-        score, positive = frame["probability"].to_numpy()[kept], leaking[kept]
-        for name, curve in curves(score, positive).items():
-            frames.append(pd.DataFrame({"controller": controller, "curve": name, **curve._asdict()}))
-    return pd.concat(frames, ignore_index=True)
-
-
 def _healthy_and_leaking(flow: NDArray[np.float64], bounds: LeakBounds) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     return flow <= bounds.healthy_up_to, flow > bounds.leaking_above
 
@@ -168,11 +155,10 @@ class Curve(NamedTuple):
 
     x: Floats
     y: Floats
-    threshold: Floats
 
 
 def curves(scores: NDArray[Any], positive: NDArray[np.bool_]) -> dict[str, Curve]:
-    """Curves over every distinct threshold, from infinity down; scores at or above it are flagged.
+    """Curves over every distinct threshold from above all scores down; scores at or above it are flagged.
 
     Returns:
         ``roc``: detection rate (y) over false-alarm rate (x); ``precision_recall``: precision (y) over recall (x).
@@ -180,14 +166,13 @@ def curves(scores: NDArray[Any], positive: NDArray[np.bool_]) -> dict[str, Curve
     order = np.argsort(-scores, kind="stable")
     falling = np.asarray(scores, dtype=np.float64)[order]
     last = np.append(np.flatnonzero(np.diff(falling)), len(scores) - 1)  # of each distinct score
-    threshold = np.concatenate([[np.inf], falling[last]])
     flagged = np.concatenate([[0.0], last + 1])
     true = np.concatenate([[0.0], np.cumsum(positive[order])[last]])
     false = flagged - true
     recall = true / max(true[-1], 1.0)
     precision = np.divide(true, flagged, out=np.ones_like(true), where=flagged > 0)
-    roc = Curve(false / max(false[-1], 1.0), recall, threshold)
-    return {"roc": roc, "precision_recall": Curve(recall, precision, threshold)}
+    roc = Curve(false / max(false[-1], 1.0), recall)
+    return {"roc": roc, "precision_recall": Curve(recall, precision)}
 
 
 def area_under_roc(scores: NDArray[Any], positive: NDArray[np.bool_]) -> float:

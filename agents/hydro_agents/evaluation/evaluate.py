@@ -20,7 +20,7 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import check_head
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.conditions import Name
-from hydro_agents.evaluation.detection import LeakBounds, detection_curves, detection_rates, detection_summary
+from hydro_agents.evaluation.detection import LeakBounds, detection_rates, detection_summary
 from hydro_agents.evaluation.limit_cycles import counted
 from hydro_agents.evaluation.metrics import ERROR, FRAMES, METRICS
 from hydro_agents.evaluation.participants import participants, split_name
@@ -114,7 +114,6 @@ class Evaluation:
     detection: pd.DataFrame  # one row per episode for the head
     detection_rates: pd.DataFrame  # per controller and class or level
     detection_summary: pd.DataFrame  # per controller: AUROC, average precision, false alarms, size error
-    curves: pd.DataFrame  # ROC and precision–recall
     bounds: LeakBounds = field(default_factory=lambda: LeakBounds.of(TaskConfig()))
     errors: dict[str, str] = field(default_factory=dict)  # controller → reason for missing results
 
@@ -284,13 +283,6 @@ def detection(results: Results) -> pd.DataFrame:
     """Areas under the curves, rates, and errors of the size, per controller."""
     episodes, head = results.part("episodes"), results.participants.head
     return episodes if episodes.empty else detection_summary(episodes, head.settings.threshold, results.protocol.task)
-
-
-@table("curves")
-def curves(results: Results) -> pd.DataFrame:
-    """ROC, and precision over recall, per controller."""
-    episodes = results.part("episodes")
-    return episodes if episodes.empty else detection_curves(episodes, results.protocol.task)
 
 
 def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:

@@ -15,20 +15,36 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Observation
 from hydro_agents.evaluation.conditions import Cell, columns_of
-from hydro_agents.evaluation.leak_price import full_speed, leak_price, working_place
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.tasks import noiseless, own_reference
-from hydro_env import TaskConfig
-from hydro_env.plant.analysis import force_limits, reachable_range
+from hydro_env import PlantParameters, TaskConfig
+from hydro_env.plant.analysis import force_limits, reachable_range, speed_limits
 from hydro_env.task.configuration import task_config
 from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
 
 LEAKS = (0.01, 1.0, 4.0)  # l/min at 100 bar: a tight seal, the bound between moderate and severe, a severe leak
+
+PLACE = 0.3
+"""Working position: share of the range that the supply of the nominal rig can hold, outwards from mid-stroke.
+
+There a spring pushes against the piston; its pressure difference drives the leak.
+"""
+
+
+def working_place(plant: PlantParameters, share: float = PLACE) -> float:
+    """Position in m at a share (−1 to 1) of the range that the supply of the nominal rig can hold."""
+    low, high = reachable_range(plant)
+    return share * high if share > 0.0 else -share * low
+
+
+def full_speed(plant: PlantParameters, position: float) -> float:
+    """The smaller of the two steady speeds of the nominal rig at full command at a position (m), m/s."""
+    return min(speed_limits(plant, plant.load.spring_stiffness * position + plant.load.external_force))
 
 
 Play = Callable[..., Rollout]
@@ -193,8 +209,6 @@ BEFORE, AFTER, JUDGED = 1.0, 2.0, 0.5
 """s: time before the force step, time after it, and last part of each, over which the position is averaged."""
 
 RECOVERED = 0.1  # recovery band as a share of the peak deviation; at least one step of the position sensor
-SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)  # Hz; force sines
-SINE_SETTLING, SINE_WATCHED = 0.5, 1.0  # s (and two cycles each)
 
 
 def sudden_force(config: TaskConfig, play: Play) -> Iterator[dict[str, Any]]:
@@ -223,22 +237,6 @@ def sudden_force(config: TaskConfig, play: Play) -> Iterator[dict[str, Any]]:
         "static_mm_per_kn": 1e6 * np.abs(remaining) / newtons,
         "dynamic_mm_per_kn": 1e6 * peak / newtons,
     }
-
-
-def sine_forces(config: TaskConfig, play: Play) -> Iterator[dict[str, Any]]:
-    """Sines of the external force: amplitude of the position per amplitude of the force.
-
-    Columns: frequency_hz, force_n, compliance_mm_per_kn.
-    """
-    newtons = FORCE_SHARE * min(force_limits(config.plant))
-    for frequency in SINE_FREQUENCIES:
-        settling = max(SINE_SETTLING, 2.0 / frequency)
-        cycles = max(round(SINE_WATCHED * frequency), 2)
-        sine = {"kind": "sine", "start_range": (0.0, 0.0), "frequency_range": (frequency, frequency)}
-        task = _with_force(config, newtons, settling + cycles / frequency, **sine)
-        first, rollout = round(settling / config.control_period), play(task)
-        answer, _ = sine_fit(rollout.position[:, first:], rollout.time[first:], frequency)
-        yield {"frequency_hz": frequency, "force_n": newtons, "compliance_mm_per_kn": 1e6 * np.abs(answer) / newtons}
 
 
 def _with_force(config: TaskConfig, newtons: float, duration: float, **disturbance: Any) -> TaskConfig:
@@ -284,7 +282,6 @@ def _holding(config: TaskConfig, position: float, seconds: float) -> TaskConfig:
 EXPERIMENTS = {
     "frequency": Experiment(sine_references),
     "force_step": Experiment(sudden_force, plants=8),
-    "force_sine": Experiment(sine_forces),
     "hold": Experiment(standstills, STANDSTILL_LEAKS, plants=8),
 }
 """Experiments by the names of their parts."""
@@ -313,15 +310,4 @@ def measured(controller: Controller, config: TaskConfig, experiment: str) -> Col
     return columns_of(table)
 
 
-def price(protocol: RobustnessProtocol, chosen: object) -> Iterator[Cell]:
-    """The part ``leak_price``; no controller takes part."""
-    del chosen
-    yield Cell("leak", jobs=(Job(leak_costs, None, (protocol.task,), digest="plant"),))
-
-
-def leak_costs(_: None, config: TaskConfig) -> Columns:
-    """The table of the cost of a leak."""
-    return columns_of(leak_price(config))
-
-
-frequency, force_step, force_sine, hold = (partial(_cells, name) for name in EXPERIMENTS)
+frequency, force_step, hold = (partial(_cells, name) for name in EXPERIMENTS)

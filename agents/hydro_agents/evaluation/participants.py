@@ -1,39 +1,24 @@
-"""The controllers of a protocol, their conditions, and their inputs."""
+"""The controllers of a protocol, and those for single conditions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.evaluation.robustness_protocol import ControllerChoice, PairedProtocol
-from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.learning.trainers import TRAINERS
-from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group, read_yaml, validate
+from hydro_env.files import read_yaml
 
 if TYPE_CHECKING:
     from hydro_agents.detection.head import LeakageHead
-
-
-class Sees(Group):
-    """The inputs of a controller; a controller may declare them in its attribute ``sees``."""
-
-    leak: str = "no"
-    state: str = "measured signals"
-    preview: str = "no"
-    memory: str = "no"
-    signals: str = ""
-    note: str = ""
 
 
 NAMES = {"flow_linearising": "Flow linearisation", "ppo": "PPO on flow linearisation"}  # the others are abbreviations
@@ -151,39 +136,3 @@ def split_name(name: str) -> tuple[str, int]:
     if not controller or (mark and not seed.isdecimal()):
         raise ConfigurationError(f"controller '{name}': must be NAME, or NAME#0, NAME#1, … for training seeds")
     return controller, int(seed) if mark else 0
-
-
-def sees(name: str, controller: Controller, task: TaskConfig) -> Sees:
-    """The inputs of a controller: as declared by itself, otherwise found by inspection.
-
-    Raises:
-        ConfigurationError: its ``sees`` has unknown keys or values that are not texts.
-    """
-    check_predict(controller)
-    base = _base(controller)
-    layout = getattr(getattr(controller, "features", controller), "layout", None)
-    layout = layout if isinstance(layout, ObservationLayout) else ObservationLayout.of(task)
-    ahead = max(layout.preview_times, default=0.0)
-    features, memory = getattr(controller, "features", None), "unknown"
-    if names := getattr(getattr(controller, "memory", None), "_fields", None):
-        memory = ", ".join(names)
-    elif isinstance(features, PolicyFeatures):
-        memory = f"signals of the last {1e3 * max(features.lags) * features.layout.control_period:g} ms"
-    found = {
-        "preview": f"{1e3 * ahead:g} ms" if ahead > 0.0 else "no",
-        "memory": memory,
-        "signals": ", ".join(layout.names),
-        "note": f"corrects {_called(base)}" if base is not None else "",
-    }
-    declared: Any = getattr(controller, "sees", {})
-    if not isinstance(declared, Mapping):
-        raise ConfigurationError(f"{name}: sees must be a mapping of texts, of {', '.join(Sees.model_fields)}")
-    return validate(Sees, {**found, **declared}, f"{name}: sees")
-
-
-def sees_table(chosen: Participants, task: TaskConfig) -> pd.DataFrame:
-    """The inputs of each controller, one row each; training seeds of a controller share a row."""
-    rows: dict[str, dict[str, str]] = {}
-    for name, controller in chosen.controllers.items():
-        rows.setdefault(split_name(name)[0], sees(name, controller, task).model_dump())
-    return pd.DataFrame([{"controller": name, **row} for name, row in rows.items()])

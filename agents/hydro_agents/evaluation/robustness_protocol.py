@@ -147,7 +147,7 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
         )
 
 
-EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "leak_price")
+EXPERIMENTS = ("frequency", "force_step", "hold")
 """Parts about the task alone."""
 
 

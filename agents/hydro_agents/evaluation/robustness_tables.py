@@ -7,19 +7,12 @@ import pandas as pd
 
 from hydro_agents.evaluation.comparison import ALL
 from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
-from hydro_agents.evaluation.participants import sees_table
 from hydro_agents.evaluation.runner import FAILED, Results, table
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.statistics import interquartile_means, interval
 
 LEAK_GROUP = "leak"
 CLOSED = ("gap", "score", "score_low", "score_high")  # 0 for the baseline; all other figures of the ranking are ratios
-
-
-@table("sees")
-def inputs(results: Results) -> pd.DataFrame:
-    """The inputs of every controller."""
-    return sees_table(results.participants, results.protocol.task)
 
 
 @table("protocol")

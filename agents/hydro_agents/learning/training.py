@@ -7,33 +7,29 @@ The way of the data: task → :func:`make_env` (N axes) → :func:`make_features
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.callbacks import BaseCallback
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
-from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, restore, take
+from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, restore
 from hydro_agents.learning.features import AnyAxisFeatures, PolicyFeatures, periods_per_step
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.privileged import ACTIVATIONS, AsymmetricPolicy
-from hydro_agents.learning.progress import Progress, training_logger
+from hydro_agents.learning.progress import Progress, TrainingCallback, training_logger
 from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings, SACSettings, TrainingSettings
 from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
-from hydro_agents.running.cases import family_errors, validation_errors
+from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 
-VALIDATION_RIGS, VALIDATION_PLANTS = 8, 8
 ALGORITHMS: dict[str, Any] = {"PPO": PPO, "RecurrentPPO": RecurrentPPO, "SAC": SAC, "TQC": TQC}
 
 
@@ -240,128 +236,3 @@ def train_policy(
         "settings": settings.model_dump(mode="json"),
     }
     return PolicyController.from_sb3(model, features.applied(settings.applied_share), record)
-
-
-class TrainingCallback(BaseCallback):
-    """Logs, validates and writes checkpoints between rollouts; sets the exploration of PPO.
-
-    Its arguments are those of :func:`train_policy`; ``seconds`` is the duration of the earlier sessions, ``keep`` the
-    file of the checkpoints, the conditions of the training, and the time between checkpoints.
-    """
-
-    model: Any
-
-    def __init__(
-        self,
-        config: TaskConfig,
-        settings: TrainingSettings,
-        features: PolicyFeatures,
-        keep: tuple[Path, dict[str, Any], float] | None,
-        seconds: float,
-        progress: Callable[[Progress], None] | None,
-    ) -> None:
-        super().__init__()
-        self._config, self._settings, self._features, self._keep = config, settings, features, keep
-        self._progress = progress
-        self._log_every = settings.log_every if isinstance(settings, SACSettings) else 1
-        self._began = time.monotonic() - seconds
-        self._written = -math.inf  # when the last checkpoint was written
-        self._checkpoint: Checkpoint | None = None
-        self._logged = 0  # steps
-        self._base_error = math.nan  # mm, of the corrected controller; computed once
-        self._rigs: list[tuple[AnyAxisFeatures, dict[str, float]]] = []  # for validation, with its errors in m
-
-    @property
-    def seconds(self) -> float:
-        """Duration of training, all sessions together."""
-        return time.monotonic() - self._began
-
-    def _on_training_start(self) -> None:
-        self._logged = self.num_timesteps
-
-    def _on_rollout_start(self) -> None:
-        self._between_rollouts()
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_training_end(self) -> None:
-        self._between_rollouts()
-        self.write_checkpoint()
-
-    def _passed(self, every: int) -> bool:
-        """Whether a multiple of ``every`` steps was passed since the last row of the log."""
-        return self.num_timesteps // every > self._logged // every
-
-    def _between_rollouts(self) -> None:
-        """Log the last rollout and its update, set the exploration of the next, and copy the state at its start.
-
-        A rollout and its update share one exploration; otherwise the ratio of PPO would not begin at 1.
-        """
-        settings, steps = self._settings, self.num_timesteps
-        if isinstance(settings, PPOSettings):
-            share = min(steps / settings.total_steps, 1.0)
-            with torch.no_grad():
-                self.model.policy.log_std.fill_(settings.log_standard_deviation_at(share))
-        due = self._passed(self._log_every)
-        if due:
-            self._log()
-            self._logged = steps
-        if self._keep is not None and (due or self._checkpoint is None):
-            _, made_with, interval = self._keep
-            self._checkpoint = take(self.model, self.model.get_env(), self.seconds, made_with)
-            if time.monotonic() - self._written > interval:
-                self.write_checkpoint()
-
-    def _log(self) -> None:
-        """Report, and write a row of the log, with a validation if one is due."""
-        steps, every, total = self.num_timesteps, self._settings.validation_every, self._settings.total_steps
-        episodes = np.array([(episode["r"], episode["l"]) for episode in self.model.ep_info_buffer or ()])
-        reward, length = math.nan, math.nan  # before the first episode has ended
-        if len(episodes):
-            reward, length = float(np.mean(episodes[:, 0] / episodes[:, 1])), float(np.mean(episodes[:, 1]))
-        if self._progress is not None:
-            self._progress(Progress(steps, total, self.seconds, reward))
-        row = {f"reward/{name}": value for name, value in self.model.get_env().mean_rewards().items()}
-        if every and (self._passed(every) or steps >= total):
-            row |= {f"validation/{name}": value for name, value in self._validation().items()}
-        row |= {"rollout/ep_len_mean": length, "rollout/mean_reward": reward, "time/time_elapsed": self.seconds}
-        for name, value in row.items():
-            self.logger.record(name, value)
-        self.logger.dump(steps)
-
-    def _validation(self) -> dict[str, float]:
-        if isinstance(self._features, AnyAxisFeatures):
-            return self._validation_on_rigs(self._features)
-        base = self._features.base
-        if base is not None and math.isnan(self._base_error):
-            self._base_error = validation_errors(self._config, base)[0]
-        mean, worst, failures = validation_errors(self._config, PolicyController.from_sb3(self.model))
-        return {
-            "mean_error_mm": mean,
-            "worst_error_mm": worst,
-            "failures": failures,
-            "base_mean_error_mm": self._base_error,
-            "error_to_corrected": mean / self._base_error,
-        }
-
-    def _validation_on_rigs(self, features: AnyAxisFeatures) -> dict[str, float]:
-        """Errors relative to the corrected controller's on validation rigs, every family weighing the same."""
-        if not self._rigs:
-            law = {"split": "validation", "count": VALIDATION_RIGS}
-            for task in rig_tasks(task_config(self._config, law=law)):
-                own = features.moved_to(task)
-                assert own.base is not None
-                self._rigs.append((own, family_errors(task, own.base, VALIDATION_PLANTS, sensor_frame=True)))
-        ratios = []
-        for own, base in self._rigs:
-            policy = PolicyController.from_sb3(self.model, own)
-            errors = family_errors(own.config, policy, VALIDATION_PLANTS, sensor_frame=True)
-            ratios.append(math.exp(np.mean([math.log(errors[name] / base[name]) for name in base])))
-        return {"error_to_corrected": float(np.median(ratios)), "worst_error_to_corrected": max(ratios)}
-
-    def write_checkpoint(self) -> None:
-        """Write the state at the start of the present rollout, or of the next rollout if none is in progress."""
-        if self._keep is not None and self._checkpoint is not None:
-            self._checkpoint.write(self._keep[0])
-            self._written = time.monotonic()

@@ -1,5 +1,5 @@
 """Presentation of results: figures, numbers, sentences, pages.
 
 Comes in: the tables of a run by the names of their CSV files (``content.Content``). Goes out: one HTML page with its
-figures, or a film. Open ``sections.py`` first: a page is a list of sections, each a function from content to blocks.
+figures. Open ``sections.py`` first: a page is a list of sections, each a function from content to blocks.
 """

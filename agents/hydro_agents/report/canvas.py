@@ -141,8 +141,8 @@ def curve_plot(
         per: unit of the index, after a space.
         apart: distance of the participants' bars, in units of the axis; rows have their own.
         drawn: ``line``; ``levels``: a line over leaks, with a tight seal at the left end; ``plain``: without markers;
-            ``steps``; ``points``; ``band``: a line in the band of its interval; ``rows``: a row for each category, from
-            top to bottom.
+            ``points``; ``band``: a line in the band of its interval; ``rows``: a row for each category, from top to
+            bottom.
         options: of ``Axes.set``, such as labels and limits.
     """
     frames = {name: curve.to_frame("value") if curve.ndim == 1 else curve for name, curve in curves.items()}
@@ -156,9 +156,7 @@ def curve_plot(
         for count, (name, frame) in enumerate(frames.items()):
             look = looks[name]
             at = np.array([places.get(x, x) for x in frame.index]) + dodge(len(frames), count, gap)
-            if drawn == "steps":
-                axes.step(at, frame["value"], where="post", label=name, **look.stroke)
-            elif drawn == "band" or "low" not in frame:
+            if drawn == "band" or "low" not in frame:
                 stroke = look.stroke | ({"linestyle": "none"} if drawn in ("points", "rows") else {})
                 axes.plot(at, frame["value"], marker="" if drawn == "plain" else look.marker, label=name, **stroke)
                 if "low" in frame:
@@ -195,13 +193,9 @@ def _axis_of(axes: Axes, drawn: str, values: list[Any], labels: list[Any]) -> di
 
 def _points(values: Any, per: str) -> list[tuple[str, float]]:
     """Labels and values of a curve, of a long one evenly thinned."""
-    values = values.iloc[thinned_rows(len(values), MOST_TOLD)]
+    if len(values) > MOST_TOLD:
+        values = values.iloc[np.linspace(0, len(values) - 1, MOST_TOLD).astype(np.int64)]
     return [(x if isinstance(x, str) else f"{setting(x)}{per}", y) for x, y in values.items()]
-
-
-def thinned_rows(count: int, most: int) -> NDArray[np.int64]:
-    """Numbers of at most ``most`` rows, evenly from the first to the last."""
-    return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)
 
 
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:

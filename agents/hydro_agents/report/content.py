@@ -30,7 +30,7 @@ class Content:
 
     Example:
         >>> content = Content({"cases": pd.DataFrame({"controller": ["PID", "PPO"], "mean_error_mm": [0.5, 0.4]})})
-        >>> content.controllers, content.baseline, content.has("leak_price")
+        >>> content.controllers, content.baseline, content.has("ratios")
         (['PID', 'PPO'], 'PID', False)
     """
 

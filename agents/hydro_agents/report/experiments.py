@@ -126,7 +126,7 @@ def bandwidth_tables(content: Content) -> list[Table]:
 
 @section("Stiffness", needs=("force_step",))
 def stiffness(content: Content) -> list[Block]:
-    """Deviations under a force step and a sinusoidal force."""
+    """Deviations under a force step."""
     note = (
         "An external force pushes an axis that holds its position. Static stiffness: force ÷ remaining deviation. "
         "Dynamic stiffness: force ÷ largest deviation. The runs have no sensor noise, which would hide the recovery. "
@@ -137,7 +137,7 @@ def stiffness(content: Content) -> list[Block]:
 
 
 def stiffness_plots(content: Content) -> list[Plot]:
-    """Peak deviation after a force step by leak, and compliance over frequency healthy and leaking."""
+    """Largest and remaining deviation after a force step by leak."""
     note = "Largest and remaining deviation per force, median of the plants; bars: lowest and highest plant."
     titles = {"dynamic_mm_per_kn": "largest deviation", "static_mm_per_kn": "remaining deviation"}
     options: dict[str, Any] = {"ylabel": "deviation, mm per kN", "ylim": (0.0, None)}
@@ -149,23 +149,7 @@ def stiffness_plots(content: Content) -> list[Plot]:
         }
         named = (f"by-leak-{column}", f"Force step: {title}", note)
         plots.append(curve_plot(*named, curves, content.looks, " mm/kN", apart=0.04, drawn="levels", **options))
-    leaks = ends_of(content.table("force_sine")) if content.has("force_sine") else []
-    return plots + [_compliance(content, leak) for leak in leaks]
-
-
-def _compliance(content: Content, leak: float) -> Plot:
-    parts = by_controller(content, content.rows("force_sine", leakage_flow_lpm=leak))
-    curves = {name: own.groupby("frequency_hz")["compliance_mm_per_kn"].median() for name, own in parts.items()}
-
-    def finish(axes: Axes) -> None:
-        axes.set(xscale="log", yscale="log", xlabel="frequency of the force, Hz", ylabel="deviation, mm per kN")
-        ticks(axes.xaxis, [1.0, 2.0, 5.0, 10.0, 20.0])
-        ticks(axes.yaxis, [0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0])
-
-    title = f"Sinusoidal force, leak of {setting(leak)} l/min"
-    note = "Amplitude of the position per amplitude of the force, median of the plants; lower is stiffer."
-    key = f"compliance-{setting(leak)}"
-    return curve_plot(key, title, note, curves, content.looks, " mm/kN", finish, " Hz")
+    return plots
 
 
 def stiffness_table(content: Content) -> Table:

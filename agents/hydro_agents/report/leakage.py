@@ -8,14 +8,13 @@ import numpy as np
 from markupsafe import Markup
 
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause
-from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
+from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.content import Content, shown
 from hydro_agents.report.leak_plots import (
     coverage_plots,
     detection_plot,
     fault_plots,
     masking_plot,
-    masking_rows,
     motion_plots,
     reliability_plot,
     size_plot,
@@ -35,7 +34,6 @@ LEAKAGE = (
     "faults",
     "reliability",
     "masking",
-    "shares_and_sizes",
     "leak_method",
     "run",
 )
@@ -124,16 +122,7 @@ def masking(content: Content) -> list[Block]:
     """Detection beside position error, by controller."""
     plots = masking_plot(content)
     note = "Feedback hides the leak from the position error, not from the pressures and the valve."
-    return [Text(note), *plots, masking_table(content)] if plots else []
-
-
-@section("All figures", needs=("detection", "sizes"))
-def shares_and_sizes(content: Content) -> list[Block]:
-    """Every share and every size."""
-    return [
-        Fold("Detection and false alarms", detection_tables(content)),
-        Fold("Sizes and intervals", size_tables(content)),
-    ]
+    return [Text(note), *plots] if plots else []
 
 
 @section("How it was measured", needs=("detection",))
@@ -245,62 +234,3 @@ def right_verdicts(content: Content, condition: str, level: float) -> tuple[str,
     changes = content.conditions["changes"].get(condition)
     faults = json.loads(changes).get("faults", {}) if isinstance(changes, str) and changes else {}
     return tuple(CAUSE_OF_FAULT[name].word for name in faults) or (Cause.NONE.word,)
-
-
-def detection_tables(content: Content) -> list[Table]:
-    """Share of windows reported as a leak, by condition and level; one table per detector."""
-    tables = []
-    for detector in content.detectors:
-        own = content.rows("detection", detector=detector)
-        own = own[own["level"] != DRAWN].set_index(["condition", "level"])
-        shares = 100.0 * own["flagged"].unstack().reindex(own.index.unique("condition"))
-        healthy = own.xs(HEALTHY, level="level")
-        cells = shares.assign(hourly=healthy["per_hour"], silent=100.0 * healthy["cannot_tell"])
-        rows = [(content.label(where), *(number(cell, 1) for cell in row)) for where, row in cells.iterrows()]
-        header = ("Condition", *map(level_text, shares), "false alarms per hour", "cannot tell, healthy")
-        caption = f"{detector}: share of windows reported as a leak past the piston, %"
-        tables.append(Table(caption, header, rows, style="dense"))
-    return tables
-
-
-def size_tables(content: Content) -> list[Table]:
-    """Size error, its ratio to the bound, and coverage of the intervals; one table per detector."""
-    tables = []
-    for detector in content.detectors:
-        own = content.rows("sizes", detector=detector)
-        rows = [
-            (
-                f"{content.label(row['condition'])}, {level_text(row['level'])}",
-                number(row["rms_log10"], 3),
-                number(row["median_error_lpm"], 4),
-                number(row["bound_lpm"], 4),
-                number(row["ratio_to_bound"], 1),
-                shown(row, "coverage", 0, 100.0),
-                number(100.0 * row["told"] / row["windows"], 0),
-            )
-            for row in own[own["level"] != HEALTHY].to_dict("records")
-        ]
-        header = (
-            "Condition, leak", "error, RMS log10", "median error, l/min", "bound, l/min", "error ÷ bound",
-            "interval contains the true size, %", "answered, %",
-        )  # fmt: skip
-        tables.append(Table(f"{detector}: size of the leak", header, rows, style="dense"))
-    return tables
-
-
-def masking_table(content: Content) -> Table:
-    """Detection of small leaks, position error and bound, one row per controller."""
-    table = masking_rows(content)
-    shares = table[table["level"] <= SHOWN_LEAK].pivot_table(
-        "at_1_percent", "condition", ["detector", "level"], sort=False
-    )
-    shares = 100.0 * shares.sort_index(axis=1)
-    rows = []
-    for condition, own in table.groupby("condition", sort=False):
-        bound = own.loc[own["level"] == SHOWN_LEAK, "bound_lpm"].mean()
-        found = (number(share, 0) for share in shares.loc[condition])
-        rows.append((own["acting"].iloc[0], number(own["error_mm"].mean(), 3), number(bound, 4), *found))
-    sizes = (f"{name}: {setting(level)}" for name, level in shares)
-    header = ("Controller", "error, mm", f"bound at {setting(SHOWN_LEAK)}, l/min", *sizes)
-    caption = "Found at 1 % false alarms, %, by size of the leak in l/min"
-    return Table(caption, header, rows, style="dense")

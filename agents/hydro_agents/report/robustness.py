@@ -7,10 +7,10 @@ import numpy as np
 from hydro_agents.evaluation.metrics import FRAMES_TEXT, METRICS
 from hydro_agents.report.content import ALL, Content, interval, interval_text, shown, verdict
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.sections import Block, Fold, Points, Text, section, words_table
+from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import COSTS, findings_of, problems, score_plot, score_text
 from hydro_agents.report.traces import Example, example_plot
-from hydro_agents.running.text import Cell, Table, number, setting
+from hydro_agents.running.text import Cell, Table, number
 
 PAGE_FILE = "robustness.html"
 
@@ -23,8 +23,6 @@ ROBUSTNESS = (
     "frequency",
     "stiffness",
     "standstill",
-    "leak_price",
-    "inputs",
     "method",
     "run",
 )
@@ -91,21 +89,15 @@ def costs(content: Content) -> list[Block]:
 def failures(content: Content) -> list[Block]:
     """Traces of the worst cases, with the baseline beside each; the same colours as elsewhere."""
     traces: list[Example] = content.other("traces", [])
-    worst, base = worst_table(content), content.baseline
-    if not traces and not worst:
+    base = content.baseline
+    if not traces:
         return []
     note = (
         f"The cases in which a controller is worst against {base}, and those in which {base} is worst against the "
-        "best of the others. Both ran on the same plant, reference and noise."
+        "best of the others. Both ran on the same plant, reference and noise. The table worst_cases holds more of them."
     )
     plots = [example_plot(trace, f"worst-{count}", content.looks) for count, trace in enumerate(traces, 1)]
-    return [Text(note), *plots, *([Fold("More of the worst cases", worst)] if worst else [])]
-
-
-@section("Inputs of each controller", needs=("sees",))
-def inputs(content: Content) -> list[Block]:
-    """What each controller observes and remembers."""
-    return [words_table(content.table("sees"))]
+    return [Text(note), *plots]
 
 
 @section("How it was measured", needs=("summary",))
@@ -215,22 +207,3 @@ def absolute_table(content: Content) -> Table:
     errors = ("mean error, mm", "interquartile mean, mm", "worst run, mm")
     header = ("Controller", *errors, *(metric.label for metric in metrics))
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")
-
-
-def worst_table(content: Content) -> list[Table]:
-    """The worst cases of every controller, with the seed that replays each of them."""
-    figures = ("mean_error_mm", "baseline_error_mm", "ratio", "peak_error_mm")
-    rows = [
-        (
-            row["controller"],
-            content.label(row["condition"]),
-            row["family"],
-            setting(row["leakage_flow_lpm"]),
-            str(int(row["seed"])),
-            *(number(row[key]) for key in figures),
-        )
-        for row in content.table("worst_cases").to_dict("records")
-    ]
-    where = ("condition", "reference", "leak, l/min", "seed")
-    header = ("Controller", *where, "error, mm", "baseline, mm", "ratio", "peak, mm")
-    return [Table("Worst ratios of errors", header, rows)] if rows else []

@@ -2,9 +2,9 @@
 
 .. code-block:: python
 
-    @section("Cost of a leak", needs=("leak_price",))
-    def leak_price(content: Content) -> list[Block]:
-        return [Text("At steady state, with any controller."), *price_plots(content.table("leak_price"))]
+    @section("Errors and costs", needs=("summary",))
+    def costs(content: Content) -> list[Block]:
+        return [Text("Means over all runs."), *ranking_table(content), absolute_table(content)]
 
 A page leaves out a section whose needed tables are missing or empty, and one without blocks. The name of the function
 names the section in lists and files; a section without a title belongs into the head of the page.

@@ -1,8 +1,6 @@
-"""Sections and blocks of several pages: who took part, what did not run, the cost of a leak, facts of the run."""
+"""Sections and blocks of several pages: who took part, what did not run, facts of the run."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -13,17 +11,7 @@ from hydro_agents.report.canvas import INK, Plot, curve_plot
 from hydro_agents.report.content import Content, interval, intervals, shown, verdict
 from hydro_agents.report.palette import looks_of
 from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section, words_table
-from hydro_agents.running.text import Table, duration, number, setting
-
-PRICES = {
-    "holding_power_w": ("Power to hold, W", 1.0, 1),
-    "holding_command": ("Command to hold, % of full", 100.0, 1),
-    "speed_out_mm_s": ("Speed out, mm/s", 1.0, 0),
-    "speed_back_mm_s": ("Speed back, mm/s", 1.0, 0),
-    "force_out_n": ("Force out, N", 1.0, 0),
-    "force_back_n": ("Force back, N", 1.0, 0),
-}
-"""Columns of the cost of a leak: name, factor and decimals."""
+from hydro_agents.running.text import Table, duration, number
 
 NOT_RUN = "not applicable"
 
@@ -124,64 +112,6 @@ def corrected_table(content: Content) -> list[Table]:
     errors, costs = ("mean error", "equal weights", "repeatability"), (each.word.lower() for each in COSTS.values())
     header = ("Policy", "corrects", *errors, "better in, %", *costs)
     return [Table("A policy ÷ what it corrects, on the same runs", header, rows, style="dense")] if rows else []
-
-
-# Cost of a leak -----------------------------------------------------------------------------------------------------
-
-
-@section("Cost of a leak", needs=("leak_price",))
-def leak_price(content: Content) -> list[Block]:
-    """Power, reserve and energy over the leak."""
-    note = (
-        "Even if the axis holds its position, a leak has its cost: the supply delivers the lost oil, which is missing "
-        "at full command. Power and reserve: steady state of the nominal rig, the same for any controller."
-    )
-    table = content.table("leak_price")
-    return [Text(note), *price_plots(table), price_table(table), *energy_table(content)]
-
-
-def price_plots(table: pd.DataFrame) -> list[Plot]:
-    """Holding power, and reserve of speed and force, over the leak.
-
-    Args:
-        table: of :func:`~hydro_agents.evaluation.leak_price.leak_price`.
-    """
-    table = table.set_index("leakage_flow_lpm")
-    reserves = {column: text.partition(",")[0].lower() for column, (text, *_) in list(PRICES.items())[2:]}
-    shares = {name: 100.0 * table[column] / table[column].iloc[0] for column, name in reserves.items()}
-    power = table["holding_power_w"]
-    held = ("price-power", f"Power to hold {number(table['place_mm'].iloc[0], 0)} mm")
-    flow = "Flow through the valve times supply pressure."
-    left = ("price-left", "Reserve of speed and force")
-    full = "At full command: steady speed at this place, and the largest load that the axis can hold."
-    watts: dict[str, Any] = {"ylabel": "power from the supply, W", "ylim": (0.0, 1.07 * power.max())}
-    percent: dict[str, Any] = {"ylabel": "reserve, % of the tight seal", "ylim": (0.0, 105.0)}
-    return [
-        curve_plot(*held, flow, {"": power}, looks_of([""]), " W", drawn="levels", **watts),
-        curve_plot(*left, full, shares, looks_of(shares), " %", drawn="levels", **percent),
-    ]
-
-
-def price_table(table: pd.DataFrame) -> Table:
-    """Holding power, and reserve of speed and force, at each leak."""
-    rows = [
-        (setting(row["leakage_flow_lpm"]), *(number(by * row[key], places) for key, (_, by, places) in PRICES.items()))
-        for row in table.to_dict("records")
-    ]
-    header = ("Leak, l/min", *(name for name, *_ in PRICES.values()))
-    return Table("Cost of a leak at steady state", header, rows, style="dense")
-
-
-def energy_table(content: Content) -> list[Table]:
-    """Energy that a run takes from the supply at each leak, under every controller."""
-    leaks = content.in_groups("leak")
-    energy = content.rows("summary", metric="supply_energy_j")
-    if not leaks or energy.empty:
-        return []
-    means = energy.pivot_table("mean", "controller", "condition").reindex(content.controllers).reindex(columns=leaks)
-    rows = [(name, *(number(mean, 0) for mean in own)) for name, own in means.dropna(how="all").iterrows()]
-    header = ("Controller", *map(content.label, leaks))
-    return [Table("Energy from the supply, J per run, by leak", header, rows, style="dense")] if rows else []
 
 
 # Method -------------------------------------------------------------------------------------------------------------

@@ -25,7 +25,6 @@ STUDY = (
     "study_findings",
     "positioning",
     "one_leak",
-    "leak_price",
     "detection",
     "training",
     "study_method",
@@ -38,12 +37,6 @@ FEW_PLANTS = 12
 
 OVERVIEW = tuple(metric for metric in METRICS.values() if metric.cost or metric.name in FRAMES)
 """Metrics side by side: an error is no result without its cost."""
-
-BY = {
-    "levels": ("leakage_flow_lpm", "Leak, l/min", "leak size"),
-    "families": ("family", "Reference", "kind of reference"),
-}
-"""Tables of all metrics: the column of their rows, and its words."""
 
 
 def tables_of(evaluation: Evaluation) -> dict[str, pd.DataFrame]:
@@ -63,7 +56,7 @@ def content_of(
     Args:
         evaluation: its results.
         facts: keys and values of the run, such as command, date, seed and versions.
-        tables: further ones: ``leak_price``, ``training_curve`` (see :mod:`hydro_agents.report.training_plots`).
+        tables: further ones: ``corrected``, ``training_curve`` (see :mod:`hydro_agents.report.training_plots`).
         others: ``examples`` (the same episodes at every leak), ``timings`` (s, by phase), ``configuration`` (YAML
             text) and ``validation_error_mm`` (of the first controller, on the plants of the training curve).
     """
@@ -109,10 +102,6 @@ def positioning(content: Content) -> list[Block]:
         f"{FRAMES_TEXT} Each run lasts one episode; a plant is one draw of the uncertain parameters. Leaks are in "
         f"l/min at 100 bar across the piston; up to {healthy} l/min a seal counts as healthy."
     )
-    tails = "“Worst 5 %” is the mean over the worst twentieth of the runs; “worst run” is the largest value of all."
-    settled = (
-        "The settling time includes only standstills in which the axis settled: read it with the share of the others."
-    )
     ratios = ratio_tables(content)
     return [
         Text(terms),
@@ -120,26 +109,19 @@ def positioning(content: Content) -> list[Block]:
         *growth_table(content),
         *score_plot(content, content.table("score")),
         *tracking_plots(content),
-        Text(tails, "soft"),
         *([Fold("Ratios of errors", ratios)] if ratios else []),
-        Fold("All metrics by leak size", [Text(settled), *metric_tables(content, "levels")]),
-        Fold("All metrics by kind of reference", metric_tables(content, "families")),
     ]
 
 
-@section("One leak at a time", needs=("cases",))
+@section("One leak at a time", needs=("examples",))
 def one_leak(content: Content) -> list[Block]:
-    """Errors, costs and single runs at each leak."""
+    """Single runs at each leak."""
     examples: list[Example] = content.other("examples", [])
     plots: dict[float, list[Block]] = {}
     for count, example in enumerate(examples):
         plots.setdefault(example.leak, []).append(example_plot(example, f"run-{count}", content.looks))
     note = "Single runs: the same plant, reference and noise at every leak."
-    folds = (
-        Fold(f"Leak of {setting(leak)} l/min", [table, *plots.get(leak, [])], opened=not plots)
-        for leak, table in level_tables(content).items()
-    )
-    return [Text(note), *folds]
+    return [Text(note), *(Fold(f"Leak of {setting(leak)} l/min", plots[leak]) for leak in sorted(plots))]
 
 
 @section("How it was measured", needs=("cases",))
@@ -214,16 +196,6 @@ def _limit_cycles(content: Content, name: str) -> str:
     return f"{row['limit_cycles']} of {row['standstills']}{size}{failed}"
 
 
-def level_tables(content: Content) -> dict[float, Table]:
-    """The same for each leak level, without the ratio."""
-    tables = {}
-    for leak, cases in content.table("cases").groupby("leakage_flow_lpm"):
-        rows = [(name, *_means(cases[cases["controller"] == name])) for name in content.controllers]
-        header = ("Controller", *_overview_header())
-        tables[float(leak)] = Table("Means over all runs with this leak", header, rows, style="dense")
-    return tables
-
-
 def _overview_header() -> list[str]:
     labels = (f"{FRAMES[metric.name]}, mm" if metric.name in FRAMES else metric.label for metric in OVERVIEW)
     return [label[0].lower() + label[1:] for label in labels]
@@ -245,30 +217,6 @@ def growth_table(content: Content) -> list[Table]:
     header = ("Controller", "all runs", *map(family_name, table["family"].unique()[1:]))
     least, most = setting(leaks.min()), setting(leaks.max())
     return [Table(f"Mean error with {most} l/min ÷ mean error with {least} l/min, same plants", header, rows)]
-
-
-def metric_table(content: Content, by: str, metric: str) -> Table:
-    """Mean with interval, worst 5 % and worst run of every controller, by the rows of a table of BY."""
-    column, first, words = BY[by]
-    table, each, names = content.rows(by, metric=metric), METRICS[metric], content.controllers
-    rows = []
-    for value in table[table["mean"].notna()][column].unique():
-        cells = [setting(value) if by == "levels" else family_name(value)]
-        for name in names:
-            row = content.row(by, metric=metric, controller=name, **{column: value})
-            tails = (number(each.factor * row[key]) for key in ("cvar_5_percent", "worst"))
-            cells += [shown(row, "mean", factor=each.factor), *tails]
-        rows.append(tuple(cells))
-    header = (first, *("mean (95 % interval)", "worst 5 %", "worst run") * len(names))
-    return Table(f"{each.label}, by {words}", header, rows, tuple((name, 3) for name in names))
-
-
-def metric_tables(content: Content, by: str) -> list[Table]:
-    """All metrics that have a value, and the failures if there are any."""
-    table = content.table(by)
-    has_value = table["mean"].notna() & ((table["metric"] != "failed") | (table["mean"] > 0.0))
-    valued = set(table[has_value]["metric"])
-    return [metric_table(content, by, metric) for metric in METRICS if metric in valued]
 
 
 def ratio_tables(content: Content) -> list[Table]:

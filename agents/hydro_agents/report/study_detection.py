@@ -1,22 +1,13 @@
-"""The section of a study about the leakage head: detection rate, ROC, estimated size."""
+"""The section of a study about the leakage head: detection rates, errors of the size."""
 
 from __future__ import annotations
 
-import numpy as np
 from matplotlib.axes import Axes
 
-from hydro_agents.report.canvas import INK, PALE, Plot, curve_plot, thinned_rows, ticks
+from hydro_agents.report.canvas import Plot, curve_plot
 from hydro_agents.report.content import Content, intervals, shown
 from hydro_agents.report.sections import Block, Fold, Text, section
-from hydro_agents.running.text import Table, number, setting
-
-FEWEST_FALSE_ALARMS = 0.1
-"""Lowest false-alarm rate in the ROC, percent."""
-
-POINTS = 350
-"""Dots per controller."""
-
-SIZE_TICKS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+from hydro_agents.running.text import Table, number
 
 SUMMARY: dict[str, tuple[str, float, int, str]] = {
     "auroc": ("Area under the ROC curve", 1.0, 3, ""),
@@ -53,8 +44,6 @@ def detection(content: Content) -> list[Block]:
             "probability reaches the threshold. The head never reads the leak itself."
         ),
         _rates(content),
-        _roc(content),
-        _size(content),
         Fold("Detection in numbers", tables),
     ]
 
@@ -99,47 +88,3 @@ def _rates(content: Content) -> Plot:
     note = "Bars: 95 % interval. Flags on healthy seals (left) are false alarms."
     named = ("rates", "Flagged episodes by leak size", note)
     return curve_plot(*named, parts, content.looks, " %", finish, apart=0.16, drawn="points")
-
-
-def _roc(content: Content) -> Plot:
-    curves = {}
-    for name in content.looks:
-        roc = 100.0 * content.rows("curves", controller=name, curve="roc")[["x", "y"]]
-        curves[name] = roc.set_index(roc["x"].clip(lower=FEWEST_FALSE_ALARMS))["y"]
-
-    def finish(axes: Axes) -> None:
-        axes.set(xscale="log", xlim=(FEWEST_FALSE_ALARMS, 100.0), ylim=(0.0, 102.0))
-        ticks(axes.xaxis, (0.1, 1.0, 10.0, 100.0))
-        axes.set(xlabel="false alarms, % of healthy episodes", ylabel="leaks flagged, %")
-
-    note = (
-        f"All leaks above {setting(content.bounds.leaking_above)} l/min, every threshold (receiver operating "
-        "characteristic, ROC). The table below holds the area under the curve, and the threshold in use."
-    )
-    title = "Leaks flagged against false alarms"
-    return curve_plot("roc", title, note, curves, content.looks, " %", finish, " %", drawn="steps")
-
-
-def _size(content: Content) -> Plot:
-    leaking = content.table("detection")
-    leaking = leaking[leaking["leakage_flow_lpm"] > content.bounds.leaking_above]
-    low, high = leaking["leakage_flow_lpm"].agg(["min", "max"])
-    curves = {}
-    for name, part in leaking.groupby("controller", sort=False):
-        part = part.iloc[thinned_rows(len(part), POINTS)]
-        curves[name] = part.set_index("leakage_flow_lpm")["estimated_flow_lpm"].clip(0.1 * low, 5.0 * high)
-
-    def finish(axes: Axes) -> None:
-        for line in axes.lines:
-            line.set(markersize=2.8, markeredgewidth=0.0, alpha=0.6)
-        true = np.array([low, high])
-        axes.fill_between(true, 0.5 * true, 2.0 * true, color=PALE, linewidth=0.0, label="factor of 2")
-        axes.plot(true, true, color=INK, linewidth=0.9)
-        axes.set(xscale="log", yscale="log")
-        axes.set(xlabel="true leak, l/min", ylabel="estimated leak, l/min")
-        ticks(axes.xaxis, SIZE_TICKS)
-        ticks(axes.yaxis, SIZE_TICKS)
-
-    note = "One dot per leaking episode (thinned); estimates beyond the frame stand at its edge."
-    named = ("size", "Estimated against true leak size", note)
-    return curve_plot(*named, curves, content.looks, " l/min", finish, drawn="points")

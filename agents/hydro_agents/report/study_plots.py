@@ -9,7 +9,6 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from hydro_agents.report.canvas import INK, Array, Plot, curve_plot
 from hydro_agents.report.content import Content, intervals
-from hydro_agents.running.statistics import mean_interval
 from hydro_agents.running.text import family_name, setting
 
 
@@ -25,7 +24,6 @@ def tracking_plots(content: Content) -> list[Plot]:
     return [
         _by_leak(content, *error, "Mean error", mean),
         _by_leak(content, *travel, "Valve travel", "Cost of the positioning: travel of the valve's spool."),
-        *([_difference(content)] if compared else []),
         _by_leak(content, *reversals, "Reversals of the command", wear),
         _by_leak(content, *energy, "Energy from the supply", motions),
         _by_family(content),
@@ -46,26 +44,6 @@ def _by_leak(content: Content, metric: str, label: str, title: str, note: str, c
     key, unit = f"level-{metric}-{column}", f" {label.split(', ')[1]}"
     curves = {name: table[name] for name in content.controllers}
     return curve_plot(key, f"{title} by leak size", note, curves, content.looks, unit, finish, drawn="levels")
-
-
-def _difference(content: Content) -> Plot:
-    """Error minus the baseline's error on the same plants, with intervals of the difference."""
-    base, *names = content.controllers
-    table = content.table("cases").pivot_table("mean_error_mm", ["leakage_flow_lpm", "plant"], "controller")
-    curves = {}
-    for name in names:
-        changes = (table[name] - table[base]).groupby(level=0)
-        rows = {level: mean_interval(change.to_numpy()).columns("value") for level, change in changes}
-        curves[name] = pd.DataFrame(rows).T
-
-    def finish(axes: Axes) -> None:
-        axes.axhline(0.0, **content.looks[base].stroke, label=base)
-        axes.set_ylabel(f"error − error of {base}, mm")
-
-    title = f"Difference to {base} by leak size"
-    note = "On the same plants, references and noise; bars: 95 % interval of the difference. Below 0 is better."
-    named = ("difference", title, note)
-    return curve_plot(*named, curves, content.looks, " mm", finish, apart=0.03, drawn="levels")
 
 
 def _by_family(content: Content) -> Plot:

@@ -1,4 +1,4 @@
-"""``hydro check-rig``: the figures of a rig on the console, as CSV and as Markdown."""
+"""``hydro check-rig``: the figures of a rig on the console and as CSV."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hydro_agents.rigs.stable_gain import DRAWN, beyond_dead_band
 from hydro_agents.running.console import PlainConsole, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.tasks import timed_task
-from hydro_agents.running.text import Table, markdown
+from hydro_agents.running.text import Table
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.analysis import closed_port_natural_frequency, leak_at_test_pressure, speed_limits
@@ -28,13 +28,7 @@ from hydro_env.task.sensors import SENSORS
 from hydro_env.units import FULL_VOLTAGE
 
 CSV_FILE = "check.csv"
-TABLE_FILE = "check.md"
-HEADINGS = ("", "quantity", "at", "value", "unit")
-NOTE = (
-    "Leaks are in l/min at 100 bar across the piston. Gains are valve command (1 = 10 V) per metre of error, in a "
-    "loop with a proportional controller, linearised at rest without dry friction, exactly sampled."
-)
-
+HEADINGS = ("quantity", "at", "value", "unit")
 WEAK_DAMPING = 0.05  # damping ratio below which an axis rings: after five periods a step still oscillates by a fifth
 _PUMP = ("supply.model", ("pump", "accumulator"))
 _ACCUMULATOR = ("supply.model", ("accumulator",))
@@ -126,11 +120,11 @@ def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[tupl
 def check_to_console(
     rig: Path | None, folder: Path | None, overwrite: bool, period: str | None = None, latency: str | None = None
 ) -> list[Path]:
-    """Print the table of a rig; write ``check.csv`` and ``check.md`` into a folder if one is given.
+    """Print the table of a rig; write ``check.csv`` into a folder if one is given.
 
     Args:
         rig: its file; ``None`` is the paper's.
-        folder: for the files.
+        folder: for the file.
         overwrite: replace earlier files.
         period: control period with its unit; default: that of the task.
         latency: of the command, the same.
@@ -142,14 +136,12 @@ def check_to_console(
     task = timed_task(None, rig, period, latency, "check-rig")
     rows = [*check_rig(given.plant, given.source, task), position_accuracy(given, task)]
     warnings, note = implausible(given.plant), stability_note(rows)
-    notes = [note] if note else []
     title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(given)}"
     files = []
     if folder is not None:
-        files = [folder / CSV_FILE, folder / TABLE_FILE]
-        with output_folder(folder, "check-rig", (CSV_FILE, TABLE_FILE), overwrite=overwrite):
+        files = [folder / CSV_FILE]
+        with output_folder(folder, "check-rig", [CSV_FILE], overwrite=overwrite):
             write_text(files[0], check_csv(rows))
-            write_text(files[1], check_markdown(rows, title, [*warnings, *notes]))
     facts = ConsoleTable(box=None, show_header=False, padding=(0, 2, 0, 0))
     for name, text in brief(rows, given.plant):
         facts.add_row(name, text)
@@ -157,13 +149,13 @@ def check_to_console(
     for line in (title, *warnings):
         console.print(line, soft_wrap=True)
     console.print(facts)
-    for note in notes:
+    if note:
         console.print("", note, sep="\n")
     for entry in _assumed(rig, given.plant):
         console.print(entry)
     first = {row.group: place for place, row in reversed(list(enumerate(rows)))}
     cells = [(row.quantity, row.at, row.text(4), row.unit) for row in rows]
-    table = Table("", HEADINGS[1:], cells, breaks={place: group for group, place in first.items()})
+    table = Table("", HEADINGS, cells, breaks={place: group for group, place in first.items()})
     console.print(console_table(table, left=(0, 1, 3)))  # narrow enough for a terminal of 80 columns
     return files
 
@@ -197,13 +189,6 @@ def check_csv(rows: list[Row]) -> str:
     table = pd.DataFrame([row._replace(value=row.text(9)) for row in rows]).drop(columns="key")
     text: str = table.to_csv(index=False, lineterminator="\n")
     return text
-
-
-def check_markdown(rows: list[Row], title: str, remarks: Sequence[str] = ()) -> str:
-    """The table as Markdown, with remarks below it."""
-    cells = [(row.group, row.quantity, row.at, row.text(4), row.unit) for row in rows]
-    table = markdown(HEADINGS, cells, left=(0, 1, 2, 4))
-    return "\n\n".join([f"# {title}", table, NOTE, *remarks]) + "\n"
 
 
 PHASE_STABLE = (

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import math
-import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +14,8 @@ from hydro_agents.report.palette import looks_of
 from hydro_agents.rigs.check import resting_place
 from hydro_agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, simulate
-from hydro_env.files import read_text, write_text, write_whole
+from hydro_env.files import write_text, write_whole
+from hydro_env.mistakes import unknown
 from hydro_env.plant.analysis import leak_at_test_pressure
 from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
@@ -34,12 +32,11 @@ FILES = (CSV_FILE, PICTURE_FILE, RIG_FILE)
 MOST_SAMPLES = 1_000_000
 LONGEST_RUN = 3600.0
 LARGEST_VOLTAGE = 10.0
-
-LARGEST_TABLE = 50_000_000  # largest size in bytes; about a million rows of four columns
+SHAPES = ("step", "sine", "sweep", "stop")
 
 
 def input_voltage(signal: str, voltage: float, samples: int, sample_time: float, holding: float) -> Floats:
-    """A built-in input in V, (samples,): ``voltage`` times a shape, added to the voltage that holds the start.
+    """An input in V, (samples,): ``voltage`` times a shape, added to the voltage that holds the start.
 
     ``step``: constant after 10 % of the time. ``stop``: constant, and the holding voltage for the last 60 %.
     ``sine``: 1 Hz. ``sweep``: from 0.5 to 50 Hz, logarithmically. The sum is limited to ±10 V.
@@ -59,51 +56,11 @@ def input_voltage(signal: str, voltage: float, samples: int, sample_time: float,
     return np.clip(holding + voltage * shape, -LARGEST_VOLTAGE, LARGEST_VOLTAGE)
 
 
-def read_voltage(path: Path) -> Floats:
-    """Voltages of a table, one row per sample: the column headed ``voltage``, otherwise the last one.
-
-    If the file has semicolons or tabs, these separate columns, and decimals may have commas; otherwise commas separate
-    columns. Empty lines and lines that begin with ``#`` are skipped.
-
-    Raises:
-        ConfigurationError: the file is unreadable or empty, a voltage is not a number or outside ±10 V, or a comma is
-            ambiguous, as in ``0,5`` without headings; the message names the row.
-    """
-    text = read_text(path, LARGEST_TABLE)
-    separator = next((mark for mark in ";\t" if mark in text), ",")
-    layout: Any = {"header": None, "dtype": str, "comment": "#", "skipinitialspace": True, "keep_default_na": False}
-    try:
-        cells = pd.read_csv(io.StringIO(text), sep=separator, **layout)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise ConfigurationError(f"{path}: is not a table of numbers: {str(error).strip()[:100]}") from None
-    headings = [re.sub(r"\s*\[.*\]$", "", str(name)).lower() for name in cells.iloc[0]]
-    place = headings.index("voltage") if "voltage" in headings else -1
-    named = not pd.to_numeric(cells.iloc[0].astype(str).str.replace(",", "."), errors="coerce").notna().any()
-    column = cells.iloc[int(named) :, place].astype(str)
-    if separator == "," and not named and cells.shape[1] > 1 and "." not in text:
-        raise ConfigurationError(
-            f"{path}: row 1: '{','.join(cells.iloc[0])}' may be {cells.shape[1]} columns or decimals with a comma; "
-            "write decimals with a point, or separate columns by semicolons"
-        )
-    commas = column.str.contains(",")
-    if commas.any() and column.str.contains(".", regex=False).any():
-        raise ConfigurationError(f"{path}: decimals have commas in some rows and points in others")
-    values: Floats = pd.to_numeric(column.str.replace(",", "."), errors="coerce").to_numpy(dtype=np.float64)
-    if len(values) == 0:
-        raise ConfigurationError(f"{path}: holds no numbers")
-    for row in np.flatnonzero(~np.isfinite(values)):
-        raise ConfigurationError(f"{path}: row {row + 1 + named}: {column.iloc[row][:40]!r} is not a number")
-    for row in np.flatnonzero(np.abs(values) > LARGEST_VOLTAGE):
-        raise ConfigurationError(f"{path}: row {row + 1 + named}: {values[row]:g} V: must be within -10 to 10 V")
-    return values
-
-
 def simulate_to_folder(
     folder: Path,
     rig: Path | None,
     signal: str,
     voltage: float,
-    input_file: Path | None,
     duration: float,
     sample_time: float,
     leakage: float | None,
@@ -118,6 +75,8 @@ def simulate_to_folder(
     Raises:
         ConfigurationError: an argument is impossible, or the folder cannot be used.
     """
+    if signal not in SHAPES:
+        raise ConfigurationError(f"--input {signal}: {unknown(signal, SHAPES)}")
     source = str(rig) if rig is not None else "rig"
     parameters = read_rig(rig).plant if rig is not None else PlantParameters()
     if leakage is not None:
@@ -128,33 +87,31 @@ def simulate_to_folder(
         raise ConfigurationError(f"--voltage = {voltage:g} V: must be within -10 to 10 V")
     if not sample_time > 0.0:
         raise ConfigurationError(f"--sample-time = {sample_time:g} s: must be above 0 s")
-    inputs = read_voltage(input_file) if input_file is not None else None
-    samples = duration / sample_time if inputs is None else len(inputs)
+    samples = duration / sample_time
     if not (0.5 < samples <= MOST_SAMPLES and samples * sample_time <= LONGEST_RUN):
-        asked = f"--duration = {duration:g} s" if inputs is None else f"{input_file}"
         raise ConfigurationError(
-            f"{asked} with --sample-time = {sample_time:g} s: must be 1 to {MOST_SAMPLES:,} samples and at most "
-            f"{LONGEST_RUN:g} s"
+            f"--duration = {duration:g} s with --sample-time = {sample_time:g} s: must be 1 to {MOST_SAMPLES:,} "
+            f"samples and at most {LONGEST_RUN:g} s"
         )
     refuse_unworkable(parameters, source)
     if position is None:
         position = resting_place(parameters)
     _, holding = equilibrium(parameters, position)
-    if inputs is None:
-        inputs = input_voltage(signal, voltage, max(round(samples), 1), sample_time, holding)
+    inputs = input_voltage(signal, voltage, max(round(samples), 1), sample_time, holding)
     run = simulate(parameters, inputs, sample_time, {"position": position})
-    for given in (rig, input_file):
-        if given is not None and given.resolve() in {(folder / name).resolve() for name in FILES}:
-            raise ConfigurationError(f"{given}: would be replaced by the results; choose another --output")
+    if rig is not None and rig.resolve() in {(folder / name).resolve() for name in FILES}:
+        raise ConfigurationError(f"{rig}: would be replaced by the results; choose another --output")
     with output_folder(folder, "simulate", FILES, overwrite=overwrite):
         write_text(folder / CSV_FILE, trajectory_csv(run))
         (picture,) = render(lambda figure: paint_trajectory(figure, run), (WIDE, 10.5), "png")
         write_whole(folder / PICTURE_FILE, picture)
         parameters.to_yaml(folder / RIG_FILE)
-    range_line = f"voltage: {inputs.min():.3g} to {inputs.max():.3g} V"
-    if input_file is None:
-        range_line += f" ({holding:.3g} V hold the initial position, plus --voltage {voltage:g} V)"
-    return [f"start: {1e3 * position:g} mm from mid-stroke", range_line, *(str(folder / name) for name in FILES)]
+    return [
+        f"start: {1e3 * position:g} mm from mid-stroke",
+        f"voltage: {inputs.min():.3g} to {inputs.max():.3g} V ({holding:.3g} V hold the initial position, plus "
+        f"--voltage {voltage:g} V)",
+        *(str(folder / name) for name in FILES),
+    ]
 
 
 def trajectory_csv(run: Trajectory) -> str:

@@ -17,7 +17,6 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
-from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.evaluation.limit_cycles import rest_warning
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import shipped_weights
@@ -118,10 +117,9 @@ def evaluate_study(
     for name in (name for name in controllers if name not in evaluation.errors):
         working.setdefault(split_name(name)[0], controllers[name])
     levels = sorted(study.evaluation.leak_levels)
-    price = leak_price(study.task, levels)
     curve = training_curve if training_curve is not None else pd.DataFrame()
     corrects = {name: entry.corrects for name, entry in study.controllers.items() if entry.corrects}
-    further = {"leak_price": price, "corrected": Grid(evaluation.cases).corrected(corrects)}
+    further = {"corrected": Grid(evaluation.cases).corrected(corrects)}
     write_tables(folder / "tables", {**tables_of(evaluation), **further})
     content = content_of(
         evaluation,

@@ -15,7 +15,6 @@ from hydro_agents.evaluation.detection import (
     average_precision,
     curves,
     detection_columns,
-    detection_curves,
     detection_rate,
     detection_rates,
     detection_summary,
@@ -36,12 +35,11 @@ def scores_with_ties(seed, decimals=1):
 def test_curves_and_areas_are_those_of_scikit_learn(seed, decimals):
     scores, positive = scores_with_ties(seed, decimals)
     roc, recall = curves(scores, positive).values()
-    for own, other in zip(roc, sklearn.metrics.roc_curve(positive, scores, drop_intermediate=False), strict=True):
-        np.testing.assert_allclose(own, other, rtol=1e-12)
-    precision, share, thresholds = sklearn.metrics.precision_recall_curve(positive, scores)
+    false, true, _ = sklearn.metrics.roc_curve(positive, scores, drop_intermediate=False)
+    np.testing.assert_allclose(roc, (false, true), rtol=1e-12)
+    precision, share, _ = sklearn.metrics.precision_recall_curve(positive, scores)
     np.testing.assert_allclose(recall.y[:0:-1], precision[:-1], rtol=1e-12)
     np.testing.assert_allclose(recall.x[:0:-1], share[:-1], rtol=1e-12)
-    np.testing.assert_array_equal(recall.threshold[:0:-1], thresholds)
     assert area_under_roc(scores, positive) == pytest.approx(sklearn.metrics.roc_auc_score(positive, scores))
     assert average_precision(scores, positive) == pytest.approx(
         sklearn.metrics.average_precision_score(positive, scores)
@@ -54,7 +52,7 @@ def test_areas_and_curves_at_their_ends():
     assert math.isnan(average_precision(np.array([0.1, 0.2]), np.full(2, False)))
     for positive in (np.array([True, False, True]), np.zeros(3, dtype=bool)):  # nothing is flagged at first
         curve = curves(np.array([0.2, 0.9, 0.5]), positive)["precision_recall"]
-        assert (curve.x[0], curve.y[0], curve.threshold[0], curve.y[1]) == (0.0, 1.0, np.inf, 0.0)
+        assert (curve.x[0], curve.y[0], curve.y[1]) == (0.0, 1.0, 0.0)
         assert curve.x[-1] == float(positive.any())
 
 
@@ -143,21 +141,6 @@ def test_summary_counts_healthy_and_leaking_episodes_as_the_task_says():
     assert row["median_size_error_factor"] == pytest.approx(np.median(factors))
     assert row["p90_size_error_factor"] == pytest.approx(10 ** np.quantile(np.log10(factors), 0.9))
     assert table.iloc[1]["auroc"] == pytest.approx(1.0 - row["auroc"])
-
-
-def test_curves_of_each_controller():
-    table = detection_curves(episodes(), TASK)
-    assert set(table["controller"]) == {"A", "B"}
-    for name in ("A", "B"):
-        roc = table[(table["controller"] == name) & (table["curve"] == "roc")]
-        summary = detection_summary(episodes((name,)), THRESHOLD, TASK).iloc[0]
-        assert np.trapezoid(roc["y"], roc["x"]) == pytest.approx(summary["auroc"])
-        assert len(roc) == 1 + 8  # between the two bounds nothing counts
-        precision = table[(table["controller"] == name) & (table["curve"] == "precision_recall")]
-        area = np.sum(np.diff(precision["x"]) * precision["y"].to_numpy()[1:])
-        assert area == pytest.approx(summary["average_precision"])
-        assert roc["threshold"].iloc[0] == np.inf
-    assert list(table.index) == list(range(len(table)))
 
 
 def test_one_row_per_episode():

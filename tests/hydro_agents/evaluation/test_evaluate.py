@@ -70,7 +70,6 @@ def test_every_part_of_the_result_is_made_from_its_own_cases(evaluation):
     for table in (result.cases, result.detection_summary, result.detection_rates):
         assert list(table["controller"].unique()) == ["strong", "weak"]
     assert set(result.detection_summary["threshold"]) == {head.settings.threshold}
-    assert set(result.curves["curve"]) == {"roc", "precision_recall"}
     assert (result.bounds, result.errors) == ((0.03, 0.1, 0.3), {})
     assert phases == [("evaluation", done, 6) for done in range(7)]  # both controllers track, rest and are watched
 
@@ -168,7 +167,7 @@ def test_a_failing_controller_costs_only_its_own_results_and_is_no_yardstick():
     alone = evaluate(CONFIG, {"strong": STRONG, "weak": WEAK}, settings=SETTINGS)
     for name in ("cases", "levels", "families", "ratios"):
         assert getattr(result, name).equals(getattr(alone, name))
-    for table in (alone.detection, alone.detection_rates, alone.detection_summary, alone.curves):
+    for table in (alone.detection, alone.detection_rates, alone.detection_summary):
         assert table.empty  # there is no head
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

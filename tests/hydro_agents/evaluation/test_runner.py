@@ -9,12 +9,11 @@ from refusal import refused
 from small_protocol import Broken, Proportional, small
 
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.participants import Participants, participants, sees, split_name
+from hydro_agents.evaluation.participants import Participants, participants, split_name
 from hydro_agents.evaluation.runner import DONE, FAILED, NOT_APPLICABLE, run
 from hydro_agents.evaluation.tracking import BEST_FOUND, replay
 from hydro_agents.running.cases import ControllerError, run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER, fingerprint
-from hydro_env import TaskConfig
 
 ROOM = {"standstill_leak_levels": [1.0], "standstill_plants": 3}
 
@@ -207,23 +206,6 @@ def test_a_case_can_be_replayed(alone):
     error = 1e3 * np.abs(rollout.reference.astype(np.float64) - rollout.position).mean()
     assert error == pytest.approx(row["mean_error_mm"], rel=1e-6)
     assert rollout.leakage_flow_lpm[0] == row["leakage_flow_lpm"]
-
-
-def test_what_a_controller_sees_is_found_or_declared():
-    protocol = small()
-    pid = participants({"PID": "pid"}, protocol).controllers["PID"]
-    found = sees("PID", pid, protocol.task)
-    assert (found.leak, found.preview) == ("no", "40 ms")
-    assert "integral" in found.memory
-    assert "pressure_a" in found.signals
-    ppo = participants({"PPO": "ppo"}, protocol).controllers["PPO"]
-    assert sees("PPO", ppo, protocol.task).note.startswith("corrects")
-    teller = Proportional()
-    teller.sees = {"leak": "yes", "note": "told by the operator"}
-    assert sees("mine", teller, TaskConfig()).leak == "yes"
-    teller.sees = {"leek": "yes"}
-    with refused(r"mine: sees: leek.*unknown key"):
-        sees("mine", teller, TaskConfig())
 
 
 def test_fingerprints_differ_where_numbers_differ():

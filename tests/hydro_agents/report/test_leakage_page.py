@@ -63,13 +63,6 @@ def test_the_page_stands_alone_and_says_who_did_not_run(page):
     assert page.html.count("<svg") >= 8
 
 
-def test_sections_without_figures_are_left_out():
-    made = made_up_tables()
-    made = {name: table for name, table in made.items() if name not in ("masking", "reliability")}
-    page = render_page("Leaks", LEAKAGE, Content(made, others={"base": "plain"})).html
-    assert 'id="masking"' not in page
-
-
 def test_nothing_is_cut_off_in_a_browser(browser, page, tmp_path):
     page.write(tmp_path / "leakage.html")
     assert problems_everywhere(browser, tmp_path / "leakage.html") == []

@@ -14,7 +14,6 @@ from hydro_agents.report.experiments import cycles_by_condition, standstill, sti
 from hydro_agents.report.palette import MEANINGS, NEUTRALS
 from hydro_agents.report.robustness import ROBUSTNESS, heat_map, ranking_table
 from hydro_agents.report.sections import render_page
-from hydro_agents.report.shared import energy_table
 from hydro_agents.report.traces import Example
 
 
@@ -99,7 +98,6 @@ def test_tables_of_the_experiments(content):
     (table,) = cycles_by_condition(content)
     assert table.caption.endswith("none under the others")
     assert table.rows == [("0.01 l/min", "1 of 2", "0 of 1", "–")]
-    assert energy_table(content)[0].rows[0] == ("PID", "300", "300")
 
 
 def test_nothing_is_cut_off_in_a_browser(browser, content, tmp_path):

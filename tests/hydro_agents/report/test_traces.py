@@ -1,16 +1,11 @@
 """The worst cases: which ones, run again, and drawn on the page of a whole report."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from made_up_tables import cases, protocol_tables
 from proportional import Proportional
 
-from hydro_agents.evaluation.experiments import EXPERIMENTS
 from hydro_agents.report.content import Content
-from hydro_agents.report.palette import COLOURS
-from hydro_agents.report.robustness import ROBUSTNESS
-from hydro_agents.report.sections import render_page
 from hydro_agents.report.traces import with_traces, worst_rows
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
@@ -65,12 +60,3 @@ def test_worst_cases_are_run_again_with_the_rival_beside_them(replay):
     assert list(good.command) == ["Good", "PID"]
     assert good.position["Good"].shape == good.time.shape == (40,)
     assert not np.array_equal(good.position["Good"], good.position["PID"])
-
-
-def test_a_whole_report_holds_the_tables_of_the_experiments_and_the_traces(config, controllers, replay):
-    experiment = EXPERIMENTS["force_step"]._replace(leaks=[1.0], plants=1)
-    stiffness = [experiment(config, controller).assign(controller=name) for name, controller in controllers.items()]
-    content = with_traces(Content({**protocol_tables(), "force_step": pd.concat(stiffness)}, config), replay)
-    page = render_page("Robustness", ROBUSTNESS, content).html
-    for text in ("Worst case 1 of Good", "Worst case 1 of PID", COLOURS["orange"], "<h2>Stiffness</h2>"):
-        assert text in page

@@ -16,7 +16,6 @@ from hydro_agents.rigs.check_table import (
     assumed,
     brief,
     check_csv,
-    check_markdown,
     implausible,
     stability_note,
 )
@@ -138,8 +137,6 @@ def test_every_number_has_a_unit_and_its_place():
     assert len({row[:3] for row in ROWS}) == len(ROWS)
     table = list(csv.DictReader(check_csv(ROWS).splitlines()))
     assert [row["quantity"] for row in table] == [row.quantity for row in ROWS]
-    text = check_markdown(ROWS, "title")
-    assert all(line.replace("\\|", "").count("|") == 6 for line in text.splitlines() if line.startswith("|"))
 
 
 def test_the_command_prints_and_writes(tmp_path):
@@ -150,11 +147,8 @@ def test_the_command_prints_and_writes(tmp_path):
         assert rig.name in result.stdout
         assert "largest stable gain" in result.stdout
         assert (tmp_path / rig.stem / "check.csv").stat().st_size > 1000
-        page = (tmp_path / rig.stem / "check.md").read_text(encoding="utf-8")
-        assert page.startswith(f"# {rig.name}")
         warnings = [line for line in result.stdout.splitlines() if line.startswith("warning: ")]
         assert len(warnings) == (rig.stem == "odd")  # no shipped rig has one
-        assert set(warnings) <= set(page.splitlines())
     again = hydro("check-rig", "--output", tmp_path / "kovari_2015")
     assert_one_clear_line(again, "holds results already")
 

@@ -52,14 +52,6 @@ def visible(text):
     return [line for line in re.split(r"[\r\n]+", re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)) if line.strip()]
 
 
-def test_the_bar_keeps_its_length_at_80_columns():
-    for width, whole in ((80, False), (140, True)):
-        last = [line for line in visible(shown(Terminal(), width)) if "100 %" in line][-1]
-        assert last.count("━") == 20
-        assert NOTE[:12] in last
-        assert (NOTE in last) == whole
-
-
 def test_off_a_terminal_lines_come_at_once_and_as_they_are(monkeypatch):
     expected = [
         f"{PHASE}:   0 %, 0 of 2,000,000",
