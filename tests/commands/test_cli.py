@@ -97,29 +97,9 @@ def test_the_legends_of_the_picture_lie_over_no_line():
         assert legend.get_window_extent().y0 >= legend.axes.get_window_extent().y1 - 1.0
 
 
-@pytest.mark.parametrize(
-    ("content", "parts"),
-    [
-        ("cylinder: {bore: 0.04}", ["rig.yaml", "cylinder.bore", "unknown key", "bore_diameter"]),
-        ("cylinder: {bore_diametre: 0.04}", ["did you mean bore_diameter?"]),
-        ("cylinder: {bore_diameter: 40}", ["cylinder.bore_diameter = 40", "within 0.005 to 1", "unit: m"]),
-        ("load: {mass: -60}", ["load.mass = -60", "unit: kg"]),
-        ("cylinder: {rod_diameter: 0.05}", ["rod_diameter = 50 mm does not fit", "bore_diameter = 40 mm"]),
-        ("supply: {pressure: 70}", ["supply.pressure = 70", "unit: Pa"]),
-        ("fluid: {bulk_modulus: .nan}", ["fluid.bulk_modulus = nan"]),
-        ("- 1\n- 2", ["must be a mapping of settings, not a list"]),
-        ("load: {mass: [", ["not valid YAML"]),
-    ],
-)
-def test_wrong_rigs(tmp_path, content, parts):
-    (tmp_path / "rig.yaml").write_text(content)
-    answer = hydro("simulate", "--rig", tmp_path / "rig.yaml", "--output", tmp_path / "run")
-    assert_one_clear_line(answer, *parts)
-    assert not (tmp_path / "run").exists()
-
-
 FILES = {
     "foreign.json": "{}",
+    "rig.yaml": "cylinder: {bore: 0.04}\n",
     "empty.yaml": "# nothing yet\n",
     "study.yaml": "controllers: {PID: {kind: pid}}\npdi: {proportional: 1}\n",
     "levels.yaml": "controllers: {PID: {kind: pid}}\nevaluation: {leak_levels: [0.1, -1]}\n",
@@ -140,6 +120,7 @@ FILES = {
         ("simulate --duration inf", ["--duration = inf", "3600 s"]),
         ("simulate --sample-time 0", ["--sample-time = 0", "above 0"]),
         ("simulate --rig absent.yaml", ["absent.yaml: cannot be read: No such file"]),
+        ("simulate --rig rig.yaml", ["rig.yaml", "cylinder.bore", "unknown key", "bore_diameter"]),
         ("simulate --input ragged.csv", ["ragged.csv: is not a table of numbers", "saw 4"]),
         ("simulate --input high.csv", ["high.csv: row 3: 12 V", "-10 to 10 V"]),
         ("evaluate --agent PPO=foreign", ["foreign.json", "must be 'hydro_env policy'"]),
