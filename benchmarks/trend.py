@@ -31,7 +31,7 @@ from hydro_rig.monitoring.oil import GRADES, Oil
 from hydro_rig.monitoring.trend import WINDOW, Settings, row_of
 from hydro_rig.monitoring.trend_summary import DAY, trends_of
 from hydro_rig.monitoring.trend_table import SIZES, stamp
-from hydro_rig.recordings.liveliest import Liveliest
+from hydro_rig.recordings.liveliest import liveliest
 from hydro_rig.recordings.recording import Recording
 
 LENGTH, LOST = 30.0, 0.05  # s of a day that are recorded; share of lost rows
@@ -88,9 +88,9 @@ def table_of(controller: Controller, seed: int, axis: Axis, windows: int) -> pd.
         kept = np.flatnonzero(random.random(part.shape[1]) >= LOST)
         warm = {"oil_temperature": axis.warm[day] + off + random.normal(0.0, 0.3, len(kept))}
         time = (kept - kept[0]) * task.control_period
-        live, begun = Liveliest(WINDOW, known), START + DAY * day
-        live.add(Recording("day", time, part[:, kept], {}, [], warm, begun))
-        row = row_of(f"{seed}", live, known, how)
+        begun = START + DAY * day
+        recording = Recording("day", time, part[:, kept], {}, [], warm, begun)
+        row = row_of(f"{seed}", liveliest(recording, WINDOW, known, how.windows), known, how)
         when = {"time": stamp(begun), "until": stamp(begun)}
         rows.append(row._asdict() | when | {"repaired": "x" if day in axis.repairs else ""})
     return pd.DataFrame(rows)

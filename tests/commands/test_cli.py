@@ -91,6 +91,7 @@ def test_the_legends_of_the_picture_lie_over_no_line():
 
 FILES = {
     "foreign.json": "{}",
+    "rig.yaml": "cylinder: {bore: 0.04}\n",
     "empty.yaml": "# nothing yet\n",
     "study.yaml": "controllers: {PID: {kind: pid}}\npdi: {proportional: 1}\n",
     "levels.yaml": "controllers: {PID: {kind: pid}}\nevaluation: {leak_levels: [0.1, -1]}\n",

@@ -85,7 +85,7 @@ def record(
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
     from hydro_env.task.reference_signals import FAMILIES
-    from hydro_rig.recordings.driving import check_driving
+    from hydro_rig.recordings.channels import check_driving
     from hydro_rig.recordings.recording import read_recording
     from hydro_rig.recordings.sampling import sampled
     from hydro_rig.recordings.simulated import record_axis

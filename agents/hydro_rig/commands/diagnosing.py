@@ -111,7 +111,7 @@ def trend(
 ) -> None:
     """Watch axes over weeks: one row per recording, the growth of the leak, and the date of a limit.
 
-    Each file that the table does not hold yet is read (CSV and Parquet of any length): its liveliest windows, with
+    Each file that the table does not hold yet is read: its liveliest windows, with
     the estimator of `hydro diagnose`. Sizes are referred to 100 bar and 40 °C. Writes the table and a page. Ctrl-C
     keeps all finished files; the same command goes on. `docs/trend.md` shows timers and files of historians.
 

@@ -1,4 +1,4 @@
-"""``hydro export``: the plant, a controller, the leak detector or its alarm for other tools, or the playground."""
+"""``hydro export``: the plant, a controller or the leak detector for other tools, or the playground."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import typer
 from hydro_agents.commands.options import Latency, Output, Overwrite, Period, Rig, Task, command_line, say, write_files
 from hydro_env import ConfigurationError
 from hydro_env.folders import page
-from hydro_env.mistakes import one_of
 
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
 
 FMU_FILE = "hydro_axis.fmu"
 JOB = "export"
-LANGUAGES = ("c", "st")
-OWN_PARTS = ("plant", "leakage_head", "alarm", "playground")
+OWN_PARTS = ("plant", "leakage_head", "playground")
 
 
 def export(
@@ -30,9 +28,9 @@ def export(
         str,
         typer.Argument(
             help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector, or the path of your "
-            "own. alarm: the alarm over time, or the alarm.yaml of hydro alarms. playground: a page to try out. Or a "
-            "controller: results/study/controllers/NAME of a study on your rig; as shipped, for the paper's rig: pid, "
-            "flow_linearising, adrc, lqg, mpc, ppo; a file of gains, weights, or module:attribute.",
+            "own. playground: a page to try out. Or a controller: results/study/controllers/NAME of a study on your "
+            "rig; as shipped, for the paper's rig: pid, flow_linearising, adrc, lqg, mpc, ppo; a file of gains, "
+            "weights, or module:attribute.",
             show_default=False,
         ),
     ],
@@ -41,64 +39,44 @@ def export(
     rig: Rig = None,
     period: Period = None,
     latency: Latency = None,
-    language: Annotated[
-        str,
-        typer.Option(
-            "--format", metavar="c|st", help="st: a controller also as Structured Text (IEC 61131-3) for a PLC."
-        ),
-    ] = "c",
-    all_systems: Annotated[
-        bool, typer.Option("--all-systems", help="plant: the FMU with binaries for Linux, Windows and macOS.")
-    ] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write the plant, a controller, the leakage head or its alarm for other tools, or for your own C program.
+    """Write the plant, a controller or the leakage head for other tools, or for your own C program.
 
     `hydro export plant` writes `hydro_axis.fmu` (FMI 2.0 co-simulation for Simulink, Amesim, OpenModelica and others,
     with the binary of this platform and its sources; it needs a C compiler) and `plant.c`, `plant.h` (C99, no library
-    but the mathematical one). `--all-systems` adds the binaries of Linux, Windows and macOS; it needs `pip install
-    'hydro_env[playground]'`. Its inputs are the voltage of the valve, an external force, the leak and the faults. With
+    but the mathematical one). Its inputs are the voltage of the valve, an external force, the leak and the faults. With
     `--rig` the parameters are those of your rig.
 
     `hydro export CONTROLLER` writes a folder that needs nothing of this project to run: the controller from measured
-    signals in SI units to the voltage of the valve as `controller.onnx` and as C99, a test program with test vectors,
-    and `contract.json`, which describes its inputs and outputs. Before the folder is written, its controller is
-    compared with the one in Python. It needs `pip install 'hydro_env[export]'`. A rig that nobody tuned:
-    `hydro export flow_linearising --rig my.yaml --period 2ms`.
+    signals in SI units to the voltage of the valve as `controller.onnx`, as C99 and as Structured Text (IEC 61131-3),
+    a test program with test vectors, and a README with signals, limits and rules. Before the folder is written, ONNX
+    and C are compared with the controller in Python. It needs `pip install 'hydro_env[export]'`. A rig that nobody
+    tuned: `hydro export flow_linearising --rig my.yaml --period 2ms`.
 
     `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to the
-    probability and size of a leak, and its network as ONNX; with `--rig` and `--period` on your rig, without training.
+    probability and size of a leak; with `--rig` and `--period` on your rig, without training.
     `hydro export study/leakage_head` does so for your own.
-    `hydro export alarm` writes the shipped alarm as C99: baseline, sum, latch, cause and reset, with test vectors.
-    `hydro export results/alarms/alarm.yaml` does so for your own.
 
     `hydro export playground` writes `playground.html`: one page, without server or network, on which three axes move
     in real time while you turn leak, supply, load and gains. It needs `pip install 'hydro_env[playground]'`.
     """
     from hydro_agents.running.folders import output_folder
 
-    if language not in LANGUAGES:
-        raise ConfigurationError(f"--format {language[:40]}: {one_of(language, LANGUAGES)}")
     part = _part(what)
-    if part and language != "c":
-        raise ConfigurationError(f"export {what}: has no --format {language}; a controller does")
     if part not in ("", "leakage_head") and (period is not None or latency is not None):
         raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
-    if all_systems and part != "plant":
-        raise ConfigurationError(f"export {what}: takes no --all-systems; the plant does")
-    if part in ("alarm", "playground") and (task is not None or rig is not None):
-        raise ConfigurationError(f"export {what}: takes no --task and no --rig; {part} has its own")
+    if part == "playground" and (task is not None or rig is not None):
+        raise ConfigurationError(f"export {what}: takes no --task and no --rig; the playground has its own")
     match part:
         case "plant":
-            names, make = _plant(task, rig, all_systems)
+            names, make = _plant(task, rig)
         case "leakage_head":
             names, make = _head(what, _Request(task, rig, period, latency))
-        case "alarm":
-            names, make = _alarm(what)
         case "playground":
             names, make = _playground()
         case _:
-            names, make = _controller(what, _Request(task, rig, period, latency), language)
+            names, make = _controller(what, _Request(task, rig, period, latency))
     with output_folder(output, JOB, names, overwrite=overwrite):
         files, report = make()
         write_files(output, files)
@@ -109,12 +87,9 @@ def _part(what: str) -> str:
     """The one of :data:`OWN_PARTS` that a name or a path means; empty: a controller."""
     from hydro_agents.detection.head import KIND
     from hydro_agents.running.weights import kind_of_weights
-    from hydro_env.files import read_yaml
 
     if what in OWN_PARTS:
         return what
-    if Path(what).suffix == ".yaml" and Path(what).is_file():
-        return "alarm" if "scales" in read_yaml(what) else ""
     return "leakage_head" if ":" not in what and kind_of_weights(what) == KIND else ""
 
 
@@ -133,14 +108,14 @@ Exported = tuple[Mapping[str, str | bytes], Sequence[str]]  # contents of files 
 Job = tuple[Sequence[str], Callable[[], Exported]]  # names of the files, and what makes them
 
 
-def _plant(task: str | None, rig: Path | None, all_systems: bool) -> Job:
+def _plant(task: str | None, rig: Path | None) -> Job:
     from hydro_env.task.configuration import task_config
     from hydro_rig.export.plant import make_fmu, plant_code
 
     config = task_config(task, rig=rig)
 
     def make() -> Exported:
-        return {**plant_code(config.plant).files, FMU_FILE: make_fmu(config, all_systems)}, ()
+        return {**plant_code(config.plant).files, FMU_FILE: make_fmu(config)}, ()
 
     return (FMU_FILE, "plant.h", "plant.c"), make
 
@@ -150,9 +125,7 @@ def _head(what: str, request: _Request) -> Job:
     from hydro_agents.learning.opponents import shipped_weights
     from hydro_agents.running.tasks import timed_task
     from hydro_rig.export.leakage_head import FILES, exported_head
-    from hydro_rig.export.onnx_writer import onnx_package
 
-    onnx_package()  # report a missing package at the start
     config = timed_task(*request, f"export {what}")
     head = LeakageHead.load(shipped_weights(what, config) if what == "leakage_head" else what)
     if head.for_any_axis:
@@ -172,15 +145,6 @@ def _tell_distance(what: str, trained: object, config: TaskConfig) -> None:
         print(f"hydro: {what}: outside the rigs of the training: {far}", file=sys.stderr)
 
 
-def _alarm(what: str) -> Job:
-    from hydro_agents.detection.alarm import AlarmSettings
-    from hydro_env.folders import config_folder
-    from hydro_rig.export.alarm import FILES, exported_alarm
-
-    settings = AlarmSettings.load(config_folder() / "agents" / "alarm.yaml" if what == "alarm" else what)
-    return FILES, partial(exported_alarm, settings, command_line())
-
-
 def _playground() -> Job:
     from hydro_rig.export.playground import PAGE_FILE, playground_page, web_compiler
 
@@ -188,11 +152,11 @@ def _playground() -> Job:
     return (PAGE_FILE,), lambda: ({PAGE_FILE: playground_page()}, ())
 
 
-def _controller(what: str, request: _Request, language: str) -> Job:
+def _controller(what: str, request: _Request) -> Job:
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.opponents import gains_file, takes_gains_for_any_rig, trained_for
     from hydro_env import PlantParameters
-    from hydro_rig.export.controller_folder import FILES, ST_FILE, exported_files
+    from hydro_rig.export.controller_folder import FILES, exported_files
     from hydro_rig.export.onnx_writer import onnx_package
 
     onnx_package()  # report a missing package at the start
@@ -209,8 +173,7 @@ def _controller(what: str, request: _Request, language: str) -> Job:
             "tunes them; then export results/study/controllers/NAME",
             file=sys.stderr,
         )
-    names = (*FILES, ST_FILE) if language == "st" else FILES
-    return names, partial(exported_files, controller, config, command_line(), language)
+    return FILES, partial(exported_files, controller, config, command_line())
 
 
 def _controller_and_task(what: str, request: _Request) -> tuple[Controller, TaskConfig]:

@@ -15,7 +15,7 @@ from hydro_agents.running.text import decimals_for, number
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import LeakageDraw
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
-from hydro_rig.recordings.driving import AXIS
+from hydro_rig.recordings.channels import AXIS
 from hydro_rig.recordings.findings import Finding, Weight
 
 MOST = 0.5  # share of the windows that counts as "most"

@@ -1,13 +1,9 @@
-"""Exported files: C from templates, compiled and compared with Python by its test program, and its contract."""
+"""Exported files: C from templates, compiled and compared with Python by its test program."""
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
-import json
 import shutil
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,10 +13,9 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
-from hydro_env import ConfigurationError, HydroError, __version__
+from hydro_env import HydroError
 
 TEMPLATES = Path(__file__).parent / "templates"
-FILE = "contract.json"
 WARNINGS = ("-Wall", "-Wextra", "-Werror")
 
 
@@ -66,17 +61,6 @@ def write_files(texts: Mapping[str, str], folder: Path) -> None:
 def c_compiler() -> str | None:
     """The command of this machine's C compiler, or ``None`` without one."""
     return next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
-
-
-def cross_compiler(target: str, what: str) -> list[str]:
-    """Command of the compiler for another system, such as ``x86_64-windows-gnu``; ``what`` begins the message.
-
-    Raises:
-        ConfigurationError: the package ziglang is not installed.
-    """
-    if importlib.util.find_spec("ziglang") is None:
-        raise ConfigurationError(f"{what} compiled by the package ziglang: pip install 'hydro_env[playground]'")
-    return [sys.executable, "-m", "ziglang", "cc", "-target", target]
 
 
 def compiled(
@@ -133,41 +117,17 @@ def csv_text(columns: Sequence[str], starts: Iterable[Any], rows: Iterable[Itera
     return "\n".join(lines) + "\n"
 
 
-def with_test(code: CCode, vectors: str, values: Mapping[str, Any], **beside: str) -> dict[str, str]:
-    """The texts of a folder: code, its test program, vectors as CSV, and a page; ``beside``: other texts by name."""
-    return {
+def tested(code: CCode, vectors: str, values: Mapping[str, Any]) -> tuple[dict[str, bytes], str]:
+    """The files of a folder by name: code, its test program, vectors as CSV, and a page; and what the program says.
+
+    Raises:
+        HydroError: as :func:`compared`.
+    """
+    texts = {
         **code.files,
         f"test_{code.name}.c": render(f"test_{code.name}.c.j2", values),
         "vectors.csv": vectors,
-        **beside,
         "README.md": render(f"{code.name}_readme.md.j2", values),
     }
-
-
-def sealed(
-    what: str,
-    contents: Mapping[str, str | bytes],
-    facts: Mapping[str, Any],
-    command: str,
-    packages: Sequence[Any] = (np,),
-) -> dict[str, bytes]:
-    """The files of a folder with its ``contract.json``.
-
-    Args:
-        what: was exported.
-        contents: of all other files, by name.
-        facts: entries of the contract; versions, command and the SHA-256 of each file follow them, then its own.
-        command: that wrote the folder.
-        packages: whose versions matter.
-    """
-    files = {name: content.encode() if isinstance(content, str) else content for name, content in contents.items()}
-    values = {
-        "format": f"hydro_env exported {what}",
-        "format_version": 1,
-        **facts,
-        "versions": {"hydro_env": __version__} | {package.__name__: package.__version__ for package in packages},
-        "command": command,
-        "files": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
-    }
-    values["digest"] = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
-    return {**files, FILE: (json.dumps(values, indent=2, ensure_ascii=False) + "\n").encode()}
+    said = compared(code.name, texts)
+    return {name: text.encode() for name, text in texts.items()}, said

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import scipy
 import yaml
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.registry import CONTROLLERS, gain_rows
-from hydro_agents.running.cases import validation_cases, validation_errors
+from hydro_agents.controllers.registry import gain_rows
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.files import Group
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.export.c_files import FILE, compared, csv_text, sealed, with_test
-from hydro_rig.export.c_writer import C_TYPES
-from hydro_rig.export.controller import (
-    ControllerGraph,
-    controller_code,
-    controller_graph,
-    controller_model,
-    variable_gains,
-)
-from hydro_rig.export.measured import MeasuredController, Signal
+from hydro_rig.export.c_files import csv_text, tested
+from hydro_rig.export.controller import controller_code, controller_graph, controller_model, variable_gains
+from hydro_rig.export.measured import MeasuredController
 from hydro_rig.export.onnx_writer import onnx_session
 from hydro_rig.export.structured_text import structured_text
 
@@ -34,27 +25,10 @@ LARGEST_DIFFERENCE = 1e-5
 """Largest difference of the command between the exported controller and the one in Python; more is an error."""
 
 CODE = "controller"
-MODEL_FILE, TASK_FILE = "controller.onnx", "task.yaml"
-ST_FILE = "controller.st"
-FILES = (MODEL_FILE, f"{CODE}.c", f"{CODE}.h", f"test_{CODE}.c", "vectors.csv", TASK_FILE, "README.md", FILE)
+MODEL_FILE, ST_FILE, TASK_FILE = "controller.onnx", "controller.st", "task.yaml"
+FILES = (MODEL_FILE, f"{CODE}.c", f"{CODE}.h", ST_FILE, f"test_{CODE}.c", "vectors.csv", TASK_FILE, "README.md")
 FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them
 LONGEST = 250  # control periods per episode of the vectors
-RULES = {
-    "start": "start is true in the first call and after every pause, while the axis is at rest; else false",
-    "sampling": "one call per sample_time; all signals of a call are sampled at the same instant",
-    "delay": "the voltage of sample k acts from 'latency' after that sample until 'latency' after the next one; "
-    "previous_voltage of sample k is the voltage of sample k-1 that the valve received, also if something else limited "
-    "or replaced it",
-    "lost_sample": "a signal that is NaN or infinite is lost: the controller continues with its last sample. "
-    "lost_signals counts them; the safety of the machine decides how long it may continue. "
-    "The scores are valid without lost samples",
-    "first_sample": "until a sample is complete the voltage is previous_voltage; then the controller starts",
-    "out_of_range": "beyond its range the controller was never tested; beyond its limit the limit replaces the value. "
-    "The limit of a future reference applies to its distance from the present reference",
-    "not_a_number": "if the command is not a number, the voltage is previous_voltage, and the controller starts again "
-    "at the next sample",
-}
-"""Rules of operation as text; the same for every controller."""
 
 
 class Vectors(NamedTuple):
@@ -119,16 +93,13 @@ def _disturbed(samples: Floats) -> Floats:
     return rows
 
 
-def exported_files(
-    controller: Controller, config: TaskConfig, command: str, language: str = "c"
-) -> tuple[dict[str, bytes], list[str]]:
+def exported_files(controller: Controller, config: TaskConfig, command: str) -> tuple[dict[str, bytes], list[str]]:
     """The files of an exported controller by name, and the results of their checks, one line each.
 
     Args:
         controller: the controller.
         config: its task.
-        command: for the contract.
-        language: ``"st"`` adds Structured Text.
+        command: that exports it.
 
     Raises:
         TraceError: the controller cannot be exported exactly.
@@ -142,40 +113,29 @@ def exported_files(
     values = {
         "title": graph.title,
         "version": __version__,
+        "command": command,
         "name": CODE,
         "type": "ControllerMemory",
         "samples": len(vectors.voltage),
         "allowed": LARGEST_DIFFERENCE * FULL_VOLTAGE,
         "sample_time": config.control_period,
+        "latency": config.command_latency,
         "signals": graph.signals.signals,
         "state_size": sum(part.size for part in graph.memory),
         "variable": [gain.name for gain in varied.gains],
-        "structured_text": language == "st",
         "gains": gain_rows(gains) if isinstance(gains, Group) else [],
     }
     in_onnx = check_onnx(model, vectors, type(controller).__name__)
-    task = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
     rows = np.column_stack([vectors.signals, vectors.voltage])
     csv = csv_text([*graph.signals.places, "voltage"], vectors.start, rows)
-    texts = with_test(controller_code(varied, CODE), csv, values, **{TASK_FILE: task})
-    in_c = compared(CODE, texts)
-    if language == "st":
-        texts[ST_FILE] = structured_text(varied)
-    facts = {**_facts(controller, graph), "checked": {MODEL_FILE: in_onnx, "controller.c": {"result": in_c}}}
-    report = [
-        f"{MODEL_FILE}: {in_onnx['samples']} samples in onnxruntime, {in_onnx['another_voltage']} with another "
-        f"voltage, largest difference of command {in_onnx['largest_difference_of_command']:.2g}",
-        f"controller.c: {in_c}",
-    ]
-    import onnx
-    import onnxruntime
-
-    files = {MODEL_FILE: model, **texts}
-    return sealed("controller", files, facts, command, (np, scipy, onnx, onnxruntime)), report
+    files, in_c = tested(controller_code(varied, CODE), csv, values)
+    task = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+    files |= {MODEL_FILE: model, ST_FILE: structured_text(varied).encode(), TASK_FILE: task.encode()}
+    return files, [f"{MODEL_FILE}: {in_onnx}", f"{CODE}.c: {in_c}"]
 
 
-def check_onnx(model: bytes, vectors: Vectors, who: str) -> dict[str, Any]:
-    """Differences between the ONNX model in onnxruntime and the test vectors.
+def check_onnx(model: bytes, vectors: Vectors, who: str) -> str:
+    """Differences between the ONNX model in onnxruntime and the test vectors, in words.
 
     Raises:
         HydroError: a difference is above :data:`LARGEST_DIFFERENCE`.
@@ -193,45 +153,8 @@ def check_onnx(model: bytes, vectors: Vectors, who: str) -> dict[str, Any]:
             f"{who}: the ONNX model differs by {largest:.2g} of full command from the controller in Python: "
             "cannot be exported"
         )
-    return {
-        "samples": len(voltages),
-        "another_voltage": int((difference != 0.0).sum()),
-        "largest_difference_of_command": largest,
-    }
-
-
-def _facts(controller: Controller, graph: ControllerGraph) -> dict[str, Any]:
-    """What the contract says of a controller."""
-    config = graph.signals.config
-    mean, worst, failed = validation_errors(config, controller)
-    return {
-        "controller": describe(controller),
-        "sample_time": config.control_period,
-        "latency": config.command_latency,
-        "signals": [signal.facts for signal in graph.signals.signals],
-        "output": Signal(
-            "voltage", "V", -FULL_VOLTAGE, FULL_VOLTAGE, FULL_VOLTAGE, "to the drive of the valve; positive: extends"
-        ).facts,
-        "state": [{"name": part.name, "size": part.size, "type": C_TYPES[part.kind]} for part in graph.memory],
-        "rules": RULES,
-        "scores": {
-            "episodes": f"{len(validation_cases(config))} simulated episodes of the task on validation plants: "
-            "each kind of reference with a healthy seal, a small leak and the largest leak",
-            "mean_error_mm": mean,
-            "worst_mean_error_mm": worst,
-            "failed": failed,
-        },
-    }
-
-
-def describe(controller: Any) -> dict[str, Any]:
-    """Kind, settings and training of a controller, as JSON, without the task."""
-    kinds = {registered: kind for kind, (registered, _) in CONTROLLERS.items()}
-    facts: dict[str, Any] = {"kind": kinds.get(type(controller), type(controller).__name__)}
-    if hasattr(controller, "gains"):
-        facts["settings"] = controller.gains.model_dump(mode="json")
-    if hasattr(controller, "features"):
-        facts["settings"] = {name: value for name, value in controller.features.describe().items() if name != "task"}
-        facts["layers"] = [list(weight.shape[::-1]) for weight, _ in controller.layers]
-        facts["training"] = controller.training
-    return facts
+    another = int((difference != 0.0).sum())
+    return (
+        f"{len(voltages)} samples in onnxruntime, {another} with another voltage, "
+        f"largest difference of command {largest:.2g}"
+    )

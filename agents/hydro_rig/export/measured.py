@@ -45,12 +45,6 @@ class Signal(NamedTuple):
     limit: float  # the controller clips values to ± this; of a future reference: its distance from the present one
     meaning: str
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """In a contract."""
-        name, unit, low, high, limit, meaning = self
-        return {"name": name, "unit": unit, "range": [low, high], "limit": limit, "meaning": meaning}
-
 
 class MeasuredSignals:
     """The signals that a controller needs, in SI units, and their relation to the observation.

@@ -42,22 +42,15 @@ from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, State
 from hydro_env.task.settings import settings_of
 from hydro_env.units import LITRE_PER_MINUTE
-from hydro_rig.export.c_files import CCode, c_code, compiled, cross_compiler, render
+from hydro_rig.export.c_files import CCode, c_code, compiled, render
 from hydro_rig.export.expressions import DOUBLE
 from hydro_rig.export.translator import Translator
 
 MODEL = "hydro_axis"
 
+BINARIES = {"linux": ("linux64", ".so"), "win32": ("win64", ".dll"), "darwin": ("darwin64", ".dylib")}
+"""Folder and suffix of the binary in the FMU, by system; FMI 2.0 knows 64-bit x86 alone."""
 
-SYSTEMS = {
-    "linux": ("linux64", ".so", "x86_64-linux-gnu.2.28"),
-    "win32": ("win64", ".dll", "x86_64-windows-gnu"),
-    "darwin": ("darwin64", ".dylib", "x86_64-macos"),
-}
-"""Folder and suffix of a binary in the FMU, and target of the compiler; FMI 2.0 knows 64-bit x86 alone."""
-
-ALL_SYSTEMS = "the binaries of all systems are"
-SHARED = ("-shared", "-fvisibility=hidden")
 _ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
 
 
@@ -180,19 +173,12 @@ def _in_xml(variable: Variable) -> Variable:
     )
 
 
-def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
-    """The FMU as the bytes of a zip file; the same task gives the same sources.
-
-    Args:
-        config: the task, with its rig.
-        all_systems: binaries for Linux, Windows and macOS instead of this system's alone.
+def make_fmu(config: TaskConfig) -> bytes:
+    """The FMU of a task, with its rig, as the bytes of a zip file; the same task gives the same sources.
 
     Raises:
-        ConfigurationError: ``all_systems`` without the package ziglang.
-        HydroError: this machine has no C compiler, or the compiler failed.
+        HydroError: this machine has no C compiler or no 64-bit x86, or the compiler failed.
     """
-    if all_systems:
-        cross_compiler("", ALL_SYSTEMS)  # report a missing package at the start
     variables = fmu_variables(config)
     code = plant_code(config.plant)
     values = {
@@ -212,21 +198,12 @@ def make_fmu(config: TaskConfig, all_systems: bool = False) -> bytes:
     sources = {"plant.h": code.header, "plant.c": code.source, "fmu.c": render("fmu.c.j2", values)}
     files = {"modelDescription.xml": render("modelDescription.xml.j2", values).encode()}
     files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
-    for name in SYSTEMS if all_systems else (sys.platform,):
-        binary = _binary(sources, name, all_systems)
-        folder, suffix, _ = SYSTEMS[name]
-        files[f"binaries/{folder}/{MODEL}{suffix}"] = binary
+    if sys.platform not in BINARIES or platform.machine().lower() not in ("x86_64", "amd64"):
+        raise HydroError(f"FMI 2.0 has no binary for {sys.platform} on {platform.machine()}; it needs 64-bit x86")
+    folder, suffix = BINARIES[sys.platform]
+    files[f"binaries/{folder}/{MODEL}{suffix}"] = compiled(sources, ["-shared", "-fvisibility=hidden", "-fPIC"])
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
             archive.writestr(zipfile.ZipInfo(name, (2020, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
     return packed.getvalue()
-
-
-def _binary(sources: dict[str, str], system: str, cross: bool) -> bytes:
-    if cross:
-        options = [*SHARED, *([] if system == "win32" else ["-fPIC"]), "-s"]
-        return compiled(sources, options, cross_compiler(SYSTEMS[system][2], ALL_SYSTEMS))
-    if system not in SYSTEMS or platform.machine().lower() not in ("x86_64", "amd64"):
-        raise HydroError(f"FMI 2.0 has no binary for {system} on {platform.machine()}; it needs 64-bit x86")
-    return compiled(sources, [*SHARED, "-fPIC"])

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import base64
 import gzip
+import importlib.util
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +23,7 @@ from hydro_agents.detection.head import LeakageEstimate, LeakageHead
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.report.palette import LEAK_LOOKS, css_rules
 from hydro_agents.running.folders import pretrained_folder
-from hydro_env import TaskConfig, __version__
+from hydro_env import ConfigurationError, TaskConfig, __version__
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
@@ -32,7 +34,7 @@ from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import FIRST_BIAS, lagged, sensor_reading
 from hydro_env.units import FULL_VOLTAGE, LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
-from hydro_rig.export.c_files import WARNINGS, CCode, compiled, cross_compiler, render
+from hydro_rig.export.c_files import WARNINGS, CCode, compiled, render
 from hydro_rig.export.controller import controller_code, controller_graph, memory_type, variable_gains
 from hydro_rig.export.expressions import DOUBLE, INT, UINT64
 from hydro_rig.export.leakage_head import head_code
@@ -222,6 +224,10 @@ def web_compiler() -> list[str]:
     """Command of the compiler for WebAssembly.
 
     Raises:
-        ConfigurationError: the compiler is not installed.
+        ConfigurationError: the package ziglang is not installed.
     """
-    return [*cross_compiler("wasm32-wasi", "the playground is"), "-mexec-model=reactor"]
+    if importlib.util.find_spec("ziglang") is None:
+        raise ConfigurationError(
+            "the playground is compiled by the package ziglang: pip install 'hydro_env[playground]'"
+        )
+    return [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]

@@ -14,6 +14,7 @@ from hydro_rig.export.c_files import render
 from hydro_rig.export.c_writer import CWriter, in_rows
 from hydro_rig.export.controller import ControllerGraph, element_names, field_names, inputs_of, written_step
 from hydro_rig.export.graph import KINDS, Node
+from hydro_rig.export.tracing import TraceError
 
 TYPES = dict(zip(KINDS, ("LREAL", "REAL", "LINT", "BOOL"), strict=True))
 
@@ -152,7 +153,7 @@ def literal(value: Any) -> str:
     if isinstance(value, np.integer):
         return str(int(value))
     if np.isnan(value):
-        raise AssertionError("not a number")
+        raise TraceError("Structured Text has no constant that is not a number: cannot be exported")
     largest = np.finfo(np.float64).max
     plain = str(np.clip(value, -largest, largest) if np.isinf(value) else value)
     mantissa, mark, exponent = plain.partition("e")

@@ -36,8 +36,8 @@ from hydro_rig.identification.held_back import (
     simulate_held_back,
     whole_parts,
 )
+from hydro_rig.recordings.channels import AXIS
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.driving import AXIS
 from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.parts import Parts, parts_of
 from hydro_rig.recordings.quality import Checked, check_recording

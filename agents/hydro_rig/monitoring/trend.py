@@ -1,4 +1,4 @@
-"""``hydro trend``: one reading of a recording of any length.
+"""``hydro trend``: one reading of a recording.
 
 A reading is that of ``hydro diagnose`` with the estimator alone, of the dozen liveliest windows
 (:mod:`~hydro_rig.recordings.liveliest`), and the leak is also given at one temperature of the oil
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Reading, Windows
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.diagnose import read_windows
 from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged
@@ -25,19 +25,17 @@ from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Verdict, combined
 from hydro_rig.diagnosis.volume_balance import Blocks, VolumeLeak, leak_of_blocks
 from hydro_rig.monitoring.oil import Oil, referred
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.files import pieces, started
+from hydro_rig.recordings.files import read_columns, started
 from hydro_rig.recordings.findings import Weight
-from hydro_rig.recordings.liveliest import Liveliest, sampled_windows
+from hydro_rig.recordings.liveliest import Lively, liveliest, sampled_windows
 from hydro_rig.recordings.quality import check_samples
-from hydro_rig.recordings.recording import map_for, recording_of
+from hydro_rig.recordings.recording import recording_of
 from hydro_rig.recordings.sampling import Sampled, cut
 
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
 WINDOW = 2.0  # s
 FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
 OIL, NOTHING = "oil_temperature", np.zeros(0)  # the signal of its temperature; readings of a signal without any
-FEW = 100  # last rows of a file, which may be left out
-MOST_BLOCKS = 1_000_000  # of a measured flow that are kept, 40 MB: those of six days
 
 _DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
 
@@ -79,7 +77,7 @@ def row_of_file(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | 
     """Read a file.
 
     Args:
-        path: CSV or Parquet of any length; MDF4, TDMS or MAT.
+        path: CSV, Parquet, MDF4, TDMS or MAT.
         axis: its name.
         config: the task whose rig was recorded.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
@@ -88,22 +86,9 @@ def row_of_file(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | 
     Raises:
         ConfigurationError: the file cannot be read, or holds no rows.
     """
-    live, blocks, clock = Liveliest(WINDOW, config), list[Blocks](), None
-    for piece in pieces(path):
-        columns = columns or map_for(piece, str(path))
-        try:
-            rows = recording_of(piece, str(path), columns)
-        except ConfigurationError:
-            if clock is None or len(piece.cells[0]) >= FEW:
-                raise
-            continue
-        clock = _clock(path, rows.begin) if clock is None else clock
-        live.add(rows)
-        if sum(len(each.speed) for each in blocks) < MOST_BLOCKS:
-            blocks.extend(flow_blocks(rows))
-    if clock is None:
-        raise ConfigurationError(f"{path}: holds headings but no rows")
-    return row_of(axis, live, config, how, clock, blocks)
+    rows = recording_of(read_columns(path), str(path), columns)
+    live = liveliest(rows, WINDOW, config, how.windows)
+    return row_of(axis, live, config, how, _clock(path, rows.begin), list(flow_blocks(rows)))
 
 
 def _clock(path: Path, first: float) -> float:
@@ -122,16 +107,15 @@ def _clock(path: Path, first: float) -> float:
 
 def row_of(
     axis: str,
-    live: Liveliest,
+    live: Lively,
     config: TaskConfig,
     how: Settings,
     clock: float = 0.0,
     blocks: Sequence[Blocks] = (),
 ) -> Row:
     """The row of what was read: the best windows, and the blocks of a measured flow."""
-    candidates, seen = live.finish(how.windows)
     leak = at_40 = Leak(np.nan, np.nan, np.nan)
-    findings, temperature = seen.findings, np.nan
+    candidates, findings, temperature = live.windows, live.findings, np.nan
     verdict = Verdict(Kind.UNKNOWN, "the recording is shorter than one window", None, "")
     if candidates:
         rows = [candidate.rows for candidate in candidates]
@@ -153,7 +137,7 @@ def row_of(
             return Read(referred(measured, how.oil, warm, how.between), fitted=fitted)
 
         found = judged(
-            check_samples(sampled_windows(candidates, WINDOW, config), seen.findings, config),
+            check_samples(sampled_windows(candidates, WINDOW, config), live.findings, config),
             config,
             choose=choose,
             read=read,
@@ -174,11 +158,11 @@ def row_of(
         axis,
         verdict.kind.value,
         *leak,
-        seen.moving,
+        live.moving,
         temperature,
         *at_40,
         reason="; ".join(dict.fromkeys(part for part in (verdict.why, *notes) if part)),
-        clock_back=seen.clock_back,
+        clock_back=live.clock_back,
     )
 
 

@@ -31,7 +31,7 @@ from hydro_rig.monitoring.trend_table import (
     write_table,
 )
 from hydro_rig.recordings.columns import maps_of
-from hydro_rig.recordings.files import pieces
+from hydro_rig.recordings.files import read_columns
 from hydro_rig.recordings.recording import map_for
 
 USUAL_LIMIT = 0.3  # l/min at 100 bar and 40 °C, of the default rig
@@ -145,9 +145,7 @@ def _configs(how: Watch, axes: set[str]) -> dict[str, TaskConfig]:
 def _tell_why(first: File, guessed: bool, left_out: Sequence[str]) -> None:
     """No file could be read: the error of the first, with a guessed map if its headings are unknown."""
     if guessed:
-        for piece in pieces(first.path):
-            map_for(piece, os.fspath(first.path))
-            break
+        map_for(read_columns(first.path), os.fspath(first.path))
     more = f" (and {len(left_out) - 1} more files)" if len(left_out) > 1 else ""
     raise ConfigurationError(f"{left_out[0]}{more}")
 

@@ -21,15 +21,13 @@ from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 from hydro_env.types import Floats
 from hydro_rig.recordings.findings import Finding, Weight
-from hydro_rig.recordings.text_tables import text_pieces
+from hydro_rig.recordings.text_tables import text_table
 
-LARGEST_RECORDING = 200_000_000  # largest size in bytes; about three hours at 200 rows per second as CSV
-ANY_LENGTH = "hydro trend reads CSV and Parquet files of any length"
+LARGEST_RECORDING = 1_000_000_000  # largest size in bytes; about twenty hours at 200 rows per second as CSV
 
 LONGEST_STEP = 2.0
 """Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
 
-PIECE = 200_000  # rows that are in memory at once
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
 TIMES = ("time", "t", "zeit", "timestamps")
 CONTENTS = ("values", "value", "data", "signals", "signal")
@@ -66,36 +64,23 @@ def read_columns(path: Path) -> Columns:
     except (OSError, ValueError):  # the reader says why
         size = 0
     if size > LARGEST_RECORDING:
-        raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; {ANY_LENGTH}")
-    (columns,) = _pieces(path, None)
+        raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; cut it into several files")
+    columns = _columns(path)
     if not columns.cells or not max(map(len, columns.cells)):
         raise ConfigurationError(f"{path}: holds {'headings but no rows' if columns.first_line else 'no numbers'}")
     return columns
 
 
-def pieces(path: Path, rows: int = PIECE) -> Iterator[Columns]:
-    """The rows of a file of any length, ``rows`` at a time; MDF4, TDMS and MAT files are read as a whole.
-
-    Raises:
-        ConfigurationError: as :func:`read_columns`, but not for the size of CSV and Parquet files.
-    """
-    yield from [read_columns(path)] if path.suffix.lower() in READERS else _pieces(path, rows)
-
-
-def _pieces(path: Path, rows: int | None) -> Iterator[Columns]:
-    """The rows of a file, ``rows`` of a table at a time (``None``: all at once)."""
+def _columns(path: Path) -> Columns:
     kind = path.suffix.lower()
     if kind == ".parquet":
         with library_errors(path, "pyarrow.parquet") as parquet, parquet.ParquetFile(path) as file:
-            for batch in [file.read()] if rows is None else file.iter_batches(batch_size=rows):
-                yield of_table(batch.to_pandas())
-    elif kind in READERS:
+            return of_table(file.read().to_pandas())
+    if kind in READERS:
         library, read = READERS[kind]
         with library_errors(path, library) as module:
-            yield of_channels(read(path, module))
-    else:
-        for table, first_line in text_pieces(path, rows):
-            yield of_table(table, first_line)
+            return of_channels(read(path, module))
+    return of_table(*text_table(path))
 
 
 def started(path: Path) -> float | None:
@@ -241,27 +226,13 @@ def read_tdms(path: Path, nptdms: Any) -> list[Channel]:
 
 
 def read_mat(path: Path, scipy_io: Any) -> list[Channel]:
-    """Vectors and structs of a MAT file."""
-    try:
-        content = scipy_io.loadmat(path, simplify_cells=True)
-    except NotImplementedError:  # version 7.3 is HDF5
-        with importlib.import_module("h5py").File(path) as file:
-            content = {name: _of_hdf5(item) for name, item in file.items() if not name.startswith("#")}
+    """Vectors and structs of a MAT file of version 5 to 7; version 7.3 is another format."""
+    content = scipy_io.loadmat(path, simplify_cells=True)
     channels: list[Channel] = []
     for name, value in content.items():
         if not name.startswith("__"):
             channels += _channels_of(name, value)
     return channels
-
-
-def _of_hdf5(item: Any) -> Any:
-    """A group as dict, a text as str, numbers as array."""
-    if hasattr(item, "items"):
-        return {name: _of_hdf5(part) for name, part in item.items()}
-    values = item[()]
-    if item.attrs.get("MATLAB_class") == b"char":
-        return "".join(map(chr, np.ravel(values)))
-    return np.squeeze(values)
 
 
 def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str = "") -> Iterator[Channel]:

@@ -1,7 +1,6 @@
-"""The liveliest windows of a recording of any length, in bounded memory.
+"""The liveliest windows of a long recording.
 
-The rows come piece by piece. Of each section of five minutes the window in which the signals vary most is kept, and of
-these the best dozen. Which windows these are does not depend on the size of the pieces.
+Of each section of five minutes the window in which the signals vary most is kept, and of these the best dozen.
 """
 
 from __future__ import annotations
@@ -38,107 +37,80 @@ class Candidate(NamedTuple):
     rows: Recording
 
 
-class Overview(NamedTuple):
-    """What was seen of the whole recording."""
+class Lively(NamedTuple):
+    """The liveliest windows of a recording, and what was seen of the whole of it."""
 
-    windows: int
-    moving: float  # share of the windows in motion; NaN without a position
+    windows: list[Candidate]  # in the order of time
+    first: float  # s, by the clock of the file, of the first and of the last row
+    last: float
+    moving: float  # share of its windows in motion; NaN without a position
     clock_back: float  # s, the most by which the clock ran back; 0: never
     findings: list[Finding]  # about the clock, and signals that were not recorded
 
 
-class Liveliest:
-    """Takes the pieces of one recording in turn (:meth:`add`), and keeps the liveliest windows (:meth:`finish`).
+def liveliest(recording: Recording, window: float, config: TaskConfig, most: int) -> Lively:
+    """The liveliest windows of a recording; none crosses a place where its clock runs back.
 
     Args:
-        window: s.
+        recording: the rows.
+        window: length of a window in s.
         config: of the rig, for the size of its signals.
+        most: largest number of windows.
     """
-
-    def __init__(self, window: float, config: TaskConfig) -> None:
-        self.window, self.config = window, config
-        plant = config.plant
-        self.size = np.array([plant.cylinder.stroke, plant.supply.pressure, plant.supply.pressure, 1.0, 1.0])
-        self.first = self.last = self.origin = np.nan  # s; origin: where window 0 begins since the clock ran back
-        self.windows = self.located = self.moving = 0
-        self.next = 0  # number of the first window that was not weighed
-        self.rest: Recording | None = None  # rows of windows that may go on
-        self.best: dict[int, Candidate] = {}  # by section
-        self.jumps: list[tuple[float, float]] = []  # when the clock ran back, and by how much, s
-        self.findings: list[Finding] = []
-
-    def add(self, piece: Recording) -> None:
-        """The next rows of the recording."""
-        if np.isnan(self.first):
-            self.first = self.origin = piece.begin
-            self.findings = [finding for finding in piece.findings if finding.absent]
-        self.last = piece.begin + float(piece.time[-1])
-        rows = piece if self.rest is None else _joined(self.rest, piece)
-        back = np.flatnonzero(np.diff(rows.time) < 0.0) + 1
-        runs = [rows.part(int(begin), int(end)) for begin, end in zip([0, *back], [*back, len(rows.time)], strict=True)]
-        for place, run in enumerate(runs):
-            if place > 0:
-                before = runs[place - 1]
-                self.jumps.append((before.begin + float(before.time[-1]), before.begin + before.time[-1] - run.begin))
-                self.origin, self.next = run.begin, 0
-            self._weigh(run, ended=place + 1 < len(runs))
-
-    def finish(self, most: int) -> tuple[list[Candidate], Overview]:
-        """After the last piece: at most ``most`` windows in the order of time, and the overview."""
-        if self.rest is not None:
-            self._weigh(self.rest, ended=True)
-        findings = list(self.findings)
-        if self.jumps:
-            when, by = self.jumps[0]
-            often = f" {len(self.jumps)} times" if len(self.jumps) > 1 else ""
-            what = f"runs back{often} by {number(by, digits=3)} s, {number(when - self.first, 1)} s after the first row"
-            findings.append(Finding("clock", f"{what}; no window crosses it", Weight.NOTE))
-        best = sorted(self.best.values(), key=lambda one: (-one.score, one.begin))[:most]
-        share = self.moving / self.located if self.located else np.nan
-        back = max((by for _, by in self.jumps), default=0.0)
-        overview = Overview(self.windows, share, back, findings)
-        return sorted(best, key=lambda one: one.begin), overview
-
-    def _weigh(self, run: Recording, ended: bool) -> None:
-        """Weigh the windows of rows whose clock runs forward; unless it ends, the last one and its margin may go on."""
-        stamps = run.begin - self.origin + run.time
-        index = np.floor(stamps / self.window + 1e-6).astype(np.int64)
-        done = int(index[-1]) + (1 if ended else -1)  # windows before this one are whole
-        starts = np.flatnonzero(np.diff(index, prepend=index[0] - 1))
+    first, last = recording.begin, recording.begin + float(recording.time[-1])
+    findings = [finding for finding in recording.findings if finding.absent]
+    back = np.flatnonzero(np.diff(recording.time) < 0.0) + 1
+    jumps = recording.time[back - 1] - recording.time[back]
+    if len(back):
+        often = f" {len(back)} times" if len(back) > 1 else ""
+        what = f"runs back{often} by {number(jumps[0], digits=3)} s, {number(recording.time[back[0] - 1], 1)} s"
+        findings.append(Finding("clock", f"{what} after the first row; no window crosses it", Weight.NOTE))
+    best: dict[int, Candidate] = {}  # by section
+    located = moving = 0
+    for begin, end in zip([0, *back], [*back, len(recording.time)], strict=True):
+        run = recording.part(int(begin), int(end))
+        index = np.floor(run.time / window + 1e-6).astype(np.int64)
+        starts = np.flatnonzero(np.diff(index, prepend=-1))
         ends = np.append(starts[1:], len(index))
-        fresh = np.flatnonzero((index[starts] >= self.next) & (index[starts] < done))
-        if len(fresh):
-            score, travel = self._scores(run, starts, ends)
-            self.windows += len(fresh)
-            self.located += int(np.isfinite(travel[fresh]).sum())
-            self.moving += int((travel[fresh] >= MOVING_FROM * self.window).sum())
-            for place in fresh:
-                begin = self.origin + float(index[starts[place]]) * self.window
-                rows = max(int(starts[place]) - MARGIN, 0), min(int(ends[place]) + MARGIN, len(index))
-                section = int((begin - self.first) // SECTION)
-                if section not in self.best or score[place] > self.best[section].score:
-                    self.best[section] = Candidate(float(score[place]), begin, run.part(*rows))
-            self.next = done
-        keep = int(np.searchsorted(index, done - 1)) if not ended else len(index)
-        self.rest = None if ended else run.part(keep, len(index))
+        score, travel = _scores(run, starts, ends, window, config)
+        located += int(np.isfinite(travel).sum())
+        moving += int((travel >= MOVING_FROM * window).sum())
+        for place, start in enumerate(starts):
+            at = run.begin + float(index[start]) * window
+            section = int((at - first) // SECTION)
+            if section not in best or score[place] > best[section].score:
+                rows = max(int(start) - MARGIN, 0), min(int(ends[place]) + MARGIN, len(index))
+                best[section] = Candidate(float(score[place]), at, run.part(*rows))
+    windows = sorted(best.values(), key=lambda one: (-one.score, one.begin))[:most]
+    return Lively(
+        sorted(windows, key=lambda one: one.begin),
+        first,
+        last,
+        moving / located if located else np.nan,
+        float(jumps.max(initial=0.0)),
+        findings,
+    )
 
-    def _scores(self, run: Recording, starts: Places, ends: Places) -> tuple[Floats, Floats]:
-        """Liveliness of windows of rows, and travel in m (NaN without a position)."""
-        span = np.fmax.reduceat(run.signals, starts, axis=1) - np.fmin.reduceat(run.signals, starts, axis=1)
-        score = np.nansum(np.minimum(span / self.size[:, None], 1.0), axis=0)
-        command, count = run.signals[COMMAND], ends - starts
-        way = np.add.reduceat(np.abs(np.nan_to_num(np.diff(command, prepend=command[0]))), starts)
-        full = np.add.reduceat((np.abs(command) >= FULL_COMMAND).astype(np.int64), starts)
-        step = float(np.median(np.diff(run.time))) if len(run.time) > 1 else self.window
-        period = max(self.config.control_period, step)
-        known = np.flatnonzero(np.isfinite(command))
-        gap = np.full(len(command), 0.0 if len(known) else np.inf)
-        between = np.diff(run.time[known])
-        gap[known[1:]] = between
-        gap[known[:-1]] = np.maximum(gap[known[:-1]], between)
-        useless = np.maximum.reduceat(gap, starts) > (LONGEST_FILL + 1.5) * period
-        useless |= (count < LEAST_ROWS * self.window / step) | (full > MOST_SATURATED * count)
-        return score + np.minimum(way / self.window, 1.0) + UNUSABLE * useless, span[POSITION]
+
+def _scores(run: Recording, starts: Places, ends: Places, window: float, config: TaskConfig) -> tuple[Floats, Floats]:
+    """Liveliness of windows of rows, and travel in m (NaN without a position)."""
+    pressure = config.plant.supply.pressure
+    size = np.array([config.plant.cylinder.stroke, pressure, pressure, 1.0, 1.0])
+    span = np.fmax.reduceat(run.signals, starts, axis=1) - np.fmin.reduceat(run.signals, starts, axis=1)
+    score = np.nansum(np.minimum(span / size[:, None], 1.0), axis=0)
+    command, count = run.signals[COMMAND], ends - starts
+    way = np.add.reduceat(np.abs(np.nan_to_num(np.diff(command, prepend=command[0]))), starts)
+    full = np.add.reduceat((np.abs(command) >= FULL_COMMAND).astype(np.int64), starts)
+    step = float(np.median(np.diff(run.time))) if len(run.time) > 1 else window
+    period = max(config.control_period, step)
+    known = np.flatnonzero(np.isfinite(command))
+    gap = np.full(len(command), 0.0 if len(known) else np.inf)
+    between = np.diff(run.time[known])
+    gap[known[1:]] = between
+    gap[known[:-1]] = np.maximum(gap[known[:-1]], between)
+    useless = np.maximum.reduceat(gap, starts) > (LONGEST_FILL + 1.5) * period
+    useless |= (count < LEAST_ROWS * window / step) | (full > MOST_SATURATED * count)
+    return score + np.minimum(way / window, 1.0) + UNUSABLE * useless, span[POSITION]
 
 
 def sampled_windows(candidates: Sequence[Candidate], window: float, config: TaskConfig) -> Sampled:
@@ -163,15 +135,6 @@ def sampled_windows(candidates: Sequence[Candidate], window: float, config: Task
         signals=np.concatenate([part.signals for part in parts], axis=1),
         findings=list({(one.signal, one.weight): one for part in parts for one in part.findings}.values()),
         auxiliary=_concatenated([part.auxiliary for part in parts]),
-    )
-
-
-def _joined(one: Recording, other: Recording) -> Recording:
-    """Rows and those that follow."""
-    return one._replace(
-        time=np.concatenate([one.time, other.begin - one.begin + other.time]),
-        signals=np.concatenate([one.signals, other.signals], axis=1),
-        auxiliary=_concatenated([one.auxiliary, other.auxiliary]),
     )
 
 

@@ -26,8 +26,7 @@ from hydro_env.plant.states import State
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.recordings.channels import OVERRANGE, check_channels
-from hydro_rig.recordings.driving import check_driving
+from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_driving
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, on_grid, sampled

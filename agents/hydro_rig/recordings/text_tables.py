@@ -1,4 +1,4 @@
-"""Tables in text files: where headings and numbers stand, and the rows piece by piece."""
+"""Tables in text files: where headings and numbers stand, and the rows."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Layout(NamedTuple):
     first_line: int  # line of the first row, from 1
 
 
-def text_pieces(path: Path, rows: int | None) -> Iterator[tuple[pd.DataFrame, int]]:
-    """The rows of a table with their headings, ``rows`` at a time (``None``: all at once), and the line of the first.
+def text_table(path: Path) -> tuple[pd.DataFrame, int]:
+    """The rows of a table with their headings, and the line of the first.
 
     Raises:
         ConfigurationError: the file cannot be read, or is not a table.
@@ -43,10 +43,9 @@ def text_pieces(path: Path, rows: int | None) -> Iterator[tuple[pd.DataFrame, in
         layout = layout_of(text)
         if layout is None:
             raise ConfigurationError(f"{path}: holds no table")
-        line = layout.first_line
-        for _ in range(line - 1):
+        for _ in range(layout.first_line - 1):
             file.readline()
-        tables = pd.read_csv(
+        table = pd.read_csv(
             file,
             sep=layout.separator,
             decimal=layout.decimal,
@@ -55,11 +54,8 @@ def text_pieces(path: Path, rows: int | None) -> Iterator[tuple[pd.DataFrame, in
             index_col=False,
             skipinitialspace=True,
             low_memory=False,
-            chunksize=rows,
         )
-        for table in [tables] if rows is None else tables:
-            yield table.set_axis(layout.headings, axis=1), line
-            line += len(table)
+    return table.set_axis(layout.headings, axis=1), layout.first_line
 
 
 def layout_of(text: str) -> Layout | None:

@@ -17,7 +17,7 @@ TASK = TaskConfig(episode_duration=0.6)
 
 
 class Exported(NamedTuple):
-    """A controller, its graph and its folder, with Structured Text."""
+    """A controller, its graph and its folder."""
 
     controller: Controller
     graph: ControllerGraph
@@ -32,7 +32,7 @@ def exported(tmp_path_factory):
     @functools.cache
     def export(kind):
         controller = opponent(kind, TASK, kind)
-        files, report = exported_files(controller, TASK, "hydro export", "st")
+        files, report = exported_files(controller, TASK, "hydro export")
         folder = tmp_path_factory.mktemp(kind)
         for name, content in files.items():
             (folder / name).write_bytes(content)

@@ -1,6 +1,5 @@
-"""Exported controllers against those in Python: sample by sample, in closed loops, contract, lost samples, refusals."""
+"""Exported controllers against those in Python: sample by sample, in closed loops, lost samples, refusals."""
 
-import json
 import sys
 from itertools import pairwise
 
@@ -26,10 +25,6 @@ from hydro_rig.export.tracing import TraceError
 KINDS = ("pid", "flow_linearising", "adrc", "lqg", "ppo", "mpc")
 TASK = TaskConfig(episode_duration=0.6)
 SEED = VALIDATION_SEEDS.start + 710_000
-
-
-def contract_of(folder):
-    return json.loads((folder / "contract.json").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("language", ["python", "onnx", "c"])
@@ -61,9 +56,8 @@ def test_the_model_has_plain_operators_fixed_shapes_and_names(kind, exported):
     assert len(set(names)) == len(names)
     assert {"previous_voltage_sample", "position_scaled"} <= set(names)
     assert [value.name for value in model.graph.input] == ["signals", "state", "start"]
-    checked = contract_of(exported(kind).folder)["checked"]
-    assert checked["controller.onnx"]["largest_difference_of_command"] <= 1e-5
-    assert checked["controller.c"]["result"] in exported(kind).report[1]
+    assert exported(kind).report[0].startswith("controller.onnx: 480 samples in onnxruntime")
+    assert exported(kind).report[1].startswith(("controller.c: 480 samples", "controller.c: not compiled"))
 
 
 def test_the_compensation_of_an_overlapped_valve_is_exported():
@@ -196,8 +190,7 @@ def test_every_form_of_a_policy_can_be_exported(base, more, activation, output):
         for before, after in pairwise(sizes)
     ]
     policy = PolicyController(features, layers, activation=activation, output=output)
-    files, _ = exported_files(policy, TASK, "hydro export")  # it fails if ONNX or C differ
-    assert json.loads(files["contract.json"])["controller"]["layers"] == [[features.size, 24], [24, 1]]
+    exported_files(policy, TASK, "hydro export")  # it fails if ONNX or C differ
 
 
 # Refusals ------------------------------------------------------------------------------------------------------------
@@ -247,11 +240,13 @@ def test_the_command_writes_the_folder_once_and_refuses_what_it_does_not_know(tm
     answer = hydro("export", "pid", "--output", folder)
     assert answer.returncode == 0, answer.stderr
     assert "largest difference of command" in answer.stdout
-    assert contract_of(folder)["controller"]["kind"] == "pid"
-    assert contract_of(folder)["sample_time"] == 0.005
+    page = (folder / "README.md").read_text(encoding="utf-8")
+    assert "(PID)" in page
+    assert "every 5.0 ms" in page
+    assert "| 1 | `reference` | m | -0.2 to 0.2 |" in page
     assert_one_clear_line(hydro("export", "pid", "--output", folder), "holds results already")
     answer = hydro("export", "adrc", "--output", folder, "--overwrite")
     assert answer.returncode == 0, answer.stderr
-    assert contract_of(folder)["controller"]["kind"] == "adrc"
+    assert "(ADRC)" in (folder / "README.md").read_text(encoding="utf-8")
     assert_one_clear_line(hydro("export", "nonsense", "--output", tmp_path / "x"), "nonsense")
     assert not (tmp_path / "x").exists()

@@ -1,34 +1,19 @@
-"""The FMU: FMPy's checker, the kernel's motion on Linux and Windows (wine), and a library for macOS."""
+"""The FMU: FMPy's checker, and the kernel's motion."""
 
-import os
-import re
-import shutil
-import struct
-import subprocess
-import zipfile
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
 
-from hydro_env import ConfigurationError, PlantParameters, TaskConfig, equilibrium, simulate
+from hydro_env import PlantParameters, TaskConfig, equilibrium, simulate
 from hydro_env.plant.parts.leakage import LeakLaw, leak_past_piston
 from hydro_env.task.configuration import task_config
-from hydro_rig.export import c_files
-from hydro_rig.export.c_files import c_compiler, compiled, cross_compiler
-from hydro_rig.export.plant import SYSTEMS, fmu_variables, make_fmu
+from hydro_rig.export.c_files import c_compiler
+from hydro_rig.export.plant import fmu_variables, make_fmu
 
 PERIOD, SAMPLES, PLACE = 5e-3, 80, 0.02
 VOLTAGE = np.where(np.arange(SAMPLES) < 20, 1.0, -2.0)
-BINARIES = {
-    "linux": "binaries/linux64/hydro_axis.so",
-    "win32": "binaries/win64/hydro_axis.dll",
-    "darwin": "binaries/darwin64/hydro_axis.dylib",
-}
-TOOL = (Path(__file__).parent / "fmu_tool.c").read_text(encoding="utf-8")
-"""A program of the target's own: it loads the binary that its command line names and prints position and pressure."""
 
 needs_compiler = pytest.mark.skipif(c_compiler() is None, reason="this machine has no C compiler")
 
@@ -115,65 +100,3 @@ def test_the_command_writes_it_once(tmp_path):
     assert_one_clear_line(hydro("export", "plant", "--output", folder), "holds results already")
     unknown = hydro("export", "controler", "--output", tmp_path / "other")
     assert_one_clear_line(unknown, "export 'controler': unknown; known: plant, leakage_head")
-
-
-# The binaries of all systems -----------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """The FMU for all systems, unpacked."""
-    pytest.importorskip("ziglang", reason="the extra 'playground' brings it")
-    folder = tmp_path_factory.mktemp("fmu")
-    (folder / "axis.fmu").write_bytes(make_fmu(TaskConfig(), all_systems=True))
-    with zipfile.ZipFile(folder / "axis.fmu") as packed:
-        assert {name for name in packed.namelist() if name.startswith("binaries/")} == set(BINARIES.values())
-        packed.extractall(folder)
-    return folder
-
-
-def tool(folder, system):
-    """The program of :data:`TOOL`, compiled for a system."""
-    description = (folder / "modelDescription.xml").read_text()
-    values = {"IDENTITY": re.search(r'guid=("[^"]+")', description)[1]}
-    for name in ("initial_position", "voltage", "position", "pressure_a"):
-        values[name.upper()] = re.search(rf'name="{name}" valueReference="(\d+)"', description)[1]
-    values |= {"START": f"{PLACE}", "PERIOD": f"{PERIOD}", "SAMPLES": f"{SAMPLES}"}
-    definitions = "".join(f"#define {name} {value}\n" for name, value in values.items())
-    file = folder / f"tool_{system}.exe"
-    compiler = cross_compiler(SYSTEMS[system][2], "the test is")
-    file.write_bytes(compiled({"tool.c": definitions + TOOL}, [], compiler))
-    file.chmod(0o755)
-    return file
-
-
-@pytest.mark.slow  # zig first compiles the C library of each system
-@pytest.mark.parametrize("system", ["linux", "win32"])
-def test_its_motion_is_the_kernel_s_on_each_system(system, folder, tmp_path):
-    wine = [shutil.which("wine")] if system == "win32" else []
-    if wine == [None]:
-        pytest.skip("wine is not installed")
-    place = os.environ | {"WINEPREFIX": str(tmp_path), "WINEDEBUG": "-all", "WINEDLLOVERRIDES": "mscoree,mshtml="}
-    command = [*wine, str(tool(folder, system)), BINARIES[system]]
-    done = subprocess.run(command, cwd=folder, env=place, capture_output=True, text=True, check=False, timeout=120)
-    assert done.returncode == 0, done.stdout + done.stderr
-    position, pressure = np.array([row.split() for row in done.stdout.splitlines()], dtype=float).T
-    plant = TaskConfig().plant
-    expected = simulate(plant, VOLTAGE, PERIOD, equilibrium(plant, PLACE)[0])
-    assert np.ptp(expected.position) > 5e-3
-    for ours, theirs in ((position, expected.position[1:]), (pressure, expected.pressure_a[1:])):
-        assert np.abs(ours - theirs).max() <= 1e-9 * np.ptp(theirs)
-
-
-@pytest.mark.slow
-def test_the_binary_of_macos_is_a_library_of_64_bit_x86_with_the_interface(folder):
-    binary = (folder / BINARIES["darwin"]).read_bytes()
-    magic, processor, _, kind = struct.unpack_from("<4I", binary)
-    assert (magic, processor, kind) == (0xFEEDFACF, 0x01000007, 6)  # 64 bits, x86-64, dynamic library
-    assert all(name in binary for name in (b"_fmi2Instantiate\0", b"_fmi2DoStep\0", b"_fmi2GetReal\0"))
-
-
-def test_without_the_compiler_one_line_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(c_files.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ConfigurationError, match=r"binaries of all systems are compiled by the package ziglang: pip"):
-        make_fmu(TaskConfig(), all_systems=True)

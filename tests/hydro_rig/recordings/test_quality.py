@@ -5,7 +5,7 @@ import pytest
 from recorded import CONFIG, changed, healthy
 
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_rig.recordings.driving import check_driving
+from hydro_rig.recordings.channels import check_driving
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.quality import _flow_into_a, balance, check_recording
 from hydro_rig.recordings.recording import Recording
