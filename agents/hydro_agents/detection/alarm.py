@@ -13,6 +13,8 @@ standard deviation for a look, it replaces σ.
 The baseline is the mean of the axis's first looks, without outliers, but never above the baselines of healthy axes
 (``highest_baseline``). An axis that leaks from the first look on is therefore compared with healthy axes, any other
 with itself. In an activity without ``learning`` every axis is compared with healthy axes.
+
+The C code of ``hydro export alarm`` is traced from :meth:`LeakAlarm.update`: both give the same numbers.
 """
 
 from __future__ import annotations

@@ -1,0 +1,89 @@
+"""An exported controller in C on other processors: ARM under qemu-user, and the size and stack of a Cortex-M4."""
+
+import os
+import re
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ziglang = pytest.importorskip("ziglang", reason="the extra 'playground' brings it")
+CORTEX_M4 = ("thumb-freestanding-eabihf", "-mcpu=cortex_m4")
+KINDS = ("pid", "flow_linearising")
+LARGEST = {"pid": (8_192, 512), "flow_linearising": (16_384, 4_096)}  # bytes of code and constants; of stack
+# A bare target has no C library; the project of a controller brings the header.
+MATH = """#define INFINITY __builtin_inf()
+#define NAN __builtin_nan("")
+double fabs(double); double sqrt(double); double exp(double); double log(double); double pow(double, double);
+double tanh(double); double asinh(double); double copysign(double, double);
+float fabsf(float); float sqrtf(float); float expf(float); float tanhf(float);
+"""
+MATH_NAMES = set(re.findall(r"(\w+)\(", MATH)) - {"__builtin_inf", "__builtin_nan"}
+
+
+def zig(folder, *words):
+    """Run ``zig cc`` in a folder; what it prints."""
+    places = {f"ZIG_{kind}_CACHE_DIR": str(folder / "cache") for kind in ("GLOBAL", "LOCAL")}
+    command = [str(Path(ziglang.__file__).parent / "zig"), "cc", "-std=c99", "-ffp-contract=off", *words]
+    done = subprocess.run(command, cwd=folder, env=os.environ | places, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stderr
+
+
+@pytest.fixture(params=KINDS)
+def folder(request, exported, tmp_path):
+    """A copy of the folder of an exported controller, with test program and vectors."""
+    return shutil.copytree(exported(request.param).folder, tmp_path / request.param)
+
+
+@pytest.mark.slow  # zig first compiles the C library of the target
+@pytest.mark.parametrize(("target", "machine"), [("aarch64-linux-musl", "aarch64"), ("arm-linux-musleabihf", "arm")])
+def test_arm_gives_the_voltages_of_the_vectors_bit_for_bit(target, machine, folder):
+    emulator = shutil.which(f"qemu-{machine}")
+    if emulator is None:
+        pytest.skip(f"qemu-{machine} is not installed (Debian: qemu-user)")
+    zig(folder, "-target", target, "-static", "-O2", "-o", machine, "test_controller.c", "controller.c", "-lm")
+    done = subprocess.run([emulator, f"./{machine}"], cwd=folder, capture_output=True, text=True, check=False)
+    print(f"{machine}: {done.stdout}")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.match(r"\d{3} samples, 0 with another voltage, largest difference 0 V", done.stdout), done.stdout
+
+
+def sections_and_unknown(made):
+    """Bytes of each section of a 32-bit object that a processor loads, and the names that it needs from elsewhere."""
+    start, count, names = (struct.unpack_from(kind, made, at)[0] for kind, at in (("<I", 32), ("<H", 48), ("<H", 50)))
+    heads = [struct.unpack_from("<10I", made, start + 40 * one) for one in range(count)]
+
+    def text(table, at):
+        first = heads[table][4] + at
+        return made[first : made.index(b"\0", first)].decode()
+
+    loaded = {text(names, head[0]): head[5] for head in heads if head[2] & 2}
+    (table,) = (head for head in heads if head[1] == 2)
+    symbols = [struct.unpack_from("<IIIBBH", made, at) for at in range(table[4], table[4] + table[5], 16)]
+    return loaded, {text(table[6], name) for name, _, _, _, _, section in symbols if name and section == 0}
+
+
+def test_a_cortex_m4_needs_little_memory_and_no_heap(folder):
+    """Compiled, not run. The figures are those of docs/export.md; pytest -rP prints them."""
+    kind = folder.name
+    (folder / "include").mkdir()
+    (folder / "include" / "math.h").write_text(MATH)
+    told = zig(
+        *(folder, "-target", *CORTEX_M4, "-Os", "-Wframe-larger-than=1", "-I", "include"),
+        *("-c", "controller.c", "-o", "controller.o"),
+    )
+    sections, unknown = sections_and_unknown((folder / "controller.o").read_bytes())
+    flash = sum(size for name, size in sections.items() if name.startswith((".text", ".rodata", ".ARM", ".data")))
+    frames = {name: int(size) for size, name in re.findall(r"stack frame size \((\d+)\).* in '(\w+)'", told)}
+    assert "controller_step" in frames, told
+    stack = sum(frames.values())
+    print(f"{kind}: {flash} bytes of code and constants, at most {stack} bytes of stack without the calls to math.h")
+    most_flash, most_stack = LARGEST[kind]
+    assert 1_000 < flash <= most_flash
+    assert 32 < stack <= most_stack
+    helpers = {name for name in unknown if name.startswith("__aeabi_")} | {"memcpy", "memset"}
+    assert unknown <= MATH_NAMES | helpers, "a name of no mathematical function: heap or input and output"
+    assert not [name for name in sections if name.startswith(".bss") and sections[name]]
