@@ -43,7 +43,6 @@ from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
 ENTRIES = Path(__file__).parents[1] / "challenge/entries"
 WINDOW = 2.0  # s
-LASTING = 10  # looks whose mean is the score
 HALVES = 100
 
 PROGRAMS: dict[str, tuple[str, bool]] = {
@@ -55,12 +54,12 @@ PROGRAMS: dict[str, tuple[str, bool]] = {
 }
 """Folder of each program, and whether it gets the signals only."""
 
-OWN: dict[str, tuple[Callable[[], Detector], float]] = {
-    "leakage head": (HeadDetector.load, 1.0),
-    "estimator, every 20 s": (lambda: EstimatorDetector({}), 20.0),
-    "two-stage": (lambda: TwoStageDetector(HeadDetector.load()), 1.0),
+OWN: dict[str, tuple[Callable[[], Detector], float, int]] = {
+    "leakage head": (HeadDetector.load, 1.0, 10),
+    "estimator, every 12 s": (lambda: EstimatorDetector({}), 12.0, 1),
+    "two-stage": (lambda: TwoStageDetector(HeadDetector.load()), 1.0, 10),
 }
-"""The project's own detectors, and the seconds between two looks."""
+"""The project's own detectors, the seconds between two looks, and the looks whose mean is the score."""
 
 
 def axes_of(data: Path, split: str) -> Iterator[tuple[TaskConfig, float, NDArray[np.int64], Floats]]:
@@ -76,6 +75,8 @@ def axes_of(data: Path, split: str) -> Iterator[tuple[TaskConfig, float, NDArray
             for channel, name in enumerate(MEASURED):
                 values = rows[heading(name)].to_numpy() * factor(name, WRITTEN_UNITS[name], name)
                 signals[place, channel, samples] = values
+        commands = signals[:, -1]
+        commands[:] = pd.DataFrame(commands).ffill(axis=1)  # a lost row keeps the command before
         yield task, row["smallest_leak"], numbers, signals
 
 
@@ -89,7 +90,8 @@ def read_axis(
 ) -> pd.DataFrame:
     """The looks of a detector at windows of WINDOW that end every ``every`` seconds, on the recordings of one axis."""
     detector, length, step = make(), round(WINDOW / task.control_period), round(every / task.control_period)
-    present = np.asarray(np.isfinite(signals).any(axis=1))
+    present = np.asarray(np.isfinite(signals[:, :-1]).any(axis=1))
+    scale = unit if isinstance(detector, TwoStageDetector) else 1.0  # its score is a leak; those of axes must compare
     last = signals.shape[2] - 1 - present[:, ::-1].argmax(axis=1)
     parts = [pd.DataFrame({"recording": numbers, "time": 0.0, "score": np.nan})]
     if reason := detector.refuses(task, length):
@@ -101,18 +103,18 @@ def read_axis(
         reading = detector.read(Windows(signals[:, :, end - length : end], *times), task)
         running = last > end - length // 2
         time = np.minimum(end - 1, last) * task.control_period
-        parts.append(_looks(reading, numbers, time, unit)[running])
+        parts.append(_looks(reading, numbers, time, unit, scale)[running])
     return pd.concat(parts, ignore_index=True)
 
 
-def _looks(reading: Reading, numbers: NDArray[np.int64], time: Floats, unit: float) -> pd.DataFrame:
+def _looks(reading: Reading, numbers: NDArray[np.int64], time: Floats, unit: float, scale: float) -> pd.DataFrame:
     words = [tuple(Cause)[each].word if each < Cause.UNKNOWN else None for each in reading.cause]
     leaks = reading.answers & ((reading.probability > 0.5) | (reading.low_lpm > unit))
     return pd.DataFrame(
         {
             "recording": numbers,
             "time": time,
-            "score": np.where(reading.answers, reading.score, np.nan),
+            "score": np.where(reading.answers, reading.score / scale, np.nan),
             "probability": reading.probability,
             "cause": np.where(leaks, Cause.INTERNAL_LEAK.word, np.array(words, dtype=object)),
             "size": reading.flow_lpm,
@@ -124,10 +126,10 @@ def _looks(reading: Reading, numbers: NDArray[np.int64], time: Floats, unit: flo
 
 def own_predictions(name: str, data: Path, split: str, jobs: int) -> pd.DataFrame:
     """The predictions of one of the project's own detectors; the score is the mean of the last looks."""
-    make, every = OWN[name]
+    make, every, lasting = OWN[name]
     work = (delayed(read_axis)(make, every, *axis) for axis in axes_of(data, split))
     table = pd.concat(Parallel(jobs)(work), ignore_index=True).sort_values(["recording", "time"], ignore_index=True)
-    table["score"] = table.groupby("recording")["score"].transform(lambda s: s.rolling(LASTING, 1).mean())
+    table["score"] = table.groupby("recording")["score"].transform(lambda s: s.rolling(lasting, 1).mean())
     return table
 
 
