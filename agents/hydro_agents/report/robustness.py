@@ -9,7 +9,6 @@ from hydro_agents.report.content import ALL, Content, interval, interval_text, s
 from hydro_agents.report.palette import STRONGEST
 from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import COSTS, findings_of, problems, score_plot, score_text
-from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.running.text import Cell, Table, number
 
 PAGE_FILE = "robustness.html"
@@ -19,7 +18,6 @@ ROBUSTNESS = (
     "findings",
     "comparison",
     "costs",
-    "failures",
     "frequency",
     "stiffness",
     "standstill",
@@ -85,21 +83,6 @@ def costs(content: Content) -> list[Block]:
     return [*ranking_table(content), absolute_table(content), *score_plot(content, compared)]
 
 
-@section("Where each controller fails")
-def failures(content: Content) -> list[Block]:
-    """Traces of the worst cases, with the baseline beside each; the same colours as elsewhere."""
-    traces: list[Example] = content.other("traces", [])
-    base = content.baseline
-    if not traces:
-        return []
-    note = (
-        f"The cases in which a controller is worst against {base}, and those in which {base} is worst against the "
-        "best of the others. Both ran on the same plant, reference and noise. The table worst_cases holds more of them."
-    )
-    plots = [example_plot(trace, f"worst-{count}", content.looks) for count, trace in enumerate(traces, 1)]
-    return [Text(note), *plots]
-
-
 @section("How it was measured", needs=("summary",))
 def method(content: Content) -> list[Block]:
     """Pairing, intervals and measures."""
@@ -109,8 +92,7 @@ def method(content: Content) -> list[Block]:
                 "Paired cases: a seed fixes plant, reference and noise, and every controller runs on the same seeds. "
                 "They are test seeds; no controller was tuned or trained on them.",
                 "Intervals: 95 %, bootstrap over plants and training seeds.",
-                "Equal weights: geometric mean of the ratios of all kinds of reference. Interquartile mean: mean of "
-                "the middle half of the cases.",
+                "Equal weights: geometric mean of the ratios of all kinds of reference.",
                 FRAMES_TEXT,
                 score_text(content.baseline),
             ]
@@ -164,7 +146,6 @@ RATIOS = {
     "equal_weight": "equal weights",
     "equal_weight_sensor": "the same, repeatability",
     "ratio": "mean",
-    "iqm_ratio": "interquartile mean",
 }
 """Ratios of errors in the ranking."""
 
@@ -190,20 +171,20 @@ def ranking_table(content: Content) -> list[Table]:
     prices = (metric.ratio for metric in COSTS.values())
     counts = ("best in", "failed", "limit cycles")
     header = ("Controller", *RATIOS.values(), "worst case", "better in, %", "score", *prices, *counts)
-    errors, costs = (f"error ÷ error of {content.baseline}", 5), ("cost ÷ baseline’s", len(COSTS))
+    errors, costs = (f"error ÷ error of {content.baseline}", 4), ("cost ÷ baseline’s", len(COSTS))
     return [Table("All conditions", header, rows, (errors, ("", 2), costs, ("count", 3)), "dense")]
 
 
 def absolute_table(content: Content) -> Table:
-    """Mean, interquartile mean and worst error in mm with costs, over all conditions."""
+    """Mean and worst error in mm with costs, over all conditions."""
     metrics = [metric for metric in METRICS.values() if metric.cost or metric.ratio]
     rows = []
     for name in content.controllers:
         own = content.rows("summary", controller=name, condition=ALL).set_index("metric").to_dict("index")
         error = own.get("mean_error_mm", {})
         means = (metric.factor * own.get(metric.name, {}).get("mean", np.nan) for metric in metrics)
-        errors = (shown(error, "mean"), shown(error, "iqm"), number(error.get("worst", np.nan)))
+        errors = (shown(error, "mean"), number(error.get("worst", np.nan)))
         rows.append((name, *errors, *map(number, means)))
-    errors = ("mean error, mm", "interquartile mean, mm", "worst run, mm")
+    errors = ("mean error, mm", "worst run, mm")
     header = ("Controller", *errors, *(metric.label for metric in metrics))
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")

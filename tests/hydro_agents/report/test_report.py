@@ -23,9 +23,8 @@ from hydro_agents.report.content import interval_text, verdict
 from hydro_agents.report.palette import LEAK_LOOKS, LEAKS, NEUTRALS, SERIES, VARIABLES, looks_of
 from hydro_agents.report.sections import Text, render_page
 from hydro_agents.report.shared import corrected_table, findings_of
-from hydro_agents.report.study import STUDY, content_of, growth_table, overview, tables_of, warnings_of
+from hydro_agents.report.study import STUDY, Example, content_of, growth_table, overview, tables_of, warnings_of
 from hydro_agents.report.study_detection import detection
-from hydro_agents.report.traces import Example
 from hydro_agents.report.training_plots import learning_plots
 from hydro_agents.running.statistics import Interval
 from hydro_agents.running.text import correction_name, duration, number
@@ -136,7 +135,7 @@ def test_figures_and_tables_speak_to_everyone(page):
     for root in map(ElementTree.fromstring, drawings):
         assert len(root.get("aria-label")) > 30
         assert root.get("width") is None  # as wide as the page
-    assert len(found.all("caption")) == len(found.all("table")) == 10
+    assert len(found.all("caption")) == len(found.all("table")) == 9
     assert not re.search(r"#[0-9a-f]{6}\b", "".join(drawings))  # every colour follows the theme
 
 
