@@ -100,12 +100,7 @@ def experiment_tables():
     step = base.assign(force_n=872.0, peak_mm=0.2, recovery_s=0.1, remaining_mm=np.where(base["seed"] == 0, 0.0, 0.0))
     step = step.assign(static_mm_per_kn=0.0, dynamic_mm_per_kn=0.23)
     step.loc[1, "recovery_s"] = np.nan
-    frequencies = np.array([1.0, 10.0, 40.0])
-    swept = base.merge(pd.DataFrame({"frequency_hz": frequencies}), how="cross")
-    lag = 1.0 / (1.0 + 1j * swept["frequency_hz"] / 10.0)
-    swept = swept.assign(gain=np.abs(lag), phase_deg=np.angle(lag, deg=True), amplitude_mm=1.0, rest=0.0)
     return {
         "standstill": standstill,
         "force_step": step,
-        "frequency": pd.concat([swept.assign(preview=True), swept.assign(preview=False)], ignore_index=True),
     }

@@ -1,4 +1,4 @@
-"""The tables of a leakage protocol: thresholds and verdicts, detection, sizes and intervals, reliability, masking.
+"""The tables of a leakage protocol: thresholds and verdicts, detection, sizes and intervals, reliability.
 
 docs/leakage.md describes their columns.
 """
@@ -190,23 +190,4 @@ def reliability(results: Results) -> pd.DataFrame:
             )
         distance = sum(abs(p["probability"] - p["frequency"]) * p["windows"] for p in parts) / len(frame)
         rows += [part | {"error": distance} for part in parts]
-    return pd.DataFrame(rows)
-
-
-@table("masking")
-def masking(results: Results) -> pd.DataFrame:
-    """Detection and position error by controller of the axes: does better control hide the leak?"""
-    sigma = _bound_of(results)
-    rows = []
-    for cell, frame in _cells(results):
-        detector, condition, level = cell.values()
-        chosen = results.protocol.conditions[condition]
-        if chosen.group not in ("levels", "controller") or level <= 0.0:
-            continue
-        rows.append(
-            {"detector": detector, "condition": condition, "acting": chosen.acting, "level": level}
-            | {"error_mm": float(frame["error_mm"].mean())}
-            | share(frame["at_1_percent"]).named("at_1_percent")
-            | {"bound_lpm": sigma.get((condition, level), np.nan), "windows": len(frame)}
-        )
     return pd.DataFrame(rows)

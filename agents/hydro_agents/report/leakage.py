@@ -11,7 +11,6 @@ from hydro_agents.report.leak_plots import (
     coverage_plots,
     detection_plot,
     fault_plots,
-    masking_plot,
     motion_plots,
     reliability_plot,
     size_plot,
@@ -29,7 +28,6 @@ LEAKAGE = (
     "motions",
     "faults",
     "reliability",
-    "masking",
     "leak_method",
     "run",
 )
@@ -101,14 +99,6 @@ def faults(content: Content) -> list[Block]:
 def reliability(content: Content) -> list[Block]:
     """Calibration of the probability, and coverage of the intervals."""
     return [*reliability_plot(content), *coverage_plots(content)]
-
-
-@section("Does better control hide the leak?", needs=("masking",))
-def masking(content: Content) -> list[Block]:
-    """Detection beside position error, by controller."""
-    plots = masking_plot(content)
-    note = "Feedback hides the leak from the position error, not from the pressures and the valve."
-    return [Text(note), *plots] if plots else []
 
 
 @section("How it was measured", needs=("detection",))

@@ -135,7 +135,7 @@ def check_to_console(
     given = read_rig(rig) if rig is not None else Rig(PlantParameters(), {}, {}, "rig")
     task = timed_task(None, rig, period, latency, "check-rig")
     rows = [*check_rig(given.plant, given.source, task), position_accuracy(given, task)]
-    warnings, note = implausible(given.plant), stability_note(rows)
+    warnings = implausible(given.plant)
     title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(given)}"
     files = []
     if folder is not None:
@@ -149,8 +149,6 @@ def check_to_console(
     for line in (title, *warnings):
         console.print(line, soft_wrap=True)
     console.print(facts)
-    if note:
-        console.print("", note, sep="\n")
     for entry in _assumed(rig, given.plant):
         console.print(entry)
     first = {row.group: place for place, row in reversed(list(enumerate(rows)))}
@@ -189,14 +187,6 @@ def check_csv(rows: list[Row]) -> str:
     table = pd.DataFrame([row._replace(value=row.text(9)) for row in rows]).drop(columns="key")
     text: str = table.to_csv(index=False, lineterminator="\n")
     return text
-
-
-PHASE_STABLE = (
-    "above 2 ζ ω / speed the loop gain at the resonance exceeds 1, and the loop is stable only because valve, sampling "
-    "and latency shift the phase there; this holds around one natural frequency, depends on period and latency, and "
-    "fails when the frequency varies."
-)
-FAR_APART = 2.0  # ratio of the two gains above which the table explains it
 
 
 class Plausible(NamedTuple):
@@ -246,20 +236,6 @@ PLAUSIBLE = (
         "kg or t",
     ),
 )
-
-
-def stability_note(rows: Sequence[Row]) -> str:
-    """Why the textbook's gain and the largest stable one differ; empty if they hardly do."""
-    figures = {row.key: row for row in rows}
-    textbook, largest = figures["rule of thumb"], figures["gain here"]
-    if isinstance(textbook.value, str) or isinstance(largest.value, str):
-        return ""
-    ratio = largest.value / textbook.value if textbook.value > 0.0 else 0.0
-    return (
-        f"The largest stable gain is {ratio:.2g} times 2 ζ ω / speed = {textbook.text(3)} 1/m: {PHASE_STABLE}"
-        if ratio >= FAR_APART
-        else ""
-    )
 
 
 def position_accuracy(rig: Rig, task: TaskConfig) -> Row:

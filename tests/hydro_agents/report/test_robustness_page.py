@@ -9,9 +9,15 @@ from made_up_tables import experiment_tables, protocol_tables
 from published import assert_published_page
 
 from hydro_agents.report.content import Content
-from hydro_agents.report.experiments import cycles_by_condition, standstill, stiffness_table
 from hydro_agents.report.palette import MEANINGS, NEUTRALS
-from hydro_agents.report.robustness import ROBUSTNESS, heat_map, ranking_table
+from hydro_agents.report.robustness import (
+    ROBUSTNESS,
+    cycles_by_condition,
+    heat_map,
+    ranking_table,
+    standstill,
+    stiffness_table,
+)
 from hydro_agents.report.sections import render_page
 
 
