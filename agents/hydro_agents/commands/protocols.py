@@ -189,7 +189,7 @@ def evaluate_leak_protocol(file: Path, head: Path | None, options: Options) -> N
     """
     from hydro_agents.detection.detectors import make_detector
     from hydro_agents.detection.monitor import HeadDetector
-    from hydro_agents.evaluation.leak_protocol import DRAWN, Detectors, LeakProtocol
+    from hydro_agents.evaluation.leak_protocol import DRAWN, LeakProtocol
     from hydro_agents.report.leakage import LEAKAGE, PAGE_FILE, level_text
 
     protocol = options.moved(LeakProtocol.from_yaml(file))
@@ -211,4 +211,4 @@ def evaluate_leak_protocol(file: Path, head: Path | None, options: Options) -> N
         return Table(title, ("detector", *map(level_text, levels)), rows)
 
     page = PageOf(PAGE_FILE, LEAKAGE, content, shares)
-    run_protocol(protocol, file, Detectors(detectors), options, page)
+    run_protocol(protocol, file, detectors, options, page)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -149,18 +148,11 @@ READ = ("score", "probability", "flow_lpm", "low_lpm", "high_lpm")
 """Columns of a reading, NaN in a window without an answer; besides, ``otherwise`` is its cause."""
 
 
-@dataclass(frozen=True)
-class Detectors:
-    """The detectors of a protocol by name."""
-
-    detectors: Mapping[str, Detector]
-
-
-def windows(protocol: LeakProtocol, chosen: Detectors) -> Iterator[Cell]:
+def windows(protocol: LeakProtocol, chosen: Mapping[str, Detector]) -> Iterator[Cell]:
     """Every detector on the windows of every condition; healthy validation windows of the base set its threshold."""
     for name, condition in protocol.conditions.items():
         samples = round(condition.duration / protocol.task_in(name).control_period)
-        for reader, detector in chosen.detectors.items():
+        for reader, detector in chosen.items():
             reads = protocol.reads(name, reader)
             reason = detector.refuses(protocol.known_task(name), samples) if reads else ""
             if reads and not reason:

@@ -37,7 +37,7 @@ def facts(results: Results) -> pd.DataFrame:
 def thresholds(results: Results) -> pd.DataFrame:
     """For each detector: the threshold at 1 % false alarms on healthy validation windows, and the threshold in use."""
     read, rows = results.part("windows"), []
-    for name, detector in results.participants.detectors.items() if len(read) else ():
+    for name, detector in results.participants.items() if len(read) else ():
         score = read.loc[read["validation"] & (read["detector"] == name), "score"].to_numpy()
         found = np.nan  # a detector that cannot read these windows
         if len(score):

@@ -20,7 +20,7 @@ from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import findings_of, problems, score_plot, score_text
 from hydro_agents.report.study_plots import tracking_plots
 from hydro_agents.running.seeds import TEST_SEEDS
-from hydro_agents.running.statistics import RESAMPLES, conditional_value_at_risk
+from hydro_agents.running.statistics import RESAMPLES
 from hydro_agents.running.text import Table, capitalised, family_name, number, setting, span
 from hydro_env.types import Floats
 
@@ -219,12 +219,17 @@ def overview(content: Content) -> Table:
         own, ratio = content.rows("cases", controller=name), content.row("ratios", controller=name, group="all")
         accuracy, repeatability, *costs = _means(own)
         score = [shown(content.row("score", controller=name), "score", 0)] * scored
-        tail = number(conditional_value_at_risk(own["mean_error_mm"].to_numpy()))
-        errors = (accuracy, shown(ratio, "ratio", 3), tail, repeatability, shown(ratio, "ratio_sensor", 3))
+        errors = (
+            accuracy,
+            shown(ratio, "ratio", 3),
+            number(own["mean_error_mm"].max()),
+            repeatability,
+            shown(ratio, "ratio_sensor", 3),
+        )
         rows.append((name, *score, *errors, *costs, *([_limit_cycles(content, name)] * still)))
     accuracy, repeatability, *others = _overview_header()
     divided = f"÷ {content.baseline}'s"
-    errors = (accuracy, divided, "worst 5 %, mm", repeatability, divided)
+    errors = (accuracy, divided, "worst run, mm", repeatability, divided)
     header = ("Controller", *["score"] * scored, *errors, *others, *["limit cycles at rest"] * still)
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")
 
@@ -267,17 +272,14 @@ def terms(content: Content) -> Table:
         rows.append((metric.word, f"{metric.meaning}{unit}", metric.name))
     meanings = {
         "Ratio": "mean error of one controller divided by that of another, on the same runs; below 1 is better",
-        "Worst 5 %": "conditional value at risk (CVaR): mean over the worst 5 % of the runs",
     }
     if content.has("detection_summary"):
         healthy = setting(content.bounds.healthy_up_to)
         meanings |= {
             "False alarm": f"an episode with a healthy seal (up to {healthy} l/min) that is flagged",
             "Detection rate": "share of leaking episodes that are flagged; also called recall",
-            "Precision": "share of flagged episodes that leak; depends on how common leaks are",
             "ROC, area under it": "detection rate over false-alarm rate for all thresholds; the area (AUROC) is the "
             "probability that a leaking episode gets a higher score than a healthy one: 1 is perfect, 0.5 is chance",
-            "Average precision": "precision averaged over recall; chance gives the share of leaking episodes",
         }
     rows += [(term, meaning, "") for term, meaning in meanings.items()]
     return Table("Metrics of a run, and terms", ("Name", "meaning", "in the CSV files"), rows, style="words")

@@ -50,14 +50,6 @@ def seeds_interval(per_seed: Floats) -> Interval:
     return Interval(mean, float(interval.low), float(interval.high))
 
 
-def conditional_value_at_risk(values: Floats, share: float = 0.05) -> float:
-    """Mean of the worst ``share`` of the values (at least one); larger is worse. NaNs are left out."""
-    ordered = np.sort(np.asarray(values, dtype=np.float64)[~np.isnan(values)])[::-1]
-    if len(ordered) == 0:
-        return float("nan")
-    return float(ordered[: max(int(np.ceil(share * len(ordered))), 1)].mean())
-
-
 def share_interval(hits: int, total: int) -> Interval:
     """A share with its 95 % Wilson interval."""
     if total == 0:
@@ -123,17 +115,16 @@ def interval(resampled: Floats, plants: int) -> Interval:
     return Interval(float(resampled[0]), float(low), float(high))
 
 
-def mean_interval(per_plant: Floats, strata: NDArray[Any] | None = None) -> Interval:
-    """Mean over plants (U,), each of a stratum, with its interval; NaNs are left out."""
+def mean_interval(per_plant: Floats) -> Interval:
+    """Mean over plants (U,) with its interval; NaNs are left out."""
     values = np.asarray(per_plant, dtype=np.float64)
-    return ratio_interval(values, np.ones(len(values)), strata)
+    return ratio_interval(values, np.ones(len(values)))
 
 
-def ratio_interval(per_plant: Floats, others: Floats, strata: NDArray[Any] | None = None) -> Interval:
+def ratio_interval(per_plant: Floats, others: Floats) -> Interval:
     """Ratio of two means over the same plants (U,), with its paired interval; NaNs are left out."""
     one, other = (np.asarray(values, dtype=np.float64) for values in (per_plant, others))
     kept = ~(np.isnan(one) | np.isnan(other))
-    groups = np.zeros(len(one)) if strata is None else np.asarray(strata)
-    weights = plant_weights(groups[kept])
+    weights = plant_weights(np.zeros(kept.sum()))
     with np.errstate(invalid="ignore"):
         return interval((weights @ one[kept]) / (weights @ other[kept]), int(kept.sum()))

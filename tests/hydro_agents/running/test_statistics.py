@@ -7,7 +7,6 @@ import pytest
 
 from hydro_agents.running.statistics import (
     Weights,
-    conditional_value_at_risk,
     interval,
     mean_interval,
     means,
@@ -57,15 +56,6 @@ def test_ratio_is_of_the_means_and_keeps_pairs_together():
     assert found.low < found.value < found.high
     assert ratio_interval(a[[0, 1, 3]], b[[0, 1, 3]]) == found
     assert all(math.isnan(part) for part in ratio_interval(np.array([np.nan]), np.array([1.0])))
-
-
-def test_conditional_value_at_risk():
-    values = np.random.default_rng(7).permutation(np.arange(1.0, 101.0))
-    assert conditional_value_at_risk(values) == pytest.approx(98.0)  # of 96 to 100
-    assert conditional_value_at_risk(values, share=0.5) == pytest.approx(75.5)
-    assert conditional_value_at_risk(values, share=1.0) == pytest.approx(50.5)
-    assert conditional_value_at_risk(np.array([3.0, 8.0, np.nan])) == 8.0  # at least one
-    assert math.isnan(conditional_value_at_risk(np.array([np.nan])))
 
 
 def test_share_interval_is_wilsons():
