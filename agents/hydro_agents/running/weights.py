@@ -76,12 +76,12 @@ def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mappin
 
 
 def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read weights and settings; ``path`` is their name, or a folder that :func:`weights_in` understands.
+    """Read weights and settings; ``path`` is their name.
 
     Raises:
         ConfigurationError: a file is missing, unreadable, damaged, changed since it was written, or of another kind.
     """
-    weights, description = weight_files(weights_in(path) or path)
+    weights, description = weight_files(path)
     settings = _described(_content(description), kind, description, WEIGHTS_VERSION)
     content, digest = _content(weights), settings.pop(_DIGEST, None)
     if digest != digest_of_weights(content, settings):
@@ -90,32 +90,13 @@ def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], 
 
 
 def kind_of_weights(path: str | Path) -> str:
-    """The kind that the JSON of weights names; empty: there are no weights with this name, or in this folder."""
-    weights, description = weight_files(weights_in(path) or path)
+    """The kind that the JSON of weights names; empty: there are no weights with this name."""
+    weights, description = weight_files(path)
     if not (weights.is_file() and description.is_file()):
         return ""
     with suppress(ValueError, AttributeError):  # no JSON, or no mapping
         return str(json.loads(_content(description)).get("format", "")).removeprefix("hydro_env ")
     return ""
-
-
-def weights_in(path: str | Path) -> Path | None:
-    """The weights in a folder as model hubs hand them out: one ``NAME.safetensors`` beside its JSON, and a card.
-
-    ``None``: the path is no folder, or one without any file of tensors.
-
-    Raises:
-        ConfigurationError: the folder holds several weights, or only those of another library.
-    """
-    folder = Path(path)
-    tensors = sorted(folder.glob("*.safetensors")) if folder.is_dir() else []
-    own = [file.with_suffix("") for file in tensors if file.with_suffix(".json").is_file()]
-    if tensors and not own:
-        raise ConfigurationError(f"{folder}: {tensors[0].name} has no JSON file of hydro_env beside it")
-    if len(own) > 1:
-        names = ", ".join(file.name for file in own)
-        raise ConfigurationError(f"{folder}: holds several weights: {names}; name one of them")
-    return own[0] if own else None
 
 
 def weight_files(path: str | Path) -> tuple[Path, Path]:
