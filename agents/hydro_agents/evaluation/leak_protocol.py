@@ -110,8 +110,8 @@ class LeakProtocol(Protocol[LeakCondition]):
 
     def reads(self, name: str, detector: str) -> bool:
         """Whether a detector reads the windows of a condition."""
-        chosen, groups = self.conditions[name].detectors, self.detectors[detector].groups
-        return (chosen is None or detector in chosen) and (not groups or self.conditions[name].group in groups)
+        chosen = self.conditions[name].detectors
+        return chosen is None or detector in chosen
 
     def cases_in(self, name: str, level: float, count: int, validation: bool = False) -> Cases:
         """The first ``count`` cases of a level; every level and condition has the same plants."""

@@ -30,20 +30,6 @@ from hydro_env.units import FULL_VOLTAGE
 CSV_FILE = "check.csv"
 HEADINGS = ("quantity", "at", "value", "unit")
 WEAK_DAMPING = 0.05  # damping ratio below which an axis rings: after five periods a step still oscillates by a fifth
-_PUMP = ("supply.model", ("pump", "accumulator"))
-_ACCUMULATOR = ("supply.model", ("accumulator",))
-USED_WITH = {
-    "valve.coil_inductance": ("valve.model", ("drive",)),
-    "friction.bristle_stiffness": ("friction.model", ("lugre",)),
-    "friction.bristle_damping": ("friction.model", ("lugre",)),
-    "supply.line_volume": ("supply.model", ("pump",)),
-    "supply.pump_flow": _PUMP,
-    "supply.relief_slope": _PUMP,
-    "supply.accumulator_volume": _ACCUMULATOR,
-    "supply.precharge_pressure": _ACCUMULATOR,
-    "supply.polytropic_index": _ACCUMULATOR,
-}
-"""Fields that act with some choices of another field alone."""
 
 
 def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, str]]:
@@ -105,13 +91,11 @@ def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:
 
 
 def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[tuple[str, list[str]]]:
-    """Fields that the content of a rig's file lacks and that have an effect, with their default values, by group."""
+    """Fields that the content of a rig's file lacks, with their default values, by group."""
     own, unset = parameters.model_dump(), []
     for path in PARAMETER_PATHS:
         group, field = path.split(".")
-        choice, needed = USED_WITH.get(path, ("", ()))
-        acts = not choice or own[choice.split(".")[0]]["model"] in needed
-        if acts and field not in (values.get(group) or {}):
+        if field not in (values.get(group) or {}):
             value = own[group][field]
             unset.append((group, f"{field} = {value:.4g}" if isinstance(value, float) else f"{field} = {value}"))
     return [(group, [entry for _, entry in entries]) for group, entries in groupby(unset, key=lambda pair: pair[0])]

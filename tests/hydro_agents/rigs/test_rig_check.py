@@ -167,12 +167,6 @@ def test_a_damped_axis_with_a_strong_pump_simply_works():
     assert dict(brief(check_rig(rig), rig))["verdict"] == "it works"
 
 
-def names_assumed(**changes):
-    """Fields that an empty file leaves open, by group."""
-    groups = assumed({}, PlantParameters().replace(**changes))
-    return {group: {entry.split(" = ")[0] for entry in entries} for group, entries in groups}
-
-
 def test_the_values_that_a_file_leaves_open_are_listed():
     rig = PlantParameters()
     groups = dict(assumed({"cylinder": rig.model_dump()["cylinder"], "valve": {"rated_flow": 1e-4}}, rig))
@@ -180,24 +174,6 @@ def test_the_values_that_a_file_leaves_open_are_listed():
     assert "rated_pressure_drop = 7e+06" in groups["valve"]
     assert not any(entry.startswith("rated_flow") for entry in groups["valve"])
     assert "mass = 60" in groups["load"]
-
-
-@pytest.mark.parametrize(
-    ("group", "model", "used", "unused"),
-    [
-        ("supply", "constant", "pressure tank_pressure", "pump_flow relief_slope line_volume accumulator_volume"),
-        ("supply", "pump", "pump_flow relief_slope line_volume", "accumulator_volume precharge_pressure"),
-        ("supply", "accumulator", "pump_flow accumulator_volume precharge_pressure polytropic_index", "line_volume"),
-        ("friction", "lugre", "bristle_stiffness bristle_damping", ""),
-        ("friction", "stribeck", "coulomb_force", "bristle_stiffness bristle_damping"),
-        ("valve", "spool", "natural_frequency", "coil_inductance"),
-        ("valve", "drive", "coil_inductance", ""),
-    ],
-)
-def test_each_model_has_its_own_values(group, model, used, unused):
-    names = names_assumed(**{group: {"model": model}})[group]
-    assert set(used.split()) <= names
-    assert not set(unused.split()) & names
 
 
 def test_the_console_fits_80_columns():
