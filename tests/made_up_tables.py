@@ -24,7 +24,7 @@ def comparison():
     for name, ratios in RATIOS.items():
         for condition, ratio in ratios.items():
             row = {"controller": name, "against": "PID", "condition": condition, "worst_ratio": 2.0 * ratio, **PRICES}
-            for column, value in (("ratio", ratio), ("equal_weight", ratio), ("iqm_ratio", ratio), ("score", 50.0)):
+            for column, value in (("ratio", ratio), ("equal_weight", ratio), ("score", 50.0)):
                 row |= {column: value, f"{column}_low": value - 0.1, f"{column}_high": value + 0.1}
             row |= {"share_better": 0.8, "share_better_low": 0.7, "share_better_high": 0.9, "cases": 10}
             rows.append(row)
@@ -43,7 +43,7 @@ def summary():
             ):
                 low, high = 0.9 * mean, 1.1 * mean
                 row = {"controller": name, "condition": condition, "metric": metric, "mean": mean - 0.01 * number}
-                row |= {"mean_low": low, "mean_high": high, "iqm": mean, "iqm_low": low, "iqm_high": high, "worst": 1.5}
+                row |= {"mean_low": low, "mean_high": high, "worst": 1.5}
                 rows.append(row)
     return pd.DataFrame(rows)
 
@@ -100,12 +100,7 @@ def experiment_tables():
     step = base.assign(force_n=872.0, peak_mm=0.2, recovery_s=0.1, remaining_mm=np.where(base["seed"] == 0, 0.0, 0.0))
     step = step.assign(static_mm_per_kn=0.0, dynamic_mm_per_kn=0.23)
     step.loc[1, "recovery_s"] = np.nan
-    frequencies = np.array([1.0, 10.0, 40.0])
-    swept = base.merge(pd.DataFrame({"frequency_hz": frequencies}), how="cross")
-    lag = 1.0 / (1.0 + 1j * swept["frequency_hz"] / 10.0)
-    swept = swept.assign(gain=np.abs(lag), phase_deg=np.angle(lag, deg=True), amplitude_mm=1.0, rest=0.0)
     return {
         "standstill": standstill,
         "force_step": step,
-        "frequency": pd.concat([swept.assign(preview=True), swept.assign(preview=False)], ignore_index=True),
     }

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.detection.detector import Cause, Reading
-from hydro_agents.evaluation.leak_protocol import Detectors, LeakProtocol
+from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.evaluation.runner import Results, run
 
 SMALL = {
@@ -25,8 +25,7 @@ def small(**changes):
 
 def ran(protocol=None, detectors=None, **options):
     """Results of a small protocol; by default with one detector, in this process."""
-    chosen = Detectors(detectors or {"D": Spread()})
-    return run(protocol or small(), chosen, **{"jobs": 1, **options})
+    return run(protocol or small(), detectors or {"D": Spread()}, **{"jobs": 1, **options})
 
 
 class Spread:
@@ -109,9 +108,7 @@ def made_up_run():
     )
     bound = pd.DataFrame({"condition": "plain", "level": [0.3, 0.3, 1.0], "seed": 0.0, "sigma_lpm": [0.01, 0.03, 0.05]})
     made = {"windows": pd.concat(frames, ignore_index=True), "thresholds": thresholds}
-    return Results(
-        made_up_protocol(), Detectors({}), {"leak_bound": bound}, status, facts=[("file", "made up")], _made=made
-    )
+    return Results(made_up_protocol(), {}, {"leak_bound": bound}, status, facts=[("file", "made up")], _made=made)
 
 
 def made_up_tables():

@@ -16,12 +16,10 @@ from hydro_agents.evaluation.participants import (
 )
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results, run
-from hydro_agents.evaluation.tracking import replay
 from hydro_agents.report.content import Content, interval
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.robustness import PAGE_FILE, ROBUSTNESS
 from hydro_agents.report.sections import render_page, sections_named
-from hydro_agents.report.traces import with_traces
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER
@@ -79,7 +77,7 @@ def evaluate_protocol(file: Path, agents: Mapping[str, str], study_file: Path | 
     chosen = _participants(protocol, agents, study_file)
 
     def content(results: Results) -> Content:
-        return with_traces(Content(results.tables(), protocol.task), lambda row: replay(protocol, chosen, row))
+        return Content(results.tables(), protocol.task)
 
     run_protocol(protocol, file, chosen, options, PageOf(PAGE_FILE, ROBUSTNESS, content, _ranking, _absences))
 
@@ -191,7 +189,7 @@ def evaluate_leak_protocol(file: Path, head: Path | None, options: Options) -> N
     """
     from hydro_agents.detection.detectors import make_detector
     from hydro_agents.detection.monitor import HeadDetector
-    from hydro_agents.evaluation.leak_protocol import DRAWN, Detectors, LeakProtocol
+    from hydro_agents.evaluation.leak_protocol import DRAWN, LeakProtocol
     from hydro_agents.report.leakage import LEAKAGE, PAGE_FILE, level_text
 
     protocol = options.moved(LeakProtocol.from_yaml(file))
@@ -213,4 +211,4 @@ def evaluate_leak_protocol(file: Path, head: Path | None, options: Options) -> N
         return Table(title, ("detector", *map(level_text, levels)), rows)
 
     page = PageOf(PAGE_FILE, LEAKAGE, content, shares)
-    run_protocol(protocol, file, Detectors(detectors), options, page)
+    run_protocol(protocol, file, detectors, options, page)

@@ -28,7 +28,6 @@ class DetectorChoice(Group):
         default_factory=dict,
         description="of an estimator: changed fields of its task, such as ranges; unknowns and priors follow from it",
     )
-    groups: tuple[str, ...] = Field((), description="of the conditions that it reads; default: all")
     windows: int = Field(1000, ge=1, le=100_000, description="windows per leak level")
     validation_windows: int = Field(
         4000, ge=20, le=100_000, description="healthy windows for the threshold at 1 % false alarms"

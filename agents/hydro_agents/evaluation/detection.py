@@ -19,7 +19,6 @@ from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import DETECTION, EVALUATION
 from hydro_agents.running.statistics import share_interval
 from hydro_env import LEAKAGE_CLASSES, TaskConfig
-from hydro_env.types import Floats
 
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
@@ -119,12 +118,12 @@ def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame
 
 
 def detection_summary(detection: pd.DataFrame, threshold: float, config: TaskConfig) -> pd.DataFrame:
-    """Per controller: areas under the curves, rates at the head's threshold, and the error of the size."""
+    """Per controller: area under the ROC curve, rates at the head's threshold, and the error of the size."""
     bounds = LeakBounds.of(config)
     rows = []
     for controller, frame in detection.groupby("controller", sort=False):
         flow, score = frame["leakage_flow_lpm"].to_numpy(), frame["probability"].to_numpy()
-        healthy, leaking = _healthy_and_leaking(flow, bounds)
+        healthy, leaking = flow <= bounds.healthy_up_to, flow > bounds.leaking_above
         kept, moderate = healthy | leaking, flow >= bounds.moderate_from
         at_target = threshold_at_false_alarm_rate(score[healthy], FALSE_ALARM_RATE)
         decades = np.abs(np.log10(frame["estimated_flow_lpm"].to_numpy()[leaking] / flow[leaking]))
@@ -132,7 +131,6 @@ def detection_summary(detection: pd.DataFrame, threshold: float, config: TaskCon
             {
                 "controller": controller,
                 "auroc": area_under_roc(score[kept], leaking[kept]),
-                "average_precision": average_precision(score[kept], leaking[kept]),
                 "threshold": threshold,
                 "false_alarm_rate": detection_rate(score[healthy], threshold),
                 "detection_rate_moderate": detection_rate(score[moderate], threshold),
@@ -146,49 +144,17 @@ def detection_summary(detection: pd.DataFrame, threshold: float, config: TaskCon
     return pd.DataFrame(rows)
 
 
-def _healthy_and_leaking(flow: NDArray[np.float64], bounds: LeakBounds) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    return flow <= bounds.healthy_up_to, flow > bounds.leaking_above
-
-
-class Curve(NamedTuple):
-    """A curve over all thresholds."""
-
-    x: Floats
-    y: Floats
-
-
-def curves(scores: NDArray[Any], positive: NDArray[np.bool_]) -> dict[str, Curve]:
-    """Curves over every distinct threshold from above all scores down; scores at or above it are flagged.
-
-    Returns:
-        ``roc``: detection rate (y) over false-alarm rate (x); ``precision_recall``: precision (y) over recall (x).
-    """
+def area_under_roc(scores: NDArray[Any], positive: NDArray[np.bool_]) -> float:
+    """Probability that a leak scores higher than a healthy seal (ties count half); NaN without both kinds."""
+    if positive.all() or not positive.any():
+        return float("nan")
     order = np.argsort(-scores, kind="stable")
     falling = np.asarray(scores, dtype=np.float64)[order]
     last = np.append(np.flatnonzero(np.diff(falling)), len(scores) - 1)  # of each distinct score
     flagged = np.concatenate([[0.0], last + 1])
     true = np.concatenate([[0.0], np.cumsum(positive[order])[last]])
     false = flagged - true
-    recall = true / max(true[-1], 1.0)
-    precision = np.divide(true, flagged, out=np.ones_like(true), where=flagged > 0)
-    roc = Curve(false / max(false[-1], 1.0), recall)
-    return {"roc": roc, "precision_recall": Curve(recall, precision)}
-
-
-def area_under_roc(scores: NDArray[Any], positive: NDArray[np.bool_]) -> float:
-    """Probability that a leak scores higher than a healthy seal (ties count half); NaN without both kinds."""
-    if positive.all() or not positive.any():
-        return float("nan")
-    curve = curves(scores, positive)["roc"]
-    return float(np.trapezoid(curve.y, curve.x))
-
-
-def average_precision(scores: NDArray[Any], positive: NDArray[np.bool_]) -> float:
-    """Area under precision over recall as a sum of steps; NaN without positives."""
-    if not positive.any():
-        return float("nan")
-    curve = curves(scores, positive)["precision_recall"]
-    return float(np.sum(np.diff(curve.x) * curve.y[1:]))
+    return float(np.trapezoid(true / true[-1], false / false[-1]))
 
 
 def detection_rate(scores: NDArray[Any], threshold: float) -> float:

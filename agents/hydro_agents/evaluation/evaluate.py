@@ -33,7 +33,7 @@ from hydro_agents.evaluation.robustness_protocol import (
 from hydro_agents.evaluation.runner import FAILED, Results, run, table, tables_of
 from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
-from hydro_agents.running.statistics import conditional_value_at_risk, ratio_interval
+from hydro_agents.running.statistics import ratio_interval
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 from hydro_env.mistakes import known_name
@@ -103,7 +103,7 @@ class Evaluation:
     """All numbers of an evaluation, as tables."""
 
     cases: pd.DataFrame  # one row per controller, training seed, level, family, plant
-    levels: pd.DataFrame  # per controller and level: means, intervals, worst case, CVaR of every metric
+    levels: pd.DataFrame  # per controller and level: means, intervals, worst case of every metric
     families: pd.DataFrame  # the same per controller and family
     ratios: pd.DataFrame  # per controller against the first: overall, per level, per family
     growth: pd.DataFrame  # per controller and family: error at the largest leak over that at the smallest
@@ -113,7 +113,7 @@ class Evaluation:
     limit_cycle_summary: pd.DataFrame  # per controller: standstills with a limit cycle, and the largest amplitude
     detection: pd.DataFrame  # one row per episode for the head
     detection_rates: pd.DataFrame  # per controller and class or level
-    detection_summary: pd.DataFrame  # per controller: AUROC, average precision, false alarms, size error
+    detection_summary: pd.DataFrame  # per controller: AUROC, false alarms, size error
     bounds: LeakBounds = field(default_factory=lambda: LeakBounds.of(TaskConfig()))
     errors: dict[str, str] = field(default_factory=dict)  # controller → reason for missing results
 
@@ -286,7 +286,7 @@ def detection(results: Results) -> pd.DataFrame:
 
 
 def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
-    """Every metric per controller and value of the column ``by``: mean with interval, worst case, mean of the worst."""
+    """Every metric per controller and value of the column ``by``: mean with interval, worst case."""
     grid, rows = Grid(cases), []
     for (controller, group), frame in cases.groupby(["controller", by], sort=False):
         plants = grid.family == group if by == "family" else grid.all_plants
@@ -300,7 +300,6 @@ def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
                     "unit": about.unit,
                     **grid.mean(controller, metric, plants, situations).columns("mean"),
                     "worst": float(frame[metric].max()),
-                    "cvar_5_percent": conditional_value_at_risk(frame[metric].to_numpy()),
                     "cases": len(frame),
                 }
             )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -111,8 +110,8 @@ class LeakProtocol(Protocol[LeakCondition]):
 
     def reads(self, name: str, detector: str) -> bool:
         """Whether a detector reads the windows of a condition."""
-        chosen, groups = self.conditions[name].detectors, self.detectors[detector].groups
-        return (chosen is None or detector in chosen) and (not groups or self.conditions[name].group in groups)
+        chosen = self.conditions[name].detectors
+        return chosen is None or detector in chosen
 
     def cases_in(self, name: str, level: float, count: int, validation: bool = False) -> Cases:
         """The first ``count`` cases of a level; every level and condition has the same plants."""
@@ -149,18 +148,11 @@ READ = ("score", "probability", "flow_lpm", "low_lpm", "high_lpm")
 """Columns of a reading, NaN in a window without an answer; besides, ``otherwise`` is its cause."""
 
 
-@dataclass(frozen=True)
-class Detectors:
-    """The detectors of a protocol by name."""
-
-    detectors: Mapping[str, Detector]
-
-
-def windows(protocol: LeakProtocol, chosen: Detectors) -> Iterator[Cell]:
+def windows(protocol: LeakProtocol, chosen: Mapping[str, Detector]) -> Iterator[Cell]:
     """Every detector on the windows of every condition; healthy validation windows of the base set its threshold."""
     for name, condition in protocol.conditions.items():
         samples = round(condition.duration / protocol.task_in(name).control_period)
-        for reader, detector in chosen.detectors.items():
+        for reader, detector in chosen.items():
             reads = protocol.reads(name, reader)
             reason = detector.refuses(protocol.known_task(name), samples) if reads else ""
             if reads and not reason:

@@ -1,4 +1,4 @@
-"""The tables of a leakage protocol: thresholds and verdicts, detection, sizes and intervals, reliability, masking.
+"""The tables of a leakage protocol: thresholds and verdicts, detection, sizes and intervals, reliability.
 
 docs/leakage.md describes their columns.
 """
@@ -37,7 +37,7 @@ def facts(results: Results) -> pd.DataFrame:
 def thresholds(results: Results) -> pd.DataFrame:
     """For each detector: the threshold at 1 % false alarms on healthy validation windows, and the threshold in use."""
     read, rows = results.part("windows"), []
-    for name, detector in results.participants.detectors.items() if len(read) else ():
+    for name, detector in results.participants.items() if len(read) else ():
         score = read.loc[read["validation"] & (read["detector"] == name), "score"].to_numpy()
         found = np.nan  # a detector that cannot read these windows
         if len(score):
@@ -190,23 +190,4 @@ def reliability(results: Results) -> pd.DataFrame:
             )
         distance = sum(abs(p["probability"] - p["frequency"]) * p["windows"] for p in parts) / len(frame)
         rows += [part | {"error": distance} for part in parts]
-    return pd.DataFrame(rows)
-
-
-@table("masking")
-def masking(results: Results) -> pd.DataFrame:
-    """Detection and position error by controller of the axes: does better control hide the leak?"""
-    sigma = _bound_of(results)
-    rows = []
-    for cell, frame in _cells(results):
-        detector, condition, level = cell.values()
-        chosen = results.protocol.conditions[condition]
-        if chosen.group not in ("levels", "controller") or level <= 0.0:
-            continue
-        rows.append(
-            {"detector": detector, "condition": condition, "acting": chosen.acting, "level": level}
-            | {"error_mm": float(frame["error_mm"].mean())}
-            | share(frame["at_1_percent"]).named("at_1_percent")
-            | {"bound_lpm": sigma.get((condition, level), np.nan), "windows": len(frame)}
-        )
     return pd.DataFrame(rows)

@@ -147,7 +147,7 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
         )
 
 
-EXPERIMENTS = ("frequency", "force_step", "hold")
+EXPERIMENTS = ("force_step", "hold")
 """Parts about the task alone."""
 
 
@@ -182,7 +182,7 @@ class RobustnessProtocol(PairedProtocol):
         (0.03, 1.0, 8.0),
         description="l/min; search for limit cycles under each condition without its own leak levels",
     )
-    experiments: bool = Field(True, description="also frequency response, stiffness, standstill, price of the leak")
+    experiments: bool = Field(True, description="also stiffness and standstill")
     worst: int = Field(10, ge=1, le=1000, description="worst cases that the tables list per controller")
 
     @model_validator(mode="after")

@@ -9,7 +9,7 @@ from hydro_agents.evaluation.comparison import ALL
 from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
 from hydro_agents.evaluation.runner import FAILED, Results, table
 from hydro_agents.running.seeds import SEED_MARK
-from hydro_agents.running.statistics import interquartile_means, interval
+from hydro_agents.running.statistics import interval
 
 LEAK_GROUP = "leak"
 CLOSED = ("gap", "score", "score_low", "score_high")  # 0 for the baseline; all other figures of the ranking are ratios
@@ -31,7 +31,7 @@ def facts(results: Results) -> pd.DataFrame:
 
 @table("summary")
 def summary(results: Results) -> pd.DataFrame:
-    """Every metric per controller and condition: mean and interquartile mean with intervals, and the worst case."""
+    """Every metric per controller and condition: mean with its interval, and the worst case."""
     grid, cases, rows = results.grid, results.part("tracking"), []
     for controller in grid.controllers:
         own = cases[cases["controller"] == controller]
@@ -49,7 +49,6 @@ def summary(results: Results) -> pd.DataFrame:
                         "metric": metric,
                         "unit": about.unit,
                         **interval(chosen.mean, chosen.plants).named("mean"),
-                        **interval(interquartile_means(*chosen), chosen.plants).named("iqm"),
                         "worst": float(worst[metric]),
                         "worst_seed": int(worst["seed"]),
                         "worst_family": worst["family"],

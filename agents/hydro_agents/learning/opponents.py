@@ -12,7 +12,7 @@ from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.trainers import TRAINERS, Trainer
 from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder, pretrained_folder
-from hydro_agents.running.weights import weight_files, weights_in
+from hydro_agents.running.weights import weight_files
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.mistakes import unknown
@@ -113,7 +113,7 @@ def opponent(
     Args:
         what: an object with ``predict``; or ``"pid"`` or ``"ppo"`` (as shipped), ``"module:attribute"`` (see
             :func:`~hydro_agents.controllers.registry.make_controller`), the path of weights, a YAML file of tuned
-            gains, a folder ``controllers/NAME`` of a study, a folder of a model hub, or one of ``hydro export``.
+            gains, a folder ``controllers/NAME`` of a study, or one of ``hydro export``.
         config: the task.
         name: for messages.
         trainer: trainer that loads weights; default PPO.
@@ -162,15 +162,11 @@ def opponent(
 
 
 def found_in(what: str | Path) -> str:
-    """The weights or gains in a controller's folder of a study or of a model hub; any other text as it is.
-
-    Raises:
-        ConfigurationError: as :func:`~hydro_agents.running.weights.weights_in`.
-    """
+    """The weights or gains in a controller's folder of a study; any other text as it is."""
     for name in ("policy.json", GAINS_FILE):  # beside weights the gains are those of the controller that they correct
         if (Path(what) / name).is_file():
             return str(Path(what) / name).removesuffix(".json")
-    return str(weights_in(what) or what)
+    return str(what)
 
 
 def trained_for(controller: Controller) -> PlantParameters | None:

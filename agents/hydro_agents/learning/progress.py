@@ -23,7 +23,7 @@ from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputF
 from hydro_agents.learning.checkpoint import Checkpoint, take
 from hydro_agents.learning.features import AnyAxisFeatures, PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.settings import PPOSettings, SACSettings, TrainingSettings
+from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.running.cases import family_errors, validation_errors
 from hydro_env import TaskConfig
 from hydro_env.files import write_text
@@ -120,7 +120,7 @@ class TrainingCallback(BaseCallback):
     def __init__(
         self,
         config: TaskConfig,
-        settings: TrainingSettings,
+        settings: PPOSettings,
         features: PolicyFeatures,
         keep: tuple[Path, dict[str, Any], float] | None,
         seconds: float,
@@ -129,7 +129,6 @@ class TrainingCallback(BaseCallback):
         super().__init__()
         self._config, self._settings, self._features, self._keep = config, settings, features, keep
         self._progress = progress
-        self._log_every = settings.log_every if isinstance(settings, SACSettings) else 1
         self._began = time.monotonic() - seconds
         self._written = -math.inf  # when the last checkpoint was written
         self._checkpoint: Checkpoint | None = None
@@ -165,11 +164,10 @@ class TrainingCallback(BaseCallback):
         A rollout and its update share one exploration; otherwise the ratio of PPO would not begin at 1.
         """
         settings, steps = self._settings, self.num_timesteps
-        if isinstance(settings, PPOSettings):
+        with torch.no_grad():
             share = min(steps / settings.total_steps, 1.0)
-            with torch.no_grad():
-                self.model.policy.log_std.fill_(settings.log_standard_deviation_at(share))
-        due = self._passed(self._log_every)
+            self.model.policy.log_std.fill_(settings.log_standard_deviation_at(share))
+        due = steps > self._logged
         if due:
             self._log()
             self._logged = steps

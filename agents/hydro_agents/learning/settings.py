@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -21,16 +21,10 @@ class Prices(Group):
     )
 
 
-class TrainingSettings(Group):
-    """Settings that all trainers of this package share: inputs of the policy, corrected controller, and costs."""
+class PPOSettings(Group):
+    """Settings of PPO; ``configs/agents/ppo.yaml`` holds those of the studies."""
 
     model_config = ConfigDict(allow_inf_nan=False)
-
-    algorithm: ClassVar[str]
-    """Its class in stable-baselines3 or sb3-contrib."""
-
-    policy: ClassVar[str] = "MlpPolicy"
-    """The algorithm's class of networks."""
 
     residual: bool = Field(True, description="true: the policy corrects another controller; false: it acts on its own")
     residual_scale: float = Field(0.2, gt=0.0, le=2.0, description="command per 1 of the policy's output")
@@ -78,28 +72,6 @@ class TrainingSettings(Group):
     )
     validation_every: int = Field(1_000_000, ge=0, description="steps between validations; 0: none")
     torch_threads: int = Field(1, ge=1, le=256)
-
-    def options(self) -> dict[str, Any]:
-        """Keywords of the algorithm."""
-        raise NotImplementedError
-
-    @model_validator(mode="after")
-    def _of_a_correction(self) -> Self:
-        for name in ("family_units", "see_correction", "see_estimates"):
-            if getattr(self, name) and not self.residual:
-                raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
-        if self.law is not None:
-            if not self.residual or not self.normalise or getattr(self, "told_critic", False):
-                raise ValueError("law: needs residual: true, normalise: true and told_critic: false")
-            if self.axes % self.law.count:
-                raise ValueError(f"axes = {self.axes}: must be a multiple of law.count = {self.law.count}")
-        return self
-
-
-class PPOSettings(TrainingSettings):
-    """Settings of PPO; ``configs/agents/ppo.yaml`` holds those of the studies."""
-
-    algorithm = "PPO"
     told_critic: bool = Field(
         False, description="the critic, not the actor, sees leak, plant, true state and sensor biases"
     )
@@ -115,6 +87,18 @@ class PPOSettings(TrainingSettings):
     )
 
     @model_validator(mode="after")
+    def _of_a_correction(self) -> Self:
+        for name in ("family_units", "see_correction", "see_estimates"):
+            if getattr(self, name) and not self.residual:
+                raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
+        if self.law is not None:
+            if not self.residual or not self.normalise or self.told_critic:
+                raise ValueError("law: needs residual: true, normalise: true and told_critic: false")
+            if self.axes % self.law.count:
+                raise ValueError(f"axes = {self.axes}: must be a multiple of law.count = {self.law.count}")
+        return self
+
+    @model_validator(mode="after")
     def _batches(self) -> PPOSettings:
         rollout = self.axes * self.steps_per_rollout
         if rollout > LARGEST_ROLLOUT:
@@ -125,17 +109,6 @@ class PPOSettings(TrainingSettings):
                 "into parts of at least 2"
             )
         return self
-
-    def options(self) -> dict[str, Any]:
-        """Keywords of the algorithm."""
-        return {
-            "learning_rate": self.learning_rate_at,
-            "n_steps": self.steps_per_rollout,
-            "batch_size": self.axes * self.steps_per_rollout // self.minibatches,
-            "n_epochs": self.epochs,
-            "gae_lambda": self.advantage_decay,
-            "clip_range": self.clip_range,
-        }
 
     def updates(self, steps: int) -> int:
         """Number of gradient steps in so many control periods."""
@@ -155,7 +128,6 @@ class PPOSettings(TrainingSettings):
 class RecurrentPPOSettings(PPOSettings):
     """Settings of PPO with a recurrent layer (RecurrentPPO of sb3-contrib), which replaces the history of signals."""
 
-    algorithm, policy = "RecurrentPPO", "MlpLstmPolicy"
     lstm_cells: int = Field(64, ge=1, le=4096, description="of the recurrent layer of the actor, and of the critic's")
 
     @model_validator(mode="after")
@@ -163,34 +135,3 @@ class RecurrentPPOSettings(PPOSettings):
         if self.told_critic:
             raise ValueError("told_critic: a recurrent policy cannot have one")
         return self
-
-
-class SACSettings(TrainingSettings):
-    """Settings of SAC; ``configs/agents/sac.yaml`` holds an example."""
-
-    algorithm = "SAC"
-    paired: bool = Field(False, description="reward relative to a twin under the corrected controller")
-    total_steps: int = Field(500_000, ge=1, le=10**12, description="control periods, all axes together")
-    axes: int = Field(64, ge=1, le=65_536)
-    learning_rate: float = Field(5e-4, gt=0.0, le=1.0)
-    gradient_steps: int = Field(8, ge=1, le=10_000, description="after each control period of all axes")
-    batch_size: int = Field(512, ge=2, le=1_000_000)
-    buffer_size: int = Field(500_000, ge=100, le=10_000_000, description="samples in the buffer")
-    learning_starts: int = Field(10_000, ge=1, le=10_000_000, description="samples before the first gradient step")
-    initial_entropy_weight: float = Field(0.01, gt=0.0, le=10.0, description="of the exploration; adapts in training")
-    log_every: int = Field(20_000, ge=1, description="steps between rows of the log")
-
-    def options(self) -> dict[str, Any]:
-        """Keywords of the algorithm."""
-        same = {"learning_rate", "buffer_size", "learning_starts", "batch_size", "gradient_steps"}
-        return self.model_dump(include=same) | {"train_freq": 1, "ent_coef": f"auto_{self.initial_entropy_weight}"}
-
-    def updates(self, steps: int) -> int:
-        """Number of gradient steps in so many control periods."""
-        return self.gradient_steps * max(steps - self.learning_starts, 0) // self.axes
-
-
-class TQCSettings(SACSettings):
-    """Settings of TQC, which are those of SAC."""
-
-    algorithm = "TQC"

@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import imported
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.settings import (
-    PPOSettings,
-    RecurrentPPOSettings,
-    SACSettings,
-    TQCSettings,
-    TrainingSettings,
-)
+from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.files import Group
@@ -82,7 +76,7 @@ class PolicyTrainer:
         settings: class of its settings; it names the algorithm.
     """
 
-    def __init__(self, settings: type[TrainingSettings]) -> None:
+    def __init__(self, settings: type[PPOSettings]) -> None:
         self.settings: type[Group] = settings
 
     def train(self, config: TaskConfig, settings: Any, **options: Any) -> PolicyController:
@@ -98,8 +92,6 @@ class PolicyTrainer:
 
 TRAINERS: dict[str, Trainer] = {
     "ppo": PolicyTrainer(PPOSettings),
-    "sac": PolicyTrainer(SACSettings),
-    "tqc": PolicyTrainer(TQCSettings),
     "recurrent_ppo": PolicyTrainer(RecurrentPPOSettings),
 }
 

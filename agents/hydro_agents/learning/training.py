@@ -1,7 +1,7 @@
-"""Trains a policy with an algorithm of stable-baselines3 or sb3-contrib on the native vector environment, resumable.
+"""Trains a policy with PPO on the native vector environment, resumable.
 
 The way of the data: task → :func:`make_env` (N axes) → :func:`make_features` (inputs of the network) →
-:func:`make_model` (the algorithm) → :func:`train_policy` (weights, log and checkpoints).
+:func:`make_model` (PPO) → :func:`train_policy` (weights, log and checkpoints).
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from sb3_contrib import TQC, RecurrentPPO
-from stable_baselines3 import PPO, SAC
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import PPO
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
@@ -22,7 +22,7 @@ from hydro_agents.learning.features import AnyAxisFeatures, PolicyFeatures, peri
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.privileged import ACTIVATIONS, AsymmetricPolicy
 from hydro_agents.learning.progress import Progress, TrainingCallback, training_logger
-from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings, SACSettings, TrainingSettings
+from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings
 from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import LEARNING
@@ -30,10 +30,8 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 
-ALGORITHMS: dict[str, Any] = {"PPO": PPO, "RecurrentPPO": RecurrentPPO, "SAC": SAC, "TQC": TQC}
 
-
-def make_features(config: TaskConfig, settings: TrainingSettings, base: Controller | None) -> PolicyFeatures:
+def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | None) -> PolicyFeatures:
     """The features that a training uses.
 
     Raises:
@@ -58,7 +56,7 @@ def make_features(config: TaskConfig, settings: TrainingSettings, base: Controll
     return features.normalised() if settings.normalise else features
 
 
-def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:
+def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:
     """The axes of a training; ``practice`` may change their episodes, but not the observations.
 
     Its ``randomisation`` changes single parameters; the task's ranges of the others stay.
@@ -90,13 +88,13 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
         settings.reward_scale,
         paired=settings.residual and settings.paired,
         stagger=True,
-        told_critic=isinstance(settings, PPOSettings) and settings.told_critic,
+        told_critic=settings.told_critic,
         reversal_price=settings.prices.reversal,
     )
 
 
 def make_axes(
-    config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int
+    config: TaskConfig, settings: PPOSettings, features: PolicyFeatures, seed: int
 ) -> AxisVecEnv | RigsVecEnv:
     """The axes of a training, of :func:`make_env`; of every rig of the settings' law, if there is one.
 
@@ -112,7 +110,7 @@ def make_axes(
     return RigsVecEnv(envs, features)
 
 
-def discount(config: TaskConfig, settings: TrainingSettings) -> float:
+def discount(config: TaskConfig, settings: PPOSettings) -> float:
     """Discount per control period: that of the settings holds per step of the rig."""
     return math.pow(settings.discount, 1.0 / periods_per_step(config))
 
@@ -129,44 +127,48 @@ def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConf
     return task_config(config, reward={"family_scale": scale, **limits})
 
 
-def make_model(env: AxisVecEnv | RigsVecEnv, settings: TrainingSettings, seed: int) -> Any:
-    """A model of the settings' algorithm with nearly zero output: a correction starts at the corrected controller."""
+def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -> Any:
+    """A model of PPO with nearly zero output: a correction starts at the corrected controller."""
     assert env.features is not None
-    policy: Any = settings.policy
     hidden: Any = list(settings.hidden_sizes)
-    network: dict[str, Any] = {"activation_fn": ACTIVATIONS[settings.activation], "net_arch": hidden}
-    if isinstance(settings, PPOSettings):
-        network["net_arch"] = {"pi": hidden, "vf": hidden}
-        network["log_std_init"] = settings.initial_log_standard_deviation
-        if settings.told_critic:
-            policy, network["actor_inputs"] = AsymmetricPolicy, env.features.size
+    network: dict[str, Any] = {
+        "activation_fn": ACTIVATIONS[settings.activation],
+        "net_arch": {"pi": hidden, "vf": hidden},
+        "log_std_init": settings.initial_log_standard_deviation,
+    }
+    algorithm: Any = PPO
+    policy: Any = "MlpPolicy"
+    if settings.told_critic:
+        policy, network["actor_inputs"] = AsymmetricPolicy, env.features.size
     if isinstance(settings, RecurrentPPOSettings):
-        network["lstm_hidden_size"] = settings.lstm_cells
-    model = ALGORITHMS[settings.algorithm](
+        algorithm, policy, network["lstm_hidden_size"] = RecurrentPPO, "MlpLstmPolicy", settings.lstm_cells
+    model = algorithm(
         policy,
         env,
         gamma=discount(env.features.config, settings),
         policy_kwargs=network,
         seed=seed,
         device="cpu",
-        **settings.options(),
+        learning_rate=settings.learning_rate_at,
+        n_steps=settings.steps_per_rollout,
+        batch_size=settings.axes * settings.steps_per_rollout // settings.minibatches,
+        n_epochs=settings.epochs,
+        gae_lambda=settings.advantage_decay,
+        clip_range=settings.clip_range,
     )
-    if isinstance(env, RigsVecEnv) and isinstance(settings, PPOSettings):
+    if isinstance(env, RigsVecEnv):
         periods = env.periods_per_step()
         model.rollout_buffer.gamma = settings.discount ** (1.0 / periods)
         model.rollout_buffer.gae_lambda = settings.advantage_decay ** (1.0 / periods)
     with torch.no_grad():
-        if isinstance(settings, SACSettings):
-            model.actor.mu.weight.mul_(0.1)
-        else:
-            model.policy.log_std.requires_grad_(False)  # the exploration follows a schedule
-            model.policy.action_net.weight.mul_(0.1 if settings.residual else 1.0)
+        model.policy.log_std.requires_grad_(False)  # the exploration follows a schedule
+        model.policy.action_net.weight.mul_(0.1 if settings.residual else 1.0)
     return model
 
 
 def train_policy(
     config: TaskConfig,
-    settings: TrainingSettings,
+    settings: PPOSettings,
     base: Controller | None = None,
     seed: int = 0,
     folder: str | Path | None = None,
@@ -174,16 +176,16 @@ def train_policy(
     progress: Callable[[Progress], None] | None = None,
     checkpoint_seconds: float = 20.0,
 ) -> PolicyController:
-    """Train a new policy; PPO continues from a checkpoint as if there had been no interruption, SAC and TQC begin anew.
+    """Train a new policy, or continue from a checkpoint as if there had been no interruption.
 
     Args:
         config: the task.
-        settings: settings of the training; their class names the algorithm.
+        settings: settings of the training.
         base: the controller that the residual form corrects.
         seed: seed of networks, exploration, plants, references and noise.
         folder: for ``checkpoint.safetensors``, ``progress.csv`` and logs of TensorBoard; ``None`` writes nothing.
         resume: continue from the checkpoint in ``folder``.
-        progress: called after every update, or every ``log_every`` steps of SAC and TQC.
+        progress: called after every update.
         checkpoint_seconds: time between checkpoints; the first is written before the first rollout.
 
     Returns:
@@ -203,7 +205,7 @@ def train_policy(
         "task": config.model_dump(mode="json"),
         "features": features.describe(),
     }
-    file = Path(folder) / CHECKPOINT_FILE if folder is not None and isinstance(settings, PPOSettings) else None
+    file = Path(folder) / CHECKPOINT_FILE if folder is not None else None
     checkpoint = Checkpoint.read(file, made_with) if file is not None and resume else None
     if file is not None and not resume:
         file.unlink(missing_ok=True)
@@ -227,7 +229,7 @@ def train_policy(
         model.logger.close()
         env.close()
     record = {
-        "algorithm": f"{settings.algorithm} ({type(model).__module__.split('.')[0].replace('_', '-')})",
+        "algorithm": f"{type(model).__name__} ({type(model).__module__.split('.')[0].replace('_', '-')})",
         "seed": seed,
         "steps": int(model.num_timesteps),
         "seconds": round(callback.seconds, 1),

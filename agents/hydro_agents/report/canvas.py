@@ -140,9 +140,8 @@ def curve_plot(
         finish: sets scales of the axes when the curves are drawn.
         per: unit of the index, after a space.
         apart: distance of the participants' bars, in units of the axis; rows have their own.
-        drawn: ``line``; ``levels``: a line over leaks, with a tight seal at the left end; ``plain``: without markers;
-            ``points``; ``band``: a line in the band of its interval; ``rows``: a row for each category, from top to
-            bottom.
+        drawn: ``line``; ``levels``: a line over leaks, with a tight seal at the left end; ``points``; ``band``: a line
+            in the band of its interval; ``rows``: a row for each category, from top to bottom.
         options: of ``Axes.set``, such as labels and limits.
     """
     frames = {name: curve.to_frame("value") if curve.ndim == 1 else curve for name, curve in curves.items()}
@@ -158,7 +157,7 @@ def curve_plot(
             at = np.array([places.get(x, x) for x in frame.index]) + dodge(len(frames), count, gap)
             if drawn == "band" or "low" not in frame:
                 stroke = look.stroke | ({"linestyle": "none"} if drawn in ("points", "rows") else {})
-                axes.plot(at, frame["value"], marker="" if drawn == "plain" else look.marker, label=name, **stroke)
+                axes.plot(at, frame["value"], marker=look.marker, label=name, **stroke)
                 if "low" in frame:
                     axes.fill_between(at, frame["low"], frame["high"], color=look.colour, alpha=0.2, linewidth=0)
             elif frame["value"].notna().any():

@@ -1,11 +1,10 @@
-"""Figures about leak detection: shares of windows, sizes, reliability, coverage, masking."""
+"""Figures about leak detection: shares of windows, sizes, reliability, coverage."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
@@ -140,19 +139,3 @@ def reliability_plot(content: Content) -> list[Plot]:
     note = "Half of the axes healthy, the others with leaks of all sizes."
     title = "Calibration of the probability"
     return [curve_plot("reliability", title, note, curves, content.looks, " %", finish, per=" %")]
-
-
-def masking_rows(content: Content) -> pd.DataFrame:
-    """Rows of the table ``masking`` for windows of the same length as in the base condition."""
-    table, durations = content.table("masking"), content.conditions["duration_s"]
-    return table[table["condition"].map(durations) == durations[content.base]]
-
-
-def masking_plot(content: Content) -> list[Plot]:
-    """Detection of a small leak by controller; the controller with the smallest error comes first."""
-    table = masking_rows(content)
-    errors = table.groupby("condition")["error_mm"].mean().sort_values()
-    note = "From the smallest position error to the largest. Threshold at 1 % false alarms."
-    title, label = "0.1 l/min found, by controller", "windows in which it is found, %"
-    share = ("detection", "at_1_percent")
-    return _rows_plot(content, "masking", title, note, label, list(errors.index), 0.1, share)

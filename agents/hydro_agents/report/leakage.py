@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 from markupsafe import Markup
 
-from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.content import Content, shown
 from hydro_agents.report.leak_plots import (
     coverage_plots,
     detection_plot,
     fault_plots,
-    masking_plot,
     motion_plots,
     reliability_plot,
     size_plot,
 )
-from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.sections import Block, Fold, Points, Text, section
+from hydro_agents.report.sections import Block, Points, Text, section
 from hydro_agents.report.shared import problems
-from hydro_agents.running.text import Cell, Table, number, setting
+from hydro_agents.running.text import Table, number, setting
 
 PAGE_FILE = "leakage.html"
 
@@ -33,7 +28,6 @@ LEAKAGE = (
     "motions",
     "faults",
     "reliability",
-    "masking",
     "leak_method",
     "run",
 )
@@ -43,9 +37,6 @@ SURE, TOO_OFTEN = 95.0, 10.0
 """Percentages of windows: a leak counts as found; a condition is named for its false alarms."""
 
 MOST_NAMED = 5  # conditions in a cell
-
-SHOWN_LEAK = 0.3
-"""l/min at 100 bar, of the table of verdicts with a leak."""
 
 
 @section("")
@@ -98,31 +89,16 @@ def motions(content: Content) -> list[Block]:
 
 @section("Other faults", needs=("detection",))
 def faults(content: Content) -> list[Block]:
-    """Faults that are mistaken for a leak, and the verdicts for each."""
+    """Faults that are mistaken for a leak."""
     plots = fault_plots(content)
-    tables = confusion_tables(content)
-    if not plots:
-        return []
-    note = Text("Blue: correct; orange: wrong; grey: cannot tell. With a leak, “internal leak” is correct.", "soft")
-    return [
-        Text("A detector is worth little if a worn valve sends the mechanic to the seal."),
-        *plots,
-        *(Fold(caption, [table, note], table is next(iter(tables.values()))) for caption, table in tables.items()),
-    ]
+    note = "A detector is worth little if a worn valve sends the mechanic to the seal. verdicts.csv holds all verdicts."
+    return [Text(note), *plots] if plots else []
 
 
 @section("Reliability of probabilities and intervals", needs=("detection",))
 def reliability(content: Content) -> list[Block]:
     """Calibration of the probability, and coverage of the intervals."""
     return [*reliability_plot(content), *coverage_plots(content)]
-
-
-@section("Does better control hide the leak?", needs=("masking",))
-def masking(content: Content) -> list[Block]:
-    """Detection beside position error, by controller."""
-    plots = masking_plot(content)
-    note = "Feedback hides the leak from the position error, not from the pressures and the valve."
-    return [Text(note), *plots] if plots else []
 
 
 @section("How it was measured", needs=("detection",))
@@ -200,37 +176,3 @@ def _named(labels: list[str]) -> str:
 def level_text(level: float) -> str:
     """A leak level as text."""
     return "healthy" if level == HEALTHY else f"{setting(level)} l/min" if level > 0.0 else "drawn"
-
-
-def confusion_tables(content: Content) -> dict[str, Table]:
-    """Verdicts of each detector for each fault, with a healthy and with a leaking seal, by caption."""
-    table = content.table("verdicts")
-    verdicts = tuple(name for name in table if name not in ("detector", "condition", "level"))
-    conditions = [content.base, *content.in_groups("fault", "plant", "rig")]
-    tables = {}
-    for (detector, level), own in table.groupby(["detector", "level"], sort=False):
-        rows: list[tuple[str | Cell, ...]] = []
-        shares = own.set_index("condition")
-        for condition in [each for each in conditions if each in shares.index]:
-            right = right_verdicts(content, condition, level)
-            cells = (_share_cell(verdict, right, shares[verdict][condition]) for verdict in verdicts)
-            rows.append((content.label(condition), *cells))
-        if len(rows) > 1 and level in (HEALTHY, SHOWN_LEAK):
-            seal = "healthy seal" if level == HEALTHY else f"with a leak of {setting(level)} l/min"
-            caption = f"{detector}: {seal}; share of windows, %"
-            tables[caption] = Table("", ("True state", *verdicts), rows, style="heat")
-    return tables
-
-
-def _share_cell(verdict: str, right: tuple[str, ...], share: float) -> Cell:
-    meaning = "better" if verdict in right else "silent" if verdict == Cause.UNKNOWN.word else "worse"
-    return Cell(number(100.0 * share, 0) if share > 0.0 else "", meaning, round(STRONGEST * share))
-
-
-def right_verdicts(content: Content, condition: str, level: float) -> tuple[str, ...]:
-    """Correct verdicts: the leak if there is one, else the fault, else none."""
-    if level > HEALTHY:
-        return (Cause.INTERNAL_LEAK.word,)
-    changes = content.conditions["changes"].get(condition)
-    faults = json.loads(changes).get("faults", {}) if isinstance(changes, str) and changes else {}
-    return tuple(CAUSE_OF_FAULT[name].word for name in faults) or (Cause.NONE.word,)

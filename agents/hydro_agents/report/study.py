@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.evaluate import Evaluation
 from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
+from hydro_agents.report.canvas import INK, Plot
 from hydro_agents.report.content import Content, shown
+from hydro_agents.report.palette import Look
+from hydro_agents.report.recorded import Line, Signal, course_plot
 from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import findings_of, problems, score_plot, score_text
 from hydro_agents.report.study_plots import tracking_plots
-from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.running.seeds import TEST_SEEDS
-from hydro_agents.running.statistics import RESAMPLES, conditional_value_at_risk
-from hydro_agents.running.text import Table, family_name, number, setting, span
+from hydro_agents.running.statistics import RESAMPLES
+from hydro_agents.running.text import Table, capitalised, family_name, number, setting, span
+from hydro_env.types import Floats
 
 STUDY = (
     "introduction",
@@ -37,6 +41,18 @@ FEW_PLANTS = 12
 
 OVERVIEW = tuple(metric for metric in METRICS.values() if metric.cost or metric.name in FRAMES)
 """Metrics side by side: an error is no result without its cost."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """One test episode under every controller. Arrays (T,)."""
+
+    title: str
+    time: Floats  # s
+    reference: Floats  # m
+    position: dict[str, Floats]  # controller → m
+    command: dict[str, Floats]  # controller → fraction of 10 V
+    leak: float = 0.0  # l/min at 100 bar
 
 
 def tables_of(evaluation: Evaluation) -> dict[str, pd.DataFrame]:
@@ -102,14 +118,12 @@ def positioning(content: Content) -> list[Block]:
         f"{FRAMES_TEXT} Each run lasts one episode; a plant is one draw of the uncertain parameters. Leaks are in "
         f"l/min at 100 bar across the piston; up to {healthy} l/min a seal counts as healthy."
     )
-    ratios = ratio_tables(content)
     return [
         Text(terms),
         overview(content),
         *growth_table(content),
         *score_plot(content, content.table("score")),
         *tracking_plots(content),
-        *([Fold("Ratios of errors", ratios)] if ratios else []),
     ]
 
 
@@ -122,6 +136,32 @@ def one_leak(content: Content) -> list[Block]:
         plots.setdefault(example.leak, []).append(example_plot(example, f"run-{count}", content.looks))
     note = "Single runs: the same plant, reference and noise at every leak."
     return [Text(note), *(Fold(f"Leak of {setting(leak)} l/min", plots[leak]) for leak in sorted(plots))]
+
+
+def example_plot(example: Example, key: str, looks: Mapping[str, Look]) -> Plot:
+    """Position and reference, error in mm, command in V of one episode under every controller.
+
+    Args:
+        example: the episode.
+        key: name of the figure.
+        looks: of the controllers.
+    """
+    time, reference = example.time, example.reference
+    error = {name: 1e3 * (reference - position) for name, position in example.position.items()}
+    positions = {"reference": reference, **example.position}
+    signals = [
+        Signal("position, mm", {name: Line(time, 1e3 * values) for name, values in positions.items()}),
+        Signal("error, mm", {name: Line(time, values) for name, values in error.items()}),
+        Signal("command, V", {name: Line(time, 10.0 * values) for name, values in example.command.items()}),
+    ]
+    means = (f"{name} {number(float(np.mean(np.abs(values))))} mm" for name, values in error.items())
+    note = (
+        f"Mean error of this run: {', '.join(means)}. A controller that sees the reference ahead may start before a "
+        "step."
+    )
+    alt = f"Position, error and valve command over time: {example.title}. {note}"
+    with_reference = {**looks, "reference": Look(INK, "", "-")}
+    return course_plot(key, capitalised(example.title), note, alt, signals, 4.6, with_reference)
 
 
 @section("How it was measured", needs=("cases",))
@@ -179,12 +219,17 @@ def overview(content: Content) -> Table:
         own, ratio = content.rows("cases", controller=name), content.row("ratios", controller=name, group="all")
         accuracy, repeatability, *costs = _means(own)
         score = [shown(content.row("score", controller=name), "score", 0)] * scored
-        tail = number(conditional_value_at_risk(own["mean_error_mm"].to_numpy()))
-        errors = (accuracy, shown(ratio, "ratio", 3), tail, repeatability, shown(ratio, "ratio_sensor", 3))
+        errors = (
+            accuracy,
+            shown(ratio, "ratio", 3),
+            number(own["mean_error_mm"].max()),
+            repeatability,
+            shown(ratio, "ratio_sensor", 3),
+        )
         rows.append((name, *score, *errors, *costs, *([_limit_cycles(content, name)] * still)))
     accuracy, repeatability, *others = _overview_header()
     divided = f"÷ {content.baseline}'s"
-    errors = (accuracy, divided, "worst 5 %, mm", repeatability, divided)
+    errors = (accuracy, divided, "worst run, mm", repeatability, divided)
     header = ("Controller", *["score"] * scored, *errors, *others, *["limit cycles at rest"] * still)
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")
 
@@ -219,23 +264,6 @@ def growth_table(content: Content) -> list[Table]:
     return [Table(f"Mean error with {most} l/min ÷ mean error with {least} l/min, same plants", header, rows)]
 
 
-def ratio_tables(content: Content) -> list[Table]:
-    """Ratios of errors to the first controller; none with one controller."""
-    tables = []
-    for name in content.controllers[1:]:
-        rows = []
-        for row in content.rows("ratios", controller=name).to_dict("records"):
-            label = family_name(row["value"]) or "all runs"
-            if row["group"] == "level":
-                label = f"leak of {setting(float(row['value']))} l/min"
-            better = 100.0 * row["share_of_cases_better"]
-            rows.append((label, shown(row, "ratio", 3), number(better, 0)))
-        against = content.row("ratios", controller=name)["against"]
-        header = ("Runs", "ratio (95 % interval)", "better in, %")
-        tables.append(Table(f"Mean error of {name} over mean error of {against}", header, rows))
-    return tables
-
-
 def terms(content: Content) -> Table:
     """What the words of the page mean: metrics of a run, and others."""
     rows = []
@@ -244,17 +272,14 @@ def terms(content: Content) -> Table:
         rows.append((metric.word, f"{metric.meaning}{unit}", metric.name))
     meanings = {
         "Ratio": "mean error of one controller divided by that of another, on the same runs; below 1 is better",
-        "Worst 5 %": "conditional value at risk (CVaR): mean over the worst 5 % of the runs",
     }
     if content.has("detection_summary"):
         healthy = setting(content.bounds.healthy_up_to)
         meanings |= {
             "False alarm": f"an episode with a healthy seal (up to {healthy} l/min) that is flagged",
             "Detection rate": "share of leaking episodes that are flagged; also called recall",
-            "Precision": "share of flagged episodes that leak; depends on how common leaks are",
             "ROC, area under it": "detection rate over false-alarm rate for all thresholds; the area (AUROC) is the "
             "probability that a leaking episode gets a higher score than a healthy one: 1 is perfect, 0.5 is chance",
-            "Average precision": "precision averaged over recall; chance gives the share of leaking episodes",
         }
     rows += [(term, meaning, "") for term, meaning in meanings.items()]
     return Table("Metrics of a run, and terms", ("Name", "meaning", "in the CSV files"), rows, style="words")

@@ -11,7 +11,6 @@ from hydro_agents.running.text import Table, number
 
 SUMMARY: dict[str, tuple[str, float, int, str]] = {
     "auroc": ("Area under the ROC curve", 1.0, 3, ""),
-    "average_precision": ("Average precision", 1.0, 3, ""),
     "threshold": ("Threshold of the leak probability", 1.0, 3, ""),
     "false_alarm_rate": ("False alarms at this threshold", 100.0, 1, " %"),
     "detection_rate_moderate": ("Moderate and severe leaks flagged at this threshold", 100.0, 1, " %"),

@@ -19,7 +19,6 @@ def tracking_plots(content: Content) -> list[Plot]:
     mean = "Mean over all runs; the tables hold the intervals."
     wear = "Changes of direction that the valve follows; they wear it."
     motions = "Mean over all runs; the motions are the same for every leak."
-    tail = "Mean error of a run, averaged over the worst 5 % of the runs (conditional value at risk)."
     worst, compared = "Mean error of the single worst run.", content.has("ratios")
     return [
         _by_leak(content, *error, "Mean error", mean),
@@ -28,7 +27,6 @@ def tracking_plots(content: Content) -> list[Plot]:
         _by_leak(content, *energy, "Energy from the supply", motions),
         _by_family(content),
         *([_ratios(content)] if compared else []),
-        _by_leak(content, *error, "Worst 5 % of the runs", tail, "cvar_5_percent"),
         _by_leak(content, *error, "Worst run", worst, "worst"),
     ]
 

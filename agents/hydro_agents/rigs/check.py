@@ -204,12 +204,10 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
     here = {leak: f"{_position(place)}, {leak_text(leak)}" for leak in LEAKS}
     rows, sampled = [], []
     for leak, plant in leaky.items():
-        healthy = leak == HEALTHY_LEAK
         thumb, gain = _figure(_rule_of_thumb, plant, place), _figure(partial(_largest_gain, task), plant, place)
-        key = "rule of thumb" if healthy else ""
-        rows.append(Row(group, "gain 2 ζ ω / speed (no sampling)", here[leak], thumb, "1/m", key))
-        sampled.append(Row(group, timed, here[leak], gain, "1/m", "gain here" if healthy else ""))
-        at, key = f"{span}, {leak_text(leak)}", "gain over the reach" if healthy else ""
+        rows.append(Row(group, "gain 2 ζ ω / speed (no sampling)", here[leak], thumb, "1/m"))
+        sampled.append(Row(group, timed, here[leak], gain, "1/m"))
+        at, key = f"{span}, {leak_text(leak)}", "gain over the reach" if leak == HEALTHY_LEAK else ""
         sampled.append(Row(group, largest, at, _gain(over_reach[leak]), "1/m", key))
     within = f"worst of {DRAWN} plants in the ranges, {leak_text(HEALTHY_LEAK)}"
     sampled.append(Row(group, largest, within, _gain(worst), "1/m", "gain in the ranges"))

@@ -30,20 +30,6 @@ from hydro_env.units import FULL_VOLTAGE
 CSV_FILE = "check.csv"
 HEADINGS = ("quantity", "at", "value", "unit")
 WEAK_DAMPING = 0.05  # damping ratio below which an axis rings: after five periods a step still oscillates by a fifth
-_PUMP = ("supply.model", ("pump", "accumulator"))
-_ACCUMULATOR = ("supply.model", ("accumulator",))
-USED_WITH = {
-    "valve.coil_inductance": ("valve.model", ("drive",)),
-    "friction.bristle_stiffness": ("friction.model", ("lugre",)),
-    "friction.bristle_damping": ("friction.model", ("lugre",)),
-    "supply.line_volume": ("supply.model", ("pump",)),
-    "supply.pump_flow": _PUMP,
-    "supply.relief_slope": _PUMP,
-    "supply.accumulator_volume": _ACCUMULATOR,
-    "supply.precharge_pressure": _ACCUMULATOR,
-    "supply.polytropic_index": _ACCUMULATOR,
-}
-"""Fields that act with some choices of another field alone."""
 
 
 def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, str]]:
@@ -105,13 +91,11 @@ def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:
 
 
 def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[tuple[str, list[str]]]:
-    """Fields that the content of a rig's file lacks and that have an effect, with their default values, by group."""
+    """Fields that the content of a rig's file lacks, with their default values, by group."""
     own, unset = parameters.model_dump(), []
     for path in PARAMETER_PATHS:
         group, field = path.split(".")
-        choice, needed = USED_WITH.get(path, ("", ()))
-        acts = not choice or own[choice.split(".")[0]]["model"] in needed
-        if acts and field not in (values.get(group) or {}):
+        if field not in (values.get(group) or {}):
             value = own[group][field]
             unset.append((group, f"{field} = {value:.4g}" if isinstance(value, float) else f"{field} = {value}"))
     return [(group, [entry for _, entry in entries]) for group, entries in groupby(unset, key=lambda pair: pair[0])]
@@ -135,7 +119,7 @@ def check_to_console(
     given = read_rig(rig) if rig is not None else Rig(PlantParameters(), {}, {}, "rig")
     task = timed_task(None, rig, period, latency, "check-rig")
     rows = [*check_rig(given.plant, given.source, task), position_accuracy(given, task)]
-    warnings, note = implausible(given.plant), stability_note(rows)
+    warnings = implausible(given.plant)
     title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(given)}"
     files = []
     if folder is not None:
@@ -149,8 +133,6 @@ def check_to_console(
     for line in (title, *warnings):
         console.print(line, soft_wrap=True)
     console.print(facts)
-    if note:
-        console.print("", note, sep="\n")
     for entry in _assumed(rig, given.plant):
         console.print(entry)
     first = {row.group: place for place, row in reversed(list(enumerate(rows)))}
@@ -189,14 +171,6 @@ def check_csv(rows: list[Row]) -> str:
     table = pd.DataFrame([row._replace(value=row.text(9)) for row in rows]).drop(columns="key")
     text: str = table.to_csv(index=False, lineterminator="\n")
     return text
-
-
-PHASE_STABLE = (
-    "above 2 ζ ω / speed the loop gain at the resonance exceeds 1, and the loop is stable only because valve, sampling "
-    "and latency shift the phase there; this holds around one natural frequency, depends on period and latency, and "
-    "fails when the frequency varies."
-)
-FAR_APART = 2.0  # ratio of the two gains above which the table explains it
 
 
 class Plausible(NamedTuple):
@@ -246,20 +220,6 @@ PLAUSIBLE = (
         "kg or t",
     ),
 )
-
-
-def stability_note(rows: Sequence[Row]) -> str:
-    """Why the textbook's gain and the largest stable one differ; empty if they hardly do."""
-    figures = {row.key: row for row in rows}
-    textbook, largest = figures["rule of thumb"], figures["gain here"]
-    if isinstance(textbook.value, str) or isinstance(largest.value, str):
-        return ""
-    ratio = largest.value / textbook.value if textbook.value > 0.0 else 0.0
-    return (
-        f"The largest stable gain is {ratio:.2g} times 2 ζ ω / speed = {textbook.text(3)} 1/m: {PHASE_STABLE}"
-        if ratio >= FAR_APART
-        else ""
-    )
 
 
 def position_accuracy(rig: Rig, task: TaskConfig) -> Row:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -123,7 +123,6 @@ def run_cases(
     signal_columns: Sequence[int] | NDArray[np.int64] | None = None,
     states: bool = True,
     chunk: int = 2048,
-    progress: Callable[[int], None] | None = None,
 ) -> Rollout:
     """Run one episode of every case with a controller.
 
@@ -134,7 +133,6 @@ def run_cases(
         signal_columns: columns of the observation to keep.
         states: keep positions, commands and so on as well.
         chunk: number of cases that run together; does not change results.
-        progress: called with the number of finished cases.
 
     Raises:
         ControllerError: the controller has no ``predict``, raised an exception, or did not return finite commands (N,
@@ -151,11 +149,7 @@ def run_cases(
         ((4, 100), [-1, -1, -1, -1])
     """
     check_predict(controller)
-    parts: list[Rollout] = []
-    for part in cases.chunks(chunk):
-        parts.append(_run_chunk(config, controller, part, signal_columns, states))
-        if progress is not None:
-            progress(min(len(parts) * chunk, len(cases)))
+    parts = [_run_chunk(config, controller, part, signal_columns, states) for part in cases.chunks(chunk)]
     joined: dict[str, Any] = {}
     for name in Rollout.__dataclass_fields__:
         values = [getattr(part, name) for part in parts]

@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 MOST_DECIMALS = 9
 
 
-def number(value: float, decimals: int | None = None, digits: int = 3, signed: bool = False) -> str:
+def number(value: float, decimals: int | None = None, digits: int = 3) -> str:
     """A number with ``digits`` significant digits, or with ``decimals`` decimals; without exponent; – for NaN.
 
-    The minus is a minus sign (−), and zero has no sign; ``signed`` adds a plus to positive numbers.
+    The minus is a minus sign (−), and zero has no sign.
     """
     if not np.isfinite(value):
         return "–" if np.isnan(value) else "∞" if value > 0 else "−∞"
-    text = f"{value:{'+' if signed else ''}.{decimals_for(value, digits) if decimals is None else decimals}f}"
-    return text.lstrip("+-") if float(text) == 0.0 else text.replace("-", "−")
+    text = f"{value:.{decimals_for(value, digits) if decimals is None else decimals}f}"
+    return text.lstrip("-") if float(text) == 0.0 else text.replace("-", "−")
 
 
 def decimals_for(size: float, digits: int = 3) -> int:

@@ -21,8 +21,7 @@ from hydro_env import ConfigurationError
 from hydro_env.files import Group, write_whole
 
 Tensors = Mapping[str, NDArray[Any]]
-FORMAT_VERSION = 1  # of checkpoints, and of weights without a digest, which older versions wrote
-DIGEST_VERSION = 2  # of weights whose JSON holds a digest of tensors and settings
+CHECKPOINT_VERSION, WEIGHTS_VERSION = 1, 2
 LARGEST_FILE = 2**31  # largest size of a file of weights or a checkpoint in bytes; a larger one must be a mistake
 _DESCRIPTION, _DIGEST = "description", "digest"
 _OPTIMISER = "optimiser."
@@ -69,56 +68,35 @@ def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mappin
     """
     weights, description = weight_files(path)
     content = _packed(tensors)
-    stored = {"format": f"hydro_env {kind}", "format_version": DIGEST_VERSION, **settings}
-    stored[_DIGEST] = _digest_of_weights(content, stored)
+    stored = {"format": f"hydro_env {kind}", "format_version": WEIGHTS_VERSION, **settings}
+    stored[_DIGEST] = digest_of_weights(content, stored)
     write_whole(weights, content)
     write_whole(description, (json.dumps(stored, indent=2) + "\n").encode())
     return weights
 
 
 def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read weights and settings; ``path`` is their name, or a folder that :func:`weights_in` understands.
+    """Read weights and settings; ``path`` is their name.
 
     Raises:
         ConfigurationError: a file is missing, unreadable, damaged, changed since it was written, or of another kind.
     """
-    weights, description = weight_files(weights_in(path) or path)
-    settings = _described(_content(description), kind, description, (FORMAT_VERSION, DIGEST_VERSION))
-    content = _content(weights)
-    if settings["format_version"] == DIGEST_VERSION:
-        digest = settings.pop(_DIGEST, None)
-        if digest != _digest_of_weights(content, settings):
-            raise ConfigurationError(f"{weights}: damaged: it and {description.name} differ from their digest")
+    weights, description = weight_files(path)
+    settings = _described(_content(description), kind, description, WEIGHTS_VERSION)
+    content, digest = _content(weights), settings.pop(_DIGEST, None)
+    if digest != digest_of_weights(content, settings):
+        raise ConfigurationError(f"{weights}: damaged: it and {description.name} differ from their digest")
     return _unpacked(content, weights), settings
 
 
 def kind_of_weights(path: str | Path) -> str:
-    """The kind that the JSON of weights names; empty: there are no weights with this name, or in this folder."""
-    weights, description = weight_files(weights_in(path) or path)
+    """The kind that the JSON of weights names; empty: there are no weights with this name."""
+    weights, description = weight_files(path)
     if not (weights.is_file() and description.is_file()):
         return ""
     with suppress(ValueError, AttributeError):  # no JSON, or no mapping
         return str(json.loads(_content(description)).get("format", "")).removeprefix("hydro_env ")
     return ""
-
-
-def weights_in(path: str | Path) -> Path | None:
-    """The weights in a folder as model hubs hand them out: one ``NAME.safetensors`` beside its JSON, and a card.
-
-    ``None``: the path is no folder, or one without any file of tensors.
-
-    Raises:
-        ConfigurationError: the folder holds several weights, or only those of another library.
-    """
-    folder = Path(path)
-    tensors = sorted(folder.glob("*.safetensors")) if folder.is_dir() else []
-    own = [file.with_suffix("") for file in tensors if file.with_suffix(".json").is_file()]
-    if tensors and not own:
-        raise ConfigurationError(f"{folder}: {tensors[0].name} has no JSON file of hydro_env beside it")
-    if len(own) > 1:
-        names = ", ".join(file.name for file in own)
-        raise ConfigurationError(f"{folder}: holds several weights: {names}; name one of them")
-    return own[0] if own else None
 
 
 def weight_files(path: str | Path) -> tuple[Path, Path]:
@@ -140,7 +118,7 @@ def save_checkpoint(path: Path, kind: str, tensors: Tensors, description: Mappin
     Raises:
         ConfigurationError: the folder cannot be written.
     """
-    text = json.dumps({"format": f"hydro_env {kind}", "format_version": FORMAT_VERSION, **description})
+    text = json.dumps({"format": f"hydro_env {kind}", "format_version": CHECKPOINT_VERSION, **description})
     content = {**tensors, _DESCRIPTION: np.frombuffer(text.encode(), dtype=np.uint8)}
     write_whole(path, _packed({**content, _DIGEST: _digest(content)}))
 
@@ -155,7 +133,7 @@ def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], dic
     digest = tensors.pop(_DIGEST, None)
     if digest is None or _DESCRIPTION not in tensors or not np.array_equal(digest, _digest(tensors)):
         raise ConfigurationError(f"{path}: damaged, or not a checkpoint of this version")
-    return tensors, _described(tensors.pop(_DESCRIPTION).tobytes(), kind, path)
+    return tensors, _described(tensors.pop(_DESCRIPTION).tobytes(), kind, path, CHECKPOINT_VERSION)
 
 
 def require(tensors: Tensors, wanted: Tensors, where: str | Path, finite: bool = True) -> None:
@@ -187,7 +165,7 @@ def _digest(tensors: Tensors) -> NDArray[np.uint8]:
     return np.frombuffer(hashlib.sha256(_packed(tensors)).digest(), dtype=np.uint8)
 
 
-def _digest_of_weights(content: bytes, settings: Mapping[str, Any]) -> str:
+def digest_of_weights(content: bytes, settings: Mapping[str, Any]) -> str:
     """Digest of the file of tensors and of the settings, whatever the layout of their JSON."""
     text = json.dumps(json.loads(json.dumps(settings)), sort_keys=True)
     return hashlib.sha256(hashlib.sha256(content).digest() + text.encode()).hexdigest()
@@ -211,14 +189,14 @@ def _unpacked(content: bytes, path: Path) -> dict[str, NDArray[Any]]:
         raise ConfigurationError(f"{path}: damaged or not a safetensors file of NumPy arrays ({reason})") from None
 
 
-def _described(text: bytes, kind: str, path: Path, versions: tuple[int, ...] = (FORMAT_VERSION,)) -> dict[str, Any]:
+def _described(text: bytes, kind: str, path: Path, version: int) -> dict[str, Any]:
     try:
         settings: Any = json.loads(text.decode())
     except (ValueError, RecursionError):  # ValueError: also for bytes that are not text, and integers of 5000 digits
         raise ConfigurationError(f"{path}: not a JSON file") from None
     named = settings.get("format") if isinstance(settings, dict) else None
-    if named != f"hydro_env {kind}" or settings.get("format_version") not in versions:
-        must = f"'hydro_env {kind}' of format {' or '.join(map(str, versions))}"
+    if named != f"hydro_env {kind}" or settings.get("format_version") != version:
+        must = f"'hydro_env {kind}' of format {version}"
         raise ConfigurationError(f"{path}: holds {str(named)[:60]!r}: must be {must}")
     return dict(settings)
 

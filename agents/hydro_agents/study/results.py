@@ -22,9 +22,8 @@ from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import shipped_weights
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.sections import render_page
-from hydro_agents.report.study import STUDY, content_of, overview, tables_of
+from hydro_agents.report.study import STUDY, Example, content_of, overview, tables_of
 from hydro_agents.report.study_detection import summary_table
-from hydro_agents.report.traces import Example
 from hydro_agents.running.cases import Cases, run_cases, validation_errors
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.machine import date_now, machine_description, package_versions

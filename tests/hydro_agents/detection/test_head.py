@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from refusal import undigested
+from refusal import redigested
 from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
@@ -105,12 +105,14 @@ def test_round_trip(head, tmp_path):
     assert again.settings.threshold == head.settings.threshold
     with pytest.raises(ConfigurationError, match=r"T\) with T of at least 80"):
         head.estimate_windows(signals[:, :, :79])
-    stored = undigested(tmp_path / "head.json")
+    stored = json.loads((tmp_path / "head.json").read_text())
     (tmp_path / "head.json").write_text(json.dumps(stored | {"signals": ["flow"]}))
+    redigested(tmp_path / "head")
     with pytest.raises(ConfigurationError, match="other signals or features than"):
         LeakageHead.load(tmp_path / "head")
     del stored["features"]
     (tmp_path / "head.json").write_text(json.dumps(stored))
+    redigested(tmp_path / "head")
     with pytest.raises(ConfigurationError, match="features"):
         LeakageHead.load(tmp_path / "head")
 

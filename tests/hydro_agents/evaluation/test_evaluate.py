@@ -259,7 +259,7 @@ def test_summary_of_every_metric(by):
         values = CASES[(CASES["controller"] == row.controller) & (CASES[by] == getattr(row, by))][row.metric]
         assert row.mean == pytest.approx(values.mean())
         assert row.low < row.mean < row.high
-        assert row.worst == row.cvar_5_percent == values.max()  # one in twenty of eight is one
+        assert row.worst == values.max()
         assert (row.cases, row.unit) == (2 * PLANTS, METRICS[row.metric].unit)
 
 

@@ -56,15 +56,7 @@ def test_the_calibration_error_is_the_distance_of_probability_and_frequency(made
     assert mine["error"].iloc[0] == pytest.approx(0.2)
 
 
-def test_masking_sets_detection_beside_the_position_error(made):
-    mine = made["masking"][(made["masking"]["detector"] == "head") & (made["masking"]["level"] == 0.1)].set_index(
-        "acting"
-    )
-    assert mine.loc["ADRC", "error_mm"] < mine.loc["PID", "error_mm"]
-    assert mine["at_1_percent"].to_dict() == {"PID": 0.7, "ADRC": 0.5}
-
-
 def test_every_table_is_written(made, tmp_path):
     made_up_run().write(tmp_path)
     assert {file.stem for file in tmp_path.glob("*.csv")} == set(made)
-    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "masking.csv"), made["masking"].reset_index(drop=True))
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "thresholds.csv"), made["thresholds"].reset_index(drop=True))

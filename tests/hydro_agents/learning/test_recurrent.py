@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from refusal import refused, undigested
+from refusal import redigested, refused
 from safetensors.numpy import load_file, save_file
 
 from hydro_agents.controllers import PID, PIDGains
@@ -84,8 +84,8 @@ def test_an_interrupted_training_ends_as_an_uninterrupted_one_bit_for_bit(tmp_pa
 def test_damaged_weights_and_a_told_critic_are_refused(missing, tmp_path):
     file = train(tmp_path, total_steps=96).save(tmp_path / "policy")
     tensors = load_file(file)
-    undigested(file.with_suffix(".json"))
     save_file({name: value for name, value in tensors.items() if name != missing}, file)
+    redigested(file)
     with refused(missing):
         PolicyController.load(file)
     with pytest.raises(ValueError, match="a recurrent policy cannot have one"):

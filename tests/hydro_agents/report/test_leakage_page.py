@@ -8,7 +8,7 @@ from published import assert_published_page
 from small_leaks import made_up_tables
 
 from hydro_agents.report.content import Content
-from hydro_agents.report.leakage import LEAKAGE, confusion_tables, findings_table, leak_findings, right_verdicts
+from hydro_agents.report.leakage import LEAKAGE, findings_table, leak_findings
 from hydro_agents.report.sections import render_page
 
 
@@ -35,24 +35,6 @@ def test_without_confusions_and_silence_the_findings_say_so():
     made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"]}
     rows = findings_table(Content(made, others={"base": "plain"})).rows
     assert [row[4:] for row in rows] == [("none", "none")] * 2
-
-
-def rows_of(table):
-    """Cells by column, by the name of the row."""
-    return {label: dict(zip(table.header[1:], cells, strict=True)) for label, *cells in table.rows}
-
-
-def test_right_verdicts_are_blue_and_wrong_ones_orange(content):
-    assert right_verdicts(content, "plain", 0.0) == ("none",)
-    assert right_verdicts(content, "null", 0.0) == ("valve fault",)
-    assert right_verdicts(content, "null", 0.3) == ("internal leak",)
-    found = {caption.split(";")[0]: table for caption, table in confusion_tables(content).items()}
-    head = rows_of(found["head: healthy seal"])["valve null −1 %"]
-    leak = head["internal leak"]
-    assert leak.text == "60"
-    assert (leak.meaning, leak.share) == ("worse", 30)  # 60 % of half the colour
-    right = rows_of(found["estimator: healthy seal"])["valve null −1 %"]["valve fault"]
-    assert (right.text, right.meaning, right.share) == ("20", "better", 10)
 
 
 def test_the_page_stands_alone_and_says_who_did_not_run(page):

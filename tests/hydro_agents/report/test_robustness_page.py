@@ -2,7 +2,6 @@
 
 import re
 
-import numpy as np
 import pytest
 from browser import problems_everywhere
 from contrast import contrast, mixed
@@ -10,20 +9,21 @@ from made_up_tables import experiment_tables, protocol_tables
 from published import assert_published_page
 
 from hydro_agents.report.content import Content
-from hydro_agents.report.experiments import cycles_by_condition, standstill, stiffness_table
 from hydro_agents.report.palette import MEANINGS, NEUTRALS
-from hydro_agents.report.robustness import ROBUSTNESS, heat_map, ranking_table
+from hydro_agents.report.robustness import (
+    ROBUSTNESS,
+    cycles_by_condition,
+    heat_map,
+    ranking_table,
+    standstill,
+    stiffness_table,
+)
 from hydro_agents.report.sections import render_page
-from hydro_agents.report.traces import Example
 
 
 @pytest.fixture(scope="module")
 def content():
-    tables = protocol_tables()
-    time = np.arange(2.0)
-    example = Example("Worst case 1 of Good", time, time, {"Good": np.ones(2)}, {"Good": np.ones(2)})
-    others = {"traces": [example]}
-    return Content({**tables, **experiment_tables()}, others=others)
+    return Content({**protocol_tables(), **experiment_tables()})
 
 
 @pytest.fixture(scope="module")

@@ -1,21 +1,18 @@
 """A model card holds the numbers of the tables, in a head that hubs read, and code that runs."""
 
-import hashlib
 import json
 import re
 from types import SimpleNamespace
 
-import numpy as np
 import pandas as pd
 import pytest
 import yaml
 
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.learning.opponents import opponent, shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.folders import pretrained_folder
-from hydro_agents.running.weights import kind_of_weights
 from hydro_agents.study.model_cards import card_file, controller_card, head_card
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 
 SHIPPED = sorted(pretrained_folder().glob("*.safetensors"))
 NAME = "PPO on flow linearisation"
@@ -155,55 +152,3 @@ def test_the_card_beside_shipped_weights_is_theirs_and_its_code_runs(weights):
 )
 def test_any_name_gives_a_file_in_its_folder(name, file):
     assert card_file(name) == file
-
-
-def snapshot(root, files):
-    """A folder as the cache of a model hub has it: links to blobs that are named by their hash."""
-    folder = root / "models--someone--axis" / "snapshots" / "0123abcd"
-    blobs = folder.parents[1] / "blobs"
-    folder.mkdir(parents=True)
-    blobs.mkdir()
-    for name, content in files.items():
-        blob = blobs / hashlib.sha256(content).hexdigest()
-        blob.write_bytes(content)
-        (folder / name).symlink_to(blob)
-    return folder
-
-
-def files_of(name):
-    found = {f"{name}.{end}": (pretrained_folder() / f"{name}.{end}").read_bytes() for end in ("safetensors", "json")}
-    return found | {"README.md": (pretrained_folder() / f"{name}.md").read_bytes(), ".gitattributes": b""}
-
-
-def test_weights_load_from_a_folder_of_a_model_hub(tmp_path, policy):
-    assert b"library_name: hydro_env\n" in files_of("policy")["README.md"]
-    renamed = {name.replace("policy.", "model."): content for name, content in files_of("policy").items()}
-    observation = np.full((3, len(policy.features.layout.names)), 0.1, dtype=np.float32)
-    for place, files in enumerate((files_of("policy"), renamed)):
-        folder = snapshot(tmp_path / str(place), files)
-        found = opponent(str(folder), TaskConfig(), "from the hub")
-        np.testing.assert_array_equal(found.predict(observation)[0], policy.predict(observation)[0])
-    folder = snapshot(tmp_path / "head", files_of("leakage_head"))
-    assert kind_of_weights(folder) == "leakage head"
-    assert (
-        LeakageHead.load(folder).settings.window
-        == LeakageHead.load(pretrained_folder() / "leakage_head").settings.window
-    )
-    with pytest.raises(ConfigurationError, match="must be 'hydro_env policy'"):
-        opponent(str(folder), TaskConfig(), "from the hub")
-
-
-def test_a_folder_of_a_model_hub_without_weights_of_this_library_is_refused_with_one_line(tmp_path):
-    several = snapshot(tmp_path / "several", files_of("policy") | files_of("leakage_head"))
-    # Beside other weights, those called policy are the controller.
-    assert type(opponent(str(several), TaskConfig(), "from the hub")).__name__ == "PolicyController"
-    with pytest.raises(ConfigurationError, match="holds several weights: leakage_head, policy; name one of them"):
-        LeakageHead.load(several)
-    card = b"---\nlibrary_name: diffusers\n---\n"
-    foreign = snapshot(tmp_path / "foreign", {"model.safetensors": b"", "README.md": card})
-    with pytest.raises(ConfigurationError, match="no JSON file of hydro_env beside it"):
-        opponent(str(foreign), TaskConfig(), "from the hub")
-    half = files_of("policy")
-    half["policy.json"] = half["policy.json"].replace(b'"residual_scale": 0.2', b'"residual_scale": 0.3')
-    with pytest.raises(ConfigurationError, match="differ from their digest"):
-        opponent(str(snapshot(tmp_path / "half", half)), TaskConfig(), "from the hub")

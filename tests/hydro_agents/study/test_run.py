@@ -13,7 +13,6 @@ import yaml
 from published import assert_published
 
 from hydro_agents.commands.evaluate import evaluate
-from hydro_agents.commands.options import named_agents
 from hydro_agents.commands.study import train
 from hydro_agents.detection import dataset
 from hydro_agents.study import results, training
@@ -278,14 +277,6 @@ def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
         with pytest.raises(ConfigurationError, match=message):
             train(what, tmp_path / "new", file, **options)
     assert not (tmp_path / "new").exists()
-
-
-def test_agents_of_the_command_line():
-    assert named_agents(None) == {}
-    assert named_agents(["a=m:b", "c d=path/with=sign"]) == {"a": "m:b", "c d": "path/with=sign"}
-    for texts, message in ((["a"], "must be NAME="), (["=m:b"], "must be NAME="), (["a=x:y", "a=z:y"], "given twice")):
-        with pytest.raises(ConfigurationError, match=message):
-            named_agents(texts)
 
 
 def test_a_study_on_another_rig_tunes_first_and_can_be_resumed(algorithm, settings, tmp_path, capsys):
