@@ -85,7 +85,9 @@ def test_without_figures_there_is_no_verdict():
 
 def test_the_command_writes_what_the_documentation_shows(folder):
     """The figures of this test have fewer leaks than those of the documentation; the verdicts are the same."""
-    written, kept = (pd.read_csv(file, comment="#")[["conclusion", "verdict"]] for file in (folder / "verdicts.csv", KEPT))
+    written, kept = (
+        pd.read_csv(file, comment="#")[["conclusion", "verdict"]] for file in (folder / "verdicts.csv", KEPT)
+    )
     pd.testing.assert_frame_equal(written, kept)
     page = (folder / "page.html").read_text(encoding="utf-8")
     assert all(conclusion in page for conclusion in kept["conclusion"])
