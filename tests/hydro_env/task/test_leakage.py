@@ -30,6 +30,13 @@ def test_leaks_are_log_uniform_within_healthy_and_faulty_range():
     assert stats.kstest(flow[~healthy], stats.loguniform(0.1, 4.0).cdf).pvalue > 1e-3
 
 
+def test_where_a_leak_begins_says_nothing_about_where_it_ends():
+    envs = ServoHydraulicVectorEnv(COUNT, leakage={"schedule": "growth", "healthy_share": 0.0})
+    envs.reset(seed=0)
+    start, target = (np.log(envs.axes.column(name)) for name in ("leak_start_flow", "leak_target_flow"))
+    assert stats.pearsonr(start, target).pvalue > 1e-3
+
+
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.6, 1.0])
 def test_share_of_healthy_seals(share):
     info = leaks(healthy_share=share)
