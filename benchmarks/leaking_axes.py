@@ -43,7 +43,6 @@ from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
 ENTRIES = Path(__file__).parents[1] / "challenge/entries"
 WINDOW = 2.0  # s
-HALVES = 100
 
 PROGRAMS: dict[str, tuple[str, bool]] = {
     "random forest, signals only": ("forest", True),
@@ -152,7 +151,7 @@ def program_predictions(name: str, data: Path, split: str, output: Path) -> pd.D
 def ranking_on_halves(scores: list[Score]) -> str:
     """Kendall's tau between the rankings of two halves of the recordings."""
     generator, taus = np.random.default_rng(0), []
-    for _ in range(HALVES):
+    for _ in range(100):
         first = generator.random(len(scores[0].outcomes.tier)) < 0.5
         ranks = [[one.outcomes.part(half).found_share for one in scores] for half in (first, ~first)]
         taus.append(kendalltau(*ranks).statistic)

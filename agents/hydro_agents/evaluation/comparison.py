@@ -1,4 +1,4 @@
-"""Compares controllers on the same cases: ratios, shares and gaps, each with its interval."""
+"""Compares controllers on the same cases: ratios, shares, probabilities and gaps, each with its interval."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from hydro_agents.running.statistics import (
     RESAMPLES,
     Interval,
     Weights,
+    improvements,
+    interquartile_means,
     interval,
     means,
     plant_weights,
@@ -156,7 +158,9 @@ class Grid:
             "equal_weight": _geometric_mean(_ratios(mine, theirs, kinds)),
             "ratio_sensor": sensed.mean / their_sensed.mean,
             "equal_weight_sensor": _geometric_mean(_ratios(sensed, their_sensed, kinds)),
+            "iqm_ratio": interquartile_means(ratios, mine.weights),
             "share_better": means(better, mine.weights),
+            "probability_of_improvement": improvements(mine.values, theirs.values, mine.weights, theirs.weights.seeds),
         }
         row: dict[str, float] = {}
         for name, resampled in statistics.items():
