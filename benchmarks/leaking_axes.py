@@ -53,12 +53,13 @@ PROGRAMS: dict[str, tuple[str, bool]] = {
 }
 """Folder of each program, and whether it gets the signals only."""
 
-OWN: dict[str, tuple[Callable[[], Detector], float, int]] = {
-    "leakage head": (HeadDetector.load, 1.0, 10),
-    "estimator, every 12 s": (lambda: EstimatorDetector({}), 12.0, 1),
-    "two-stage": (lambda: TwoStageDetector(HeadDetector.load()), 1.0, 10),
+OWN: dict[str, tuple[Callable[[], Detector], float, int, float]] = {
+    "leakage head": (HeadDetector.load, 1.0, 10, 1.0),
+    "estimator, every 12 s": (lambda: EstimatorDetector({}), 12.0, 2, 1.5),
+    "two-stage": (lambda: TwoStageDetector(HeadDetector.load()), 1.0, 10, 1.5),
 }
-"""The project's own detectors, the seconds between two looks, and the looks whose mean is the score."""
+"""The project's own detectors, the seconds between two looks, the looks whose mean is the score, and by how much their
+intervals are widened. The estimator's were chosen on the validation split."""
 
 
 def axes_of(data: Path, split: str) -> Iterator[tuple[TaskConfig, float, NDArray[np.int64], Floats]]:
@@ -113,7 +114,7 @@ def _looks(reading: Reading, numbers: NDArray[np.int64], time: Floats, unit: flo
         {
             "recording": numbers,
             "time": time,
-            "score": np.where(reading.answers, reading.score / scale, np.nan),
+            "score": reading.score / scale,  # evidence counts also where the detector gives no answer
             "probability": reading.probability,
             "cause": np.where(leaks, Cause.INTERNAL_LEAK.word, np.array(words, dtype=object)),
             "size": reading.flow_lpm,
@@ -125,10 +126,12 @@ def _looks(reading: Reading, numbers: NDArray[np.int64], time: Floats, unit: flo
 
 def own_predictions(name: str, data: Path, split: str, jobs: int) -> pd.DataFrame:
     """The predictions of one of the project's own detectors; the score is the mean of the last looks."""
-    make, every, lasting = OWN[name]
+    make, every, lasting, wider = OWN[name]
     work = (delayed(read_axis)(make, every, *axis) for axis in axes_of(data, split))
     table = pd.concat(Parallel(jobs)(work), ignore_index=True).sort_values(["recording", "time"], ignore_index=True)
     table["score"] = table.groupby("recording")["score"].transform(lambda s: s.rolling(lasting, 1).mean())
+    for end in ("low", "high"):
+        table[end] = (table["size"] + wider * (table[end] - table["size"])).clip(lower=0.0)
     return table
 
 
