@@ -157,7 +157,8 @@ def curve_plot(
             at = np.array([places.get(x, x) for x in frame.index]) + dodge(len(frames), count, gap)
             if drawn == "band" or "low" not in frame:
                 stroke = look.stroke | ({"linestyle": "none"} if drawn in ("points", "rows") else {})
-                axes.plot(at, frame["value"], marker=look.marker, label=name, **stroke)
+                place = (frame["value"], at) if drawn == "rows" else (at, frame["value"])
+                axes.plot(*place, marker=look.marker, label=name, **stroke)
                 if "low" in frame:
                     axes.fill_between(at, frame["low"], frame["high"], color=look.colour, alpha=0.2, linewidth=0)
             elif frame["value"].notna().any():

@@ -3,9 +3,10 @@
 import pandas as pd
 import pytest
 
-from hydro_agents.report.canvas import make_plot
+from hydro_agents.report.canvas import curve_plot, make_plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.leakage import LEAKAGE
+from hydro_agents.report.palette import Look
 from hydro_agents.report.robustness import ROBUSTNESS
 from hydro_agents.report.sections import (
     Fold,
@@ -22,6 +23,16 @@ from hydro_env import ConfigurationError
 
 def plot(key):
     return make_plot(key, key, "", key, lambda figure: figure.subplots().plot([0.0, 1.0], [0.0, 1.0]))
+
+
+@pytest.mark.parametrize("drawn", ["points", "rows"])
+def test_points_without_intervals_stand_at_their_values(monkeypatch, drawn):
+    seen = []
+    looks = {"PID": Look("#123456", "o", "-")}
+    curve_plot("x", "X", "", {"PID": pd.Series([3.0, 7.0], ["a", "b"])}, looks, "", seen.append, drawn=drawn)
+    (line,) = seen[0].lines
+    shown = line.get_xdata() if drawn == "rows" else line.get_ydata()
+    assert list(shown) == [3.0, 7.0]
 
 
 def test_every_page_names_registered_sections_and_two_pages_share_some():
