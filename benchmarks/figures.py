@@ -18,7 +18,7 @@ from typing import Any
 
 import yaml
 
-from hydro_agents.running.machine import date_now, package_versions
+from hydro_agents.running.machine import Origin
 from hydro_env.files import write_text
 
 PLAN: list[dict[str, Any]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
@@ -30,7 +30,7 @@ def compute(entry: dict[str, Any], folder: Path) -> None:
     own = Path(sys.executable).parent
     words = shlex.split(entry["command"].replace("results/", f"{folder.parent}/"))
     folder.mkdir(parents=True, exist_ok=True)
-    origin = {"command": entry["command"], "date": date_now(), **package_versions()}
+    origin = Origin.now(entry["command"])
     with open(folder / "printed.txt", "w", encoding="utf-8") as kept:
         with subprocess.Popen([own / words[0], *words[1:]], stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
@@ -39,7 +39,7 @@ def compute(entry: dict[str, Any], folder: Path) -> None:
                 kept.write(line)
         if process.returncode:
             sys.exit(f"{entry['folder']}: the command ended with {process.returncode}; the next call goes on here")
-    write_text(folder / ORIGIN, json.dumps(origin, indent=2))
+    write_text(folder / ORIGIN, json.dumps(origin._asdict(), indent=2))
 
 
 def main() -> None:
@@ -53,9 +53,8 @@ def main() -> None:
     for entry in chosen:
         folder = given.results / entry["folder"]
         done = (folder / ORIGIN).is_file()
-        print(
-            f"{entry['folder']}: {'done' if done else str(entry['minutes']) + ' min'}, {entry['command']}", flush=True
-        )
+        state = "done" if done else f"{entry['minutes']} min"
+        print(f"{entry['folder']}: {state}, {entry['command']}", flush=True)
         if not (done or given.list):
             compute(entry, folder)
     if not given.list:
@@ -63,4 +62,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit("stopped; the next call goes on here")

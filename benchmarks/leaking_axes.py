@@ -16,7 +16,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -43,6 +43,7 @@ from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
 ENTRIES = Path(__file__).parents[1] / "challenge/entries"
 WINDOW = 2.0  # s
+HALVES = 100
 
 PROGRAMS: dict[str, tuple[str, bool]] = {
     "random forest, signals only": ("forest", True),
@@ -53,13 +54,23 @@ PROGRAMS: dict[str, tuple[str, bool]] = {
 }
 """Folder of each program, and whether it gets the signals only."""
 
-OWN: dict[str, tuple[Callable[[], Detector], float, int, float]] = {
-    "leakage head": (HeadDetector.load, 1.0, 10, 1.0),
-    "estimator, every 12 s": (lambda: EstimatorDetector({}), 12.0, 2, 1.5),
-    "two-stage": (lambda: TwoStageDetector(HeadDetector.load()), 1.0, 10, 1.5),
+
+class Own(NamedTuple):
+    """One of the project's own detectors, and how its looks become predictions."""
+
+    make: Callable[[], Detector]
+    every: float = 1.0  # s between two looks
+    lasting: int = 10  # looks whose mean is the score
+    wider: float = 1.0  # by which its intervals are widened
+    in_lpm: bool = False  # its score is a leak; as a part of the smallest one those of all axes compare
+
+
+OWN = {
+    "leakage head": Own(HeadDetector.load),
+    # Chosen on the validation split.
+    "estimator, every 12 s": Own(lambda: EstimatorDetector({}), every=12.0, lasting=2, wider=1.5),
+    "two-stage": Own(lambda: TwoStageDetector(HeadDetector.load()), wider=1.5, in_lpm=True),
 }
-"""The project's own detectors, the seconds between two looks, the looks whose mean is the score, and by how much their
-intervals are widened. The estimator's were chosen on the validation split."""
 
 
 def axes_of(data: Path, split: str) -> Iterator[tuple[TaskConfig, float, NDArray[np.int64], Floats]]:
@@ -81,17 +92,16 @@ def axes_of(data: Path, split: str) -> Iterator[tuple[TaskConfig, float, NDArray
 
 
 def read_axis(
-    make: Callable[[], Detector],
-    every: float,
+    own: Own,
     task: TaskConfig,
     unit: float,
     numbers: NDArray[np.int64],
     signals: Floats,
 ) -> pd.DataFrame:
-    """The looks of a detector at windows of WINDOW that end every ``every`` seconds, on the recordings of one axis."""
-    detector, length, step = make(), round(WINDOW / task.control_period), round(every / task.control_period)
+    """The looks of a detector at windows of WINDOW, on the recordings of one axis."""
+    detector, length, step = own.make(), round(WINDOW / task.control_period), round(own.every / task.control_period)
     present = np.asarray(np.isfinite(signals[:, :-1]).any(axis=1))
-    scale = unit if isinstance(detector, TwoStageDetector) else 1.0  # its score is a leak; those of axes must compare
+    scale = unit if own.in_lpm else 1.0
     last = signals.shape[2] - 1 - present[:, ::-1].argmax(axis=1)
     parts = [pd.DataFrame({"recording": numbers, "time": 0.0, "score": np.nan})]
     if reason := detector.refuses(task, length):
@@ -126,12 +136,12 @@ def _looks(reading: Reading, numbers: NDArray[np.int64], time: Floats, unit: flo
 
 def own_predictions(name: str, data: Path, split: str, jobs: int) -> pd.DataFrame:
     """The predictions of one of the project's own detectors; the score is the mean of the last looks."""
-    make, every, lasting, wider = OWN[name]
-    work = (delayed(read_axis)(make, every, *axis) for axis in axes_of(data, split))
+    own = OWN[name]
+    work = (delayed(read_axis)(own, *axis) for axis in axes_of(data, split))
     table = pd.concat(Parallel(jobs)(work), ignore_index=True).sort_values(["recording", "time"], ignore_index=True)
-    table["score"] = table.groupby("recording")["score"].transform(lambda s: s.rolling(lasting, 1).mean())
+    table["score"] = table.groupby("recording")["score"].transform(lambda s: s.rolling(own.lasting, 1).mean())
     for end in ("low", "high"):
-        table[end] = (table["size"] + wider * (table[end] - table["size"])).clip(lower=0.0)
+        table[end] = (table["size"] + own.wider * (table[end] - table["size"])).clip(lower=0.0)
     return table
 
 
@@ -154,7 +164,7 @@ def program_predictions(name: str, data: Path, split: str, output: Path) -> pd.D
 def ranking_on_halves(scores: list[Score]) -> str:
     """Kendall's tau between the rankings of two halves of the recordings."""
     generator, taus = np.random.default_rng(0), []
-    for _ in range(100):
+    for _ in range(HALVES):
         first = generator.random(len(scores[0].outcomes.tier)) < 0.5
         ranks = [[one.outcomes.part(half).found_share for one in scores] for half in (first, ~first)]
         taus.append(kendalltau(*ranks).statistic)

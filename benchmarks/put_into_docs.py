@@ -11,7 +11,6 @@ it is of; ``tests/site/test_site.py`` checks both. The tables of ``hydro benchma
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from collections.abc import Callable, Mapping
@@ -21,6 +20,8 @@ from typing import NamedTuple
 import pandas as pd
 
 from benchmarks.figures import ORIGIN
+from hydro_agents.running.machine import Origin
+from hydro_env.files import read_json
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TABLES = DOCS / "tables"
@@ -216,12 +217,10 @@ def origin_of(name: str) -> str:
         return text.readline().removeprefix("# ").strip()
 
 
-def _keep(name: str, source: Source, results: Path) -> None:
+def _keep(name: str, table: pd.DataFrame, origin: Origin) -> None:
     """Keep a table that ``make figures`` computed."""
-    facts = json.loads((results / Path(source.file).parts[0] / ORIGIN).read_text(encoding="utf-8"))
-    origin = f"hydro_env {facts['hydro_env']}, commit {facts['commit']}, {facts['date']}: `{facts['command']}`"
-    table = source.keep(pd.read_csv(results / source.file)).to_csv(index=False, float_format="%.6g")
-    (TABLES / f"{name}.csv").write_text(f"# {origin}\n{table}", encoding="utf-8")
+    first = f"# hydro_env {origin.version}, {origin.date}: `{origin.command}`\n"
+    (TABLES / f"{name}.csv").write_text(first + table.to_csv(index=False, float_format="%.6g"), encoding="utf-8")
 
 
 def tables() -> dict[str, str]:
@@ -248,10 +247,10 @@ def main(results: str = "results") -> None:
     """Keep new results, fill the pages."""
     for name, source in SOURCES.items():
         file = Path(results) / source.file
-        finished = (Path(results) / Path(source.file).parts[0] / ORIGIN).is_file()
-        if finished and file.is_file():
-            _keep(name, source, Path(results))
-        print(f"{name}: {file if finished else 'as before'}")
+        mark = Path(results) / Path(source.file).parts[0] / ORIGIN
+        if new := mark.is_file() and file.is_file():
+            _keep(name, source.keep(pd.read_csv(file)), Origin(**read_json(mark)))
+        print(f"{name}: {file if new else 'as before'}")
     made = dict.fromkeys(PAGES, tables())
     benchmark = Path(results, "benchmark", "benchmark.md")
     if benchmark.is_file():

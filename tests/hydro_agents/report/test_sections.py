@@ -26,7 +26,7 @@ def plot(key):
 
 
 @pytest.mark.parametrize("drawn", ["points", "rows"])
-def test_points_without_intervals_stand_at_their_values(monkeypatch, drawn):
+def test_points_without_intervals_stand_at_their_values(drawn):
     seen = []
     looks = {"PID": Look("#123456", "o", "-")}
     curve_plot("x", "X", "", {"PID": pd.Series([3.0, 7.0], ["a", "b"])}, looks, "", seen.append, drawn=drawn)
