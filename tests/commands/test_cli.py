@@ -128,6 +128,8 @@ FILES = {
         ("study --config levels.yaml", ["levels.yaml", "leak_levels"]),
         ("study --config included.yaml", ["ppo.yaml", "total_steps = -1"]),
         ("benchmark --only speed", ["--only speed: unknown group", "kernel, single"]),
+        ("train pid --start empty.yaml", ["empty.yaml: is empty; it needs gains"]),
+        ("train pid --objective=", ["objective"]),
         ("train ppo --resume", ["nothing to resume", "checkpoint"]),
     ],
 )

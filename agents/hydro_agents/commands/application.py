@@ -181,6 +181,7 @@ def _stop(number: int, frame: object) -> None:
 
 
 def _end(code: int, message: str) -> NoReturn:
+    message = re.sub(r"(\S{200})\S{300,}", r"\1…", message)
     lines = [
         "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in line)
         for line in re.split(r"\n(?=  )", f"hydro: {message}")  # a list of mistakes has one indented line each

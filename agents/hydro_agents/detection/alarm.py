@@ -71,7 +71,7 @@ class AlarmSettings(Group):
     clip: float = Field(2.0, gt=0.0, le=1e6, description="largest contribution of one look: an outlier raises no alarm")
     scales: Scales
     threshold: float = Field(1.0, gt=0.0, le=1e9, description="of the sum")
-    false_alarms_per_100_h: float | None = Field(None, ge=0.0, description="rate that set the threshold")
+    false_alarms_per_100_h: float | None = Field(None, ge=0.0, le=1e9, description="rate that set the threshold")
 
     @classmethod
     def load(cls, path: str | Path) -> AlarmSettings:

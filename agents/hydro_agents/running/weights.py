@@ -94,7 +94,7 @@ def kind_of_weights(path: str | Path) -> str:
     weights, description = weight_files(path)
     if not (weights.is_file() and description.is_file()):
         return ""
-    with suppress(ValueError, AttributeError):  # no JSON, or no mapping
+    with suppress(ValueError, AttributeError, RecursionError):  # no JSON, or no mapping
         return str(json.loads(_content(description)).get("format", "")).removeprefix("hydro_env ")
     return ""
 

@@ -8,7 +8,6 @@ every public file.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,12 +20,12 @@ from numpy.typing import NDArray
 
 from hydro_agents.running.jobs import Job, Report, run_jobs
 from hydro_env import ConfigurationError, TaskConfig, __version__
-from hydro_env.errors import reason
 from hydro_env.files import read_json, read_text, write_text, write_whole
 from hydro_rig.challenge import axes as benchmark_axes
 from hydro_rig.challenge.axes import SPLITS, TIERS, VERSION, Benchmark, simulated_block
 from hydro_rig.challenge.plates import KNOWN, NEW, columns_described, plates_table
 from hydro_rig.recordings.columns import MEASURED
+from hydro_rig.recordings.files import library_errors
 from hydro_rig.recordings.simulated import heading
 
 MANIFEST, CARD, PLATES, SUMS = "benchmark.json", "README.md", "axes.parquet", "SHA256SUMS"
@@ -99,12 +98,25 @@ def checksums(folder: Path, benchmark: Benchmark) -> str:
         for block in range(len(benchmark.blocks(split))):
             recordings, labels = block_files(folder, split, block)
             public += [recordings] if split == "test" else [recordings, labels]
-    lines = []
-    for path in public:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        lines.append(f"{digest}  {path.relative_to(folder).as_posix()}\n")
-    return "".join(lines)
+    return "".join(f"{_sum_line(folder, path)}\n" for path in public)
+
+
+def _sum_line(folder: Path, path: Path) -> str:
+    return f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(folder).as_posix()}"
+
+
+def read_public(folder: Path, name: str) -> pd.DataFrame:
+    """A public table of the challenge, ``axes.parquet`` or the recordings of a split, as ``SHA256SUMS`` knows it.
+
+    Raises:
+        ConfigurationError: it cannot be read, or was changed.
+    """
+    paths = sorted((folder / name).glob("*")) or [folder / name]
+    lines = read_text(folder / SUMS, 10_000_000).splitlines()
+    expected = [line for line in lines if line[66:].split("/")[0] == name]
+    if [_sum_line(folder, path) for path in paths] != expected:
+        raise ConfigurationError(f"{folder / name}: is not what {folder / SUMS} says")
+    return read_table(folder / name)
 
 
 def block_files(folder: Path, split: str, block: int) -> tuple[Path, Path]:
@@ -128,9 +140,7 @@ def _write_block(
 
 
 def _write_table(path: Path, table: pd.DataFrame) -> None:
-    buffer = io.BytesIO()
-    table.to_parquet(buffer, index=False, compression="zstd")
-    write_whole(path, buffer.getvalue())
+    write_whole(path, table.to_parquet(index=False, compression="zstd"))
 
 
 def read_labels(folder: Path, split: str) -> pd.DataFrame:
@@ -140,9 +150,10 @@ def read_labels(folder: Path, split: str) -> pd.DataFrame:
         ConfigurationError: they are not there, or not readable.
     """
     place = labels_folder(folder, split)
-    if not place.is_dir():
-        raise ConfigurationError(f"{place}: is missing; the labels of the split '{split}' are needed")
-    return read_table(place).sort_values("recording", ignore_index=True)
+    table = read_table(place) if place.is_dir() else pd.DataFrame()
+    if "recording" not in table:
+        raise ConfigurationError(f"{place}: is missing or holds no table; the labels of the split '{split}' are needed")
+    return table.sort_values("recording", ignore_index=True)
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -151,14 +162,8 @@ def read_table(path: Path) -> pd.DataFrame:
     Raises:
         ConfigurationError: it cannot be read.
     """
-    try:
+    with library_errors(path, "pyarrow.parquet"):
         return pd.read_parquet(path)
-    except ImportError:
-        raise ConfigurationError(
-            f"{path}: Parquet needs the library pyarrow: pip install 'hydro_env[recordings]'"
-        ) from None
-    except Exception as error:  # a damaged file makes the library raise errors of any kind
-        raise ConfigurationError(f"{path}: is not a readable Parquet file: {reason(error)}") from None
 
 
 def digest_of_labels(labels: pd.DataFrame) -> str:

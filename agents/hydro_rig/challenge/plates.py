@@ -114,11 +114,9 @@ def plates_table(key: str = "") -> pd.DataFrame:
 
 def read_plate(row: Mapping[str, Any]) -> Plate:
     """The plate of a row of :func:`plates_table`."""
-    texts = {name.removesuffix(" plate"): text for name, text in row.items() if name.endswith(" plate")}
-    return Plate(
-        {name: text for name, text in texts.items() if isinstance(text, str)},
-        {name: float(row[name]) for name in TIMING},
-    )
+    plates = {name: text for name, text in row.items() if name.endswith(" plate") and isinstance(text, str)}
+    texts = {name.removesuffix(" plate"): text for name, text in plates.items()}
+    return Plate(texts, {name: float(row[name]) for name in TIMING})
 
 
 def columns_described() -> dict[str, str]:

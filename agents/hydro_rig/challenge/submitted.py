@@ -31,7 +31,7 @@ import pandas as pd
 
 from hydro_agents.running.jobs import Report
 from hydro_env import ConfigurationError
-from hydro_rig.challenge.files import PLATES, read_table
+from hydro_rig.challenge.files import PLATES, read_public
 from hydro_rig.challenge.scores import OPTIONAL
 from hydro_rig.recordings.simulated import heading
 
@@ -84,11 +84,11 @@ def run_program(
         progress: called after each recording.
 
     Raises:
-        ConfigurationError: there is no program.
+        ConfigurationError: there is no program, or the challenge is not as it was written.
     """
     command = command_of(folder)
-    plates = read_table(data / PLATES).set_index("axis", drop=False)
-    recordings = read_table(data / split).groupby("recording", sort=True)
+    plates = read_public(data, PLATES).set_index("axis", drop=False)
+    recordings = read_public(data, split).groupby("recording", sort=True)
     looks: list[dict[str, Any]] = []
     remarks: list[str] = []
     program = _Program(command, folder, limits)

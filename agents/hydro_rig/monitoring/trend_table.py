@@ -20,9 +20,10 @@ from hydro_env.files import write_text
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.monitoring.oil import Oil
 
-TEXTS = ("time", "until", "axis", "file", "verdict", "reason", "oil", "repaired")
 SIZES = ("size", "low", "high", "moving", "temperature", "size_40", "low_40", "high_40")
-COLUMNS = ("time", "until", "axis", "file", "verdict", *SIZES, "oil", "reason", "bytes", "clock_back", "repaired")
+NEEDED = ("time", "until", "axis", "file", "verdict")
+TEXTS = (*NEEDED, "reason", "oil", "repaired")
+COLUMNS = (*NEEDED, *SIZES, "oil", "reason", "bytes", "clock_back", "repaired")
 """Sizes with the ends of their 90 % intervals in l/min at 100 bar, as measured and at 40 °C; ``moving`` is a share;
 ``temperature`` in °C; ``bytes`` of the file: a file that has grown is read again; ``clock_back``: by how much the clock
 ran back, s; ``repaired``: any mark."""
@@ -82,21 +83,23 @@ def read_table(path: Path) -> pd.DataFrame:
         return pd.DataFrame({name: pd.Series(dtype=str if name in TEXTS else float) for name in COLUMNS})
     try:
         table = pd.read_csv(path, dtype=dict.fromkeys(TEXTS, str), keep_default_na=False, na_values=[""])
-        missing = [name for name in COLUMNS if name not in table]
-        if missing:
-            raise ConfigurationError(f"{path}: is no table of hydro trend: it has no column '{missing[0]}'")
+        for name in COLUMNS:
+            if name not in table:
+                raise ValueError(f"it has no column '{name}'")
+        for name in NEEDED:
+            if table[name].isna().any():
+                raise ValueError(f"column '{name}' has an empty cell")
         for name in (*SIZES, "bytes", "clock_back"):
             table[name] = pd.to_numeric(table[name])
+            if (table[name].abs() > 1e15).any():
+                raise ValueError(f"'{name}' goes beyond 1e15")
         seconds(table["time"]), seconds(table["until"])
-        unknown = [each for each in table["verdict"].dropna().unique() if each not in list(Kind)]
+        unknown = {*table["verdict"]} - {*Kind}
         if unknown:
-            raise ConfigurationError(f"{path}: verdict '{unknown[0]}': must be one of {', '.join(Kind)}")
-    except ConfigurationError:
-        raise
-    except (ValueError, OSError, UnicodeDecodeError) as error:
+            raise ValueError(f"verdict '{min(unknown)}': must be one of {', '.join(Kind)}")
+    except ValueError as error:
         raise ConfigurationError(f"{path}: is no table of hydro trend: {' '.join(str(error).split())[:200]}") from None
-    texts = {name: table[name].fillna("").astype(str) for name in TEXTS}
-    return table.assign(**texts)
+    return table.fillna(dict.fromkeys(TEXTS, ""))
 
 
 def unread(files: Iterable[File], table: pd.DataFrame) -> list[File]:

@@ -98,7 +98,7 @@ def library_errors(path: Path, library: str) -> Iterator[Any]:
     Raises:
         ConfigurationError: it is not installed, or any of its errors.
     """
-    if not path.is_file():
+    if not path.is_file() and not any(path.glob("*.parquet")):
         read_text(path)  # says why
     try:
         module = importlib.import_module(library)
@@ -112,7 +112,7 @@ def library_errors(path: Path, library: str) -> Iterator[Any]:
         raise
     except Exception as error:  # a damaged file makes these libraries raise errors of any kind
         reason = " ".join(str(error).split())[:150] or type(error).__name__
-        raise ConfigurationError(f"{path}: is not a readable {path.suffix.lower()} file: {reason}") from None
+        raise ConfigurationError(f"{path}: is not a readable {path.suffix.lower() or library} file: {reason}") from None
 
 
 def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], list[Finding]]:
@@ -193,6 +193,7 @@ def of_channels(channels: Sequence[Channel]) -> Columns:
 def read_mdf(path: Path, asammdf: Any) -> list[Channel]:
     """All numeric channels."""
     channels: list[Channel] = []
+    asammdf.blocks.mdf_v4.MDF4.__del__ = lambda file: None  # it prints a traceback after a damaged file
     with asammdf.MDF(path) as file:
         places = [(number, place) for number, group in enumerate(file.groups) for place in range(len(group.channels))]
         for number, place in places:
@@ -241,7 +242,7 @@ def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str 
         fields = {key.lower(): part for key, part in value.items()}
         time = next((_vector(fields[key]) for key in TIMES if key in fields), None)
         stamps = time if time is not None else stamps
-        unit = next((str(fields[key]) for key in ("unit", "units") if key in fields), unit)
+        unit = next((fields[key] for key in ("unit", "units") if isinstance(fields.get(key), str)), unit)
         for key, part in value.items():
             if key.lower() not in TIMES or time is None:
                 yield from _channels_of(name if key.lower() in CONTENTS else f"{name}.{key}", part, stamps, unit)

@@ -109,7 +109,7 @@ def _scores(run: Recording, starts: Places, ends: Places, window: float, config:
     gap[known[1:]] = between
     gap[known[:-1]] = np.maximum(gap[known[:-1]], between)
     useless = np.maximum.reduceat(gap, starts) > (LONGEST_FILL + 1.5) * period
-    useless |= (count < LEAST_ROWS * window / step) | (full > MOST_SATURATED * count)
+    useless |= (count < LEAST_ROWS * window / max(step, 1e-9)) | (full > MOST_SATURATED * count)
     return score + np.minimum(way / window, 1.0) + UNUSABLE * useless, span[POSITION]
 
 

@@ -91,6 +91,9 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool | None, fi
         if many is Weight.SEVERE:
             return nothing
         time, rows = time[~twice], rows[:, ~twice]
+    if len(time) < 2:
+        findings.append(Finding("time", "has one stamp alone", Weight.SEVERE))
+        return nothing
 
     distance = _row_distance(time, period)
     per_period = _whole_fraction(distance, period)

@@ -13,7 +13,7 @@ from command_line import hydro
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.challenge import axes as benchmark_axes
 from hydro_rig.challenge.axes import LABELS, SPLITS, Benchmark
-from hydro_rig.challenge.files import digest_of_labels, labels_folder, read_labels, write_benchmark
+from hydro_rig.challenge.files import digest_of_labels, labels_folder, read_labels, read_public, write_benchmark
 from hydro_rig.challenge.outcomes import BUDGETS, COST_RATIOS, true_alarms
 from hydro_rig.challenge.plates import FIRST_NEW, KNOWN, plate_of, plates_table, read_plate, seed_of, task_of
 from hydro_rig.challenge.scores import bounds, differences, labels_of, score, text_of
@@ -183,6 +183,9 @@ def test_changed_labels_are_noticed(folder, tmp_path):
     labels.assign(size=0.5).to_parquet(place / "0.parquet")
     with pytest.raises(ConfigurationError, match="are not those of"):
         labels_of(changed, "test")
+    (changed / "train" / "0000.parquet").unlink()
+    with pytest.raises(ConfigurationError, match="is not what .*SHA256SUMS says"):
+        read_public(changed, "train")
 
 
 def test_the_command_scores_several_detectors(folder, tmp_path):

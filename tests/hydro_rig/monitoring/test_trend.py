@@ -159,7 +159,7 @@ def test_folders_name_axes(tmp_path):
     assert [file.name for file in single + inside] == ["press/a.csv", "press/a.csv"]
 
 
-@pytest.mark.parametrize("text", ["a,b\n1,2\n", "", "time,until\n", "\x00\x01"])
+@pytest.mark.parametrize("text", ["a,b\n1,2\n", "", f"{','.join(COLUMNS)}\n,\n", "\x00\x01"])
 def test_another_table_is_not_touched(tmp_path, text):
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(ConfigurationError, match="is no table of hydro trend"):
