@@ -89,6 +89,7 @@ def _settings(draw: random.Random, path: Path) -> tuple[str, bool]:
         del place[key]
     else:
         place[key] = draw.choice(MAYBE if way == "maybe" else VALUES)
+        wrong = wrong and key not in ("internal_resistance", "wall_bulk_modulus")  # may be without end
         wrong = wrong and isinstance(old, int | float) and not isinstance(old, bool) and not is_json
     path.write_text(write(tree))
     return f"{way} {key}={str(place[key] if way != 'gone' and way != 'unknown' else '')[:40]}", wrong
@@ -160,7 +161,7 @@ def _table(draw: random.Random, path: Path) -> tuple[str, bool]:
     _write(table, path)
     if path.suffix == ".csv" and way in ("comma", "ragged", "doubled"):
         lines = path.read_text().split("\n")
-        changed = {"comma": [line.replace(".", ",") for line in lines], "ragged": lines[:9] + ["1,2", '"'] + lines[9:]}
+        changed = {"comma": [line.replace(".", ",") for line in lines], "ragged": [*lines[:9], "1,2", '"', *lines[9:]]}
         path.write_text("\n".join(changed.get(way, [f"{line},{line}" for line in lines])))
     return f"{way} {name}", wrong
 

@@ -59,8 +59,7 @@ FILES: dict[str, tuple[str, list[str], list[str]]] = {
     "weights": (
         "head.json head.safetensors policy.json policy.safetensors",
         [],
-        ["diagnose rec.csv --head S -o out", f"record --controller S {DURATION} -o out.csv", "export S -o out"]
-        + ["evaluate --head S -o out", "evaluate --agent PPO=S -o out", "alarms --head S -o out"],
+        [f"{job} -o out" for job in ("diagnose rec.csv --head S", "export S", "evaluate --head S", "alarms --head S")],
     ),
     "table of trends": ("trend.csv", ["trend recs --append X"], []),
     "predictions": ("predictions.parquet", ["score X --data axes", "score X --data axes -o out"], []),
@@ -176,6 +175,7 @@ class Hang(BaseException):
 
 
 def hang(*_: object) -> None:
+    """Answer of the clock."""
     raise Hang
 
 

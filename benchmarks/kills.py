@@ -40,7 +40,14 @@ JOBS = {  # arguments, and those that continue; OUT is the folder
     "record": ("record --benchmark OUT --count 9 --jobs 2", ""),
 }
 COMPARED = (".csv", ".safetensors", ".parquet", ".svg", ".yaml", ".json")
-CHANGING = ("progress.csv", "state.json", ".hydro.json", "checkpoint.safetensors", "head_checkpoint.safetensors")
+CHANGING = (
+    "progress.csv",
+    "state.json",
+    ".hydro.json",
+    "checkpoint.safetensors",
+    "head_checkpoint.safetensors",
+    "protocol.csv",
+)
 TIMES = re.compile(rb'"(seconds|digest)": [^,}]*')  # of a training, and of the text with it
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
@@ -83,7 +90,9 @@ def killed(name: str, folder: Path, seconds: float, draw: random.Random, mark: s
         process.wait(moment)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, number) if number == signal.SIGINT else os.kill(process.pid, number)
-    said = own_lines(process.communicate(timeout=60)[1])
+    begun = time.monotonic()
+    said = own_lines(process.communicate()[1])  # ends when the last process that shares the pipe has ended
+    bad += [f"ended after {time.monotonic() - begun:.0f} s"] if time.monotonic() - begun > 20.0 else []
     lines = [line for line in said if line.startswith("hydro: ")]
     if process.returncode not in (0, 128 + number, -number) or "Traceback" in " ".join(said) or len(lines) > 1:
         bad.append(f"exit code {process.returncode}: {' | '.join(said)[-300:]}")

@@ -184,7 +184,7 @@ def test_changed_labels_are_noticed(folder, tmp_path):
     with pytest.raises(ConfigurationError, match="are not those of"):
         labels_of(changed, "test")
     (changed / "train" / "0000.parquet").unlink()
-    with pytest.raises(ConfigurationError, match="is not what .*SHA256SUMS says"):
+    with pytest.raises(ConfigurationError, match="is not what"):
         read_public(changed, "train")
 
 
