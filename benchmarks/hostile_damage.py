@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import random
 from collections.abc import Iterator
@@ -179,16 +180,16 @@ def _write(table: pd.DataFrame, path: Path) -> None:
     if kind == ".parquet":
         table.to_parquet(path, index=False)
     elif kind == ".mat":
-        import scipy.io
+        scipy_io = importlib.import_module("scipy.io")
 
-        scipy.io.savemat(path, {k: {"values": v, "unit": unit} for k, (unit, v) in numbers.items()})
+        scipy_io.savemat(path, {k: {"values": v, "unit": unit} for k, (unit, v) in numbers.items()})
     elif kind == ".tdms":
-        import nptdms
+        nptdms = importlib.import_module("nptdms")
 
         with nptdms.TdmsWriter(path) as file:
             file.write_segment([nptdms.ChannelObject("g", k, v, {"unit_string": u}) for k, (u, v) in numbers.items()])
     else:
-        import asammdf
+        asammdf = importlib.import_module("asammdf")
 
         time = numbers.pop("time", ("", np.arange(len(table)) * 0.005))[1]
         with asammdf.MDF() as mdf:
@@ -201,7 +202,7 @@ def prepare_tables(base: Path) -> None:
     """Recordings of all kinds, a map, predictions and a program."""
     for kind in ("parquet", "mat", "tdms", "mf4"):
         _write(pd.read_csv(base / "rec.csv", comment="#"), base / f"rec.{kind}")
-    mapping = {"time": {"column": "time [s]", "unit": "s"}}
+    mapping: dict[str, dict[str, Any]] = {"time": {"column": "time [s]", "unit": "s"}}
     mapping |= {name: {"column": f"{name} [{unit}]", "unit": unit, "gain": 1.0} for name, unit in UNITS.items()}
     (base / "map.yaml").write_text(yaml.safe_dump(mapping, sort_keys=False))
     labels = pd.read_parquet(base / "axes/hidden/test_labels")
