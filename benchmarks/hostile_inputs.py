@@ -26,8 +26,8 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "agents"), str(ROOT / "tests")]
 
-from command_line import COMMAND, Answer, done, environment, hydro, own_lines  # noqa: E402
-from hostile_damage import damage, prepare_tables  # noqa: E402
+from command_line import COMMAND, Answer, done, environment, hydro, own_lines  # type: ignore[import-not-found]  # noqa: E402
+from hostile_damage import damage, prepare_tables  # type: ignore[import-not-found]  # noqa: E402
 
 from hydro_env.folders import config_folder  # noqa: E402
 
@@ -84,7 +84,7 @@ OPTIONS = {
     "bound -o out": "task rig plants leak agent",
     "check-rig": "rig period latency",
     "record -o out.csv": "task rig controller leakage fault duration family seed",
-    "record --benchmark out": "key count task",
+    "record --benchmark out": "count task",
     "identify rec.csv -o out --rig rig.yaml": "map hold-back task rig",
     "export plant -o out": "task rig period latency",
     "diagnose rec.csv -o out": "map task rig detector window",

@@ -20,7 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "agents"), str(ROOT / "tests")]
 
-from command_line import COMMAND, environment, own_lines  # noqa: E402
+from command_line import COMMAND, environment, own_lines  # type: ignore[import-not-found]  # noqa: E402
 
 STUDY = """task: {episode_duration: 0.4}
 controllers:
