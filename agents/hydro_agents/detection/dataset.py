@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import repeat
 from typing import Any, NamedTuple
@@ -21,7 +22,8 @@ from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_env import TaskConfig
+from hydro_agents.running.jobs import Columns, Job, JobResult, answers_of, fingerprint
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, SIGNED_KINDS, fault_limits, faults_of
@@ -130,18 +132,32 @@ class Plan:
         return parts
 
     def windows(self, episodes: int, first_seed: int, skip: int = 0) -> Iterator[Windows]:
-        """Simulate one chunk after another; each depends only on the plan, its number and its seeds.
+        """Simulate chunks side by side, and give them in order; each depends only on plan, number and seeds.
 
         Args:
             episodes: number of runs; rounding may add a few.
             first_seed: of the first run.
             skip: number of chunks to leave out.
+
+        Raises:
+            ConfigurationError: a controller fails.
         """
-        seed = first_seed
-        for number, chunk in enumerate(self.chunks(episodes)):
-            if number >= skip:
-                yield self._chunk(chunk, np.arange(seed, seed + chunk.axes), self.rigs[number % len(self.rigs)])
-            seed += chunk.axes
+        chunks, plan, digest = self.chunks(episodes), replace(self), fingerprint(self)
+        first = first_seed + np.cumsum([0, *(chunk.axes for chunk in chunks)])
+        jobs = {}
+        for number in range(skip, len(chunks)):
+            seeds = np.arange(first[number], first[number + 1])
+            arguments = (chunks[number], seeds, self.rigs[number % len(self.rigs)])
+            jobs[str(number)] = Job(_simulated, plan, arguments, digest)
+        ready: dict[str, JobResult] = {}
+        with closing(answers_of(jobs, None)) as answers:
+            for key in jobs:
+                while key not in ready:
+                    ready |= [next(answers)]
+                found = ready.pop(key)
+                if found.error:
+                    raise ConfigurationError(found.error)
+                yield Windows(**found.metrics)
 
     def _chunk(self, chunk: Chunk, seeds: NDArray[np.int64], config: TaskConfig) -> Windows:
         generator = np.random.default_rng([int(seeds[0]), chunk.row])
@@ -223,6 +239,10 @@ class Plan:
         high = np.where(healthy, bound, min(settings.highest_flow, largest))
         size: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
         return size
+
+
+def _simulated(plan: Plan, *chunk: Any) -> Columns:
+    return plan._chunk(*chunk)._asdict()
 
 
 def draw_faults(

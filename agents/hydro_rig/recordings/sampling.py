@@ -181,7 +181,7 @@ def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
         filled[begin:end] = inside and place[end] - place[begin - 1] == end - begin + 1
     if not filled.any():
         return samples, []
-    signals[COMMAND, filled] = _likely(signals, filled)
+    signals[COMMAND, filled] = likely_commands(signals, filled)
     time = np.interp(place, samples.place, samples.time)
     what = f"lacks samples; up to {LONGEST_FILL} in a row are filled in from those around them"
     auxiliary = {name: _spread(values, at, len(place)) for name, values in samples.auxiliary.items()}
@@ -196,8 +196,8 @@ def _spread(values: Floats, at: NDArray[np.int64], count: int) -> Floats:
     return whole
 
 
-def _likely(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
-    """The commands at ``filled``, from all signals in the two rows before and after."""
+def likely_commands(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
+    """The commands at ``filled`` (T,), from all signals (5, T) in the two rows before and after, by least squares."""
     places, sure = np.arange(signals.shape[1]), np.isfinite(signals[COMMAND])
     inputs = [np.ones(len(places))]
     for values in signals:
