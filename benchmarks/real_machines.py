@@ -104,7 +104,7 @@ def runs_of(folder: Path, volts: int, chamber: str, samples: list[int]) -> list[
     """The recordings of a step with the transducer at one chamber."""
     config = task_config(None, rig=RIG)
     paths = [folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat" for sample in samples]
-    return [sampled(read_recording(path, festo_map(chamber.lower())), config, None) for path in paths]
+    return [sampled(read_recording(path, festo_map(chamber.lower())), config) for path in paths]
 
 
 def speeds(folder: Path, samples: list[int]) -> None:

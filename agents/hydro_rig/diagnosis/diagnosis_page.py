@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import MEANINGS, Look, looks_of
 from hydro_agents.report.recorded import Line, Mark, Signal, paint_course, recording_tables
-from hydro_agents.report.sections import Block, Code, Points, Text, render_page, section
+from hydro_agents.report.sections import Block, Points, Text, render_page, section
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised, number, setting
@@ -36,7 +35,7 @@ PAGE_FILE, TABLE_FILE, FINDINGS_FILE = "diagnosis.html", "leak.csv", "findings.c
 FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, FIGURE_FILES)
 JOB = "diagnose"
 
-DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "signals", "judging")
+DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "judging")
 """Sections of the page, in order."""
 SOURCES = Markup(
     "Readings of each window: <code>leak.csv</code>; findings: <code>findings.csv</code>; both are beside this page."
@@ -153,15 +152,6 @@ def leak_over_time(content: Content) -> list[Block]:
     return blocks
 
 
-@section("How the data sheet would agree", needs=("diagnosis",))
-def signals(content: Content) -> list[Block]:
-    """Lines of the task's file with which its data sheet agrees with the recording."""
-    diagnosis = content.part("diagnosis", Diagnosis)
-    fitted = diagnosis.read.fitted
-    mend = lines_to_paste(fitted, diagnosis.task) if fitted is not None else ""
-    return [Text(MEND), Code(mend)] if mend else []
-
-
 # The figure ---------------------------------------------------------------------------------------------------------
 
 
@@ -202,7 +192,6 @@ def paint(figure: Figure, diagnosis: Diagnosis) -> None:
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[1.7, 1, 1, 1])
     paint_leak(axes[0], diagnosis)
     paint_course(axes[1:], signals_of(diagnosis.recording, diagnosis.checked.findings))
-    figure.suptitle(_title(diagnosis), fontsize=10, fontweight="bold", x=0.01, ha="left")
     axes[0].margins(x=0.01)
 
 
@@ -247,9 +236,3 @@ def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, look: Look
                 place[chosen], value, yerr=[value - low, high - value], fmt=look.marker, color=look.colour,
                 markersize=4.5, capsize=2, linewidth=1.2, label=label, **options,
             )  # fmt: skip
-
-
-def _title(diagnosis: Diagnosis) -> str:
-    line = diagnosis.verdict.line()
-    line = line.split(";")[0] if diagnosis.verdict.kind is Kind.UNKNOWN else line
-    return fill(capitalised(line), 105, max_lines=2, placeholder=" …")

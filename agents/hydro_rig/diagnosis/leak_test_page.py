@@ -274,8 +274,6 @@ def reading_quantities(content: Content) -> list[Block]:
             wear = WEAR[name]
             low, high = (number(wear.factor * end, digits=3) for end in healthy_range(test.task, name))
             rows.append(_row(capitalised(wear.what), wear.unit, wear.factor, quantity, f"{low} to {high}"))
-    if "valve.edge_ratio" in quantities:
-        rows.append(_row("Edges of chamber b over those of chamber a", "", 1.0, quantities["valve.edge_ratio"], ""))
     shown = number(FIND * seal.deviation, digits=2)
     note = f"At 1 % false alarms the test shows a leak past the seal from {shown} l/min on."
     header = ("", "Value", "90 % interval", "Bound (±)", "Healthy", "Unit")

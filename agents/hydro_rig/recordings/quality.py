@@ -68,7 +68,7 @@ class Checked(NamedTuple):
         return [finding for finding in self.findings if finding.weight is Weight.SEVERE]
 
 
-def check_recording(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Checked:
+def check_recording(recording: Recording, config: TaskConfig, own_grid: bool = False) -> Checked:
     """Check time stamps, channels and wiring of a recording for the rig of a task.
 
     Each check relies on the previous ones, and is left out after a severe finding. ``own_grid`` is that of
