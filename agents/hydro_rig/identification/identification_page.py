@@ -136,11 +136,9 @@ def as_json(found: Identification, command: str) -> Any:
 def render_identification(found: Identification, origin: Origin) -> Page:
     """The page."""
     windows = found.parts.fitted
-    length = float(round(windows.end[0] - windows.begin[0], 6))
     facts = {
         "Recordings": listed([recording.source for recording in found.recordings]),
-        "Rig file": found.rig.source,
-        "Fitted to": f"{len(windows)} windows of {length:g} s, of recordings: {len(np.unique(found.parts.recording))}",
+        "Fitted to": f"{len(windows)} windows, of recordings: {len(np.unique(found.parts.recording))}",
         "Explained": f"{int(found.fit.explained.sum())} windows to within the sensors' noise",
         "Held back": "; ".join(place_of_part(found, part) for part in found.held_back) or "nothing",
     }

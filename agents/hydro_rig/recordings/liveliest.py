@@ -5,7 +5,7 @@ Of each section of five minutes the window in which the signals vary most is kep
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -135,11 +135,5 @@ def sampled_windows(candidates: Sequence[Candidate], window: float, config: Task
         time=np.concatenate([part.time for part in parts]),
         signals=np.concatenate([part.signals for part in parts], axis=1),
         findings=list({(one.signal, one.weight): one for part in parts for one in part.findings}.values()),
-        auxiliary=_concatenated([part.auxiliary for part in parts]),
+        auxiliary={name: np.concatenate([part.auxiliary[name] for part in parts]) for name in parts[0].auxiliary},
     )
-
-
-def _concatenated(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
-    """The signals that all parts hold, one part after the other."""
-    shared = [name for name in parts[0] if all(name in part for part in parts)]
-    return {name: np.concatenate([part[name] for part in parts]) for name in shared}

@@ -57,12 +57,14 @@ class Sampled(NamedTuple):
     units: dict[str, str]  # by signal, as in the file
     findings: list[Finding]
     auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (T,), SI
+    own_clock: bool = False  # whether the samples may lie between those of the controller
 
 
 EQUIDISTANT = " ('equidistant: true' for the time in the map takes the rows as equidistant)"
 
-_Grid = tuple[NDArray[np.int64], Floats, Floats, float]
-"""Rows of a recording as samples: place and time (T,), values (channels, T), period in s."""
+_Grid = tuple[NDArray[np.int64], Floats, Floats, float, bool]
+"""Rows of a recording as samples: place and time (T,), values (channels, T), period in s; whether by a clock that may
+not be that of the controller."""
 
 
 def sampled(recording: Recording, config: TaskConfig, own_grid: bool = False) -> Sampled:
@@ -77,17 +79,18 @@ def sampled(recording: Recording, config: TaskConfig, own_grid: bool = False) ->
         own_grid: whether to take the own grid of a log that fits the control period, too.
     """
     findings: list[Finding] = []
-    place, time, values, period = _grid_of(recording, config, own_grid, findings)
+    place, time, values, period, own_clock = _grid_of(recording, config, own_grid, findings)
     signals, others = np.split(values, [len(recording.signals)])
     auxiliary = dict(zip(recording.auxiliary, others, strict=True))
-    return Sampled(place, time, signals, period, recording.units, findings, auxiliary)
+    return Sampled(place, time, signals, period, recording.units, findings, auxiliary, own_clock)
 
 
 def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings: list[Finding]) -> _Grid:
     """The samples of the rows; none after a severe finding."""
     time, rows = recording.time, np.vstack([recording.signals, *recording.auxiliary.values()])
     period = config.control_period
-    nothing = np.zeros(0, np.int64), time[:0], rows[:, :0], period
+    nothing = np.zeros(0, np.int64), time[:0], rows[:, :0], period, False
+    moved = False
     steps = np.diff(time, prepend=-np.inf)
     if (back := steps < 0.0).any():
         worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s{EQUIDISTANT}"
@@ -113,8 +116,8 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
             f"has stamps that jitter by up to {1e3 * jitter:.2g} ms (95 %) around one row every {1e3 * distance:.4g} ms"
         )
         if jitter > JITTER[1] * distance:
-            time, rows, how = _steady(time, rows, period / per_period if per_period else distance)
-            what += f"; {how}"
+            time, rows, moved = _steady(time, rows, period / per_period if per_period else distance)
+            what += "; the readings are interpolated at a steady clock" if moved else "; taken as equidistant rows"
             distance = time[1] - time[0]
             place, _ = _places(time, distance)
         findings.append(Finding("time", what, Weight.NOTE))
@@ -126,7 +129,7 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
         return _own_grid(time, rows, place, distance, findings)
     chosen = place % per_period == phase
     index = (place[chosen] - place[chosen][:1]) // per_period
-    return index, time[chosen], rows[:, chosen], period
+    return index, time[chosen], rows[:, chosen], period, moved
 
 
 def _own_grid(
@@ -154,7 +157,7 @@ def _own_grid(
     what += f"on its own grid, each sample the median of {rows} rows" if rows > 1 else "on its own grid"
     findings.append(Finding("time", what, Weight.NOTE))
     number = number - number[0]
-    return number, time[0] + number * period, samples, period
+    return number, time[0] + number * period, samples, period, True
 
 
 def _medians(values: Floats, group: NDArray[np.int64], count: int) -> Floats:
@@ -294,8 +297,8 @@ def _add_gaps(place: NDArray[np.int64], time: Floats, distance: float, findings:
         findings.append(Finding("time", what, severe_if(share > MOST_MISSING), begin, end, share))
 
 
-def _steady(time: Floats, rows: Floats, distance: float) -> tuple[Floats, Floats, str]:
-    """Stamps (n,) and rows (channels, n) on a steady clock, and how, from stamps that jitter.
+def _steady(time: Floats, rows: Floats, distance: float) -> tuple[Floats, Floats, bool]:
+    """Stamps (n,) and rows (channels, n) on a steady clock, from stamps that jitter; and whether readings are moved.
 
     Either the rows were taken at equal distances and stamped late, or they were taken at their stamps, and are
     interpolated: then the position has moved farther where its stamp is late.
@@ -306,11 +309,11 @@ def _steady(time: Floats, rows: Floats, distance: float) -> tuple[Floats, Floats
     farther = (position[2:] - position[:-2]) * np.diff(time, 2) / (2.0 * distance)
     stamped = np.nansum(np.diff(position, 2) * farther) > 0.5 * np.nansum(farther**2)
     if np.ptp(late) < APART * distance and not stamped:
-        return equal, rows, "the rows are taken as equidistant"
+        return equal, rows, False
     steady = np.arange(time[0], time[-1], distance)
     moved = np.array([interpolated(steady, time, values) for values in rows])
     moved[COMMAND] = rows[COMMAND, np.searchsorted(time, steady)]
-    return steady, moved, "the readings are interpolated at a steady clock"
+    return steady, moved, True
 
 
 def _phase(place: NDArray[np.int64], command: Floats, rows: int, distance: float, config: TaskConfig) -> int | None:

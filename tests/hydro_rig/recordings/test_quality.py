@@ -5,6 +5,7 @@ import pytest
 from recorded import CONFIG, changed, healthy
 
 from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.task.configuration import task_config
 from hydro_rig.recordings.channels import check_driving
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.quality import _flow_into_a, balance, check_recording
@@ -99,7 +100,7 @@ CASES = {
     ),
     "great jitter": (
         restamped(lambda t: np.sort(t + np.random.default_rng(0).uniform(-4e-3, 4e-3, len(t)))),
-        [(NOTE, "ms; the rows are taken as equidistant")],
+        [(NOTE, "ms; taken as equidistant rows")],
     ),
     "every second row": (rows(lambda n: slice(0, n, 2)), [(SEVERE, "the commands between the rows are unknown")]),
     "ms as s": (restamped(lambda t: 1e3 * t), [(SEVERE, "stamps in ms instead of s would fit")]),
@@ -115,6 +116,29 @@ def test_damage_is_found_and_nothing_else(recording, case):
     assert [finding.weight for finding in found] == [weight for weight, _ in wanted], [f.line() for f in found]
     for finding, (_, words) in zip(found, wanted, strict=True):
         assert words in finding.line()
+
+
+@pytest.mark.parametrize("absent", [[3], [1, 2, 3]])
+def test_a_wrong_sign_is_found_with_fewer_sensors(recording, absent):
+    for turned, words in ((1.0, ""), (-1.0, "a move by a positive command settles it")):
+        signals = recording.signals * np.array([turned, 1, 1, 1, 1])[:, None]
+        signals[absent] = np.nan
+        severe = check_recording(changed(recording, signals=signals), CONFIG).severe
+        assert words in severe[0].line() if words else not severe
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_sign_of_a_load_pressure_is_checked(recording, sign):
+    load = {"differential_pressure": True, "pressure_a": {"low": -1e7}, "pressure_b": {"fitted": False}}
+    signals = np.full_like(recording.signals, np.nan)
+    signals[[0, 1, 4]] = (
+        recording.signals[0],
+        sign * (recording.signals[1] - recording.signals[2]),
+        recording.signals[4],
+    )
+    one = changed(recording, signals=signals)._replace(differential=True)
+    severe = check_recording(one, task_config(CONFIG, sensors=load)).severe
+    assert [("the other sign)" in finding.line()) for finding in severe] == [True] * (sign < 0)
 
 
 @pytest.mark.parametrize("rows", [-1, 1])

@@ -22,13 +22,6 @@ def written(folder, text, name="a.csv"):
     return folder / name
 
 
-def test_what_is_written_is_read_back(tmp_path):
-    found = read_recording(written(tmp_path, PLAIN))
-    np.testing.assert_allclose(found.time, TIME)
-    np.testing.assert_allclose(found.signals, SIGNALS, rtol=1e-6)
-    assert found.findings == []
-
-
 def test_record_keeps_every_step_of_the_sensors(tmp_path):
     done = recorded_file(tmp_path / "a.csv", duration=0.5)
     found = read_recording(tmp_path / "a.csv")
