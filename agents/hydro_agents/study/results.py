@@ -108,7 +108,7 @@ def evaluate_study(
     def work() -> Evaluation:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # the errors are printed below
-            kept = folder if phases is not None else None
+            kept = folder if phases else None
             return evaluate(study.task, controllers, head, study.evaluation, display.update, kept)
 
     evaluation = phases.run("evaluate", work) if phases is not None else work()

@@ -79,7 +79,7 @@ def run_study(
             for name, entry in study.controllers.items()
             if entry.trainer is None
         }
-        with beside(_early_jobs(study, known, seed), folder):
+        with beside(_early_jobs(study, known, seed, phases), folder):
             for name in study.trained:
                 known[name] = _trained(study, name, folder, seed, known, phases, display)
         controllers = {name: known[name] for name in study.controllers}
@@ -107,9 +107,9 @@ def run_study(
     return evaluation
 
 
-def _early_jobs(study: StudySettings, known: Mapping[str, Controller], seed: int) -> Iterator[Job]:
+def _early_jobs(study: StudySettings, known: Mapping[str, Controller], seed: int, phases: Phases) -> Iterator[Job]:
     """What can be done while the policies train: evaluating the others, and most runs of the head's training."""
-    if not known or not study.trained:
+    if not known or all(f"train {name}" in phases.done for name in study.trained):
         return
     protocol = study_protocol(study.task, study.evaluation)
     yield from (job for each in plan(protocol, participants(known, protocol)) for _, job in each.jobs)

@@ -14,7 +14,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_rig.diagnosis.leak_test_page import commands_csv, reading_facts
 from hydro_rig.diagnosis.leak_test_plan import plan, priors_of_test, simulated, worn_task
-from hydro_rig.diagnosis.leak_test_reading import edge_flow, read_leak_test
+from hydro_rig.diagnosis.leak_test_reading import Quantity, edge_flow, read_leak_test
 from hydro_rig.diagnosis.leak_test_steps import FORMS, RAMP, LeakTestSettings, Step, commands_of
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.estimation.model import Model
@@ -114,6 +114,11 @@ def test_the_reading_finds_leak_and_wear(tmp_path):
     assert facts["exit_code"] == EXIT_CODES[Kind.LEAK] == 10
     assert facts["seal_lpm"]["low"] < 0.3 < facts["seal_lpm"]["high"] or abs(seal.value - 0.3) < 0.02
     json.dumps(facts)
+
+
+def test_the_interval_of_a_quantity_is_that_of_90_percent():
+    low, high = Quantity(1.0, 0.1, 0.05).leak[1:]
+    assert (low, high) == pytest.approx((1.0 - 0.1645, 1.0 + 0.1645), abs=1e-4)
 
 
 def test_the_command_writes_plan_commands_and_header(tmp_path):
