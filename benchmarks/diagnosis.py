@@ -1,6 +1,6 @@
 """What `hydro diagnose` answers on recordings of simulated axes: verdicts, size errors, intervals.
 
-Run: python benchmarks/diagnosis.py [--only faults sensors handling errors] [--share 1.0]
+Run: python benchmarks/diagnosis.py [--only faults sensors handling errors clocks] [--share 1.0]
 
 Each recording lasts 4 s (two windows), has a test seed of its own, and takes the whole way: file, checks, both
 detectors, verdict. The shipped PID moves the axis; plant and family of references are drawn from the default task.
@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from hydro_agents.detection.head import LeakageHead
@@ -107,6 +108,38 @@ def command_moved(rows: int) -> Change:
     ]
 
 
+def logged_every(step: float) -> Change:
+    """What a logger with a clock of its own writes: the readings at its rows, and the command that acts there."""
+
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        stamps = table["time [s]"].to_numpy()
+        rows = np.arange(0.0, stamps[-1], step)
+        return relogged(table, rows, np.searchsorted(stamps + TASK.command_latency, rows))
+
+    return change
+
+
+def relogged(table: pd.DataFrame, time: Floats, command_of: NDArray[np.int64]) -> pd.DataFrame:
+    """The table at other times, s, with the commands of some of its rows."""
+    stamps = table["time [s]"].to_numpy()
+    columns = {name: np.interp(time, stamps, table[name]) for name in table}
+    columns["command [V]"] = table["command [V]"].to_numpy()[np.minimum(command_of, len(stamps) - 1)]
+    return pd.DataFrame(columns)
+
+
+def stamped_late(by: float, sampled_there: bool) -> Change:
+    """Stamps that jitter by up to ``by`` s; the readings are those of the stamps, or of rows at equal distances."""
+
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        stamps = table["time [s]"].to_numpy()
+        late = np.sort(stamps + np.random.default_rng(4).uniform(-by, by, len(stamps)))
+        if sampled_there:
+            return relogged(table, late, np.searchsorted(stamps, late))
+        return table.assign(**{"time [s]": late})
+
+    return change
+
+
 TABLES: dict[str, tuple[Axis, ...]] = {
     "faults": (
         Axis("healthy, 0.01 l/min", 30),
@@ -159,6 +192,18 @@ TABLES: dict[str, tuple[Axis, ...]] = {
             ("command a row early", TASK, command_moved(-1)),
             ("LuGre friction", LUGRE, None),
             ("rod of 24 mm, file says 28", WRONG_RIG, None),
+        )
+        for leak in (0.01, 0.3)
+    ),
+    "clocks": tuple(
+        Axis(f"{name}, {leak:g} l/min", 8, leak, task=task, change=change)
+        for name, task, change in (
+            ("controller and log of 4.883 ms", task_config(TASK, control_period=1.0 / 204.8), None),
+            ("a logger of 4.883 ms", TASK, logged_every(1.0 / 204.8)),
+            ("a logger of 7.3 ms", TASK, logged_every(7.3e-3)),
+            ("stamps jitter by 2 ms", TASK, stamped_late(2e-3, False)),
+            ("stamps jitter by 4 ms", TASK, stamped_late(4e-3, False)),
+            ("taken at stamps that jitter by 4 ms", TASK, stamped_late(4e-3, True)),
         )
         for leak in (0.01, 0.3)
     ),

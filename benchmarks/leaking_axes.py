@@ -39,6 +39,7 @@ from hydro_rig.challenge.submitted import run_program
 from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.recordings.columns import MEASURED, factor
+from hydro_rig.recordings.sampling import likely_commands
 from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
 ENTRIES = Path(__file__).parents[1] / "challenge/entries"
@@ -86,8 +87,6 @@ def axes_of(data: Path, split: str) -> Iterator[tuple[TaskConfig, float, NDArray
             for channel, name in enumerate(MEASURED):
                 values = rows[heading(name)].to_numpy() * factor(name, WRITTEN_UNITS[name], name)
                 signals[place, channel, samples] = values
-        commands = signals[:, -1]
-        commands[:] = pd.DataFrame(commands).ffill(axis=1)  # a lost row keeps the command before
         yield task, row["smallest_leak"], numbers, signals
 
 
@@ -110,11 +109,21 @@ def read_axis(
     for end in range(max(length, step), signals.shape[2] + 1, step):
         begin, stop = (end - length) * task.control_period, end * task.control_period
         times = np.full(len(numbers), begin), np.full(len(numbers), stop)
-        reading = detector.read(Windows(signals[:, :, end - length : end], *times), task)
+        reading = detector.read(Windows(_with_likely_commands(signals[:, :, end - length : end]), *times), task)
         running = last > end - length // 2
         time = np.minimum(end - 1, last) * task.control_period
         parts.append(_looks(reading, numbers, time, unit, scale)[running])
     return pd.concat(parts, ignore_index=True)
+
+
+def _with_likely_commands(signals: Floats) -> Floats:
+    """The windows (N, 5, T) with commands in their lost rows, from the other rows of the same window alone."""
+    signals = signals.copy()
+    for window in signals:
+        lost = np.isnan(window[-1])
+        if lost.any() and not lost.all():
+            window[-1, lost] = likely_commands(window, lost)
+    return signals
 
 
 def _looks(reading: Reading, numbers: NDArray[np.int64], time: Floats, unit: float, scale: float) -> pd.DataFrame:

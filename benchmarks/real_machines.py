@@ -17,7 +17,7 @@ import numpy as np
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.text import markdown
-from hydro_env import HydroError
+from hydro_env import HydroError, TaskConfig
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
@@ -38,10 +38,16 @@ OTHERS = {
     "sjoberg_hydraulic_crane/crane.csv": {
         "time": {"column": "sample", "unit": "ms", "gain": 5.0},  # neither the sampling time is known
         "command": {"column": "valve_opening_u", "unit": "-", "gain": 0.6},
-        "position": {"column": "position_x", "unit": "m", "gain": 0.05},
+        # nor a unit: the scales bring its signals into the ranges of the rig
+        # With the other sign the position moves against the valve.
+        "position": {"column": "position_x", "unit": "m", "gain": -0.05},
         "pressure_a": {"column": "pressure_p", "unit": "bar", "gain": 10.0, "offset": 45.0},
     },
-    # nor a unit: the scales bring its signals into the ranges of the rig
+    "faster/faster.csv": {
+        "time": {"column": "t", "unit": "s", "equidistant": True},  # five digits: steps of 10 ms after 100 s
+        "command": {"column": "u", "unit": "V"},
+        "position": {"column": "d", "unit": "mm"},
+    },
     "vtnsi_rotary_actuators/Act_1/*.txt": None,
     "mbari_wec_bench/FrictionIDMovesWithBiasCurr.exp": {
         "time": {"column": 1, "unit": "s"},
@@ -52,6 +58,8 @@ OTHERS = {
     },
 }
 """Recordings of machines that are none of ours, and their maps; ``None``: without a map."""
+
+PERIODS = {"faster/faster.csv": 7.7531e-3}  # s, of the controllers that are not those of the default task
 
 
 def festo_map(chamber: str) -> ColumnMap:
@@ -104,7 +112,7 @@ def runs_of(folder: Path, volts: int, chamber: str, samples: list[int]) -> list[
     """The recordings of a step with the transducer at one chamber."""
     config = task_config(None, rig=RIG)
     paths = [folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat" for sample in samples]
-    return [sampled(read_recording(path, festo_map(chamber.lower())), config, None) for path in paths]
+    return [sampled(read_recording(path, festo_map(chamber.lower())), config) for path in paths]
 
 
 def speeds(folder: Path, samples: list[int]) -> None:
@@ -144,9 +152,9 @@ def moving_errors(part: HeldBack, channel: int) -> tuple[float, float]:
 def refusals(folder: Path) -> None:
     """What the commands answer to recordings of other machines."""
     rig = "kovari_2015"
-    config = task_config(None, rig=rig)
     print("\n| recording | command | answer |\n|---|---|---|")
     for pattern, columns in OTHERS.items():
+        config = task_config(None, rig=rig, control_period=PERIODS.get(pattern, TaskConfig().control_period))
         for path in sorted(folder.glob(pattern))[:1]:
             columns_map = None if columns is None else ColumnMap.model_validate(columns)
             for command in ("identify", "diagnose"):

@@ -22,7 +22,7 @@ from hydro_agents.report.robustness import PAGE_FILE, ROBUSTNESS
 from hydro_agents.report.sections import render_page, sections_named
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
-from hydro_agents.running.jobs import JOBS_FOLDER
+from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.text import Table, number
@@ -104,7 +104,7 @@ def run_protocol(
     """
     sections_named(protocol.sections, f"{file}: sections")
     output = options.output if options.output is not None else Path("results") / file.stem
-    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", page.file, FIGURE_FILES]
+    writes = [PROTOCOL_FILE, RESULT_FILES, "tables/*.csv", page.file, FIGURE_FILES]
     with (
         output_folder(output, "evaluate", writes, resume=options.resume, overwrite=options.overwrite),
         ProgressDisplay() as display,

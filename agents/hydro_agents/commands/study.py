@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -200,6 +201,7 @@ def _controller(
 
 def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, agents: dict[str, str]) -> Path:
     from hydro_agents.detection.training_settings import HeadTrainingSettings
+    from hydro_agents.running.jobs import JOBS_FOLDER
     from hydro_agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
 
     settings = study.leakage_head or HeadTrainingSettings()
@@ -208,6 +210,7 @@ def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite
     tell_rigs(study, named)
     with _training(folder, "head", HEAD_FILES, [HEAD_CHECKPOINTS], resume, overwrite) as display:
         train_leakage_head(study, folder, seed, list(named.values()), display)
+        shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
     return folder / f"{HEAD_WEIGHTS}.safetensors"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import repeat
@@ -21,6 +21,7 @@ from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.drawn_rigs import rig_tasks
@@ -97,7 +98,7 @@ class Plan:
     """
 
     config: TaskConfig
-    controllers: Sequence[Controller]
+    controllers: Sequence[Controller | None]  # None: not known yet
     settings: HeadTrainingSettings
     split: str = "training"  # of the law's rigs
 
@@ -129,100 +130,115 @@ class Plan:
                     parts += [Chunk(number, controller, leak, size, moves) for size in sizes]
         return parts
 
-    def windows(self, episodes: int, first_seed: int, skip: int = 0) -> Iterator[Windows]:
-        """Simulate one chunk after another; each depends only on the plan, its number and its seeds.
+    def jobs(self, episodes: int, first_seed: int) -> dict[str, Job]:
+        """A job for each chunk whose controller is known, by the chunk's number; their results are :class:`Windows`.
 
         Args:
             episodes: number of runs; rounding may add a few.
             first_seed: of the first run.
-            skip: number of chunks to leave out.
         """
-        seed = first_seed
+        own = self.controllers if self.settings.law is None else ()
+        digests = [fingerprint(controller) for controller in own]
+        jobs, seed = {}, first_seed
         for number, chunk in enumerate(self.chunks(episodes)):
-            if number >= skip:
-                yield self._chunk(chunk, np.arange(seed, seed + chunk.axes), self.rigs[number % len(self.rigs)])
+            seeds = np.arange(seed, seed + chunk.axes)
             seed += chunk.axes
+            acting, digest = None, "none"
+            if own and chunk.controller >= 0:
+                acting, digest = own[chunk.controller], digests[chunk.controller]
+                if acting is None:
+                    continue
+            arguments = (self.settings, chunk, seeds, self.rigs[number % len(self.rigs)])
+            jobs[str(number)] = Job(simulated, acting, arguments, digest)
+        return jobs
 
-    def _chunk(self, chunk: Chunk, seeds: NDArray[np.int64], config: TaskConfig) -> Windows:
-        generator = np.random.default_rng([int(seeds[0]), chunk.row])
-        row, count, settings = OPERATIONS[chunk.row], chunk.axes, self.settings
-        sheet, scale = sheet_of(config), leak_scale(config)
-        shortest, longest = config.steps, settings.longest_window(config)
-        # Whole lengths in a few steps: the windows of one length are read together.
-        choices = np.unique(np.geomspace(shortest, longest, 5).round().astype(int))
-        sizes = [int(choices[0] if turn % 2 == 0 else generator.choice(choices)) for turn in range(settings.windows)]
-        steps = longest + longest // 4
-        leakage = config.leakage.model_dump() | {"schedule": "constant"}
-        if chunk.leak == "orifice":
-            leakage |= {"law": "orifice"}
-        if changing := chunk.leak in CHANGING:  # the run ends with its only window
-            sizes = [int(generator.choice(sizes))]
-            steps = sizes[0] + int(generator.integers(shortest) if generator.random() > AT_START else 0)
-            begin, last = 1.0 - sizes[0] / steps, 1.0 - (1.0 - LATEST) * sizes[0] / steps
-            leakage |= {"schedule": chunk.leak, "start_range": (begin, last)}
-        duration = steps * config.control_period
-        noise = np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE)))
-        noise = float(noise) if generator.random() < NOISY else 1.0
-        sensors = config.sensors.model_dump()
-        for name in SENSORS:
-            sensors[name]["noise"] *= noise
-        task = row.task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
-        leaks = self._leaks(generator, count, LEAKAGE_LIMIT / scale)
-        faults, fault, labels = draw_faults(config, generator, count, 0.0 if chunk.disturbed else settings.fault_share)
-        faults[EXTERNAL] = np.minimum(scale * faults[EXTERNAL], fault_limits(EXTERNAL)[1])
-        labels[:, 0] = leaks > config.leakage.class_bounds[0]
-        measured = MeasuredColumns.of(task)
-        acting: Any
-        if row.manner is not None:
-            acting = Operation(row.manner, task, count, int(seeds[0]))
-        elif settings.law is not None:
-            acting = shipped(ANY_AXIS[chunk.controller], task)
-        else:
-            acting = self.controllers[chunk.controller]
-        moves = None
-        if chunk.disturbed:
-            kinds = generator.choice(list(DISTURBANCES), count)
-            moves = drawn(generator, kinds, steps, config.control_period)
-            acting = Disturbed(acting, moves)
-        run = run_cases(
-            task, acting, Cases(seeds, scale * leaks, faults=faults), measured.columns, states=False, chunk=count
-        )
-        assert run.signals is not None
-        signals = measured.si(run.signals).astype(np.float32)
-        if moves is not None:
-            moves.read(signals)
-        lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
-        parts = []
-        for size in sizes:
-            kept = np.flatnonzero(lengths >= (steps if changing else size))
-            begins = np.floor(generator.random(len(kept)) * (lengths[kept] - size + 1)).astype(int)
-            begins[generator.random(len(kept)) < AT_START] = 0
-            if changing:
-                begins[:] = steps - size
-            cut = [signals[axis, :, b : b + size] for axis, b in zip(kept, begins, strict=True)]
-            values = features_of(np.stack(cut), sheet) if cut else np.empty((0, len(FEATURES)), dtype=np.float32)
-            if settings.law is not None:
-                own = np.tile(rig_features(config), (len(values), 1))
-                values = np.concatenate([values, own], axis=1)
-            told = fault[kept], np.full(len(kept), LEAKS.index(chunk.leak)), np.full(len(kept), noise)
-            felt = (
-                moves._replace(course=moves.course[kept]).felt(begins, size)
-                if moves is not None
-                else np.zeros(len(kept))
-            )
-            parts.append(Windows(values, labels[kept], leaks[kept], *told, felt))
-        return Windows.joined(parts)
 
-    def _leaks(self, generator: np.random.Generator, count: int, largest: float) -> NDArray[np.float64]:
-        """Leaks in the rig's unit: healthy, or above the healthy bound; log-uniform."""
-        bound, settings = self.config.leakage.class_bounds[0], self.settings
-        healthy = generator.random(count) < settings.healthy_share
-        low = np.where(
-            healthy, settings.lowest_healthy_flow, np.where(generator.random(count) < SMALL, bound, 3.0 * bound)
+def simulated(
+    controller: Controller | None,
+    settings: HeadTrainingSettings,
+    chunk: Chunk,
+    seeds: NDArray[np.int64],
+    config: TaskConfig,
+) -> Columns:
+    """The windows of one chunk."""
+    generator = np.random.default_rng([int(seeds[0]), chunk.row])
+    row, count = OPERATIONS[chunk.row], chunk.axes
+    sheet, scale = sheet_of(config), leak_scale(config)
+    shortest, longest = config.steps, settings.longest_window(config)
+    # Whole lengths in a few steps: the windows of one length are read together.
+    choices = np.unique(np.geomspace(shortest, longest, 5).round().astype(int))
+    sizes = [int(choices[0] if turn % 2 == 0 else generator.choice(choices)) for turn in range(settings.windows)]
+    steps = longest + longest // 4
+    leakage = config.leakage.model_dump() | {"schedule": "constant"}
+    if chunk.leak == "orifice":
+        leakage |= {"law": "orifice"}
+    if changing := chunk.leak in CHANGING:  # the run ends with its only window
+        sizes = [int(generator.choice(sizes))]
+        steps = sizes[0] + int(generator.integers(shortest) if generator.random() > AT_START else 0)
+        begin, last = 1.0 - sizes[0] / steps, 1.0 - (1.0 - LATEST) * sizes[0] / steps
+        leakage |= {"schedule": chunk.leak, "start_range": (begin, last)}
+    duration = steps * config.control_period
+    noise = np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE)))
+    noise = float(noise) if generator.random() < NOISY else 1.0
+    sensors = config.sensors.model_dump()
+    for name in SENSORS:
+        sensors[name]["noise"] *= noise
+    task = row.task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
+    leaks = _leaks(generator, config, settings, count)
+    faults, fault, labels = draw_faults(config, generator, count, 0.0 if chunk.disturbed else settings.fault_share)
+    faults[EXTERNAL] = np.minimum(scale * faults[EXTERNAL], fault_limits(EXTERNAL)[1])
+    labels[:, 0] = leaks > config.leakage.class_bounds[0]
+    measured = MeasuredColumns.of(task)
+    acting: Any
+    if row.manner is not None:
+        acting = Operation(row.manner, task, count, int(seeds[0]))
+    elif settings.law is not None:
+        acting = shipped(ANY_AXIS[chunk.controller], task)
+    else:
+        acting = controller
+    moves = None
+    if chunk.disturbed:
+        kinds = generator.choice(list(DISTURBANCES), count)
+        moves = drawn(generator, kinds, steps, config.control_period)
+        acting = Disturbed(acting, moves)
+    run = run_cases(
+        task, acting, Cases(seeds, scale * leaks, faults=faults), measured.columns, states=False, chunk=count
+    )
+    assert run.signals is not None
+    signals = measured.si(run.signals).astype(np.float32)
+    if moves is not None:
+        moves.read(signals)
+    lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
+    parts = []
+    for size in sizes:
+        kept = np.flatnonzero(lengths >= (steps if changing else size))
+        begins = np.floor(generator.random(len(kept)) * (lengths[kept] - size + 1)).astype(int)
+        begins[generator.random(len(kept)) < AT_START] = 0
+        if changing:
+            begins[:] = steps - size
+        cut = [signals[axis, :, b : b + size] for axis, b in zip(kept, begins, strict=True)]
+        values = features_of(np.stack(cut), sheet) if cut else np.empty((0, len(FEATURES)), dtype=np.float32)
+        if settings.law is not None:
+            own = np.tile(rig_features(config), (len(values), 1))
+            values = np.concatenate([values, own], axis=1)
+        told = fault[kept], np.full(len(kept), LEAKS.index(chunk.leak)), np.full(len(kept), noise)
+        felt = (
+            moves._replace(course=moves.course[kept]).felt(begins, size) if moves is not None else np.zeros(len(kept))
         )
-        high = np.where(healthy, bound, min(settings.highest_flow, largest))
-        size: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
-        return size
+        parts.append(Windows(values, labels[kept], leaks[kept], *told, felt))
+    return Windows.joined(parts)._asdict()
+
+
+def _leaks(
+    generator: np.random.Generator, config: TaskConfig, settings: HeadTrainingSettings, count: int
+) -> NDArray[np.float64]:
+    """Leaks in the rig's unit: healthy, or above the healthy bound; log-uniform."""
+    bound, largest = config.leakage.class_bounds[0], LEAKAGE_LIMIT / leak_scale(config)
+    healthy = generator.random(count) < settings.healthy_share
+    low = np.where(healthy, settings.lowest_healthy_flow, np.where(generator.random(count) < SMALL, bound, 3.0 * bound))
+    high = np.where(healthy, bound, min(settings.highest_flow, largest))
+    size: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
+    return size
 
 
 def draw_faults(

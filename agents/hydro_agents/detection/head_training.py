@@ -31,9 +31,10 @@ from hydro_agents.detection.head import (
 from hydro_agents.detection.intervals import COVERAGE, FEWEST, GROUPS, WIDTHS, distances, groups, quantiles
 from hydro_agents.detection.sheet import RIG_FEATURES
 from hydro_agents.detection.training_settings import HeadTrainingSettings
+from hydro_agents.running.jobs import Job, run_jobs
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, require, restore_optimiser, save_checkpoint
-from hydro_env import ConfigurationError, HydroError, TaskConfig
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 
 CHECKPOINT_FILE = "head_checkpoint.safetensors"
@@ -42,7 +43,6 @@ NEVER_VARIED, INVALID = 1e-5, FEATURES.index("invalid features")
 RIDGE = 0.05  # added to the covariance of the standardised features before inversion
 
 FALSE_ALARM_RATE = 0.01
-MOST_CHUNKS = 10**6  # of a phase; more must be a mistake
 
 CHANGING_SHARE = 0.15  # share of the windows that are treated as windows with a changing leak
 LARGEST_SHIFT = 2.0  # largest size of the shift of a leak's logit at standstill
@@ -88,38 +88,45 @@ def train_head(
         settings: settings of the training.
         seed: seed of data and network.
         progress: called with the phase, the amount done, the total amount, and the loss (NaN during simulation).
-        folder: for ``head_checkpoint.safetensors``, which holds the windows simulated so far and the network;
-            ``None`` writes nothing.
+        folder: for ``head_checkpoint.safetensors``, the network, and the folder ``jobs``, the windows simulated so
+            far; ``None`` writes nothing.
         resume: continue from that checkpoint.
 
     Raises:
         ConfigurationError: the settings do not suit the task, or the checkpoint is missing, damaged or of other
             settings.
-        KeyboardInterrupt: Ctrl-C; the checkpoint keeps everything except the unfinished chunk or epoch.
+        KeyboardInterrupt: Ctrl-C; the folder keeps everything except the unfinished chunks or epoch.
     """
     settings.check(config)
     torch.set_num_threads(settings.torch_threads)
     torch.manual_seed(seed)
     began = time.monotonic()
-    checkpoint = Path(folder) / CHECKPOINT_FILE if folder is not None else None
-    job = _Job(config, controllers, settings, seed, checkpoint, progress or (lambda *_: None))
+    job = _Job(config, controllers, settings, seed, Path(folder) if folder else None, progress or (lambda *_: None))
     if resume:
         job.restore()
+    job.save()
+    job.simulate()
     try:
-        job.simulate("data", settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start)
-        job.simulate("validation", settings.validation_episodes, THRESHOLDS.first)
-        job.save()
         job.fit()
-    except (KeyboardInterrupt, HydroError):
+    except KeyboardInterrupt:
         job.save()
         raise
     record = {"seed": seed, "settings": settings.model_dump(mode="json")}
-    head = calibrated(
-        job.tensors(), config, settings.longest_window(config), Windows.joined(job.parts["validation"]), record
-    )
+    head = calibrated(job.tensors(), config, settings.longest_window(config), job.windows["validation"], record)
     if not resume:  # the time of the runs before is unknown
         head.settings.training["seconds"] = round(time.monotonic() - began, 1)
     return head
+
+
+def simulations(
+    config: TaskConfig, controllers: Sequence[Controller | None], settings: HeadTrainingSettings, seed: int
+) -> dict[str, dict[str, Job]]:
+    """The simulations of a training's data and of its validation; ``None`` is a controller that is not known yet."""
+    plans = {phase: Plan(config, controllers, settings, split) for phase, split in SPLITS.items()}
+    return {
+        "data": plans["data"].jobs(settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start),
+        "validation": plans["validation"].jobs(settings.validation_episodes, THRESHOLDS.first),
+    }
 
 
 def loss_of(output: Tensor, labels: Tensor, size: Tensor, size_weight: float) -> Tensor:
@@ -151,18 +158,18 @@ class _Job:
         controllers: Sequence[Controller],
         settings: HeadTrainingSettings,
         seed: int,
-        checkpoint: Path | None,
+        folder: Path | None,
         progress: Progress,
     ) -> None:
-        self.settings, self.seed, self.checkpoint, self.progress = settings, seed, checkpoint, progress
-        self.plans = {phase: Plan(config, controllers, settings, split) for phase, split in SPLITS.items()}
+        self.settings, self.seed, self.folder, self.progress = settings, seed, folder, progress
+        self.checkpoint = folder / CHECKPOINT_FILE if folder is not None else None
+        self.jobs = simulations(config, controllers, settings, seed)
         inputs = len(FEATURES) + (len(RIG_FEATURES) if settings.law is not None else 0)
         self.network = make_network(settings.width, inputs, settings.dropout)
         rate, decay = settings.learning_rate, settings.weight_decay
         self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)
         self.epoch = 0
-        self.chunks = dict.fromkeys(SPLITS, 0)  # simulated
-        self.parts: dict[str, list[Windows]] = {phase: [] for phase in SPLITS}
+        self.windows: dict[str, Windows] = {}
         self.made_with = {
             "seed": seed,
             "settings": settings.model_dump(mode="json"),
@@ -183,14 +190,8 @@ class _Job:
         restore_optimiser(self._optimiser, tensors, str(self.checkpoint))
         try:
             self.epoch = range(self.settings.epochs + 1).index(stored["epoch"])
-            for phase in SPLITS:
-                self.chunks[phase] = range(MOST_CHUNKS).index(stored["chunks"][phase])
-                if self.chunks[phase]:
-                    self.parts[phase] = [Windows(*(tensors[f"{phase}.{name}"] for name in Windows._fields))]
-            if any(len({len(array) for array in part}) > 1 for parts in self.parts.values() for part in parts):
-                raise ValueError("arrays of several lengths")
         except (KeyError, TypeError, ValueError):
-            raise ConfigurationError(f"{self.checkpoint}: damaged: its windows or epochs do not fit") from None
+            raise ConfigurationError(f"{self.checkpoint}: damaged: its epochs do not fit") from None
 
     def _network_tensors(self) -> dict[str, NDArray[Any]]:
         return {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
@@ -199,26 +200,22 @@ class _Job:
         if self.checkpoint is None:
             return
         tensors = self._network_tensors() | optimiser_tensors(self._optimiser)
-        for phase, parts in self.parts.items():
-            if parts:
-                tensors |= {f"{phase}.{name}": v for name, v in Windows.joined(parts)._asdict().items()}
-        done = {"epoch": self.epoch, "chunks": self.chunks}
-        save_checkpoint(self.checkpoint, KIND, tensors, done | self.made_with)
+        save_checkpoint(self.checkpoint, KIND, tensors, {"epoch": self.epoch} | self.made_with)
 
-    def simulate(self, phase: str, episodes: int, first_seed: int) -> None:
-        plan, done = self.plans[phase], self.chunks
-        sizes = [chunk.axes for chunk in plan.chunks(episodes)]
-        if not done[phase]:
-            self.save()
-        self.progress(phase, sum(sizes[: done[phase]]), sum(sizes), math.nan)
-        for part in plan.windows(episodes, first_seed, skip=done[phase]):
-            self.parts[phase].append(part)
-            done[phase] += 1
-            self.progress(phase, sum(sizes[: done[phase]]), sum(sizes), math.nan)
+    def simulate(self) -> None:
+        for phase, jobs in self.jobs.items():
+
+            def report(_: str, done: int, total: int, phase: str = phase) -> None:
+                self.progress(phase, done, total, math.nan)
+
+            found, _ = run_jobs(jobs, self.folder, None, report)
+            if error := next((each.error for each in found.values() if each.error), ""):
+                raise ConfigurationError(error)
+            self.windows[phase] = Windows.joined([Windows(**found[key].metrics) for key in jobs])
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """The tensors of the head, with the statistics of the features of the training windows."""
-        features = Windows.joined(self.parts["data"]).features
+        features = self.windows["data"].features
         tensors = tensors_like(self.settings.width, features.shape[1]) | network_tensors(self.network)
         tensors["mean"] = features.mean(axis=0)
         deviation = features.std(axis=0)
@@ -232,7 +229,7 @@ class _Job:
         return tensors
 
     def fit(self) -> None:
-        data, settings, start = Windows.joined(self.parts["data"]), self.settings, self.tensors()
+        data, settings, start = self.windows["data"], self.settings, self.tensors()
         inputs = torch.from_numpy(standardised(data.features, start["mean"], start["scale"]))
         disturbed = (data.disturbance >= 1.0).astype(np.float32)
         labels = torch.from_numpy(np.column_stack([data.labels, disturbed]))

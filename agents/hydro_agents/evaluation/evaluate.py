@@ -129,6 +129,7 @@ def evaluate(
     head: LeakageHead | None = None,
     settings: ProtocolSettings | Mapping[str, Any] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
+    folder: Path | None = None,
 ) -> Evaluation:
     """Compare controllers on test plants: the same plants, references and noise for each.
 
@@ -142,7 +143,8 @@ def evaluate(
             ``NAME#1``, … are training seeds of one controller: they share its rows, whose intervals include the seeds.
         head: leakage head, run under every controller; ``None`` leaves detection out.
         settings: size of the evaluation, :class:`ProtocolSettings` or its fields.
-        progress: called with the name of the phase, the number of cases done, and their total.
+        progress: called with the name of the phase, the number of jobs done, and their total.
+        folder: keeps the results of finished jobs, and gives those that it has.
 
     Raises:
         ConfigurationError: the task or the settings are impossible, a text names no controller, weights belong to
@@ -164,10 +166,10 @@ def evaluate(
         raise ConfigurationError("evaluate: needs at least one controller")
     if head is not None:
         check_head(head, config, "leakage head")
-    protocol = StudyProtocol(task=config, conditions={"task": PairedCondition()}, **settings.model_dump())
+    protocol = study_protocol(config, settings)
     report = None if progress is None else lambda _, done, total: progress("evaluation", done, total)
     chosen = replace(participants(controllers, protocol), head=head)
-    results = run(protocol, chosen, progress=report)
+    results = run(protocol, chosen, folder, progress=report)
     errors: dict[str, str] = {}
     for row in results.status[results.status["status"] == FAILED].to_dict("records"):
         errors.setdefault(str(row["controller"]), f"{row['controller']}: {row['message']}")
@@ -183,6 +185,11 @@ def evaluate(
     results = replace(results, rows=rows)
     tables = {name: results.table(name) for name in tables_of("study")}
     return Evaluation(**tables, bounds=LeakBounds.of(config), errors=errors)
+
+
+def study_protocol(task: TaskConfig, settings: ProtocolSettings) -> StudyProtocol:
+    """The evaluation as a protocol."""
+    return StudyProtocol(task=task, conditions={"task": PairedCondition()}, **settings.model_dump())
 
 
 RATIO_COLUMNS = ["controller", "against", "group", "value", "ratio", "low", "high", "share_of_cases_better"]

@@ -16,8 +16,8 @@ import sys
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from multiprocessing import parent_process
@@ -30,7 +30,7 @@ from typing import Any
 
 import joblib
 import numpy as np
-from joblib import Parallel, delayed, effective_n_jobs, parallel_config
+from joblib import Parallel, cpu_count, delayed, effective_n_jobs, parallel_config
 from joblib.parallel import get_active_backend
 from numpy.typing import NDArray
 from pydantic_core import to_json
@@ -40,6 +40,7 @@ from hydro_env.compiling import SOURCES
 from hydro_env.files import write_whole
 
 JOBS_FOLDER = "jobs"
+RESULT_FILES = f"{JOBS_FOLDER}/*.npz"
 CODE = (
     *(f"hydro_agents/{room}" for room in ("controllers", "running", "learning", "detection", "evaluation")),
     *(f"hydro_rig/{room}" for room in ("estimation", "recordings", "monitoring")),
@@ -167,6 +168,33 @@ def run_jobs(
     return results, reused
 
 
+@contextmanager
+def beside(listed: Iterable[Job], folder: Path) -> Iterator[None]:
+    """Run jobs on the other cores while the block runs here; their results wait in the folder for :func:`run_jobs`.
+
+    The end of the block ends the rest. Without another core, or on a cluster, nothing runs beside.
+    """
+    backend, count = get_active_backend()
+    files = {folder / JOBS_FOLDER / job.file: job for job in listed if job.digest}
+    calls = [delayed(_kept)(file, job, digest_of_code(*CODE)) for file, job in files.items() if not file.exists()]
+    others = min(effective_n_jobs(count), cpu_count()) - 1
+    if not calls or others < 1 or type(backend).__name__ != "LokyBackend":
+        yield
+        return
+    pool: Any = Parallel(n_jobs=others + 1, batch_size=1, pre_dispatch=others, return_as="generator_unordered")
+    answers = pool(calls)
+    try:
+        yield
+    finally:
+        _cancel(answers)
+
+
+def _kept(file: Path, job: Job, code: str) -> None:
+    _, result = _in_worker(file.name, job, code)
+    if not result.error:
+        save_result(file, result)
+
+
 def save_result(path: Path, result: JobResult) -> None:
     """Write a result atomically.
 
@@ -206,9 +234,13 @@ def side_by_side(pool: Any, calls: Sequence[Any]) -> Generator[Any, None, None]:
         for answer in answers:  # noqa: UP028 (`yield from` would close the answers before the warning is off)
             yield answer
     finally:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # joblib counts the calls that it cancels
-            answers.close()
+        _cancel(answers)
+
+
+def _cancel(answers: Any) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # joblib counts the calls that it cancels
+        answers.close()
 
 
 def _named(key: str, job: Job) -> tuple[str, JobResult]:

@@ -108,7 +108,8 @@ def evaluate_study(
     def work() -> Evaluation:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # the errors are printed below
-            return evaluate(study.task, controllers, head, study.evaluation, display.update)
+            kept = folder if phases else None
+            return evaluate(study.task, controllers, head, study.evaluation, display.update, kept)
 
     evaluation = phases.run("evaluate", work) if phases is not None else work()
     display.update("report", 0, 1)

@@ -6,8 +6,10 @@ Each phase writes its result into the output folder; an interrupted study can th
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
+from itertools import chain
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,11 +19,15 @@ import pandas as pd
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import GAINS_FILE, make_controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.evaluation.evaluate import Evaluation
+from hydro_agents.detection.head_training import simulations
+from hydro_agents.evaluation.evaluate import Evaluation, study_protocol
+from hydro_agents.evaluation.participants import participants
+from hydro_agents.evaluation.runner import plan
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
+from hydro_agents.running.jobs import JOBS_FOLDER, Job, beside
 from hydro_agents.running.seeds import TRIAL_RUN
 from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, STATE_FILE, Phases, evaluate_study, print_summary
 from hydro_agents.study.settings import StudySettings
@@ -68,14 +74,16 @@ def run_study(
         _write_settings(study, folder, seed)
         try_out(study)
         phases = Phases(folder)
-        controllers: dict[str, Controller] = {}
-        curves = []
-        for name, entry in study.controllers.items():
-            if entry.trainer is None:
-                controllers[name] = _tuned(study, name, folder, seed, phases, display)
-                continue
-            controllers[name] = _trained(study, name, folder, seed, controllers, phases, display)
-            curves.append(read_curve(folder / "controllers" / name).assign(controller=name))
+        known = {
+            name: _tuned(study, name, folder, seed, phases, display)
+            for name, entry in study.controllers.items()
+            if entry.trainer is None
+        }
+        with beside(_early_jobs(study, known, seed, phases), folder):
+            for name in study.trained:
+                known[name] = _trained(study, name, folder, seed, known, phases, display)
+        controllers = {name: known[name] for name in study.controllers}
+        curves = [read_curve(folder / "controllers" / name).assign(controller=name) for name in study.trained]
         if study.tuned:
             write_yaml(folder / TUNED_FILE, _with_gains(study, controllers))
         head = _head(study, folder, seed, controllers, phases, display)
@@ -92,10 +100,24 @@ def run_study(
             training_curve=pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(),
             weights={name: f"controllers/{name}/{WEIGHTS}" for name in study.trained} | {"leakage_head": HEAD_WEIGHTS},
         )
+        shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
     print_summary(evaluation, display)
     display.say("times: " + ", ".join(f"{phase} {seconds:.0f} s" for phase, seconds in phases.seconds.items()))
     display.say(f"report: {(folder / REPORT_FILE).resolve()}")
     return evaluation
+
+
+def _early_jobs(study: StudySettings, known: Mapping[str, Controller], seed: int, phases: Phases) -> Iterator[Job]:
+    """What can be done while the policies train: evaluating the others, and most runs of the head's training."""
+    if not known or all(f"train {name}" in phases.done for name in study.trained):
+        return
+    protocol = study_protocol(study.task, study.evaluation)
+    yield from (job for each in plan(protocol, participants(known, protocol)) for _, job in each.jobs)
+    if study.leakage_head is not None:
+        acting = [known.get(name) for name in study.controllers]
+        yield from chain(
+            *(jobs.values() for jobs in simulations(study.task, acting, study.leakage_head, seed).values())
+        )
 
 
 def claimed(study: StudySettings, folder: Path, resume: bool, overwrite: bool) -> AbstractContextManager[Path]:

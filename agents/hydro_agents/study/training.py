@@ -18,6 +18,7 @@ from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progres
 from hydro_agents.learning.tuning import Tuned, tune
 from hydro_agents.rigs.stable_gain import stable_start
 from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.seeds import STANDSTILLS
 from hydro_agents.study.entries import TuningSettings
 from hydro_agents.study.settings import StudySettings
@@ -34,7 +35,7 @@ TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfeven
 TUNING_LOG = "tuning.csv"
 TUNING_FILES = (GAINS_FILE, TUNING_LOG)  # files that the tuning of a controller writes
 STANDSTILL_CASES = 16  # at which the tuned gains are searched for limit cycles
-HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS)
+HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS, RESULT_FILES)
 
 
 def train_controller(

@@ -54,7 +54,7 @@ def alarms(
     from hydro_agents.detection.looks import window_of
     from hydro_agents.detection.monitor import HEAD_FILE
     from hydro_agents.learning.opponents import shipped
-    from hydro_agents.running.jobs import JOBS_FOLDER
+    from hydro_agents.running.jobs import RESULT_FILES
     from hydro_agents.running.text import frame_markdown
     from hydro_env import ConfigurationError
     from hydro_env.files import validate
@@ -84,5 +84,5 @@ def alarms(
         text = "\n\n".join([f"`{command_line()}`", *shown])
         return text, {**files, "alarms.md": text + "\n"}
 
-    names = ["alarm.yaml", "alarms.md", "*.csv", f"{JOBS_FOLDER}/*.npz"]
+    names = ["alarm.yaml", "alarms.md", "*.csv", RESULT_FILES]
     write_results(output, "alarms", names, work, resume, overwrite)

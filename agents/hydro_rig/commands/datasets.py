@@ -85,9 +85,6 @@ def record(
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
     from hydro_env.task.reference_signals import FAMILIES
-    from hydro_rig.recordings.channels import check_driving
-    from hydro_rig.recordings.recording import read_recording
-    from hydro_rig.recordings.sampling import sampled
     from hydro_rig.recordings.simulated import record_axis
 
     if family is not None and family not in FAMILIES:
@@ -114,9 +111,10 @@ def record(
     end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
     drawn = f"; parameters of the plant drawn by --seed {seed}" if config.randomisation else ""
     leak = f"leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"
-    driving = check_driving(sampled(read_recording(output), config), config)
-    say(*([f"{output}: {gains}"] if gains else []), *(f"{output}: {finding.line()}" for finding in driving))
-    say(f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}")
+    say(
+        *([f"{output}: {gains}"] if gains else []),
+        f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}",
+    )
 
 
 def _record_dataset(

@@ -25,7 +25,7 @@ from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.parts import lively
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
-from hydro_rig.recordings.sampling import cut
+from hydro_rig.recordings.sampling import cut, on_grid
 
 
 class Companion(NamedTuple):
@@ -131,6 +131,7 @@ def diagnose(
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
     checked.findings.extend(_about_auxiliary(recording))
+    config = on_grid(config, checked.samples.period)
     length = max(round(window / config.control_period), 2)
     note = companion.detector.refuses(config, length)
 

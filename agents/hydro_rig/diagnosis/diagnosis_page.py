@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -20,13 +19,13 @@ from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import MEANINGS, Look, looks_of
 from hydro_agents.report.recorded import Line, Mark, Signal, paint_course, recording_tables
-from hydro_agents.report.sections import Block, Code, Points, Text, render_page, section
+from hydro_agents.report.sections import Block, Points, Text, render_page, section
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import capitalised, number, setting
+from hydro_agents.running.text import capitalised, setting
 from hydro_env.files import write_text
 from hydro_rig.diagnosis.diagnose import Diagnosis, findings_table, leak_table
-from hydro_rig.diagnosis.verdict import Kind, Verdict, combined, named_fault
+from hydro_rig.diagnosis.verdict import Kind, Verdict
 from hydro_rig.identification.data_sheet import lines_to_paste
 from hydro_rig.recordings.columns import MEASURED
 from hydro_rig.recordings.findings import Finding, Weight
@@ -36,7 +35,7 @@ PAGE_FILE, TABLE_FILE, FINDINGS_FILE = "diagnosis.html", "leak.csv", "findings.c
 FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, FIGURE_FILES)
 JOB = "diagnose"
 
-DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "signals", "judging")
+DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "judging")
 """Sections of the page, in order."""
 SOURCES = Markup(
     "Readings of each window: <code>leak.csv</code>; findings: <code>findings.csv</code>; both are beside this page."
@@ -109,7 +108,6 @@ def render_diagnosis(diagnosis: Diagnosis, origin: Origin) -> Page:
         diagnosis.checked.findings,
         Control_period=f"{1e3 * samples.period:g} ms, {len(samples.time)} samples",
         Windows=", ".join([f"{len(diagnosis.windows)} windows", *read]),
-        **{capitalised(each.name): _summary(each.reading) for each in diagnosis.readings},
     )
     method = (ESTIMATOR, OWN.format(companion.name) if companion.own else HEAD, *JUDGING)
     parts = {"diagnosis": diagnosis, "verdict": diagnosis.verdict, "judging": method}
@@ -133,16 +131,6 @@ def judging(content: Content) -> list[Block]:
     return [Points(content.part("judging", tuple))]
 
 
-def _summary(reading: Reading) -> str:
-    """What a detector says of the whole recording."""
-    if not reading.answers.any():
-        return "no valid reading"
-    if not reading.sized.any():
-        return f"no size; score {number(float(np.median(reading.score[reading.answers])), digits=3)}"
-    fault = named_fault(reading)
-    return f"{combined(reading)[0].text()}{f'; {fault}' if fault else ''}"
-
-
 @section("Leak over time", needs=("diagnosis",))
 def leak_over_time(content: Content) -> list[Block]:
     """The readings and the signals over time."""
@@ -151,15 +139,6 @@ def leak_over_time(content: Content) -> list[Block]:
     if diagnosis.note:
         blocks.append(Text(f"{capitalised(diagnosis.note)}. Only the estimator was used.", "soft"))
     return blocks
-
-
-@section("How the data sheet would agree", needs=("diagnosis",))
-def signals(content: Content) -> list[Block]:
-    """Lines of the task's file with which its data sheet agrees with the recording."""
-    diagnosis = content.part("diagnosis", Diagnosis)
-    fitted = diagnosis.read.fitted
-    mend = lines_to_paste(fitted, diagnosis.task) if fitted is not None else ""
-    return [Text(MEND), Code(mend)] if mend else []
 
 
 # The figure ---------------------------------------------------------------------------------------------------------
@@ -193,8 +172,9 @@ def _plot(diagnosis: Diagnosis) -> Plot:
         f"{setting(limits.fault)} l/min. Shaded in the measured signals: the first place of each finding."
     )
     alt = f"Leak over time and measured signals. {diagnosis.verdict.line()}"
-    title = "Leak and measured signals"
-    return make_plot("diagnosis", title, note, alt, lambda figure: paint(figure, diagnosis), 9.5, WIDE)
+    return make_plot(
+        "diagnosis", "Leak and measured signals", note, alt, lambda figure: paint(figure, diagnosis), 9.5, WIDE
+    )
 
 
 def paint(figure: Figure, diagnosis: Diagnosis) -> None:
@@ -202,8 +182,6 @@ def paint(figure: Figure, diagnosis: Diagnosis) -> None:
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[1.7, 1, 1, 1])
     paint_leak(axes[0], diagnosis)
     paint_course(axes[1:], signals_of(diagnosis.recording, diagnosis.checked.findings))
-    figure.suptitle(_title(diagnosis), fontsize=10, fontweight="bold", x=0.01, ha="left")
-    axes[0].margins(x=0.01)
 
 
 def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
@@ -215,11 +193,6 @@ def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
     axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
     axes.axhspan(LOWEST, limits.healthy, color=GOOD, alpha=0.10, linewidth=0)
     axes.axhspan(limits.fault, HIGHEST, color=WORSE, alpha=0.07, linewidth=0)
-    for height, text in ((LOWEST, "healthy seal"), (limits.fault, "faulty seal")):
-        axes.annotate(
-            text, (0.004, height), xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points",
-            va="bottom", fontsize=8, color=GREY,
-        )  # fmt: skip
     looks = looks_of(["companion", "estimator"])
     middle = 0.5 * (windows.begin + windows.end)
     shift = 0.12 * float(windows.end[0] - windows.begin[0]) if len(middle) else 0.0
@@ -227,11 +200,8 @@ def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
         estimator = column == "estimator"
         look = looks["estimator" if estimator else "companion"]
         _paint_reading(axes, middle + (shift if estimator else -shift), reading, look, name)
-    handles, labels = axes.get_legend_handles_labels()
-    if handles:
-        axes.legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
-    else:
-        axes.text(0.5, 0.5, "no window was read", transform=axes.transAxes, ha="center", color=GREY)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
 
 
 def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, look: Look, name: str) -> None:
@@ -247,9 +217,3 @@ def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, look: Look
                 place[chosen], value, yerr=[value - low, high - value], fmt=look.marker, color=look.colour,
                 markersize=4.5, capsize=2, linewidth=1.2, label=label, **options,
             )  # fmt: skip
-
-
-def _title(diagnosis: Diagnosis) -> str:
-    line = diagnosis.verdict.line()
-    line = line.split(";")[0] if diagnosis.verdict.kind is Kind.UNKNOWN else line
-    return fill(capitalised(line), 105, max_lines=2, placeholder=" …")

@@ -24,7 +24,7 @@ from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.diagnosis.diagnosis_page import signals_of
-from hydro_rig.diagnosis.leak_test_plan import FIND, SIMULATED_LEAK, Plan
+from hydro_rig.diagnosis.leak_test_plan import SIMULATED_LEAK, Plan
 from hydro_rig.diagnosis.leak_test_reading import WINDOW, LeakFit, LeakTest, Quantity
 from hydro_rig.diagnosis.leak_test_steps import RAMP
 from hydro_rig.diagnosis.verdict import EXIT_CODES
@@ -274,12 +274,8 @@ def reading_quantities(content: Content) -> list[Block]:
             wear = WEAR[name]
             low, high = (number(wear.factor * end, digits=3) for end in healthy_range(test.task, name))
             rows.append(_row(capitalised(wear.what), wear.unit, wear.factor, quantity, f"{low} to {high}"))
-    if "valve.edge_ratio" in quantities:
-        rows.append(_row("Edges of chamber b over those of chamber a", "", 1.0, quantities["valve.edge_ratio"], ""))
-    shown = number(FIND * seal.deviation, digits=2)
-    note = f"At 1 % false alarms the test shows a leak past the seal from {shown} l/min on."
     header = ("", "Value", "90 % interval", "Bound (±)", "Healthy", "Unit")
-    return [Table("", header, rows, folded=False), Text(note)]
+    return [Table("", header, rows, folded=False)]
 
 
 def _row(what: str, unit: str, factor: float, quantity: Quantity, healthy: str) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ from hydro_rig.identification.intervals import spread_of
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
-from hydro_rig.recordings.sampling import Sampled, cut
+from hydro_rig.recordings.sampling import Sampled, cut, on_grid
 
 WINDOW = 4.0  # s; the windows share all unknowns but their start
 MOST_WINDOWS = 30  # a longer recording is read from the first change of the command on
@@ -124,6 +124,8 @@ def read_leak_test(
         ConfigurationError: the recording cannot be read at all.
     """
     recording = read_recording(path, columns)
+    checked = check_recording(recording, config)
+    config = on_grid(config, checked.samples.period)
     task, fit = worn_task(config), None
 
     def read(windows: Windows) -> Read:
@@ -136,7 +138,7 @@ def read_leak_test(
         return Read(_reading(fit, config))
 
     result = judged(
-        check_recording(recording, config),
+        checked,
         config,
         choose=lambda samples: _windows(samples, config),
         read=read,

@@ -26,6 +26,7 @@ from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, bridged
 
+OTHER_CLOCK = 2.0  # errors over the noise of the data sheet with which half of the windows show an unknown command
 LONGEST_STEP = 3.0  # of the usual distance of rows: a longer one ends a part of a recording, as one beyond BLOCK
 
 
@@ -92,6 +93,10 @@ def judged(
         if result.fitted is not None:
             checked.findings.extend(contradictions(result.fitted, config))
             residual = worst_signal(result.fitted, config)
+            errors = np.hypot(result.fitted.slow, result.fitted.white)
+            if samples.own_clock and (errors > OTHER_CLOCK).any(axis=1).mean() >= 0.5:
+                what = "acts between the rows, by another clock than that of the log; record at the control period"
+                checked.findings.append(Finding("command", what, Weight.SEVERE))
         decides = not checked.severe
     readings = result.estimator, result.companion
     verdict = judge(checked.findings, *readings, limits, window, residual, companion)

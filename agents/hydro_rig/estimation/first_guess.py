@@ -25,7 +25,7 @@ def first_values(signals: Floats, config: TaskConfig, priors: Mapping[str, Prior
         priors: the unknowns by name.
     """
     if config.sensors.differential_pressure:
-        signals = _two_pressures(signals, config)
+        signals = two_pressures(signals, config)
     time = times(signals.shape[2], config)
     value, slope = _starts(signals[:, : len(SENSORS)], time)
     seen = {f"start.{channel}": value[:, row] for row, channel in enumerate(SENSORS)}
@@ -43,7 +43,7 @@ def first_values(signals: Floats, config: TaskConfig, priors: Mapping[str, Prior
     return first
 
 
-def _two_pressures(signals: Floats, config: TaskConfig) -> Floats:
+def two_pressures(signals: Floats, config: TaskConfig) -> Floats:
     """The signals with both pressures in place of their difference: with equal edges their sum is the supply's."""
     total, difference = config.plant.supply.pressure + config.plant.supply.tank_pressure, signals[:, PRESSURE_A]
     pair = np.stack([0.5 * (total + difference), 0.5 * (total - difference)], axis=1)

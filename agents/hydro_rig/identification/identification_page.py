@@ -136,16 +136,10 @@ def as_json(found: Identification, command: str) -> Any:
 def render_identification(found: Identification, origin: Origin) -> Page:
     """The page."""
     windows = found.parts.fitted
-    length = float(round(windows.end[0] - windows.begin[0], 6))
-    rows = sum(len(recording.time) for recording in found.recordings)
-    duration = sum(float(recording.time[-1]) for recording in found.recordings)
     facts = {
         "Recordings": listed([recording.source for recording in found.recordings]),
-        "Duration": f"{number(duration, 2)} s, {rows} rows",
-        "Rig file": found.rig.source,
-        "Fitted to": f"{len(windows)} windows of {length:g} s, of recordings: {len(np.unique(found.parts.recording))}",
+        "Fitted to": f"{len(windows)} windows, of recordings: {len(np.unique(found.parts.recording))}",
         "Explained": f"{int(found.fit.explained.sum())} windows to within the sensors' noise",
-        "Left out, far worse than the others": f"{int(np.isinf(found.fit.misfit).sum())} windows",
         "Held back": "; ".join(place_of_part(found, part) for part in found.held_back) or "nothing",
     }
     tables = {

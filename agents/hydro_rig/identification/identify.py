@@ -291,7 +291,7 @@ def _matching(paths: Sequence[Path], patterns: Sequence[str]) -> set[int]:
 
 def _on_one_grid(recordings: Sequence[Recording], config: TaskConfig) -> list[Checked]:
     """The checked recordings with one sample time: the control period, or that of the logs where one lacks it."""
-    checked = [check_recording(recording, config, None) for recording in recordings]
+    checked = [check_recording(recording, config) for recording in recordings]
     if len({one.samples.period for one in checked}) > 1:
         for number, (recording, one) in enumerate(zip(recordings, checked, strict=True)):
             if not one.severe and one.samples.period == config.control_period:

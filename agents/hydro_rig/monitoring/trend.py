@@ -30,7 +30,7 @@ from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.liveliest import Lively, liveliest, sampled_windows
 from hydro_rig.recordings.quality import check_samples
 from hydro_rig.recordings.recording import recording_of
-from hydro_rig.recordings.sampling import Sampled, cut
+from hydro_rig.recordings.sampling import Sampled, cut, on_grid
 
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
 WINDOW = 2.0  # s
@@ -120,7 +120,8 @@ def row_of(
     if candidates:
         rows = [candidate.rows for candidate in candidates]
         temperature = _mean(np.array([_mean(one.auxiliary.get(OIL, NOTHING)) for one in rows]))
-        volume = leak_of_blocks(blocks)
+        volume, samples = leak_of_blocks(blocks), sampled_windows(candidates, WINDOW, config)
+        config = on_grid(config, samples.period)
 
         def choose(samples: Sampled) -> Windows:
             windows = cut(samples, round(WINDOW / config.control_period))
@@ -137,7 +138,7 @@ def row_of(
             return Read(referred(measured, how.oil, warm, how.between), fitted=fitted)
 
         found = judged(
-            check_samples(sampled_windows(candidates, WINDOW, config), live.findings, config),
+            check_samples(samples, live.findings, config),
             config,
             choose=choose,
             read=read,

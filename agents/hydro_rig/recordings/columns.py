@@ -81,6 +81,12 @@ class Column(Group):
         return {"column": values} if isinstance(values, str | int) else values
 
 
+class TimeColumn(Column):
+    """The time stamps."""
+
+    equidistant: bool = Field(False, description="whether the rows lie at equal distances, whatever their stamps say")
+
+
 class CommandColumn(Column):
     """The command; the rig's program may write it before it acts."""
 
@@ -92,7 +98,7 @@ class CommandColumn(Column):
 class ColumnMap(Group):
     """The columns of a recording; an absent signal was not measured."""
 
-    time: Column
+    time: TimeColumn
     command: CommandColumn
     position: Column | None = None
     pressure_a: Column | None = None

@@ -136,7 +136,7 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
         own = columns.stamps[place]
         if own is None or (len(own) == len(base) and np.allclose(own, base, rtol=0.0, atol=1e-9)):
             continue
-        cells[signal] = pd.Series(_interpolated(base, own, numbers_of(columns.cells[place])))
+        cells[signal] = pd.Series(interpolated(base, own, numbers_of(columns.cells[place])))
         usual = 1e3 * float(np.median(np.diff(own))) if len(own) > 1 else np.nan
         what = f"has its own time stamps, one every {usual:.4g} ms; it is interpolated at those of the command"
         findings.append(Finding(signal, what, Weight.NOTE))
@@ -149,7 +149,7 @@ def numbers_of(cells: pd.Series) -> Floats:
     return values
 
 
-def _interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
+def interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
     """Values at ``time`` between the samples (own, values); NaN before, after, and in gaps."""
     order = np.argsort(own, kind="stable")
     own, values = own[order], values[order]

@@ -5,7 +5,7 @@ Of each section of five minutes the window in which the signals vary most is kep
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_env.types import Floats
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.recording import FULL_COMMAND, Recording
-from hydro_rig.recordings.sampling import LONGEST_FILL, Sampled, sampled
+from hydro_rig.recordings.sampling import LARGEST_DEVIATION, LONGEST_FILL, Sampled, sampled
 
 SECTION = 300.0  # s; one window of each is kept, about 25 kB
 MARGIN = 5  # rows before and after a window, from which lost rows at its ends are completed
@@ -116,29 +116,24 @@ def _scores(run: Recording, starts: Places, ends: Places, window: float, config:
 def sampled_windows(candidates: Sequence[Candidate], window: float, config: TaskConfig) -> Sampled:
     """The samples of windows (at least one) as those of one recording, for ``cut``.
 
-    Two windows lie one window apart; their margins stand between them. A window whose samples are not as the task
-    expects is left out, unless all are: then the first tells why.
+    Two windows lie one window apart; their margins stand between them. A window whose samples are not as the task or
+    the first one expects is left out, unless all are: then the first tells why.
     """
-    length = round(window / config.control_period)
     found = [(candidate, sampled(candidate.rows, config)) for candidate in candidates]
     good = [(candidate, one) for candidate, one in found if len(one.place)]
     if not good:
         return found[0][1]
-    parts = []
+    period, parts = good[0][1].period, []
+    length = round(window / period)
+    good = [(candidate, one) for candidate, one in good if abs(one.period / period - 1.0) <= LARGEST_DEVIATION]
     for place, (candidate, one) in enumerate(good):
-        before = round((candidate.begin - candidate.rows.begin - one.time[0]) / config.control_period)
+        before = round((candidate.begin - candidate.rows.begin - one.time[0]) / period)
         places = one.place - before + (1 + 2 * place) * length
-        parts.append(one._replace(place=places, time=places * config.control_period))
+        parts.append(one._replace(place=places, time=places * period))
     return parts[0]._replace(
         place=np.concatenate([part.place for part in parts]),
         time=np.concatenate([part.time for part in parts]),
         signals=np.concatenate([part.signals for part in parts], axis=1),
         findings=list({(one.signal, one.weight): one for part in parts for one in part.findings}.values()),
-        auxiliary=_concatenated([part.auxiliary for part in parts]),
+        auxiliary={name: np.concatenate([part.auxiliary[name] for part in parts]) for name in parts[0].auxiliary},
     )
-
-
-def _concatenated(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
-    """The signals that all parts hold, one part after the other."""
-    shared = [name for name in parts[0] if all(name in part for part in parts)]
-    return {name: np.concatenate([part[name] for part in parts]) for name in shared}

@@ -26,6 +26,7 @@ from hydro_env.plant.states import State
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
+from hydro_rig.estimation.first_guess import two_pressures
 from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_driving
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
 from hydro_rig.recordings.recording import Recording
@@ -42,6 +43,7 @@ FEWEST_SAMPLES = 100
 LEAST_TRAVEL = 20.0  # smallest useful travel, in standard deviations of the position's noise
 STEADY = 0.05  # scatter of the flow over its mean, below which the axis moves at one speed
 LEAST_SHARE = 0.05  # smallest travel, as a share of the travel from the valve's flow
+UNRELATED = 0.05  # square of the correlation of the flows below which their slope says nothing
 
 FITS, FAILS = 0.6, 0.75
 """Unexplained share of the force: largest value of a fitting balance, smallest value of a wrong one.
@@ -56,6 +58,9 @@ ROUNDING = 1e-4  # of full scale, by which a command at its limit may exceed it 
 LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
 
 
+SETTLED = "a move by a positive command settles it: the axis extends, and chamber a gets the oil"
+
+
 class Checked(NamedTuple):
     """A recording at the control period, and all findings about it."""
 
@@ -68,7 +73,7 @@ class Checked(NamedTuple):
         return [finding for finding in self.findings if finding.weight is Weight.SEVERE]
 
 
-def check_recording(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Checked:
+def check_recording(recording: Recording, config: TaskConfig, own_grid: bool = False) -> Checked:
     """Check time stamps, channels and wiring of a recording for the rig of a task.
 
     Each check relies on the previous ones, and is left out after a severe finding. ``own_grid`` is that of
@@ -174,6 +179,8 @@ def _stretch_with_motion(samples: Sampled) -> Floats | None:
 
 def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
     """Find wrong signs, exchanged chambers and wrong units; needs motion."""
+    if "flow" not in samples.auxiliary:  # a pump moves the axis, and the command may be none of a valve
+        samples = samples._replace(signals=_completed(samples.signals, config))
     signals = _stretch_with_motion(samples)
     if signals is None:
         return []
@@ -189,18 +196,28 @@ def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
     if ratio < LEAST_SHARE or (fit.slope > 0.0 and not _plausible(fit.slope)):
         what = f"moves {ratio:.2g} times as far as the valve's flow moves the piston; check its unit and the rig"
         return [*findings, Finding("position", what, Weight.SEVERE)]
-    changes = _change_that_helps(signals, config)
+    changes = fit.force_rest and _change_that_helps(signals, config)  # one pressure does not tell which sign is wrong
     if changes:
-        what = f"contradict each other; they would fit with {changes}"
+        what = f"contradict each other; they would fit with {changes}; {SETTLED}"
         return [*findings, Finding("pressures, spool and motion", what, Weight.SEVERE)]
     if fit.slope < 0.0:
-        return [*findings, Finding("position", "moves against the valve's flow; check the signs", Weight.SEVERE)]
-    what = f"do not fit the motion: {100 * fit.force_rest:.0f} % of the force is unexplained"
-    return [*findings, Finding("pressures", what, Weight.NOTE)]
+        what = f"moves against the valve's flow: its sign, or that of the command, is wrong; {SETTLED}"
+        return [*findings, Finding("position", what, Weight.SEVERE)]
+    return findings
+
+
+def _completed(signals: Floats, config: TaskConfig) -> Floats:
+    """Signals (5, T) with a spool that follows its command, and pressures of half the supply, if they are absent."""
+    whole = two_pressures(signals[None], config)[0] if config.sensors.differential_pressure else signals.copy()
+    half = np.full(whole.shape[1], 0.5 * config.plant.supply.pressure)
+    for row, usual in ((PRESSURE_A, half), (PRESSURE_B, half), (SPOOL, whole[COMMAND])):
+        if not np.isfinite(whole[row]).any():
+            whole[row] = usual
+    return whole
 
 
 def balance(signals: Floats, config: TaskConfig) -> Balance:
-    """Fit of signals (5, T) without gaps to the two balances of the nominal rig."""
+    """Fit of signals (5, T) without gaps to the two balances of the nominal rig; with one pressure to that of flow."""
     c = plant_coefficients(config.plant)
     step = max(round(INTERVAL / config.control_period), 1)
     time = step * config.control_period
@@ -214,7 +231,8 @@ def balance(signals: Floats, config: TaskConfig) -> Balance:
     wanted = force[1:-1] - force[1:-1].mean()
     scale = causes.std(axis=0) + 1e-300
     _, rest = nnls(causes / scale, wanted)
-    force_rest = float(rest**2 / max(float(wanted @ wanted), 1e-300))
+    both = np.ptp(signals[[PRESSURE_A, PRESSURE_B]], axis=1).all()
+    force_rest = float(rest**2 / max(float(wanted @ wanted), 1e-300)) if both else 0.0
 
     flow = _means(_flow_into_a(signals, config, c), step)[1:-1]
     volume = chamber_volumes(position[1:-1], c)[0]
@@ -225,7 +243,9 @@ def balance(signals: Floats, config: TaskConfig) -> Balance:
     if flow.std() < STEADY * abs(float(flow.mean())):  # at one speed only the means say something
         return Balance(0.0, float(needed.mean() / flow.mean()), travel, abs(float(flow.sum())) * time / c.area_a)
     expected = float(np.ptp(np.cumsum(flow - flow.mean()))) * time / c.area_a
-    return Balance(force_rest, float(covariance[0, 1] / max(covariance[1, 1], 1e-300)), travel, expected)
+    unrelated = covariance[0, 1] ** 2 < UNRELATED * covariance[0, 0] * covariance[1, 1]
+    slope = 1.0 if unrelated else float(covariance[0, 1] / max(covariance[1, 1], 1e-300))
+    return Balance(force_rest, slope, travel, expected)
 
 
 def _flow_into_a(signals: Floats, config: TaskConfig, c: Any) -> Floats:
@@ -241,7 +261,7 @@ def _flow_into_a(signals: Floats, config: TaskConfig, c: Any) -> Floats:
 def _change_that_helps(signals: Floats, config: TaskConfig) -> str:
     """The smallest change of columns after which both balances fit, as text; empty if there is none."""
     names = (
-        "the pressures of the chambers exchanged",
+        "the pressures of the chambers exchanged (of a load pressure, the other sign)",
         "the other sign of the position",
         "the other sign of spool and command",
     )

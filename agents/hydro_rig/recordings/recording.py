@@ -107,6 +107,10 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
             findings.append(Finding(signal, "was not recorded", Weight.NOTE, absent=True))
     time = values.pop("time")
     known = np.isfinite(time)
+    if columns.time.equidistant and known.any():
+        time = np.linspace(time[known][0], time[known][-1], rows)
+        known[:] = True
+        findings.append(Finding("time", "is taken as equidistant, as the map says", Weight.NOTE))
     if known.sum() < FEWEST_ROWS:
         example = str(cells["time"].iloc[0])[:40]
         raise ConfigurationError(

@@ -1,7 +1,7 @@
 """Resamples a recording at the control period of the rig: it checks time stamps, selects rows, and keeps gaps.
 
-A log that is faster than the controller, whose commands keep no fixed place in the control period, such as a step test
-in open loop, is taken on its own grid instead: about one sample per millisecond.
+A log whose rows do not fit the control period, or whose commands keep no fixed place in it, such as a step test in open
+loop, is taken on its own grid instead: its rows, or of a fast log about one sample per millisecond.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
-from hydro_env.task.sensors import COMMAND
+from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import UNITS
+from hydro_rig.recordings.files import interpolated
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.recording import Recording
 
@@ -25,8 +26,14 @@ LARGEST_DEVIATION = 0.02
 """Largest relative deviation of the row distance from a whole fraction of the control period; clocks differ less."""
 
 JITTER = (0.05, 0.4)
-"""Jitter of time stamps, as a fraction of the row distance: limit for a note, and limit beyond which rows are
-ambiguous."""
+"""Jitter of time stamps, as a fraction of the row distance: limit for a note, and limit beyond which stamps do not tell
+the place of a row."""
+
+TOGETHER, APART = 100, 0.5
+"""Rows are equidistant if the median of the stamps of so many of them leaves a steady clock by less than this share of
+the row distance."""
+
+SLOWEST = 1.5  # longest row distance, in control periods, of a log on its own grid; a slower one misses commands
 
 ROWS_TOGETHER = 20
 SHORTEST_DISTANCE = 1e-7  # s between two rows; no rig logs faster, so the unit of the stamps is wrong
@@ -50,14 +57,18 @@ class Sampled(NamedTuple):
     units: dict[str, str]  # by signal, as in the file
     findings: list[Finding]
     auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (T,), SI
+    own_clock: bool = False  # whether the samples may lie between those of the controller
 
 
-_Grid = tuple[NDArray[np.int64], Floats, Floats, float]
-"""Rows of a recording as samples: place and time (T,), values (channels, T), period in s."""
+EQUIDISTANT = " ('equidistant: true' for the time in the map takes the rows as equidistant)"
+
+_Grid = tuple[NDArray[np.int64], Floats, Floats, float, bool]
+"""Rows of a recording as samples: place and time (T,), values (channels, T), period in s; whether by a clock that may
+not be that of the controller."""
 
 
-def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Sampled:
-    """The samples of a recording, one per control period of the task.
+def sampled(recording: Recording, config: TaskConfig, own_grid: bool = False) -> Sampled:
+    """The samples of a recording, one per control period of the task, or on the log's own grid (:func:`on_grid`).
 
     From n rows per control period, the last row before the command changes is the sample; the command of the previous
     period still acts there. After a severe finding the samples are empty.
@@ -65,29 +76,30 @@ def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = Fa
     Args:
         recording: the rows.
         config: the task; it gives the control period.
-        own_grid: whether to take the log's own grid (:func:`on_grid`): always, never, or (``None``) where the log is
-            faster than the control period and its commands keep no fixed place in it.
+        own_grid: whether to take the own grid of a log that fits the control period, too.
     """
     findings: list[Finding] = []
-    place, time, values, period = _grid_of(recording, config, own_grid, findings)
+    place, time, values, period, own_clock = _grid_of(recording, config, own_grid, findings)
     signals, others = np.split(values, [len(recording.signals)])
     auxiliary = dict(zip(recording.auxiliary, others, strict=True))
-    return Sampled(place, time, signals, period, recording.units, findings, auxiliary)
+    return Sampled(place, time, signals, period, recording.units, findings, auxiliary, own_clock)
 
 
-def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool | None, findings: list[Finding]) -> _Grid:
+def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings: list[Finding]) -> _Grid:
     """The samples of the rows; none after a severe finding."""
     time, rows = recording.time, np.vstack([recording.signals, *recording.auxiliary.values()])
     period = config.control_period
-    nothing = np.zeros(0, np.int64), time[:0], rows[:, :0], period
+    nothing = np.zeros(0, np.int64), time[:0], rows[:, :0], period, False
+    moved = False
     steps = np.diff(time, prepend=-np.inf)
     if (back := steps < 0.0).any():
-        worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s"
+        worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s{EQUIDISTANT}"
         findings.append(finding_of(back, time, "time", worst, Weight.SEVERE))
         return nothing
     if (twice := steps == 0.0).any():
         many = severe_if(twice.mean() > MOST_MISSING)
-        findings.append(finding_of(twice, time, "time", "has duplicate stamps; the first row counts", many))
+        what = f"has duplicate stamps; the first row counts{EQUIDISTANT}"
+        findings.append(finding_of(twice, time, "time", what, many))
         if many is Weight.SEVERE:
             return nothing
         time, rows = time[~twice], rows[:, ~twice]
@@ -97,24 +109,30 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool | None, fi
 
     distance = _row_distance(time, period)
     per_period = _whole_fraction(distance, period)
-    own = own_grid or (own_grid is None and not per_period and distance < period)
+    own = own_grid or (not per_period and distance < SLOWEST * period)
     if distance < SHORTEST_DISTANCE or not (own or per_period):
         findings.append(_other_sampling(distance, period, recording.units.get("time", "s")))
         return nothing
-    place = _places(time, distance, findings)
+    place, jitter = _places(time, distance)
+    if jitter > JITTER[0] * distance:
+        what = (
+            f"has stamps that jitter by up to {1e3 * jitter:.2g} ms (95 %) around one row every {1e3 * distance:.4g} ms"
+        )
+        if jitter > JITTER[1] * distance:
+            time, rows, moved = _steady(time, rows, period / per_period if per_period else distance)
+            what += "; the readings are interpolated at a steady clock" if moved else "; taken as equidistant rows"
+            distance = time[1] - time[0]
+            place, _ = _places(time, distance)
+        findings.append(Finding("time", what, Weight.NOTE))
+    _add_gaps(place, time, distance, findings)
     if any(finding.weight is Weight.SEVERE for finding in findings):
         return nothing
-    if own:
+    phase = None if own else _phase(place, rows[COMMAND], per_period, distance, config)
+    if phase is None:
         return _own_grid(time, rows, place, distance, findings)
-    phase = _phase(place, time, rows[COMMAND], per_period, distance, config)
-    if isinstance(phase, Finding):
-        if own_grid is None:
-            return _own_grid(time, rows, place, distance, findings)
-        findings.append(phase)
-        return nothing
     chosen = place % per_period == phase
     index = (place[chosen] - place[chosen][:1]) // per_period
-    return index, time[chosen], rows[:, chosen], period
+    return index, time[chosen], rows[:, chosen], period, moved
 
 
 def _own_grid(
@@ -139,12 +157,10 @@ def _own_grid(
         commands[0] = values[COMMAND, 0]  # what acted before the first row
     samples[COMMAND] = commands
     what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for the command in the control period; taken "
-    what += "on its own grid"
-    if rows > 1:
-        what += f" of {1e3 * period:.4g} ms, each sample the median of {rows} rows"
+    what += f"on its own grid, each sample the median of {rows} rows" if rows > 1 else "on its own grid"
     findings.append(Finding("time", what, Weight.NOTE))
     number = number - number[0]
-    return number, time[0] + number * period, samples, period
+    return number, time[0] + number * period, samples, period, True
 
 
 def _medians(values: Floats, group: NDArray[np.int64], count: int) -> Floats:
@@ -184,7 +200,7 @@ def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
         filled[begin:end] = inside and place[end] - place[begin - 1] == end - begin + 1
     if not filled.any():
         return samples, []
-    signals[COMMAND, filled] = _likely(signals, filled)
+    signals[COMMAND, filled] = likely_commands(signals, filled)
     time = np.interp(place, samples.place, samples.time)
     what = f"lacks samples; up to {LONGEST_FILL} in a row are filled in from those around them"
     auxiliary = {name: _spread(values, at, len(place)) for name, values in samples.auxiliary.items()}
@@ -199,8 +215,8 @@ def _spread(values: Floats, at: NDArray[np.int64], count: int) -> Floats:
     return whole
 
 
-def _likely(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
-    """The commands at ``filled``, from all signals in the two rows before and after."""
+def likely_commands(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
+    """The commands at ``filled`` (T,), from all signals (5, T) in the two rows before and after, by least squares."""
     places, sure = np.arange(signals.shape[1]), np.isfinite(signals[COMMAND])
     inputs = [np.ones(len(places))]
     for values in signals:
@@ -254,13 +270,12 @@ def _other_sampling(distance: float, period: float, unit: str) -> Finding:
     if fitting:
         what += f"; stamps in {fitting[0]} instead of {unit} would fit"
     else:
-        what += ": the commands between the rows are unknown" if distance > period else ""
-        what += "; record at the control period or at a whole fraction of it, or give the --task of this rig"
+        what += ": the commands between the rows are unknown; record faster, or give the --task of this rig"
     return Finding("time", what, Weight.SEVERE)
 
 
-def _places(time: Floats, distance: float, findings: list[Finding]) -> NDArray[np.int64]:
-    """Number of row distances since the first row, (n,); appends findings about the time stamps."""
+def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], float]:
+    """Number of row distances since the first row, (n,), and the jitter of the stamps in s, 95 % quantile."""
     place, off = np.zeros(len(time), dtype=np.int64), np.zeros(len(time))
     clock, count = float(time[0]), 0
     for row, stamp in enumerate(time[1:].tolist(), 1):
@@ -268,27 +283,47 @@ def _places(time: Floats, distance: float, findings: list[Finding]) -> NDArray[n
         count += jump
         place[row] = count
         error = stamp - clock - jump * distance
-        off[row] = abs(error) / distance
+        off[row] = abs(error)
         clock = stamp - (1.0 - FOLLOWING) * error
-    usual = float(np.quantile(off, 0.95))
-    if usual > JITTER[0]:
-        what = f"has stamps that jitter by up to {1e3 * usual * distance:.2g} ms (95 %) around one row every "
-        findings.append(Finding("time", what + f"{1e3 * distance:.4g} ms", severe_if(usual > JITTER[1])))
+    return place, float(np.quantile(off, 0.95))
+
+
+def _add_gaps(place: NDArray[np.int64], time: Floats, distance: float, findings: list[Finding]) -> None:
+    """Append a finding about missing rows."""
     jumps = np.diff(place, prepend=-1)
     gaps = np.flatnonzero(jumps > 1)
     if len(gaps):
-        share = float((jumps[gaps] - 1).sum()) / (count + 1)
+        share = float((jumps[gaps] - 1).sum()) / (int(place[-1]) + 1)
         longest = f"{1e3 * distance * (jumps.max() - 1):.3g} ms"
         what = f"has {len(gaps)} gaps, the longest of {longest}" if len(gaps) > 1 else f"has a gap of {longest}"
         begin, end = float(time[gaps[0] - 1]), float(time[gaps[0]])
         findings.append(Finding("time", what, severe_if(share > MOST_MISSING), begin, end, share))
-    return place
 
 
-def _phase(
-    place: NDArray[np.int64], time: Floats, command: Floats, rows: int, distance: float, config: TaskConfig
-) -> int | Finding:
-    """Index of the sample among the ``rows`` of a control period, from the rows in which the command changes."""
+def _steady(time: Floats, rows: Floats, distance: float) -> tuple[Floats, Floats, bool]:
+    """Stamps (n,) and rows (channels, n) on a steady clock, from stamps that jitter; and whether readings are moved.
+
+    Either the rows were taken at equal distances and stamped late, or they were taken at their stamps, and are
+    interpolated: then the position has moved farther where its stamp is late.
+    """
+    place, position = np.arange(len(time)), rows[POSITION]
+    equal = np.asarray(np.polyval(np.polyfit(place, time, 1), place), np.float64)
+    late = [np.median(part) for part in np.array_split(time - equal, len(time) // TOGETHER + 1)]
+    farther = (position[2:] - position[:-2]) * np.diff(time, 2) / (2.0 * distance)
+    stamped = np.nansum(np.diff(position, 2) * farther) > 0.5 * np.nansum(farther**2)
+    if np.ptp(late) < APART * distance and not stamped:
+        return equal, rows, False
+    steady = np.arange(time[0], time[-1], distance)
+    moved = np.array([interpolated(steady, time, values) for values in rows])
+    moved[COMMAND] = rows[COMMAND, np.searchsorted(time, steady)]
+    return steady, moved, True
+
+
+def _phase(place: NDArray[np.int64], command: Floats, rows: int, distance: float, config: TaskConfig) -> int | None:
+    """Index of the sample among the ``rows`` of a control period, from the rows in which the command changes.
+
+    ``None``: they change at no fixed place in it.
+    """
     known = np.isfinite(command)
     changed = (np.diff(command) != 0.0) & (np.diff(place) == 1) & known[1:] & known[:-1]
     changed = np.append(False, changed)
@@ -296,11 +331,6 @@ def _phase(
         return 0
     counts = np.bincount(place[changed] % rows, minlength=rows)
     if counts.max() < HOLD_SHARE * changed.sum():
-        spacing = int(np.median(np.diff(place[changed]))) if changed.sum() > 1 else 1
-        what = (
-            f"changes every {1e3 * distance * spacing:.3g} ms, at no fixed place in the control period of "
-            f"{1e3 * config.control_period:g} ms; give the --task of this rig"
-        )
-        return finding_of(changed, time, "command", what, Weight.SEVERE)
+        return None
     back = max(round(config.command_latency / distance), 1)
     return int((counts.argmax() - back) % rows)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Plan, Windows, draw_faults
+from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Plan, Windows, draw_faults, simulated
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
 from hydro_agents.detection.operations import OPERATIONS, at_rest, slow
 from hydro_agents.detection.sheet import leak_scale
@@ -22,15 +22,15 @@ PLAN = Plan(CONFIG, [CONTROLLER], HeadTrainingSettings())
 
 @pytest.fixture(scope="module")
 def windows():
-    return list(PLAN.windows(120, TRAINING_SEEDS.start + 920_000))
+    return [Windows(**job.run().metrics) for job in PLAN.jobs(120, TRAINING_SEEDS.start + 920_000).values()]
 
 
-def test_chunks_do_not_depend_on_those_before(windows):
-    first_seed = TRAINING_SEEDS.start + 920_000
-    rest = list(PLAN.windows(120, first_seed, skip=8))
-    assert len(rest) == len(windows) - 8
-    for name in Windows._fields:
-        np.testing.assert_array_equal(getattr(rest[0], name), getattr(windows[8], name))
+def test_chunks_do_not_depend_on_others_nor_on_controllers_that_are_not_theirs(windows):
+    early = Plan(CONFIG, [None], PLAN.settings).jobs(120, TRAINING_SEEDS.start + 920_000)
+    assert 0 < len(early) < len(windows)
+    number, job = early.popitem()
+    for name, values in job.run().metrics.items():
+        np.testing.assert_array_equal(values, getattr(windows[int(number)], name))
 
 
 def test_windows_are_labelled(windows):
@@ -74,7 +74,7 @@ def test_a_changing_leak_is_labelled_with_its_size_at_the_end_of_the_window(leak
     config = TaskConfig()
     plan = Plan(config, [CONTROLLER], HeadTrainingSettings(fault_share=0.0))
     seeds = TRAINING_SEEDS.start + 930_000 + np.arange(60)
-    data = plan._chunk(Chunk(4, -1, leak, 60), seeds, config)
+    data = Windows(**simulated(None, plan.settings, Chunk(4, -1, leak, 60), seeds, config))
     assert len(data.size) >= 55
     early, late = (data.features[:, FEATURES.index(f"change of leak in part {part}")] for part in (1, 8))
     large = data.size > 1.0
@@ -92,7 +92,8 @@ def test_with_a_law_the_chunks_take_its_rigs_in_turn_and_leaks_are_in_their_unit
     bores = [[task.plant.load.mass for task in each.rigs] for each in (plan, others)]
     assert len({*bores[0], *bores[1]}) == 12
     large = max(plan.rigs, key=leak_scale)
-    data = plan._chunk(Chunk(4, -1, "constant", 24), TRAINING_SEEDS.start + 940_000 + np.arange(24), large)
+    seeds = TRAINING_SEEDS.start + 940_000 + np.arange(24)
+    data = Windows(**simulated(None, plan.settings, Chunk(4, -1, "constant", 24), seeds, large))
     np.testing.assert_array_equal(data.labels[:, 0] == 1.0, data.size > 0.03)
     leaking = data.size > 0.3
     found = 0.02 * np.sinh(data.features[leaking, FEATURES.index("small internal leak")])

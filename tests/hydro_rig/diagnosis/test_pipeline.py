@@ -8,7 +8,7 @@ import pytest
 from command_line import hydro, own_lines
 from recorded import CONFIG, recorded_file
 
-from hydro_agents.detection.detector import Cause, Reading, Why
+from hydro_agents.detection.detector import Why
 from hydro_agents.detection.monitor import load_head
 from hydro_env import ConfigurationError
 from hydro_env.plant.arrays import plant_coefficients
@@ -123,16 +123,6 @@ def test_another_rig_ends_in_cannot_tell_after_any_duration(wrong_rig, tmp_path,
     remarks = pd.read_csv(tmp_path / "out" / "leak.csv")["estimator_remark"].tolist()
     assert remarks.count(Why.MISFIT.word) == min(seconds, 2)
     assert remarks.count(Why.NOT_READ.word) == max(seconds - 2, 0)
-
-
-def test_one_value_of_a_reading_holds_for_all_windows():
-    one = Reading.of([0.1, np.nan], Cause.UNKNOWN, flow_lpm=0.3, why=Why.MISFIT)
-    assert [len(values) for values in one] == [2] * len(Reading._fields)
-    assert one.cause.tolist() == [Cause.UNKNOWN] * 2
-    assert one.remarks == [Why.MISFIT.word] * 2
-    assert one.flow_lpm.tolist() == [0.3, 0.3]
-    with pytest.raises(ValueError, match="shape"):
-        Reading.of([0.1, 0.2], flow_lpm=[1.0, 2.0, 3.0])
 
 
 @pytest.mark.parametrize("error", [ConfigurationError("pressure_a: 1 bar"), np.linalg.LinAlgError("Singular\nmatrix")])

@@ -104,12 +104,6 @@ def test_noisy_windows_of_unknown_plants_are_read_within_their_uncertainty(movin
     assert_within(found, "start.position", start[:, State._fields.index("position")])
 
 
-def test_the_interval_follows_from_value_and_deviation(found):
-    low, high = found.interval(LEAKAGE, 0.9)
-    np.testing.assert_allclose(high - low, 2 * 1.6449 * found.deviation(LEAKAGE), rtol=1e-4)
-    np.testing.assert_allclose(np.sqrt(np.einsum("bii->bi", found.covariance)), found.deviations)
-
-
 def test_a_narrow_prior_is_respected_and_a_wide_one_overruled(moving):
     leak, signals, physical, _ = moving
     for deviation, expected in ((1e-5, 0.2), (5.0, leak[2])):

@@ -86,23 +86,6 @@ def test_whole_recordings_are_held_back_by_amplitude_and_sensors(amplitudes, sen
     assert 0 not in asked.recording
 
 
-def test_short_gaps_of_the_command_are_interpolated_and_told():
-    place = np.delete(np.arange(4003), [500, 501, 1300])
-    parts = parts_alone(samples_of(4000, place))
-    assert len(parts.fitted.begin) == 7
-    command = parts.fitted.signals[1, COMMAND]
-    assert command[100] == pytest.approx(command[99] + (command[102] - command[99]) / 3.0, abs=1e-5)
-    assert np.isnan(parts.fitted.signals[1, POSITION, 100])
-    assert "filled in" in parts.findings[0][0].line()
-
-
-def test_windows_with_a_long_gap_are_left_out():
-    place = np.concatenate([np.arange(1000), np.arange(1300, 4300)])
-    parts = parts_alone(samples_of(4000, place))
-    assert 4.0 not in parts.fitted.begin
-    assert 6.0 not in parts.fitted.begin
-
-
 @pytest.mark.parametrize(
     ("row", "columns", "value", "words"),
     [

@@ -5,6 +5,7 @@ import pytest
 from recorded import CONFIG, changed, healthy
 
 from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.task.configuration import task_config
 from hydro_rig.recordings.channels import check_driving
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.quality import _flow_into_a, balance, check_recording
@@ -99,7 +100,7 @@ CASES = {
     ),
     "great jitter": (
         restamped(lambda t: np.sort(t + np.random.default_rng(0).uniform(-4e-3, 4e-3, len(t)))),
-        [(SEVERE, "time has stamps that jitter"), (NOTE, "gaps")],
+        [(NOTE, "ms; taken as equidistant rows")],
     ),
     "every second row": (rows(lambda n: slice(0, n, 2)), [(SEVERE, "the commands between the rows are unknown")]),
     "ms as s": (restamped(lambda t: 1e3 * t), [(SEVERE, "stamps in ms instead of s would fit")]),
@@ -115,6 +116,29 @@ def test_damage_is_found_and_nothing_else(recording, case):
     assert [finding.weight for finding in found] == [weight for weight, _ in wanted], [f.line() for f in found]
     for finding, (_, words) in zip(found, wanted, strict=True):
         assert words in finding.line()
+
+
+@pytest.mark.parametrize("absent", [[3], [1, 2, 3]])
+def test_a_wrong_sign_is_found_with_fewer_sensors(recording, absent):
+    for turned, words in ((1.0, ""), (-1.0, "a move by a positive command settles it")):
+        signals = recording.signals * np.array([turned, 1, 1, 1, 1])[:, None]
+        signals[absent] = np.nan
+        severe = check_recording(changed(recording, signals=signals), CONFIG).severe
+        assert words in severe[0].line() if words else not severe
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_sign_of_a_load_pressure_is_checked(recording, sign):
+    load = {"differential_pressure": True, "pressure_a": {"low": -1e7}, "pressure_b": {"fitted": False}}
+    signals = np.full_like(recording.signals, np.nan)
+    signals[[0, 1, 4]] = (
+        recording.signals[0],
+        sign * (recording.signals[1] - recording.signals[2]),
+        recording.signals[4],
+    )
+    one = changed(recording, signals=signals)._replace(differential=True)
+    severe = check_recording(one, task_config(CONFIG, sensors=load)).severe
+    assert [("the other sign)" in finding.line()) for finding in severe] == [True] * (sign < 0)
 
 
 @pytest.mark.parametrize("rows", [-1, 1])
@@ -169,8 +193,7 @@ def stepped(rows_per_second, steps, duration=1.0):
 
 def test_a_fast_log_of_a_few_commands_is_taken_on_its_own_grid():
     log = stepped(10_000, [(0.1003, 0.1), (0.5, 0.0), (0.6012, -0.1)])
-    assert check_recording(log, CONFIG).samples.time.size == 0  # a diagnosis reads windows of the control period
-    checked = check_recording(log, CONFIG, own_grid=None)
+    checked = check_recording(log, CONFIG)
     samples = checked.samples
     assert samples.period == pytest.approx(1e-3)
     assert any("each sample the median of 10 rows" in finding.line() for finding in checked.findings)
@@ -194,10 +217,29 @@ def test_a_fast_log_without_a_change_of_command_has_a_grid_too():
 
 
 def test_a_log_that_keeps_the_control_period_is_taken_at_it(recording):
-    assert check_recording(recording, CONFIG, own_grid=None).samples.period == CONFIG.control_period
+    assert check_recording(recording, CONFIG).samples.period == CONFIG.control_period
     forced = sampled(recording, CONFIG, own_grid=True)
     np.testing.assert_array_equal(forced.signals[4, 1:], recording.signals[4, :-1])
     np.testing.assert_array_equal(forced.signals[0], recording.signals[0])
+
+
+@pytest.mark.parametrize("period", [1.0 / 204.8, 7e-3])
+def test_a_log_that_does_not_fit_the_control_period_has_a_grid_of_its_own(recording, period):
+    """The same rows with another clock: nothing but the period changes."""
+    samples = sampled(restamped(lambda t: period / CONFIG.control_period * t)(recording), CONFIG)
+    assert samples.period == pytest.approx(period, rel=1e-4)
+    np.testing.assert_allclose(samples.time, period * np.arange(len(recording.time)), atol=1e-3 * period)
+    np.testing.assert_array_equal(samples.signals[:4], recording.signals[:4])
+
+
+def test_rows_that_were_taken_at_their_jittering_stamps_are_interpolated(recording):
+    stamps = np.sort(recording.time + np.random.default_rng(1).uniform(-4e-3, 4e-3, len(recording.time)))
+    signals = np.array([np.interp(stamps, recording.time, values) for values in recording.signals])
+    signals[4] = recording.signals[4, np.searchsorted(recording.time[:-1], stamps)]
+    found = check_recording(changed(recording, time=stamps, signals=signals), CONFIG)
+    assert any("interpolated at a steady clock" in finding.line() for finding in found.findings)
+    right = np.interp(found.samples.time, recording.time, recording.signals[0])
+    assert np.nanstd(found.samples.signals[0] - right) < 1e-4  # 5 mm between the samples at 1 m/s
 
 
 def test_windows_keep_gaps_as_missing_samples(recording):
@@ -245,7 +287,7 @@ def test_an_axis_that_oscillates_or_saturates_is_named(recording, frequency, vol
 
 def test_stamps_too_close_for_any_rig_are_a_finding(recording):
     for factor in (1e-300, 1e-310, 1e-9):
-        for own_grid in (False, None, True):
+        for own_grid in (False, True):
             samples = sampled(changed(recording, time=factor * recording.time), CONFIG, own_grid)
             assert not len(samples.time)
             assert [finding.weight for finding in samples.findings] == [SEVERE]
