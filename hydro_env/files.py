@@ -209,16 +209,14 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     """Read a YAML mapping.
 
     Raises:
-        ConfigurationError: the file is missing, unreadable or too large, is not YAML or not a mapping, repeats a key,
-            or multiplies by nested aliases.
+        ConfigurationError: the file is missing, unreadable, empty or too large, is not YAML or not a mapping, repeats a
+            key, or multiplies by nested aliases.
     """
     text = read_text(path)
     try:
         loader = _Loader(text)
         node = loader.get_single_node()
-        if node is None:
-            return {}
-        values = loader.construct_document(node)
+        values = loader.construct_document(node) if node is not None else {}
     except RecursionError:
         raise ConfigurationError(f"{path}: not valid YAML: too many levels") from None
     except yaml.YAMLError as error:
@@ -228,6 +226,8 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         mark = getattr(error, "context_mark" if begins else "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark else ""
         raise ConfigurationError(f"{path}: not valid YAML{line}: {' '.join(words.split())}") from None
+    if values == {}:
+        raise ConfigurationError(f"{path}: is empty")
     return _mapping(values, path)
 
 

@@ -151,6 +151,8 @@ def _no_nan(value: float) -> float:
 Number = Annotated[float, BeforeValidator(_no_truth_value), AfterValidator(_no_nan)]
 """A float that is neither a truth value nor NaN."""
 
+Whole = Annotated[int, BeforeValidator(_no_truth_value)]
+
 
 def quantity(default: float, unit: str, origin: str, low: float, high: float) -> Any:
     """A numeric field with its unit, its origin and its allowed range, beyond which a value must be a mistake."""

@@ -68,7 +68,7 @@ class LeakageDraw(TaskGroup):
 class References(TaskGroup):
     """The references, within the force and the speed of each plant."""
 
-    weights: dict[Family, Annotated[float, Field(ge=0.0, le=1e6)]] = Field(
+    weights: dict[Family, Annotated[Number, Field(ge=0.0, le=1e6)]] = Field(
         default_factory=lambda: dict.fromkeys(MOVING_FAMILIES, 1.0),
         description="relative frequency of each family; absent families do not occur",
     )
@@ -108,7 +108,7 @@ class Reward(Group):
 
     tracking: Number = quantity(1.0, "1", "weight of the error", 0.0, 1e6)
     error_scale: Number = quantity(0.010, "m", "error that costs 1", 1e-6, 10.0)
-    family_scale: dict[Family, Annotated[float, Field(gt=0.0, le=1e6)]] = Field(
+    family_scale: dict[Family, Annotated[Number, Field(gt=0.0, le=1e6)]] = Field(
         default_factory=dict, description="factor on error_scale for a family of references; absent families: 1"
     )
     frame: Literal["axis", "sensor"] = Field(

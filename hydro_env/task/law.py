@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from hydro_env.task.groups import Range, TaskGroup, interval
-from hydro_env.units import Number, quantity
+from hydro_env.units import Number, Whole, quantity
 
 FIRST_SEEDS = {"training": 1_000_000_000, "validation": 2_000_000_000, "test": 3_000_000_000}
 """Seed of the first rig of each split."""
@@ -43,7 +43,7 @@ class RigLaw(TaskGroup):
         (0.5, 1.0, 2.0, 3.0, 4.0, 5.0),
         description="the observation contains the reference so many paces ahead; none: at the task's preview_times",
     )
-    cylinders: dict[int, tuple[int, ...]] = Field(_CYLINDERS, description="mm; bores, and the rods of each")
+    cylinders: dict[int, tuple[Whole, ...]] = Field(_CYLINDERS, description="mm; bores, and the rods of each")
     stroke_per_bore: Range = interval((3.0, 15.0), "1", "length over bore", 0.5, 100.0)
     longest_stroke: Number = quantity(1.2, "m", "longer ones are cut", 0.05, 10.0)
     supplies: tuple[Number, ...] = Field((70.0, 100.0, 120.0, 160.0, 210.0, 250.0), description="bar")

@@ -44,14 +44,11 @@ def read_rig(given: str | Path, folder: Path | None = None) -> Rig:
         folder: base of a relative path; default: the current folder.
 
     Raises:
-        ConfigurationError: the rig does not exist, the file is unreadable or empty, a key is unknown, a value is
+        ConfigurationError: the rig does not exist, the file is unreadable, a key is unknown, a value is
             impossible, or the rig cannot work.
     """
     file = config_file("rigs", given, folder)
-    values = read_yaml(file)
-    if not values:
-        raise ConfigurationError(f"{file}: is empty; a rig needs its parameters (hydro new-rig writes them)")
-    return rig_from(values, str(file))
+    return rig_from(read_yaml(file), str(file))
 
 
 def rig_from(values: Mapping[str, Any], source: str) -> Rig:

@@ -234,10 +234,7 @@ def _gains(
     sizes = {"objective": "equal" if objective is None else objective, "evaluations": steps or EVALUATIONS}
     budget = validate(TuningSettings, sizes, "train")
     path = folder / f"{kind}.yaml"
-    values = read_yaml(start) if start is not None else None
-    if values == {}:
-        raise ConfigurationError(f"--start {start}: is empty; it needs gains")
-    first = validate(CONTROLLERS[kind][1], values, str(start)) if values is not None else None
+    first = validate(CONTROLLERS[kind][1], read_yaml(start), str(start)) if start is not None else None
     with _training(folder, kind, [path.name, TUNING_LOG], [TUNING_LOG], resume, overwrite) as display:
         best = tune_gains(kind, study.task, budget, first, path, seed, display, kind)
         display.say(

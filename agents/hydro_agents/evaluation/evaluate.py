@@ -39,6 +39,7 @@ from hydro_env.files import validate
 from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import task_config
 from hydro_env.task.reference_signals import FAMILIES, MOVING_FAMILIES
+from hydro_env.units import Number
 
 
 class ProtocolSettings(PairedCases):
@@ -50,7 +51,7 @@ class ProtocolSettings(PairedCases):
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
     """
 
-    leak_levels: tuple[float, ...] = Field(
+    leak_levels: tuple[Number, ...] = Field(
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), min_length=1, description="l/min at 100 bar"
     )
     families: tuple[Annotated[str, known_name(tuple(FAMILIES), "family")], ...] = Field(MOVING_FAMILIES, min_length=1)

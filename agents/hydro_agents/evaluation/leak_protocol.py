@@ -23,12 +23,13 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
+from hydro_env.units import Number
 
 HEALTHY, DRAWN = 0.0, -1.0
 """Levels of drawn leaks: from the healthy range of the task, and from all of its ranges with half of the axes
 healthy."""
 
-Level = Annotated[float, Field(ge=DRAWN, le=LEAKAGE_LIMIT)]
+Level = Annotated[Number, Field(ge=DRAWN, le=LEAKAGE_LIMIT)]
 
 
 class LeakCondition(Condition):
@@ -49,7 +50,7 @@ class LeakCondition(Condition):
     )
     share: float = Field(1.0, gt=0.0, le=10.0, description="windows per level, relative to the detector's number")
     detectors: tuple[str, ...] | None = Field(None, description="detectors that read it; default: all")
-    faults: dict[Annotated[str, known_name(FAULTS, "fault")], float] = Field(
+    faults: dict[Annotated[str, known_name(FAULTS, "fault")], Number] = Field(
         default_factory=dict, description="magnitude of each fault, by name"
     )
 

@@ -23,6 +23,7 @@ from hydro_env.mistakes import kept, known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.rig import merged
+from hydro_env.units import Number, Whole
 
 FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count >= len(REFERENCE_FAMILIES) * SEEDS_PER_FAMILY]
 PlantSeeds = Annotated[str, known_name(FAMILIES_OF_PLANTS, "range of seeds")]
@@ -41,9 +42,11 @@ class ControllerChoice(Group):
 class PairedCondition(Condition):
     """One condition; the controllers do not know it."""
 
-    leak_levels: tuple[float, ...] | None = Field(None, min_length=1, description="l/min at 100 bar; default: protocol")
+    leak_levels: tuple[Number, ...] | None = Field(
+        None, min_length=1, description="l/min at 100 bar; default: protocol"
+    )
     families: tuple[Family, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
-    plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
+    plants: Whole | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
     controllers: dict[str, ControllerChoice] = Field(
         default_factory=dict, description="by name; controllers tuned or trained for this condition"
     )
@@ -54,7 +57,7 @@ class PairedCondition(Condition):
         return self
 
 
-def check_grid(levels: tuple[float, ...], families: tuple[str, ...]) -> None:
+def check_grid(levels: tuple[Number, ...], families: tuple[str, ...]) -> None:
     """Check leak levels and families of references.
 
     Raises:
@@ -84,7 +87,7 @@ def paired(levels: Sequence[float], families: Sequence[str], plants: int, seeds:
 class PairedCases(Group):
     """Number and kind of paired cases."""
 
-    leak_levels: tuple[float, ...] = Field((0.03, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
+    leak_levels: tuple[Number, ...] = Field((0.03, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
     families: tuple[Family, ...] = Field(MOVING_FAMILIES, min_length=1)
     plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
 
@@ -155,9 +158,9 @@ class Sweep(Group):
     """Conditions that each fix one parameter of the plant at a factor of the nominal value."""
 
     group: str = "parameter"
-    leak_levels: tuple[float, ...] | None = Field(None, min_length=1)
+    leak_levels: tuple[Number, ...] | None = Field(None, min_length=1)
     families: tuple[Family, ...] | None = Field(None, min_length=1)
-    plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY)
+    plants: Whole | None = Field(None, ge=3, le=SEEDS_PER_FAMILY)
     factors: dict[str, tuple[Factor, ...]] = Field(min_length=1, description="by path of the parameter")
 
     def conditions(self) -> dict[str, dict[str, Any]]:
@@ -178,7 +181,7 @@ class RobustnessProtocol(PairedProtocol):
     kind: Literal["robustness"] = "robustness"
     title: str = "Robustness"
     chunk: int = Field(128, ge=1, le=256, description="cases of a job; fixed, so that no result depends on the machine")
-    standstill_leak_levels: tuple[float, ...] = Field(
+    standstill_leak_levels: tuple[Number, ...] = Field(
         (0.03, 1.0, 8.0),
         description="l/min; search for limit cycles under each condition without its own leak levels",
     )

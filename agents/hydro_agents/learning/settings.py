@@ -9,6 +9,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from hydro_env.files import Group
 from hydro_env.task.law import RigLaw
+from hydro_env.units import Whole
 
 LARGEST_ROLLOUT = 10_000_000  # largest number of samples of a rollout; it takes some gigabytes of memory
 
@@ -60,7 +61,7 @@ class PPOSettings(Group):
     reward_scale: float = Field(0.2, gt=0.0, le=1e6)
     total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
     axes: int = Field(256, ge=1, le=65_536)
-    hidden_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field((128, 128), min_length=1, max_length=16)
+    hidden_sizes: tuple[Annotated[Whole, Field(ge=1, le=4096)], ...] = Field((128, 128), min_length=1, max_length=16)
     activation: Literal["tanh", "relu"] = Field(
         "relu", description="of the hidden layers; relu takes a third less time"
     )

@@ -19,8 +19,9 @@ from hydro_env.task.faults import FAULTS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.rig import merged, task_from
 from hydro_env.task.sensors import CHANNELS
+from hydro_env.units import Number
 
-Factor = Annotated[float, Field(ge=0.0, le=100.0)]
+Factor = Annotated[Number, Field(ge=0.0, le=100.0)]
 
 
 def steady(config: TaskConfig) -> TaskConfig:
@@ -70,7 +71,7 @@ class Surroundings(Group):
     """Changes of an axis under a condition of a protocol: task, plants and sensors, or another rig."""
 
     task: dict[str, Any] = Field(default_factory=dict, description="changed fields of the task, as in YAML")
-    parameters: dict[str, float | str] = Field(default_factory=dict, description="of every plant, SI units, by path")
+    parameters: dict[str, Number | str] = Field(default_factory=dict, description="of every plant, SI units, by path")
     factors: dict[str, Factor] = Field(default_factory=dict, description="parameters relative to the nominal rig's")
     noise_factor: Factor = Field(1.0, description="on the noise of every sensor")
     bias_factor: Factor = Field(1.0, description="on the largest bias of every sensor")
@@ -114,7 +115,7 @@ class Surroundings(Group):
 
     def parameters_on(self, task: TaskConfig) -> dict[str, dict[str, float | str]]:
         """Fixed parameters of every plant of a task, for the option ``parameters`` of ``reset``."""
-        fixed: dict[str, float | str] = dict(self.parameters)
+        fixed = dict(self.parameters)
         for path, factor in self.factors.items():
             group, field = path.split(".")
             fixed[path] = factor * float(getattr(getattr(task.plant, group), field))

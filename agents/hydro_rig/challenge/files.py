@@ -111,7 +111,7 @@ def read_public(folder: Path, name: str) -> pd.DataFrame:
     Raises:
         ConfigurationError: it cannot be read, or was changed.
     """
-    paths = [folder / name] if name == PLATES else sorted((folder / name).glob("*"))
+    paths = [folder / name] if name == PLATES else sorted((folder / name).glob("*.parquet"))
     lines = read_text(folder / SUMS, 10_000_000).splitlines()
     expected = [line for line in lines if line[66:].split("/")[0] == name]
     if [_sum_line(folder, path) for path in paths] != expected:

@@ -179,30 +179,38 @@ def score(
     from hydro_agents.running.machine import Origin
     from hydro_env import ConfigurationError
     from hydro_env.files import write_text
-    from hydro_rig.challenge.files import read_table
+    from hydro_rig.challenge.files import HIDDEN, read_table
     from hydro_rig.challenge.score_page import render_scores
     from hydro_rig.challenge.scores import bounds, labels_of, table_of, text_of
     from hydro_rig.challenge.scores import score as scored
-    from hydro_rig.challenge.submitted import command_of, run_program
+    from hydro_rig.challenge.submitted import Run, command_of, run_program
 
     folders = [folder.absolute() for folder in code or []]
     if not predictions and not folders:
         raise ConfigurationError("score: needs a table of predictions, or --code FOLDER")
     for folder in folders:
         command_of(folder)
-    truth = labels_of(data, split)
+    hidden = split == "test" and not (data / HIDDEN).exists() and output and not predictions
+    truth = None if hidden else labels_of(data, split)
     writes = ["scores.csv", "scores.html", "figures/*.svg", "predictions/*.parquet"]
     place = output_folder(output, "score", writes, overwrite=overwrite) if output else contextlib.nullcontext()
     with place:
-        scores = [scored(path.stem, read_table(path), truth) for path in predictions or []]
+        runs = [(path.stem, Run(read_table(path), [])) for path in predictions or []]
         for folder in folders:
             with ProgressDisplay() as display:
                 run = run_program(folder, data, split, signals_only=signals_only, progress=display.update)
-            one = scored(folder.name, run.predictions, truth)
-            scores.append(one._replace(remarks=[*one.remarks, *run.remarks]))
+            runs.append((folder.name, run))
             if output is not None:
                 (output / "predictions").mkdir(exist_ok=True)
                 run.predictions.to_parquet(output / "predictions" / f"{folder.name}.parquet", index=False)
+        if truth is None:
+            remarks = [f"{name}: {remark}" for name, run in runs for remark in run.remarks]
+            say(*remarks, f"{output}: predictions; {data} has no labels of the test split, so that nothing is scored")
+            return
+        scores = []
+        for name, run in runs:
+            one = scored(name, run.predictions, truth)
+            scores.append(one._replace(remarks=[*one.remarks, *run.remarks]))
         scores += bounds(truth)
         table = table_of(scores)
         if output is not None:

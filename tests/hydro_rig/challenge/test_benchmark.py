@@ -342,6 +342,13 @@ def test_the_command_runs_a_program_and_writes_a_page(folder, tmp_path):
     assert "Leaks found over false alarms" in (tmp_path / "out/scores.html").read_text(encoding="utf-8")
     again = hydro("score", str(tmp_path / "out/predictions/mine.parquet"), "--data", str(folder), "--json")
     assert {row["detector"] for row in json.loads(again.stdout)} == {"mine", "perfect", "silent"}
+    shutil.copytree(folder, tmp_path / "public", ignore=shutil.ignore_patterns("hidden"))
+    line = ["score", "--code", str(tmp_path / "mine"), "--data", str(tmp_path / "public")]
+    blind = hydro(*line, "-o", str(tmp_path / "blind"))
+    assert "nothing is scored" in blind.stdout
+    tables = [pd.read_parquet(tmp_path / place / "predictions/mine.parquet") for place in ("out", "blind")]
+    pd.testing.assert_frame_equal(*tables)
+    assert "labels of the split 'test' are needed" in hydro(*line).stderr
     empty = hydro("score", "--code", str(tmp_path), "--data", str(folder))
     assert (empty.returncode, "has no detect.py" in empty.stderr) == (2, True)
 
