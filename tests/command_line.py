@@ -29,7 +29,8 @@ class Answer(NamedTuple):
 def hydro(*arguments: object, columns: int = 120) -> Answer:
     """Run ``hydro`` in this process; an exception that it lets through fails the test."""
     out, errors, code = io.StringIO(), io.StringIO(), 0
-    given, handlers = sys.argv, {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    given, numbers = sys.argv, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    handlers = {number: signal.getsignal(number) for number in numbers}
     sys.argv = ["hydro", *map(str, arguments)]
     try:
         with (

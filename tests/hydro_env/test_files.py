@@ -7,7 +7,7 @@ from refusal import refused
 
 from hydro_env import ConfigurationError
 from hydro_env.files import LARGEST_FILE, Group, read_json, read_text, read_yaml, validate, write_text
-from hydro_env.units import Number, Whole
+from hydro_env.units import Number
 
 NESTED = "a0: &a0 [1, 1]\n" + "\n".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 40))
 YAML = [
@@ -89,7 +89,6 @@ class Settings(Group):
     switch: bool = True
     name: str = "a"
     known: dict[str, Number] = {}
-    sizes: tuple[Whole, ...] = ()
 
 
 @pytest.mark.parametrize(
@@ -97,7 +96,6 @@ class Settings(Group):
     [
         (Settings, {"whole": True}, "whole = true: must be a number, not true/false"),
         (Settings, {"known": {"a": True}}, "known.a = true: must be a number, not true/false"),
-        (Settings, {"sizes": [True]}, "sizes.0 = true: must be a number, not true/false"),
         (Settings, {"switch": 7}, "switch = 7: must be true or false"),
         (Settings, {"name": 7}, "name = 7: must be text"),
         (Settings, {"frameskip": 1}, "frameskip = 1: unknown key"),

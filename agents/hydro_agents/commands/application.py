@@ -113,9 +113,9 @@ def common(
 class _Stopped(KeyboardInterrupt):
     """A signal that ends the program; finished work is kept as after Ctrl-C."""
 
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.exit_code = 128 + number
+    @property
+    def exit_code(self) -> int:
+        return 128 + int(self.args[0])
 
 
 def main() -> None:
@@ -127,8 +127,9 @@ def main() -> None:
         if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
             signal.signal(number, _stop)
     try:
-        names = [name for commands in GROUPS.values() for name in commands]
-        app = application(next((word for word in sys.argv[1:2] if word in names), ""))
+        app = application(
+            next((word for word in sys.argv[1:2] for commands in GROUPS.values() if word in commands), "")
+        )
         code = app(standalone_mode=False, prog_name="hydro")
         sys.exit(code if isinstance(code, int) else 0)
     except SystemExit as stop:
@@ -157,6 +158,9 @@ def main() -> None:
         _end(2, f"{error.filename}: {error.strerror}" if error.filename else str(error.strerror or error))
     except MemoryError:
         _end(2, "not enough memory for this size")
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):  # while the workers end, nothing is left to keep
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _prepare_streams() -> None:
@@ -197,9 +201,7 @@ def _narrow(line: str) -> list[str]:
     """A line wrapped to the width of the terminal; its continuation lines are indented by four more columns."""
     indent = " " * (len(line) - len(line.lstrip()) + 4)
     width = shutil.get_terminal_size().columns
-    return textwrap.wrap(
-        line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, drop_whitespace=True
-    )
+    return textwrap.wrap(line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 if __name__ == "__main__":

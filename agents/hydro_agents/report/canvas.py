@@ -262,7 +262,8 @@ def dodge(count: int, index: int, width: float) -> float:
 def with_gaps(time: Array, values: Array) -> tuple[Array, Array]:
     """A line that breaks where rows are missing."""
     steps = np.diff(time)
-    usual = np.median(steps[steps > 0.0]) if (steps > 0.0).any() else np.inf
+    rising = steps[steps > 0.0]
+    usual = np.median(rising) if len(rising) else np.inf
     after = np.flatnonzero(steps > 5.0 * usual) + 1
     return np.insert(time, after, time[after]), np.insert(values, after, np.nan)
 

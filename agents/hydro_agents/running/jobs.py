@@ -262,7 +262,7 @@ def _end_with_parent(starter: int) -> None:
     parent = os.getppid()
 
     def watch() -> None:
-        while os.getppid() == parent and (parent != 1 or starter == 1):  # 1: killed before this worker was ready
+        while starter == 1 or os.getppid() == parent != 1:  # 1: killed before this worker was ready
             sleep(1.0)
         os._exit(1)
 
@@ -326,7 +326,7 @@ def _pooled(calls: Sequence[Any], jobs: int | None) -> Generator[tuple[str, JobR
     """Answers of the pool of the active ``parallel_config``, as they come."""
     limit = jobs if jobs is not None else get_active_backend()[1]
     # Dask has as many jobs under way as the cluster has cores; what is sent to it can be fewer.
-    sent = {"pre_dispatch": limit} if limit is not None and limit > 0 else {}
+    sent = {"pre_dispatch": limit} if limit and limit > 0 else {}
     pool: Any
     try:
         pool = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered", **sent)
