@@ -71,7 +71,7 @@ def _settings(draw: random.Random, path: Path) -> tuple[str, bool]:
         place["zzz_unknown"], wrong = what, is_yaml
     else:
         place[key] = what
-        wrong = way == "value" and is_yaml and type(old) in (int, float) and key not in CASES["may be infinite"]
+        wrong = way == "value" and is_yaml and type(old) in (int, float) and key not in CASES["may be anything"]
     path.write_text(yaml.safe_dump(tree, sort_keys=False) if is_yaml else json.dumps(tree))
     return f"{way} {key}={str(what)[:40]}", wrong
 

@@ -31,7 +31,7 @@ JOBS = {  # without --resume first, and where nothing was kept
 MARK = str(os.getpid())  # of the commands, as a variable of their environment
 FINISHED = (0, 10, 11, 12)  # exit codes
 RESULTS = re.compile(r"(?!progress|state|protocol|\.hydro|.*checkpoint).*\.(csv|safetensors|parquet|svg|yaml|json)")
-TIMES = re.compile(rb'"(seconds|digest)": [^,}]*')  # of a training, and of the text with it
+TIMES = re.compile(rb',\s*"(seconds|digest)": [^,}\s]*')  # of a training, and of the text with it
 
 
 def start(words: str, folder: Path) -> subprocess.Popen[str]:

@@ -57,7 +57,7 @@ class Group(BaseModel, metaclass=_Checked):
     @classmethod
     def _plain_numbers(cls, value: Any, info: Any) -> Any:
         field = cls.model_fields[info.field_name]
-        if isinstance(value, bool) and field.annotation in (int, float):
+        if isinstance(value, bool) and field.annotation in (int, float, int | None, float | None):
             raise ValueError("must be a number, not true/false")
         extra = field.json_schema_extra
         return in_si(value, str(extra["unit"])) if isinstance(extra, dict) and "unit" in extra else value

@@ -23,7 +23,7 @@ from hydro_env.mistakes import kept, known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.rig import merged
-from hydro_env.units import Number, Whole
+from hydro_env.units import Number
 
 FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count >= len(REFERENCE_FAMILIES) * SEEDS_PER_FAMILY]
 PlantSeeds = Annotated[str, known_name(FAMILIES_OF_PLANTS, "range of seeds")]
@@ -46,7 +46,7 @@ class PairedCondition(Condition):
         None, min_length=1, description="l/min at 100 bar; default: protocol"
     )
     families: tuple[Family, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
-    plants: Whole | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
+    plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
     controllers: dict[str, ControllerChoice] = Field(
         default_factory=dict, description="by name; controllers tuned or trained for this condition"
     )
@@ -160,7 +160,7 @@ class Sweep(Group):
     group: str = "parameter"
     leak_levels: tuple[Number, ...] | None = Field(None, min_length=1)
     families: tuple[Family, ...] | None = Field(None, min_length=1)
-    plants: Whole | None = Field(None, ge=3, le=SEEDS_PER_FAMILY)
+    plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY)
     factors: dict[str, tuple[Factor, ...]] = Field(min_length=1, description="by path of the parameter")
 
     def conditions(self) -> dict[str, dict[str, Any]]:

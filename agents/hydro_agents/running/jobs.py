@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import io
-import os
 import random
 import sys
 import warnings
@@ -20,12 +19,8 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
-from multiprocessing import parent_process
 from pathlib import Path
-from signal import SIG_IGN, SIGINT, signal
 from socket import gethostname
-from threading import Thread, current_thread, main_thread
-from time import sleep
 from typing import Any
 
 import joblib
@@ -256,29 +251,12 @@ def _named(key: str, job: Job) -> tuple[str, JobResult]:
             torch.set_num_threads(threads)
 
 
-@cache
-def _end_with_parent(starter: int) -> None:
-    """End this worker when the command that started it was killed; it would wait for work for minutes."""
-    parent = os.getppid()
-
-    def watch() -> None:
-        while starter == 1 or os.getppid() == parent != 1:  # 1: killed before this worker was ready
-            sleep(1.0)
-        os._exit(1)
-
-    Thread(target=watch, daemon=True).start()
-
-
 def _in_worker(key: str, job: Job, code: str) -> tuple[str, JobResult]:
-    """Run a job in a process of the pool, which leaves Ctrl-C to the waiting process.
+    """Run a job in a process of the pool.
 
     Raises:
         ConfigurationError: the worker has another version of the code.
     """
-    starter = parent_process()
-    if starter is not None and current_thread() is main_thread():
-        signal(SIGINT, SIG_IGN)
-        _end_with_parent(starter.pid or 0)
     if digest_of_code(*CODE) != code:
         raise ConfigurationError(f"the worker on {gethostname()} has another version of hydro_env: install the same")
     return _named(key, job)

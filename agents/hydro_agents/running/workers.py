@@ -10,6 +10,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
+from signal import SIG_IGN, SIGINT, signal
+from threading import Thread
+from time import sleep
 from typing import Any
 
 from joblib import cpu_count, parallel_config
@@ -46,7 +49,7 @@ def workers(jobs: int | None = None, backend: str = "loky", address: str | None 
     if address is not None and backend == "loky":
         raise ConfigurationError(f"--backend loky={address}: takes no address; dask and ray do")
     with ExitStack() as stack:
-        options: dict[str, Any] = {"n_jobs": jobs or cpu_count()}
+        options: dict[str, Any] = {"n_jobs": jobs or cpu_count(), "initializer": _begin, "initargs": (os.getpid(),)}
         if backend != "loky":
             begin, package = {"dask": _dask, "ray": _ray}[backend], _package(backend)
             where = f"--backend {backend}" if address is None else _reached(address, backend)
@@ -59,6 +62,18 @@ def workers(jobs: int | None = None, backend: str = "loky", address: str | None 
                 raise ConfigurationError(f"{where}: does not answer as {backend}: {reason}") from None
         with parallel_config(backend, **options):
             yield
+
+
+def _begin(command: int) -> None:
+    """Leave Ctrl-C to the process that started this worker, and end with it: one that was killed says nothing."""
+
+    def watch() -> None:
+        while os.getppid() == command:
+            sleep(1.0)
+        os._exit(1)
+
+    signal(SIGINT, SIG_IGN)
+    Thread(target=watch, daemon=True).start()
 
 
 def _dask(distributed: Any, jobs: int | None, address: str | None, stack: ExitStack) -> dict[str, Any]:
