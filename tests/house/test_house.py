@@ -40,7 +40,7 @@ ROOMS = (
 
 BUDGET = {
     "hydro_env": 59_100,
-    "hydro_agents": 140_350,
+    "hydro_agents": 140_310,
     "hydro_rig": 130_950,
     "tests": 229_200,
 }

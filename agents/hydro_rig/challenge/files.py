@@ -112,9 +112,8 @@ def read_public(folder: Path, name: str) -> pd.DataFrame:
         ConfigurationError: it cannot be read, or was changed.
     """
     paths = [folder / name] if name == PLATES else sorted((folder / name).glob("*.parquet"))
-    lines = read_text(folder / SUMS, 10_000_000).splitlines()
-    expected = [line for line in lines if line[66:].split("/")[0] == name]
-    if [_sum_line(folder, path) for path in paths] != expected:
+    public = read_text(folder / SUMS, 10_000_000).splitlines()
+    if [_sum_line(folder, path) for path in paths] != [line for line in public if line[66:].split("/")[0] == name]:
         raise ConfigurationError(f"{folder / name}: is not what {folder / SUMS} says")
     return read_table(folder / name)
 

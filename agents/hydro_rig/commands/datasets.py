@@ -200,7 +200,7 @@ def score(
             with ProgressDisplay() as display:
                 run = run_program(folder, data, split, signals_only=signals_only, progress=display.update)
             runs.append((folder.name, run))
-            if output is not None:
+            if output:
                 (output / "predictions").mkdir(exist_ok=True)
                 run.predictions.to_parquet(output / "predictions" / f"{folder.name}.parquet", index=False)
         if truth is None:
@@ -213,7 +213,7 @@ def score(
             scores.append(one._replace(remarks=[*one.remarks, *run.remarks]))
         scores += bounds(truth)
         table = table_of(scores)
-        if output is not None:
+        if output:
             write_text(output / "scores.csv", table.to_csv(index=False))
             render_scores(scores, Origin.now(command_line())).write(output / "scores.html")
     if as_json:

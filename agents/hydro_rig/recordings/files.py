@@ -8,6 +8,7 @@ as a finding.
 from __future__ import annotations
 
 import importlib
+import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -87,7 +88,7 @@ def started(path: Path) -> float | None:
     """Start of a measurement that the header of an MDF4 file gives, s since 1970; ``None`` for other files."""
     if path.suffix.lower() not in (".mf4", ".mdf"):
         return None
-    with library_errors(path, "asammdf") as asammdf, asammdf.MDF(path) as file:
+    with library_errors(path, "asammdf") as asammdf, _open_mdf(path, asammdf) as file:
         return float(file.header.start_time.timestamp())
 
 
@@ -137,7 +138,7 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
         if own is None or (len(own) == len(base) and np.allclose(own, base, rtol=0.0, atol=1e-9)):
             continue
         cells[signal] = pd.Series(interpolated(base, own, numbers_of(columns.cells[place])))
-        usual = 1e3 * float(np.median(np.diff(own))) if len(own) > 1 else np.nan
+        usual = 1e3 * np.median(np.diff(own)) if len(own) > 1 else np.nan
         what = f"has its own time stamps, one every {usual:.4g} ms; it is interpolated at those of the command"
         findings.append(Finding(signal, what, Weight.NOTE))
     return cells, findings
@@ -145,8 +146,7 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
 
 def numbers_of(cells: pd.Series) -> Floats:
     """The values of cells; what is no number is NaN."""
-    values: Floats = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan).copy()
-    return values
+    return np.array(pd.to_numeric(cells, errors="coerce").to_numpy(np.float64, na_value=np.nan))
 
 
 def interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
@@ -190,11 +190,17 @@ def of_channels(channels: Sequence[Channel]) -> Columns:
 # MDF4 ---------------------------------------------------------------------------------------------------------------
 
 
+def _open_mdf(path: Path, asammdf: Any) -> Any:
+    """The file; the library prints nothing of its own about a damaged one."""
+    asammdf.blocks.mdf_v4.MDF4.__del__ = lambda file: None
+    logging.getLogger("asammdf").disabled = True
+    return asammdf.MDF(path)
+
+
 def read_mdf(path: Path, asammdf: Any) -> list[Channel]:
     """All numeric channels."""
     channels: list[Channel] = []
-    asammdf.blocks.mdf_v4.MDF4.__del__ = lambda file: None  # it prints a traceback after a damaged file
-    with asammdf.MDF(path) as file:
+    with _open_mdf(path, asammdf) as file:
         places = [(number, place) for number, group in enumerate(file.groups) for place in range(len(group.channels))]
         for number, place in places:
             if place == file.masters_db.get(number):
@@ -203,6 +209,8 @@ def read_mdf(path: Path, asammdf: Any) -> list[Channel]:
             if np.ndim(signal.samples) == 1 and np.issubdtype(signal.samples.dtype, np.number):
                 # Copies: what the library gives are views of the records of all channels.
                 values, stamps = signal.samples.copy(), np.array(signal.timestamps, dtype=np.float64)
+                if not np.isfinite(stamps).all():
+                    raise ValueError(f"the stamps of {signal.name} are no numbers")
                 channels.append(Channel(f"group {number}", signal.name, signal.unit or "", values, stamps))
     return channels
 
