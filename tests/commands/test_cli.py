@@ -334,3 +334,12 @@ def test_an_installed_package_names_what_needs_a_checkout(tmp_path, monkeypatch,
     monkeypatch.setattr(checkout, "FOLDER", tmp_path)
     assert_one_clear_line(hydro(command, "--output", "new"), message)
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.slow
+def test_warm_up_leaves_the_machine_code_of_all_kernels(tmp_path):
+    answer = hydro_process("warm-up", NUMBA_CACHE_DIR=str(tmp_path / "code"))
+    assert answer.returncode == 0
+    assert len(own_lines(answer.stdout)) == 4
+    kept = " ".join(file.name for file in (tmp_path / "code").rglob("*.nbi"))
+    assert all(name in kept for name in ("begin_episodes", "step_axes", "describe", "fit", "run", "most_likely"))

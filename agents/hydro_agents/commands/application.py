@@ -67,6 +67,7 @@ GROUPS = {
     "The paper, and this machine": {
         "reproduce": "hydro_agents.commands.checkout:reproduce",
         "benchmark": "hydro_agents.commands.checkout:benchmark",
+        "warm-up": "hydro_rig.commands.warming:warm_up",
     },
 }
 """All commands under the headings of the help: by name the module and its function."""

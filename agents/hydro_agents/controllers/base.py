@@ -256,7 +256,7 @@ def search_space(gains: type[Group], plant: PlantParameters) -> dict[str, tuple[
     return space
 
 
-def rows(memory: Any, axes: NDArray[Any]) -> Any:
+def rows(memory: Any, axes: NDArray[Any] | slice) -> Any:
     """The memory of some axes: arrays, nested in named tuples; ``None`` stays."""
     if isinstance(memory, tuple):
         return type(memory)(*(rows(part, axes) for part in memory))

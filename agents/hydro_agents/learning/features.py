@@ -161,11 +161,16 @@ class PolicyFeatures:
         self.moving = self.size  # inputs that are normalised
 
     def __call__(
-        self, observation: Observation, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
+        self,
+        observation: Observation,
+        state: FeatureState | None,
+        episode_start: NDArray[np.bool_] | None,
+        answer: tuple[NDArray[np.float32], Any] | None = None,
     ) -> tuple[NDArray[np.float32], FeatureState]:
         """Inputs (N, size) for a batch of observations (N, n), and the new memory.
 
-        The history consists of the changes since each past sample. Before the start of an episode, it repeats the first
+        ``answer`` is what the corrected controller's ``predict`` gave for the observations, if it was called. The
+        history consists of the changes since each past sample. Before the start of an episode, it repeats the first
         observation.
         """
         inputs = observation[:, : len(self.layout.names)].astype(np.float32, copy=False)
@@ -192,7 +197,7 @@ class PolicyFeatures:
         seen = self._seen(inputs, signals, reference)
         if self.base is None:
             return self._normalised([*seen, changes]), state
-        command, memory = self.base.predict(observation, state.base, episode_start)
+        command, memory = answer or self.base.predict(observation, state.base, episode_start)
         own = [command, correction, lasting] if self.see_correction else [command]
         if self.see_estimates:
             own.append(self.base.estimates(memory))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,8 @@ class _Extractor(MlpExtractor):
 
     def __init__(self, actor_inputs: int, inputs: int, **options: Any) -> None:
         super().__init__(inputs, **options)
-        self.policy_net = MlpExtractor(actor_inputs, **options).policy_net
+        if actor_inputs < inputs:
+            self.policy_net = MlpExtractor(actor_inputs, **options).policy_net
         self._actor_inputs = actor_inputs
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
@@ -82,7 +84,37 @@ class _Extractor(MlpExtractor):
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Last hidden layers of actor and critic."""
-        return self.forward_actor(features), self.forward_critic(features)
+        if not torch.is_grad_enabled():
+            critic = _POOL.submit(torch.no_grad()(self.forward_critic), features)
+            return self.forward_actor(features), critic.result()
+        weights = *self.policy_net.parameters(), *self.value_net.parameters()
+        latent: tuple[torch.Tensor, torch.Tensor] = _SideBySide.apply(self, features, *weights)  # type: ignore[no-untyped-call]
+        return latent
+
+
+_POOL = ThreadPoolExecutor(1, thread_name_prefix="critic")
+
+
+class _SideBySide(torch.autograd.Function):
+    """An update of actor and critic on two threads; they share no weights, so the numbers are those of one thread."""
+
+    @staticmethod
+    def forward(context: Any, extractor: _Extractor, features: torch.Tensor, *weights: torch.Tensor) -> Any:
+        """Last hidden layers of actor and critic; ``weights`` tells the graph of ``features`` what has gradients."""
+        del weights
+        critic = _POOL.submit(extractor.forward_critic, features)
+        with torch.enable_grad():
+            context.latent = extractor.forward_actor(features), critic.result()
+        context.weights = [tuple(net.parameters()) for net in (extractor.policy_net, extractor.value_net)]
+        return tuple(latent.detach() for latent in context.latent)
+
+    @staticmethod
+    def backward(context: Any, *gradients: torch.Tensor) -> Any:
+        """Gradients of the weights."""
+        actor, critic = zip(context.latent, context.weights, gradients, strict=True)
+        gradients_of: Any = torch.autograd.grad
+        others = _POOL.submit(gradients_of, *critic)
+        return None, None, *gradients_of(*actor), *others.result()
 
 
 class AsymmetricPolicy(ActorCriticPolicy):

@@ -137,11 +137,11 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -
         "log_std_init": settings.initial_log_standard_deviation,
     }
     algorithm: Any = PPO
-    policy: Any = "MlpPolicy"
-    if settings.told_critic:
-        policy, network["actor_inputs"] = AsymmetricPolicy, env.features.size
+    policy: Any = AsymmetricPolicy
     if isinstance(settings, RecurrentPPOSettings):
         algorithm, policy, network["lstm_hidden_size"] = RecurrentPPO, "MlpLstmPolicy", settings.lstm_cells
+    else:
+        network["actor_inputs"] = env.features.size
     model = algorithm(
         policy,
         env,

@@ -123,7 +123,7 @@ class AxisVecEnv(_SharedVecEnv):
         self.env = ServoHydraulicVectorEnv(self._total, config, autoreset_mode="Disabled", info=False, **overrides)
         self.render_mode = None
         self._state: FeatureState | None = None
-        self._twins: Any = None
+        self._corrected: Any = None
         self._twin_commands = np.zeros((0, 1), dtype=np.float32)
         self._returns = np.zeros(count)
         self._lengths = np.zeros(count, dtype=np.int64)
@@ -149,18 +149,20 @@ class AxisVecEnv(_SharedVecEnv):
             self.env.set_state(state)
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        self._state = self._twins = None
+        self._state = self._corrected = None
         return self._inputs(observation, None)
 
     def _inputs(self, observation: NDArray[np.float32], restarted: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         """Process the observations of all axes and twins; returns the policy's inputs (N, size)."""
         if self.features is None:
             return observation
-        if self._paired and self.features.base is not None:
-            twins = observation[self.num_envs :]
-            self._twin_commands, self._twins = self.features.base.predict(twins, self._twins, restarted)
-        inputs, self._state = self.features(observation[: self.num_envs], self._state, restarted)
-        return self._with_privileged(inputs, slice(self.num_envs))
+        own, answer = slice(self.num_envs), None
+        if self._paired and self.features.base is not None:  # one call for the axes and their twins
+            both = None if restarted is None else np.tile(restarted, 2)
+            commands, self._corrected = self.features.base.predict(observation, self._corrected, both)
+            self._twin_commands, answer = commands[self.num_envs :], (commands[own], rows(self._corrected, own))
+        inputs, self._state = self.features(observation[own], self._state, restarted, answer)
+        return self._with_privileged(inputs, own)
 
     def _with_privileged(self, inputs: NDArray[np.float32], axes: slice | NDArray[np.int64]) -> NDArray[np.float32]:
         """The policy's inputs of some axes, within their limits, with the hidden quantities for the critic."""
@@ -227,7 +229,7 @@ class AxisVecEnv(_SharedVecEnv):
         return arrays | _leaves(self._own(), "own")
 
     def _own(self) -> _Own:
-        return _Own(self._returns, self._lengths, self._twin_commands, self._twins, self._state)
+        return _Own(self._returns, self._lengths, self._twin_commands, self._corrected, self._state)
 
     def set_state(self, state: Mapping[str, Array]) -> None:
         """Restore a state of :meth:`get_state`, from this or another ``AxisVecEnv`` with the same arguments.
@@ -244,7 +246,7 @@ class AxisVecEnv(_SharedVecEnv):
             raise ConfigurationError("env.record: holds no possible state of an axis")
         self.env.set_state(AxesState(self.env.config, arrays))
         own = _restored(self._own(), state, "own")
-        self._returns, self._lengths, self._twin_commands, self._twins, self._state = own
+        self._returns, self._lengths, self._twin_commands, self._corrected, self._state = own
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -263,7 +265,7 @@ class _Own(NamedTuple):
     returns: Array
     lengths: Array
     twin_commands: Array
-    twins: Any
+    corrected: Any  # memory of the corrected controller on the axes and their twins
     state: FeatureState | None
 
 

@@ -103,7 +103,7 @@ def judge(
     3. The estimator has read windows, and none determines the leak; or no detector has read a window → **something
        else** if a sensor sticks or loses readings while the model explains the others, otherwise **cannot tell**: why.
     4. The interval of the leak lies above the largest leak of a healthy seal → **internal leak** of that size; any
-       other fault is named too.
+       other fault is named too. **Cannot tell** if there is one and neither pressure was recorded.
     5. A sensor sticks or loses readings, or most windows show another fault → **something else**: which.
     6. The interval lies below the smallest leak that counts as a fault → **healthy**; **cannot tell** if neither
        pressure was recorded.
@@ -147,16 +147,21 @@ def judge(
         return Verdict(Kind.UNKNOWN, _why_nothing(window, estimator, companion) + blamed, None, "")
 
     leak, change = combined(reading)
+    absent = {finding.signal for finding in findings if finding.absent}
+    blind = {"pressure_a", "pressure_b"} <= absent
+    if leak.low > limits.healthy and blind and fault:
+        why = f"the leak past the piston is {leak.text()}, besides {fault}, but without pressures another machine than "
+        why += "that of the rig file looks the same; record one pressure at least, or check the file by hydro identify"
+        return Verdict(Kind.UNKNOWN, why, leak, leader)
     if leak.low > limits.healthy:  # rule 4
         parts = [change, f"besides, {fault}" if fault else ""]
         return Verdict(Kind.LEAK, "; ".join(part for part in parts if part), leak, leader)
     if fault:  # rule 5
         return Verdict(Kind.OTHER, fault, leak, leader)
-    absent = {finding.signal for finding in findings if finding.absent}
     if leak.high >= limits.fault:  # rule 7
         why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
         return Verdict(Kind.UNKNOWN, why, leak, leader)
-    if {"pressure_a", "pressure_b"} <= absent:
+    if blind:
         why = f"the leak past the piston is {leak.text()}, but without pressures a faulty seal can look healthy"
         return Verdict(Kind.UNKNOWN, f"{why}; record one pressure at least", leak, leader)
     return Verdict(Kind.HEALTHY, "", leak, leader)  # rule 6

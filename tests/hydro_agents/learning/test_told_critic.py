@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
@@ -46,6 +47,17 @@ def test_only_the_critic_reads_what_it_is_told():
     assert first.layers[0][0].shape[1] == features.size
     command, _ = first.predict(observation[:1])
     assert command.shape == (1, 1)
+
+
+def test_actor_and_critic_on_two_threads_get_the_gradients_of_one():
+    policy = make_model(make_env(CONFIG, SMALL, make_features(CONFIG, SMALL, BASE), 0), SMALL, 0).policy
+    extractor, inputs = policy.mlp_extractor, torch.randn(7, policy.features_dim)
+    weights = list(extractor.parameters())
+    one_thread = extractor.forward_actor(inputs), extractor.forward_critic(inputs)
+    losses = [actor.square().sum() + critic.sin().sum() for actor, critic in (extractor(inputs), one_thread)]
+    for ours, theirs in zip(*(torch.autograd.grad(loss, weights) for loss in losses), strict=True):
+        assert torch.equal(ours, theirs)
+        assert ours.abs().max() > 0.0
 
 
 def test_told_are_leak_plant_state_bias_family_and_time():

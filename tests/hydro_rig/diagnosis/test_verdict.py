@@ -38,6 +38,13 @@ CASES = {
     "no pressures, seems tight": (NO_PRESSURES, HEALTHY, None, Kind.UNKNOWN, "record one pressure"),
     "one pressure, tight": (NO_PRESSURES[:1], HEALTHY, None, Kind.HEALTHY, "healthy"),
     "no pressures, leak": (NO_PRESSURES, LEAK, None, Kind.LEAK, "internal leak"),
+    "no pressures, leak and worn valve": (
+        NO_PRESSURES,
+        reading(1.0, fault="worn edges"),
+        None,
+        Kind.UNKNOWN,
+        "besides worn edges, but without pressures",
+    ),
     "severe finding of an axis that oscillates": (
         [WRONG, OSCILLATES],
         None,
