@@ -29,7 +29,7 @@ from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.sensors import POSITION
 
 PLANTS = 8  # of each family and leak
-PRACTICE = {"reward": {"frame": "sensor", "error_limit": 100.0}}
+PRACTICE: dict[str, Any] = {"reward": {"frame": "sensor", "error_limit": 100.0}}
 
 
 def trained(file: Path, steps: int, sheet: bool) -> RecurrentPPO:
