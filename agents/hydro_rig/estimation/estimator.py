@@ -240,8 +240,7 @@ def shown(found: Estimate, task: TaskConfig) -> dict[str, Prior]:
     priors = wear_priors(task)
     for name, value, remaining in zip(found.names, found.values[0], found.remaining[0], strict=True):
         if name in priors:
-            deviation = LOOSER * remaining * priors[name].deviation
-            priors[name] = replace(priors[name], mean=value, deviation=deviation)
+            priors[name] = replace(priors[name], mean=value, deviation=LOOSER * remaining * priors[name].deviation)
     return priors
 
 

@@ -53,7 +53,7 @@ class TwoStageDetector:
         count = len(windows)
         if len(self._asked) != count or (windows.end < self._asked).any():  # other axes
             self._asked, self._named = np.full(count, -np.inf), np.zeros(count, dtype=np.int8)
-            self._shown = [{} for _ in range(count)]
+            self._shown = [{}] * count
         free = ~(windows.end - self._asked < RATION)  # NaN: unknown times
         self._named[free] = Cause.NONE
         first = self.head.read(windows, task)
