@@ -262,7 +262,10 @@ def _run(
     shares = np.where(states[:, None] == _LEAKS, LEAKS, HEALTHY)
     flow = np.minimum(bound * np.exp(generator.uniform(*np.log(shares).T)), LEAKAGE_LIMIT)
     faults, names = _faults(config, generator, states)
-    controller = _acting(crew.acting, task, count, int(seeds[0]))
+    figures = pid_from_figures(task) if crew.acting == "PID" else None  # of the axis: the gains follow from them
+    controller: Controller = (
+        PID(figures, task) if figures is not None else ACTING[crew.acting].make(task, count, int(seeds[0]))
+    )
     moves = None
     if np.isin(harsh, list(MOVING)).all():  # a crew has a moving supply or sensor, or damaged rows
         moves = drawn(generator, harsh, task.steps, task.control_period)
@@ -302,12 +305,6 @@ def _run(
         }
         parts.append((_rows(signals[axis, :, :rows], task, label, generator), label))
     return parts
-
-
-def _acting(name: str, task: TaskConfig, count: int, seed: int) -> Controller:
-    """Who moves the axes; the gains of a PID follow from the figures of the axis."""
-    figures = pid_from_figures(task) if name == "PID" else None
-    return PID(figures, task) if figures is not None else ACTING[name].make(task, count, seed)
 
 
 def _faults(

@@ -64,7 +64,10 @@ def plan_to_folder(folder: Path, plan: Plan, overwrite: bool, command: str) -> l
         time = plan.task.control_period * np.arange(signals.shape[2], dtype=np.float64)
         note = f"{command}: simulated axis, leak {SIMULATED_LEAK:g} l/min at 100 bar"
         write_text(folder / TRIAL_FILE, recording_csv(time, signals[0], note))
-        render_plan(plan, Origin.now(command)).write(folder / PLAN_PAGE)
+        content = Content({}, plan.task, others={"plan": plan})
+        sources = Markup("Numbers: <code>commands.csv</code> beside this page; <code>--json</code> prints the others.")
+        page = render_page("Plan of a leak test", PLAN_SECTIONS, content, Origin.now(command), sources)
+        page.write(folder / PLAN_PAGE)
     files = [str(folder / name) for name in (PLAN_PAGE, COMMANDS_FILE, TRIAL_FILE)]
     return [*files, capitalised(plan_line(plan))]
 
@@ -105,13 +108,6 @@ def plan_facts(plan: Plan) -> dict[str, Any]:
         "positions": [float(plan.best.position.min()), float(plan.best.position.max())],
         "largest_pressure": float(plan.best.pressures.max()),
     }
-
-
-def render_plan(plan: Plan, origin: Origin) -> Page:
-    """The page of a plan."""
-    content = Content({}, plan.task, others={"plan": plan})
-    sources = Markup("Numbers: <code>commands.csv</code> beside this page; <code>--json</code> prints the others.")
-    return render_page("Plan of a leak test", PLAN_SECTIONS, content, origin, sources)
 
 
 @section("", needs=("plan",))

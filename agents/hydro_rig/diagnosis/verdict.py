@@ -149,8 +149,9 @@ def judge(
     leak, change = combined(reading)
     absent = {finding.signal for finding in findings if finding.absent}
     blind = {"pressure_a", "pressure_b"} <= absent
+    size = f"the leak past the piston is {leak.text()}"
     if leak.low > limits.healthy and blind and fault:
-        why = f"the leak past the piston is {leak.text()}, besides {fault}, but without pressures another machine than "
+        why = f"{size}, besides {fault}, but without pressures another machine than "
         why += "that of the rig file looks the same; record one pressure at least, or check the file by hydro identify"
         return Verdict(Kind.UNKNOWN, why, leak, leader)
     if leak.low > limits.healthy:  # rule 4
@@ -159,11 +160,11 @@ def judge(
     if fault:  # rule 5
         return Verdict(Kind.OTHER, fault, leak, leader)
     if leak.high >= limits.fault:  # rule 7
-        why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
+        why = f"{size}, which may be healthy or faulty; record more motion, or run the leak test (hydro leak-test)"
         return Verdict(Kind.UNKNOWN, why, leak, leader)
     if blind:
-        why = f"the leak past the piston is {leak.text()}, but without pressures a faulty seal can look healthy"
-        return Verdict(Kind.UNKNOWN, f"{why}; record one pressure at least", leak, leader)
+        why = f"{size}, but without pressures a faulty seal can look healthy; record one pressure at least"
+        return Verdict(Kind.UNKNOWN, why, leak, leader)
     return Verdict(Kind.HEALTHY, "", leak, leader)  # rule 6
 
 

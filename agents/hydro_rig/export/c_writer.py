@@ -117,7 +117,9 @@ class CWriter:
             if node.size == 1 or isinstance(index, int):
                 return self.number(node.table[index if isinstance(index, int) else 0])
             if node not in self._names:
-                self._names[node] = self._new_table(node.name, node.table)
+                kind = "constant_table" if node.name == "constant" else node.name
+                name = self._names[node] = self._new_name(self.prefix + kind)
+                self.tables.append(self.table(name, node.table))
             return f"{self._names[node]}[{index}]"
         if run := regular(node):
             return self.element(run.source, loop_place(run.start, run.step, index))
@@ -168,11 +170,6 @@ class CWriter:
         names = (plain, *(f"{plain}_{number}" for number in range(2, 10_000)))
         unique = next(name for name in names if self._key(name) not in self._used)
         self._used.add(self._key(unique))
-        return unique
-
-    def _new_table(self, name: str, values: NDArray[Any]) -> str:
-        unique = self._new_name(self.prefix + (f"{name}_table" if name == "constant" else name))
-        self.tables.append(self.table(unique, values))
         return unique
 
     # The language -------------------------------------------------------------------------------------------------

@@ -119,7 +119,7 @@ NONE = r"must hold the gains of one controller \(pid, "
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", NONE),
+        ("", "is empty"),
         ("speed: 1.0\n", NONE),
         ("proportional: 12.0\nspeed: 1.0\n", NONE),
         ("proportional: -1.0\n", r"pid: proportional = -1\.0"),

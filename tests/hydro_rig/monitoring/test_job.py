@@ -5,11 +5,13 @@ import pytest
 from command_line import assert_one_clear_line, hydro
 from untrained import untrained_head
 
-from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Windows
+from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
+from hydro_agents.detection.operations import ACTING, at_rest
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_rig.estimation.known_windows import known_windows, leak_cases
 from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.monitoring import alarm_job
 from hydro_rig.monitoring.alarm_job import AlarmJob, run_job
@@ -164,3 +166,14 @@ def test_in_doubt_the_estimator_has_the_last_word_for_a_minute():
 def test_bad_options_of_the_command_get_one_line_and_leave_nothing(tmp_path, options, parts):
     assert_one_clear_line(hydro("alarms", "--output", tmp_path / "new", *options), *parts)
     assert not (tmp_path / "new").exists()
+
+
+def test_an_axis_at_rest_is_read_with_what_its_last_motion_has_shown():
+    detector, still = TwoStageDetector(HeadDetector(untrained_head(CONFIG)), remembers=True), at_rest(CONFIG)
+    read = []
+    for task in (still, CONFIG, still):
+        acting = ACTING["proportional"].make(task, 1, 1)
+        windows = known_windows(task, acting, leak_cases([90_250_001], 1, 0.3), 10.0, 1.995)
+        read.append(detector.read(Windows.of(windows.signals), CONFIG))
+    assert read[0].why[0] == Why.AT_REST
+    assert 0.03 < read[2].low_lpm[0] < 0.3 < read[2].high_lpm[0]
