@@ -1,9 +1,11 @@
 """What `hydro diagnose` answers on recordings of simulated axes: verdicts, size errors, intervals.
 
-Run: python benchmarks/diagnosis.py [--only faults sensors handling errors clocks] [--share 1.0]
+Run: python benchmarks/diagnosis.py [--only faults sensors handling errors clocks rest] [--share 1.0]
 
 Each recording lasts 4 s (two windows), has a test seed of its own, and takes the whole way: file, checks, both
 detectors, verdict. The shipped PID moves the axis; plant and family of references are drawn from the default task.
+In the table ``rest`` an axis works and then stands for 20 minutes, under a proportional or the flow-linearising
+controller; the two-stage detector, which remembers the work, reads it.
 """
 
 from __future__ import annotations
@@ -21,8 +23,10 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from hydro_agents.detection.detector import Reading, Windows, measured_run
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.operations import MOTIONS
+from hydro_agents.detection.monitor import HeadDetector
+from hydro_agents.detection.operations import ACTING, MOTIONS, at_rest
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import DIAGNOSIS
@@ -30,12 +34,18 @@ from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
-from hydro_rig.diagnosis.diagnose import Diagnosis, diagnose
-from hydro_rig.diagnosis.verdict import Kind
+from hydro_rig.diagnosis.diagnose import diagnose
+from hydro_rig.diagnosis.verdict import Kind, Limits, Verdict, judge
+from hydro_rig.estimation.estimator import EstimatorDetector
+from hydro_rig.estimation.known_windows import leak_cases
 from hydro_rig.estimation.model import noise_of
+from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.recordings.simulated import record_axis
 
 TASK = TaskConfig(episode_duration=4.0)
+STAND = at_rest(TaskConfig(episode_duration=1200.0))
+LOOKS = (2.0, 4.0), (420.0, 840.0, 1200.0)
+"""Ends of the windows that are read, s: of the work, and of the standstill, three of its twenty looks."""
 WRONG_RIG = TASK.model_copy(update={"plant": TASK.plant.replace(cylinder={"rod_diameter": 0.024})})
 QUIET = {name: {"noise": 0.5 * getattr(TASK.sensors, name).noise} for name in SENSORS}
 LUGRE = TASK.model_copy(update={"plant": TASK.plant.replace(friction={"model": "lugre"})})
@@ -207,29 +217,59 @@ TABLES: dict[str, tuple[Axis, ...]] = {
         )
         for leak in (0.01, 0.3)
     ),
+    "rest": (
+        Axis("leak of 0.1 l/min", 60, 0.1),
+        Axis("leak of 0.3 l/min", 60, 0.3),
+        Axis("healthy, 0.01 l/min", 60),
+        Axis("null shift + 1.5 %", 60, faults={"valve_null_shift": 0.015}),
+        Axis("null shift − 1.5 %", 60, faults={"valve_null_shift": -0.015}),
+        Axis("underlap + 3.5 %", 60, faults={"valve_underlap": 0.035}),
+        Axis("return line + 5 bar", 60, faults={"tank_pressure": 5e5}),
+        Axis("leak of 0.1 l/min, never seen in motion", 20, 0.1, task=at_rest(TASK)),
+        Axis("leak of 0.3 l/min, never seen in motion", 20, 0.3, task=at_rest(TASK)),
+        Axis("healthy, never seen in motion", 20, task=at_rest(TASK)),
+        Axis("null shift − 1.5 %, never seen in motion", 20, faults={"valve_null_shift": -0.015}, task=at_rest(TASK)),
+    ),
 }
 
 
-def diagnosed(axis: Axis, seeds: range, head: LeakageHead, folder: Path) -> list[Diagnosis]:
-    """The diagnosis of one recording per seed."""
+def standing(axis: Axis, seeds: range) -> list[Verdict]:
+    """The answers on axes that have worked (``axis.task``) and then stood, half under each controller."""
+    verdicts = []
+    for acting, some in (("proportional", seeds[::2]), ("flow-linearising", seeds[1::2])):
+        detector = TwoStageDetector(HeadDetector.load(), EstimatorDetector(restarts=0), remembers=True)
+        cases, readings = leak_cases(some, len(some), axis.leak, axis.faults), []
+        for task, ends in zip((axis.task, STAND), LOOKS, strict=True):
+            signals, _ = measured_run(task, ACTING[acting].make(task, len(some), some[0]), cases)
+            for end in ends:
+                last = round(end / task.control_period)
+                readings.append(detector.read(Windows.of(signals[:, :, last - 400 : last]), task))
+        for row in range(len(some)):
+            looks = [one.part(np.array([row])) for one in readings[len(LOOKS[0]) :]]
+            looked = Reading(*map(np.concatenate, zip(*looks, strict=True)))
+            verdicts.append(judge([], looked, None, Limits.of(TASK)))
+    return verdicts
+
+
+def diagnosed(axis: Axis, seeds: range, head: LeakageHead, folder: Path) -> list[Verdict]:
+    """The verdict on one recording per seed."""
     controller, file, found = shipped("pid", axis.task), folder / "axis.csv", []
     for seed in seeds:
         record_axis(file, axis.task, controller, seed, axis.leak, faults=axis.faults)
         if axis.change is not None:
             axis.change(pd.read_csv(file)).to_csv(file, index=False)
-        found.append(diagnose(file, TASK, head))
+        found.append(diagnose(file, TASK, head).verdict)
     return found
 
 
-def row(axis: Axis, found: list[Diagnosis]) -> str:
+def row(axis: Axis, found: list[Verdict]) -> str:
     """One row of a table in Markdown; the name of a fault stands there without its size, to count equal answers."""
     verdicts = Counter(
-        one.verdict.kind.value
-        + (f" ({why.split(' (')[0]})" if (why := one.verdict.why) and one.verdict.kind is not Kind.UNKNOWN else "")
+        one.kind.value + (f" ({one.why.split(' (')[0]})" if one.why and one.kind is not Kind.UNKNOWN else "")
         for one in found
     )
     answers = ", ".join(f"{verdict} {count}" for verdict, count in verdicts.most_common())
-    leaks = [one.verdict.leak for one in found if one.verdict.leak is not None]
+    leaks = [one.leak for one in found if one.leak is not None]
     error = f"{np.median([abs(leak.value - axis.leak) for leak in leaks]):.2g}" if leaks else "–"
     inside = f"{sum(leak.low <= axis.leak <= leak.high for leak in leaks)} of {len(leaks)}" if leaks else "–"
     return f"| {axis.name} | {len(found)} | {answers} | {error} | {inside} |"
@@ -250,7 +290,9 @@ def main() -> None:
             for axis in axes:
                 if name in arguments.only:
                     count = max(round(arguments.share * axis.recordings), 1)
-                    print(row(axis, diagnosed(axis, DIAGNOSIS.take(count, skip), head, Path(folder))), flush=True)
+                    seeds = DIAGNOSIS.take(count, skip)
+                    found = standing(axis, seeds) if name == "rest" else diagnosed(axis, seeds, head, Path(folder))
+                    print(row(axis, found), flush=True)
                 skip += axis.recordings
 
 

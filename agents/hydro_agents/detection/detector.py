@@ -79,7 +79,7 @@ class Why(Worded):
     NOT_READ = 2, "not read: the model does not explain the liveliest windows"
     MISFIT = 3, "the model does not explain the readings"
     UNDETERMINED = 4, "the window does not determine the leak; more motion is needed"
-    AT_REST = 5, "at rest a worn valve and a leak look alike; move the axis"
+    AT_REST = 5, "standstill cannot tell seal from valve here; run the leak test (hydro leak-test)"
     NOT_ASKED = 6, "the estimator has read a window of this axis within the last minute"
     OUTSIDE = 7, "unlike all that the leakage head was trained on"
     FEW_WINDOWS = 8, "the recording holds fewer than 2 windows with all commands"

@@ -160,7 +160,7 @@ def judge(
         return Verdict(Kind.OTHER, fault, leak, leader)
     if leak.high >= limits.fault:  # rule 7
         why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
-        return Verdict(Kind.UNKNOWN, why, leak, leader)
+        return Verdict(Kind.UNKNOWN, f"{why}, or run the leak test (hydro leak-test)", leak, leader)
     if blind:
         why = f"the leak past the piston is {leak.text()}, but without pressures a faulty seal can look healthy"
         return Verdict(Kind.UNKNOWN, f"{why}; record one pressure at least", leak, leader)

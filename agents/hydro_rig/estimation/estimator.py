@@ -49,6 +49,8 @@ LEAST_TRAVEL = 20.0  # smallest travel of an axis in motion, in standard deviati
 
 LEAST_GAIN = 3.0  # of twice the log-likelihood per step of a moving supply, by which its course is believed
 
+LOOSER = 1.5  # standard deviations of what an axis has shown in motion, as priors at rest, over those found there
+
 LEAST_DEVIATION = 0.1
 """Smallest credible standard deviation of the leak, as a fraction of the healthy bound: the model is not exact."""
 
@@ -101,34 +103,34 @@ class EstimatorDetector:
     ) -> None:
         self.changes, self.threads = dict(changes or {}), threads
         self.settings = EstimationSettings(restarts=restarts)
+        self.known: dict[str, Prior] = {}  # what the axis has shown before (:func:`shown`)
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """An empty text: the estimator reads every rig and every length."""
         del task, samples
         return ""
 
-    def read(self, windows: Windows, task: TaskConfig, progress: Progress | None = None) -> Reading:
-        """Read windows.
-
-        Args:
-            windows: N windows.
-            task: rig, ranges and sensors.
-            progress: called with the number of finished fits, at most two per window with commands.
-        """
-        return self.read_and_fit(windows, task, progress)[0]
+    def read(self, windows: Windows, task: TaskConfig) -> Reading:
+        """Read N windows of a task: rig, ranges and sensors."""
+        return self.read_and_fit(windows, task)[0]
 
     def read_and_fit(
         self, windows: Windows, task: TaskConfig, progress: Progress | None = None
     ) -> tuple[Reading, Estimate | None]:
         """Read windows, and return the estimates with wear as well, one for each window with commands.
 
-        The estimate is ``None`` if there is no such window. Arguments as those of :meth:`read`.
+        The estimate is ``None`` if there is no such window.
+
+        Args:
+            windows: N windows.
+            task: rig, ranges and sensors.
+            progress: called with the number of finished fits, at most two per window with commands.
         """
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
             return Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS), None
         used, expected = windows.part(chosen), task_config(task, **self.changes)
-        names, wear = default_unknowns(expected), wear_priors(expected)
+        names, wear = default_unknowns(expected), wear_priors(expected) | self.known
         worn = self._estimate(used, expected, (*names, *wear), wear, progress=progress)
         moves = self._with_moving_supply(used, expected, worn)
         excess = _excess(worn, task)
@@ -231,6 +233,16 @@ def wear_priors(task: TaskConfig) -> dict[str, Prior]:
         channel: getattr(task.sensors, channel).bias for channel in ("pressure_a", "pressure_b", "spool_position")
     }
     return wide | {f"{channel}_bias": Prior(0.0, WIDE_BIAS * bias) for channel, bias in biases.items() if bias > 0.0}
+
+
+def shown(found: Estimate, task: TaskConfig) -> dict[str, Prior]:
+    """What the first window, in motion, has shown of valve, return line and sensors, as priors for later windows."""
+    priors = wear_priors(task)
+    for name, value, remaining in zip(found.names, found.values[0], found.remaining[0], strict=True):
+        if name in priors:
+            deviation = LOOSER * remaining * priors[name].deviation
+            priors[name] = replace(priors[name], mean=value, deviation=deviation)
+    return priors
 
 
 def healthy_range(task: TaskConfig, name: str) -> tuple[float, float]:

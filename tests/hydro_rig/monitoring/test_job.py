@@ -10,6 +10,7 @@ from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_rig.estimation import two_stage
 from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.monitoring import alarm_job
 from hydro_rig.monitoring.alarm_job import AlarmJob, run_job
@@ -97,8 +98,8 @@ class Says:
         return Reading.of(np.full(count, self.score), np.full(count, self.cause), **known)
 
 
-def two_stages(head, estimator):
-    detector = TwoStageDetector(HeadDetector(untrained_head(CONFIG)), estimator)
+def two_stages(head, estimator, **options):
+    detector = TwoStageDetector(HeadDetector(untrained_head(CONFIG)), estimator, **options)
     head.on = detector.head.on
     detector.head = head
     return detector
@@ -148,6 +149,22 @@ def test_in_doubt_the_estimator_has_the_last_word_for_a_minute():
     assert not found.answers.any()
     wide = two_stages(head, Says(0.1, Cause.UNDETERMINED, 0.1, 0.2)).read(windows_at(2.0, 0.0), CONFIG)
     assert wide.answers.all(), "a wide answer says little, but says it"
+
+
+def test_the_estimator_reads_at_rest_with_what_the_last_motion_has_shown(monkeypatch):
+    monkeypatch.setattr(two_stage, "shown", lambda found, task: {"valve.null_shift": found})
+    estimator, given = Says(3.0, Cause.NONE, 0.2, 0.03), []
+
+    def read_and_fit(windows, task):
+        given.append(estimator.known)
+        return estimator.read(windows, task), len(given)
+
+    estimator.read_and_fit = read_and_fit
+    detector = two_stages(Says(-4.0, Cause.NONE, 0.01), estimator, remembers=True)
+    for end, speed in ((2.0, 0.0), (70.0, 0.1), (140.0, 0.0)):
+        assert detector.read(windows_at(end, speed), CONFIG).answers.all()
+    nothing = {}
+    assert given == [nothing] * 4 + [{"valve.null_shift": 3}, {"valve.null_shift": 4}]
 
 
 @pytest.mark.parametrize(
