@@ -1,6 +1,6 @@
 """PPO with a memory and nothing underneath, on the environment that draws the rig: the researcher's first attempt.
 
-    python benchmarks/any_axis_alone.py [--steps 6000000] [--rigs 20] [--split test] [--first 300] [--sheet no]
+    python benchmarks/any_axis_alone.py [--steps 4000000] [--rigs 20] [--split test] [--first 300] [--sheet no]
 
 RecurrentPPO of sb3-contrib trains on ``rig="drawn"``, 64 rigs of the training split; on rigs that it never saw its
 error stands beside that of untuned flow linearisation, in the sensor's frame, as in ``any_axis.py``. The trained model
@@ -72,7 +72,7 @@ def error(controller: Any, config: TaskConfig, rig: TaskConfig) -> tuple[float, 
 def main() -> None:
     """Train it if it is not there, judge it, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=6_000_000)
+    parser.add_argument("--steps", type=int, default=4_000_000)
     parser.add_argument("--rigs", type=int, default=20)
     parser.add_argument("--split", default="test", choices=("training", "validation", "test"))
     parser.add_argument("--first", type=int, default=300)
