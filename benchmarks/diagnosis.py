@@ -226,10 +226,6 @@ TABLES: dict[str, tuple[Axis, ...]] = {
         Axis("null shift − 1.5 %", 60, faults={"valve_null_shift": -0.015}),
         Axis("underlap + 3.5 %", 60, faults={"valve_underlap": 0.035}),
         Axis("return line + 5 bar", 60, faults={"tank_pressure": 5e5}),
-        Axis("leak of 0.1 l/min, never seen in motion", 20, 0.1, task=at_rest(TASK)),
-        Axis("leak of 0.3 l/min, never seen in motion", 20, 0.3, task=at_rest(TASK)),
-        Axis("healthy, never seen in motion", 20, task=at_rest(TASK)),
-        Axis("null shift − 1.5 %, never seen in motion", 20, faults={"valve_null_shift": -0.015}, task=at_rest(TASK)),
     ),
 }
 
