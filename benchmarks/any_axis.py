@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from benchmarks.kept_rows import kept_rows
 from benchmarks.no_tuning import tuned_for
@@ -47,12 +48,17 @@ STANDSTILLS = 16
 RESAMPLES = 2000
 
 
+def families_and_leaks() -> tuple[NDArray[np.str_], NDArray[np.float64]]:
+    """The family and the leak of each case on a rig."""
+    pairs = [(family, leak) for family in MOVING_FAMILIES for leak in LEAKS for _ in range(PLANTS)]
+    return np.array([family for family, _ in pairs]), np.array([leak for _, leak in pairs])
+
+
 def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, Any]:
     """Errors of each family in µm, their geometric mean, failures, valve travel, limit cycles of one rig."""
-    pairs = [(family, leak) for family in MOVING_FAMILIES for leak in LEAKS for _ in range(PLANTS)]
-    families = np.array([family for family, _ in pairs])
-    seeds = np.array(ANY_AXIS.take(len(pairs), skip))
-    run = run_cases(task, controller, Cases(seeds, np.array([leak for _, leak in pairs]), families))
+    families, leaks = families_and_leaks()
+    seeds = np.array(ANY_AXIS.take(len(families), skip))
+    run = run_cases(task, controller, Cases(seeds, leaks, families))
     error = np.abs(run.position + run.position_bias[:, None] - run.reference)
     for axis in np.flatnonzero(run.failed_at >= 0):
         error[axis, run.failed_at[axis] :] = task.plant.cylinder.stroke

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from sb3_contrib import RecurrentPPO
 
-from benchmarks.any_axis import LEAKS, UNTUNED
+from benchmarks.any_axis import UNTUNED, families_and_leaks
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.seeds import ANY_AXIS
@@ -25,10 +25,8 @@ from hydro_agents.running.text import markdown
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import rig_tasks
-from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.sensors import POSITION
 
-PLANTS = 8  # of each family and leak
 PRACTICE: dict[str, Any] = {"reward": {"frame": "sensor", "error_limit": 100.0}}
 
 
@@ -52,15 +50,15 @@ def error(controller: Any, config: TaskConfig, rig: TaskConfig) -> tuple[float, 
 
     ``config`` is the task whose observations the controller reads; a failed axis is wrong by its stroke.
     """
-    pairs = [(family, leak) for family in MOVING_FAMILIES for leak in LEAKS for _ in range(PLANTS)]
-    families, leaks = (np.array(part) for part in zip(*pairs, strict=True))
-    env = ServoHydraulicVectorEnv(len(pairs), config, autoreset_mode="NextStep", info=False)
+    families, leaks = families_and_leaks()
+    count = len(families)
+    env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
     options = {"reference": families.tolist(), "leakage_flow_lpm": leaks}
-    observation, _ = env.reset(seed=list(ANY_AXIS.take(len(pairs))), options=options)
-    bias, failed = env.axes.column("bias")[:, POSITION].copy(), np.zeros(len(pairs), dtype=bool)
-    total, memory = np.zeros(len(pairs)), None
+    observation, _ = env.reset(seed=list(ANY_AXIS.take(count)), options=options)
+    bias, failed = env.axes.column("bias")[:, POSITION].copy(), np.zeros(count, dtype=bool)
+    total, memory = np.zeros(count), None
     for step in range(rig.steps):
-        command, memory = controller.predict(observation, memory, np.full(len(pairs), step == 0), True)
+        command, memory = controller.predict(observation, memory, np.full(count, step == 0), True)
         observation, _, terminated, _, _ = env.step(command)
         failed |= terminated
         apart = np.abs(env.axes.column("position") + bias - env.axes.column("reference"))

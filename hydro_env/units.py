@@ -152,6 +152,7 @@ Number = Annotated[float, BeforeValidator(_no_truth_value), AfterValidator(_no_n
 """A float that is neither a truth value nor NaN."""
 
 Whole = Annotated[int, BeforeValidator(_no_truth_value)]
+"""An integer that is no truth value."""
 
 
 def quantity(default: float, unit: str, origin: str, low: float, high: float) -> Any:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,7 +104,6 @@ class EstimatorDetector:
     ) -> None:
         self.changes, self.threads = dict(changes or {}), threads
         self.settings = EstimationSettings(restarts=restarts)
-        self.known: dict[str, Prior] = {}  # what the axis has shown before (:func:`shown`)
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """An empty text: the estimator reads every rig and every length."""
@@ -115,7 +115,11 @@ class EstimatorDetector:
         return self.read_and_fit(windows, task)[0]
 
     def read_and_fit(
-        self, windows: Windows, task: TaskConfig, progress: Progress | None = None
+        self,
+        windows: Windows,
+        task: TaskConfig,
+        progress: Progress | None = None,
+        known: Mapping[str, Prior] = MappingProxyType({}),
     ) -> tuple[Reading, Estimate | None]:
         """Read windows, and return the estimates with wear as well, one for each window with commands.
 
@@ -125,12 +129,13 @@ class EstimatorDetector:
             windows: N windows.
             task: rig, ranges and sensors.
             progress: called with the number of finished fits, at most two per window with commands.
+            known: what the axes have shown before (:func:`shown`).
         """
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
             return Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS), None
         used, expected = windows.part(chosen), task_config(task, **self.changes)
-        names, wear = default_unknowns(expected), wear_priors(expected) | self.known
+        names, wear = default_unknowns(expected), {**wear_priors(expected), **known}
         worn = self._estimate(used, expected, (*names, *wear), wear, progress=progress)
         moves = self._with_moving_supply(used, expected, worn)
         excess = _excess(worn, task)

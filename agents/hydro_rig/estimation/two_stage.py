@@ -90,8 +90,8 @@ class TwoStageDetector:
             if standing[row] and not self._shown[row]:
                 readings.append(Reading.of([np.nan], why=Why.AT_REST))
                 continue
-            self.estimator.known = self._shown[row] if standing[row] else {}
-            reading, found = self.estimator.read_and_fit(windows.part(np.array([row])), task)
+            known = self._shown[row] if standing[row] else {}
+            reading, found = self.estimator.read_and_fit(windows.part(np.array([row])), task, known=known)
             if found is not None and reading.answers[0] and not standing[row]:
                 self._shown[row] = shown(found, task)
             readings.append(reading)
