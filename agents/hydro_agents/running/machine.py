@@ -41,15 +41,18 @@ def date_now() -> str:
     return datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
+CODE = (":/", ":(top,exclude)docs", ":(top,exclude)*.md")  # of the repository; no figure depends on the pages
+
+
 @functools.cache
 def commit() -> str:
-    """Commit of the sources, plus "with changes" if they differ; empty for an installed package without sources."""
+    """Commit of the sources, plus "with changes" if more than pages differ; empty for a package without sources."""
     folder = Path(hydro_env.__file__).parent
     git = ["git", "-C", str(folder)]
     try:
         subprocess.run([*git, "ls-files", "--error-unmatch", "version.py"], check=True, capture_output=True)
         name = subprocess.run([*git, "rev-parse", "--short", "HEAD"], check=True, capture_output=True, text=True)
-        changes = subprocess.run([*git, "diff", "--quiet", "HEAD"], check=False, capture_output=True)
+        changes = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", *CODE], check=False, capture_output=True)
     except (OSError, subprocess.CalledProcessError):
         return ""
     return name.stdout.strip() + (" with changes" if changes.returncode else "")
