@@ -138,6 +138,7 @@ def performance() -> None:
             axes.plot(counts, steps, marker=looks[kind].marker, label=label, **looks[kind].stroke)
         axes.set(xscale="log", yscale="log", xlabel="axes side by side", ylabel="steps per second")
         ticks(axes.xaxis, counts, lambda value: f"{value:,.0f}")
+        axes.set_ylim(top=5.0 * axes.get_ylim()[1])  # room for the legend above the lines
         axes.legend(loc="upper left")
 
     save("chart_speed.svg", speed, 3.0)
