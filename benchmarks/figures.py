@@ -43,7 +43,7 @@ def compute(entry: dict[str, Any], folder: Path) -> None:
 
 
 def main() -> None:
-    """Compute what is not finished, then put the tables into the pages."""
+    """Compute what is not finished, then put the tables into the pages and draw their pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--list", action="store_true", help="show the plan only")
     parser.add_argument("--only", nargs="+", choices=[entry["folder"] for entry in PLAN])
@@ -59,6 +59,9 @@ def main() -> None:
             compute(entry, folder)
     if not given.list:
         subprocess.run([sys.executable, "-m", "benchmarks.put_into_docs", str(given.results)], check=True)
+        study = given.results / "study"
+        tables = [str(study)] if (study / "tables").is_dir() else []
+        subprocess.run([sys.executable, "docs/pictures.py", *tables], check=True)
 
 
 if __name__ == "__main__":
