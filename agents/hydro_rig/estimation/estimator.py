@@ -206,10 +206,11 @@ def _reading(
 ) -> Reading:
     """The reading of leaks with their standard deviations, (N,) each."""
     fits = worn.holds & (value + SURE * deviation >= 0.0)  # a negative leak: the model is wrong
+    bound = task.leakage.class_bounds[0]
     known = deviation <= DETERMINED * np.maximum(leak_scale(task), value)
+    known |= still & (value - SURE * deviation > bound)  # whatever the valve is like, oil passes the piston
     worst = np.array([wear.cause for wear in WEAR.values()])[excess.argmax(axis=1)]
     cause = np.where(excess.max(axis=1) > 0.0, worst, Cause.NONE)
-    bound = task.leakage.class_bounds[0]
     spread = np.hypot(deviation, LEAST_DEVIATION * bound)
     return Reading.of(
         (value - bound) / spread,
