@@ -27,7 +27,7 @@ from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.evaluation.limit_cycles import counted_at_rest
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.tuning import chosen_gains
+from hydro_agents.learning.tuning import searched_gains
 from hydro_agents.rigs.stable_gain import pid_from_figures
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import pretrained_folder
@@ -40,7 +40,7 @@ from hydro_env.task.paces import pace
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 UNTUNED, POLICY, TUNED = "flow linearisation, untuned", "policy for any axis", "flow linearisation, tuned for the rig"
-CHOSEN = "flow linearisation, gains chosen by simulation"
+SEARCHED = "flow linearisation, gains searched by simulation"
 FIGURES, PROPORTIONAL, NOTHING = "PID from the rig's figures", "P from the rig's figures", "no command"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
 PLANTS = 8  # of each family and leak
@@ -79,7 +79,7 @@ def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) ->
     controllers: dict[str, Controller] = {
         UNTUNED: FlowLinearising(FlowLinearisingGains(), task),
         POLICY: PolicyController.load(weights).moved_to(task),
-        CHOSEN: make_controller("flow_linearising", task, chosen_gains("flow_linearising", task).model_dump()),
+        SEARCHED: make_controller("flow_linearising", task, searched_gains("flow_linearising", task).model_dump()),
     }
     if figures is not None:
         controllers[FIGURES] = PID(figures, task)

@@ -18,7 +18,7 @@ from pydantic import Field
 from hydro_agents.controllers.base import ClassicalController, Observation, ObservationLayout
 from hydro_agents.controllers.preview import Preview
 from hydro_agents.controllers.registry import CONTROLLERS, kind_of, make_controller
-from hydro_agents.learning.tuning import chosen_gains
+from hydro_agents.learning.tuning import GainsFor, chosen_gains
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -351,15 +351,15 @@ class AnyAxisFeatures(PolicyFeatures):
         features = AnyAxisFeatures(self.config, base, self.correction, self.sheet, error)
         return PolicyFeatures.normalised(features)
 
-    def moved_to(self, config: TaskConfig) -> AnyAxisFeatures:
-        """The same features on another rig: there a simulation chooses the corrected controller's gains and the units.
+    def moved_to(self, config: TaskConfig, gains: GainsFor = chosen_gains) -> AnyAxisFeatures:
+        """The same features on another rig: there a simulation finds the corrected controller's gains and the units.
 
         Raises:
             ConfigurationError: the rig lacks a sensor that the corrected controller reads.
         """
         base: Any = self.base
         type(base)(base.gains, config)  # names a missing sensor
-        own = type(base)(chosen_gains(kind_of(base), config), config)
+        own = type(base)(gains(kind_of(base), config), config)
         return AnyAxisFeatures(config, own, self.correction, self.sheet).normalised()
 
 

@@ -10,6 +10,7 @@ from hydro_agents.controllers.base import Controller, ObservationLayout, check_l
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, make_controller
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.trainers import TRAINERS, Trainer
+from hydro_agents.learning.tuning import GainsFor, chosen_gains, searched_gains
 from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder, pretrained_folder
 from hydro_agents.running.weights import weight_files
@@ -27,11 +28,12 @@ ANY_RIG = ("flow_linearising",)
 """Kinds whose class has gains for any rig as its defaults; benchmarks/no_tuning.py tunes and judges them."""
 
 
-def shipped(kind: str, config: TaskConfig) -> Controller:
+def shipped(kind: str, config: TaskConfig, gains: GainsFor = chosen_gains) -> Controller:
     """The controller that comes with the project: with gains or weights of the task's rig, if such ones ship.
 
     Flow linearisation has gains for any rig, the defaults of its class; it takes them on a rig that has none of its
-    own. Any other controller then takes those of the paper's rig.
+    own. Any other controller then takes those of the paper's rig. ``gains`` finds those that a policy for any axis
+    corrects: one of nine sets by default, in seconds; :func:`opponent` searches for a minute.
 
     Raises:
         ConfigurationError: the kind is not shipped.
@@ -44,7 +46,7 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
         ('PID', 'PolicyController')
     """
     if kind in SHIPPED_WEIGHTS:
-        return on_rig(TRAINERS[kind].load(shipped_weights(SHIPPED_WEIGHTS[kind], config)), config)
+        return on_rig(TRAINERS[kind].load(shipped_weights(SHIPPED_WEIGHTS[kind], config)), config, gains)
     if takes_gains_for_any_rig(kind, config):
         return make_controller(kind, config)
     return make_controller(kind, config, read_yaml(gains_file(kind, config) or usual_gains(kind)))
@@ -63,15 +65,15 @@ def _usual_period(config: TaskConfig) -> bool:
     return config.control_period == TaskConfig().control_period
 
 
-def on_rig(controller: Controller, config: TaskConfig) -> Controller:
-    """A policy for any axis on the rig of a task; any other controller as it is.
+def on_rig(controller: Controller, config: TaskConfig, gains: GainsFor = searched_gains) -> Controller:
+    """A policy for any axis on the rig of a task, with gains from ``gains``; any other controller as it is.
 
     Raises:
         ConfigurationError: the rig lacks a sensor that the policy needs.
     """
     if not isinstance(controller, PolicyController) or not controller.features.for_any_axis:
         return controller
-    return controller if controller.features.config == config else controller.moved_to(config)
+    return controller if controller.features.config == config else controller.moved_to(config, gains)
 
 
 def outside_training(trained: Any, config: TaskConfig) -> str:
@@ -137,7 +139,7 @@ def opponent(
         if not isinstance(what, str):
             controller = what
         elif what in (*CONTROLLERS, *SHIPPED_WEIGHTS):
-            controller = shipped(what, config)
+            controller = shipped(what, config, searched_gains)
         elif what.endswith(".zip"):
             raise ConfigurationError(
                 f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in your own module "

@@ -20,6 +20,7 @@ from hydro_agents.learning.features import (
     PolicyFeatures,
     StoredFeatures,
 )
+from hydro_agents.learning.tuning import GainsFor, searched_gains
 from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -180,8 +181,8 @@ class PolicyController:
             )
         return cls(features, layers, training, activation, "tanh" if off_policy else "linear", lstm)
 
-    def moved_to(self, config: TaskConfig) -> PolicyController:
-        """A policy for any axis on the rig of another task.
+    def moved_to(self, config: TaskConfig, gains: GainsFor = searched_gains) -> PolicyController:
+        """A policy for any axis on the rig of another task; ``gains`` finds those of the controller that it corrects.
 
         Raises:
             ConfigurationError: the policy serves the rig of its training alone, or the rig lacks a sensor.
@@ -189,7 +190,7 @@ class PolicyController:
         if not isinstance(self.features, AnyAxisFeatures):
             raise ConfigurationError("moved_to: must be a policy for any axis")
         moved = copy(self)
-        moved.features = self.features.moved_to(config)
+        moved.features = self.features.moved_to(config, gains)
         return moved
 
     def save(self, path: str | Path) -> Path:

@@ -14,7 +14,7 @@ from hydro_agents.learning.opponents import opponent
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
-from hydro_agents.learning.tuning import chosen_gains, gain_sets, rig_scores
+from hydro_agents.learning.tuning import Tuned, chosen_gains, gain_sets, rig_scores, searched_gains
 from hydro_agents.learning.vec_env import RigsVecEnv
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -115,15 +115,26 @@ def test_a_simulation_chooses_the_gains_that_the_policy_corrects(policy):
     scores = [score.equal for score in rig_scores("flow_linearising", sets, RIGS[0])]
     clearly = min(scores) < 0.9 * scores[0]
     assert sets.index(chosen[0]) == (int(np.argmin(scores)) if clearly else 0)
-    assert policy[1].moved_to(RIGS[0]).features.base.gains == chosen[0]
+    assert policy[1].moved_to(RIGS[0], chosen_gains).features.base.gains == chosen[0]
     assert gain_sets("pid") == [PIDGains()]
     assert chosen_gains("pid", RIGS[0]) == PIDGains()
+
+
+def test_a_search_counts_where_its_candidates_are_better_on_other_cases(monkeypatch):
+    good, task = FlowLinearisingGains(), RIGS[1]
+    slow = good.model_copy(update={"position_gain": 0.2 * good.position_gain})
+    for known, found in ((slow, good), (good, slow)):
+        monkeypatch.setattr(tuning, "_SEARCHED", {})
+        monkeypatch.setattr(tuning, "gain_sets", lambda _, known=known: [known, known])
+        monkeypatch.setattr(tuning, "chosen_gains", lambda *_, known=known: known)
+        monkeypatch.setattr(tuning, "tune", lambda *_, progress, found=found, **__: progress(Tuned(found, None, 0)))
+        assert searched_gains("flow_linearising", task) == good
 
 
 def test_an_untrained_policy_is_the_corrected_controller_on_every_rig(policy):
     zero = [(np.zeros_like(weight), np.zeros_like(bias)) for weight, bias in policy[1].layers]
     for task in RIGS[:2]:
-        moved = PolicyController(policy[1].features, zero).moved_to(task)
+        moved = PolicyController(policy[1].features, zero).moved_to(task, chosen_gains)
         corrected = FlowLinearising(chosen_gains("flow_linearising", task), task)
         np.testing.assert_array_equal(commands(moved, task), commands(corrected, task))
 
