@@ -216,18 +216,31 @@ def _spread(values: Floats, at: NDArray[np.int64], count: int) -> Floats:
 
 
 def likely_commands(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
-    """The commands at ``filled`` (T,), from all signals (5, T) in the two rows before and after, by least squares."""
+    """The commands at ``filled`` (T,), from the known signals (5, T) in the three rows before and after.
+
+    Each is the linear combination that fits the sure commands best among those with the same rows known.
+    """
     places, sure = np.arange(signals.shape[1]), np.isfinite(signals[COMMAND])
-    inputs = [np.ones(len(places))]
+    inputs, present = [], []
     for values in signals:
         known = np.isfinite(values)
         if known.any():
             whole = np.interp(places, places[known], values[known])
             scale = float(whole.std()) or 1.0
-            inputs += [np.roll((whole - whole.mean()) / scale, by) for by in (2, 1, -1, -2)]
-    around = np.column_stack(inputs)
-    weights, *_ = np.linalg.lstsq(around[sure], signals[COMMAND, sure], rcond=None)
-    return np.asarray(np.clip(around[filled] @ weights, -1.0, 1.0))
+            for by in (-3, -2, -1, 1, 2, 3):
+                inputs.append(np.roll((whole - whole.mean()) / scale, by))
+                present.append(np.roll(known, by))
+    around, there = np.column_stack(inputs), np.column_stack(present)
+    patterns, pattern = np.unique(there[filled], axis=0, return_inverse=True)
+    commands = np.zeros(len(pattern))
+    for number, known in enumerate(patterns):
+        alike = sure & there[:, known].all(axis=1)
+        rows = alike if alike.sum() > 2 * known.sum() else sure
+        chosen = np.column_stack([np.ones(len(places)), around[:, known]])
+        weights, *_ = np.linalg.lstsq(chosen[rows], signals[COMMAND, rows], rcond=None)
+        at = pattern == number
+        commands[at] = chosen[filled][at] @ weights
+    return np.clip(commands, -1.0, 1.0)
 
 
 def cut(samples: Sampled, length: int) -> Windows:
