@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.sensors import SENSORS
@@ -92,15 +93,17 @@ def _searched(problem: Problem, first: Floats, settings: EstimationSettings, los
     chosen = np.flatnonzero(lost.any(axis=1) & ~lost.all(axis=1) & np.isfinite(found.scaled).all(axis=1))
     if len(chosen):
         part, begin = problem.part(chosen), found.scaled[chosen]
-        command, wider = _likelier_commands(part, begin, lost[chosen])
+        command, wider = likelier_commands(part, begin, lost[chosen])
         part.model.commands = part.model.commands._replace(command=command)
         again = search(part, begin, replace(settings, horizons=(), restarts=0))
-        again.scale(wider)
         found.take(chosen, again, again.unlikelihood < found.unlikelihood[chosen])
+        factor = np.ones_like(found.scaled)
+        factor[chosen] = wider
+        found.scale(factor)
     return found
 
 
-def _likelier_commands(problem: Problem, scaled: Floats, lost: Mask) -> tuple[Floats, Floats]:
+def likelier_commands(problem: Problem, scaled: Floats, lost: Mask) -> tuple[Floats, Floats]:
     """The commands (B, T), those of lost rows corrected by a linear step in them and the unknowns together.
 
     Also returned: the factors, (B, P), by which not knowing these commands widens the unknowns.
@@ -112,18 +115,15 @@ def _likelier_commands(problem: Problem, scaled: Floats, lost: Mask) -> tuple[Fl
     moved.commands.command[np.arange(len(window)), sample] += step
     change = (moved.readings(scaled[window]) - model.readings(scaled)[window]) * np.sign(step)[:, None, None]
     change = np.nan_to_num(np.where(linear.known[window], change, 0.0)).reshape(len(window), -1)
-    wider = np.ones_like(scaled)
-    for one in range(len(scaled)):
-        own, unknowns = window == one, scaled.shape[1]
+    wider, unknowns = np.ones_like(scaled), scaled.shape[1]
+    for one, (prior, away) in enumerate(zip(problem.belief.precision, scaled - problem.belief.mean, strict=True)):
+        own = window == one
         slopes = np.concatenate([linear.jacobian[one], change[own]])
-        precision = np.eye(len(slopes))
-        precision[:unknowns, :unknowns] = problem.belief.precision[one]
-        pull = np.zeros(len(slopes))
-        pull[:unknowns] = problem.belief.precision[one] @ (scaled[one] - problem.belief.mean[one])
         weighted = slopes * linear.weight[one]
-        curvature = weighted @ slopes.T + precision
-        found = np.linalg.solve(curvature, weighted @ linear.residual[one] - pull)
-        command[one, sample[own]] += FILLED_ERROR * found[unknowns:]
+        curvature = weighted @ slopes.T + block_diag(prior, np.eye(own.sum()))
+        score = weighted @ linear.residual[one]
+        score[:unknowns] -= prior @ away
+        command[one, sample[own]] += FILLED_ERROR * np.linalg.solve(curvature, score)[unknowns:]
         unsure = np.diag(np.linalg.inv(curvature))[:unknowns] / np.diag(np.linalg.inv(curvature[:unknowns, :unknowns]))
         wider[one] = np.sqrt(np.maximum(unsure, 1.0))
     return np.clip(command, -1.0, 1.0), wider
