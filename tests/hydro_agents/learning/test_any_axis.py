@@ -120,6 +120,12 @@ def test_a_simulation_chooses_the_gains_that_the_policy_corrects(policy):
     assert chosen_gains("pid", RIGS[0]) == PIDGains()
 
 
+@pytest.fixture(autouse=True)
+def short_search(monkeypatch):
+    monkeypatch.setattr(tuning, "NEARBY", 14)
+    monkeypatch.setattr(tuning, "TRIALS", (1,))
+
+
 def test_a_search_counts_where_its_candidates_are_better_on_other_cases(monkeypatch):
     good, task = FlowLinearisingGains(), RIGS[1]
     slow = good.model_copy(update={"position_gain": 0.2 * good.position_gain})
@@ -173,8 +179,8 @@ def test_a_share_of_the_correction_acts_after_the_training(policy, tmp_path):
     weaker.features = policy[1].features.applied(0.5)
     weaker.save(tmp_path / "weaker")
     stored = PolicyController.load(tmp_path / "weaker")
-    whole, half = (commands(each.moved_to(RIGS[0]), RIGS[0]) for each in (policy[1], stored))
-    own = commands(policy[1].moved_to(RIGS[0]).features.base, RIGS[0])
+    whole, half = (commands(each.moved_to(RIGS[0], chosen_gains), RIGS[0]) for each in (policy[1], stored))
+    own = commands(policy[1].moved_to(RIGS[0], chosen_gains).features.base, RIGS[0])
     np.testing.assert_allclose(half[0] - own[0], 0.5 * (whole[0] - own[0]), atol=1e-6)
     assert np.abs(whole[0] - own[0]).max() > 1e-6
 
