@@ -65,7 +65,7 @@ def _usual_period(config: TaskConfig) -> bool:
     return config.control_period == TaskConfig().control_period
 
 
-def on_rig(controller: Controller, config: TaskConfig, gains: GainsFor = searched_gains) -> Controller:
+def on_rig(controller: Controller, config: TaskConfig, gains: GainsFor) -> Controller:
     """A policy for any axis on the rig of a task, with gains from ``gains``; any other controller as it is.
 
     Raises:
@@ -153,7 +153,7 @@ def opponent(
             names = unknown(what, (*CONTROLLERS, *SHIPPED_WEIGHTS))
             raise ConfigurationError(f"'{what}': {names}; or give module:attribute, or a path of weights")
         else:
-            controller = on_rig((trainer or TRAINERS["ppo"]).load(Path(what)), config)
+            controller = on_rig((trainer or TRAINERS["ppo"]).load(Path(what)), config, searched_gains)
         check_predict(controller)
         layout = getattr(getattr(controller, "features", controller), "layout", None)
         if isinstance(layout, ObservationLayout):

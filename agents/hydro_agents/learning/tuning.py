@@ -42,10 +42,8 @@ CLEARLY = 0.9  # of the first set's error, for another set to be chosen; few cas
 CHOICE_CASES = 14  # of each set in :func:`chosen_gains`, beside the resting ones
 NEARBY, NEAR = 56, 0.1  # candidates of :func:`searched_gains`, and their first spread in parts of the search ranges
 SEARCH_CASES = 42  # of each of these candidates
-TRIALS, TRIAL_CASES = (
-    (1, 2, 3, 4),
-    84,
-)  # seeds of the other cases that decide in the end, and how many; few plants swing
+TRIALS = (1, 2, 3, 4)  # seeds of the other cases that decide in the end
+TRIAL_CASES = 84  # of each seed: many, because few plants swing
 
 
 class Space:

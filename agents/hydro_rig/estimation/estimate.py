@@ -123,9 +123,9 @@ def likelier_commands(problem: Problem, scaled: Floats, lost: Mask) -> tuple[Flo
         curvature = weighted @ slopes.T + block_diag(prior, np.eye(own.sum()))
         score = weighted @ linear.residual[one]
         score[:unknowns] -= prior @ away
-        command[one, sample[own]] += FILLED_ERROR * np.linalg.solve(curvature, score)[unknowns:]
-        unsure = np.diag(np.linalg.inv(curvature))[:unknowns] / np.diag(np.linalg.inv(curvature[:unknowns, :unknowns]))
-        wider[one] = np.sqrt(np.maximum(unsure, 1.0))
+        unsure, sure = np.linalg.inv(curvature), np.linalg.inv(curvature[:unknowns, :unknowns])  # covariances
+        command[one, sample[own]] += FILLED_ERROR * (unsure @ score)[unknowns:]
+        wider[one] = np.sqrt(np.maximum(np.diag(unsure)[:unknowns] / np.diag(sure), 1.0))
     return np.clip(command, -1.0, 1.0), wider
 
 

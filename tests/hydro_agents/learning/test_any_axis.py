@@ -47,6 +47,12 @@ def untuned(task):
     return FlowLinearising(FlowLinearisingGains(), task)
 
 
+@pytest.fixture(autouse=True)
+def short_search(monkeypatch):
+    monkeypatch.setattr(tuning, "NEARBY", 14)
+    monkeypatch.setattr(tuning, "TRIALS", (1,))
+
+
 @pytest.fixture(autouse=True, scope="module")
 def short_rest():
     """Resting cases of 2 s for the choice of gains."""
@@ -118,12 +124,6 @@ def test_a_simulation_chooses_the_gains_that_the_policy_corrects(policy):
     assert policy[1].moved_to(RIGS[0], chosen_gains).features.base.gains == chosen[0]
     assert gain_sets("pid") == [PIDGains()]
     assert chosen_gains("pid", RIGS[0]) == PIDGains()
-
-
-@pytest.fixture(autouse=True)
-def short_search(monkeypatch):
-    monkeypatch.setattr(tuning, "NEARBY", 14)
-    monkeypatch.setattr(tuning, "TRIALS", (1,))
 
 
 def test_a_search_counts_where_its_candidates_are_better_on_other_cases(monkeypatch):
