@@ -25,12 +25,12 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.evaluation.limit_cycles import counted_at_rest
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.tuning import searched_gains
 from hydro_agents.rigs.stable_gain import pid_from_figures
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import pretrained_folder
+from hydro_agents.running.limit_cycles import counted_at_rest
 from hydro_agents.running.seeds import ANY_AXIS
 from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig

@@ -21,7 +21,6 @@ from hydro_agents.detection.monitor import check_head
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.conditions import Name
 from hydro_agents.evaluation.detection import LeakBounds, detection_rates, detection_summary
-from hydro_agents.evaluation.limit_cycles import counted
 from hydro_agents.evaluation.metrics import ERROR, FRAMES, METRICS
 from hydro_agents.evaluation.participants import participants, split_name
 from hydro_agents.evaluation.robustness_protocol import (
@@ -32,6 +31,7 @@ from hydro_agents.evaluation.robustness_protocol import (
 )
 from hydro_agents.evaluation.runner import FAILED, Results, run, table, tables_of
 from hydro_agents.running.cases import ControllerError
+from hydro_agents.running.limit_cycles import counted
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
 from hydro_agents.running.statistics import ratio_interval
 from hydro_env import ConfigurationError, TaskConfig

@@ -11,12 +11,12 @@ import pandas as pd
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.best_found import BestFound
 from hydro_agents.evaluation.conditions import Cell
-from hydro_agents.evaluation.limit_cycles import standstill_metrics, standstill_task
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import PairedProtocol
 from hydro_agents.running.cases import Cases, ControllerError, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
+from hydro_agents.running.limit_cycles import standstill_metrics, standstill_task
 from hydro_env import ConfigurationError, TaskConfig
 
 BEST_FOUND = "best found"

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.evaluation.limit_cycles import comes_to_rest
 from hydro_agents.evaluation.metrics import COMPARED
 from hydro_agents.report.canvas import INK, Plot, curve_plot
 from hydro_agents.report.content import Content, interval, intervals, shown, verdict
 from hydro_agents.report.palette import looks_of
 from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section, words_table
+from hydro_agents.running.limit_cycles import comes_to_rest
 from hydro_agents.running.text import Table, duration, number
 
 NOT_RUN = "not applicable"

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.evaluate import Evaluation
-from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
 from hydro_agents.report.canvas import INK, Plot
 from hydro_agents.report.content import Content, shown
@@ -19,6 +18,7 @@ from hydro_agents.report.recorded import Line, Signal, course_plot
 from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import findings_of, problems, score_plot, score_text
 from hydro_agents.report.study_plots import tracking_plots
+from hydro_agents.running.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_agents.running.statistics import RESAMPLES
 from hydro_agents.running.text import Table, capitalised, family_name, number, setting, span

@@ -17,7 +17,6 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
-from hydro_agents.evaluation.limit_cycles import rest_warning
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import shipped_weights
 from hydro_agents.report.page import FIGURE_FILES
@@ -26,6 +25,7 @@ from hydro_agents.report.study import STUDY, Example, content_of, overview, tabl
 from hydro_agents.report.study_detection import summary_table
 from hydro_agents.running.cases import Cases, run_cases, validation_errors
 from hydro_agents.running.console import ProgressDisplay, console_table
+from hydro_agents.running.limit_cycles import rest_warning
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.text import Table

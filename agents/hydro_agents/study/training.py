@@ -13,12 +13,12 @@ from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, gains_tex
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.head_training import train_head
 from hydro_agents.detection.training_settings import HeadTrainingSettings
-from hydro_agents.evaluation.limit_cycles import comes_to_rest, counted_at_rest, rest_text
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from hydro_agents.learning.tuning import Tuned, tune
 from hydro_agents.rigs.stable_gain import stable_start
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.jobs import RESULT_FILES
+from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest, rest_text
 from hydro_agents.running.seeds import STANDSTILLS
 from hydro_agents.study.entries import TuningSettings
 from hydro_agents.study.settings import StudySettings

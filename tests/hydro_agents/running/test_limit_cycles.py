@@ -7,7 +7,8 @@ from proportional import Relay
 
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.evaluation.evaluate import evaluate
-from hydro_agents.evaluation.limit_cycles import (
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.limit_cycles import (
     comes_to_rest,
     counted,
     find_limit_cycle,
@@ -16,7 +17,6 @@ from hydro_agents.evaluation.limit_cycles import (
     standstill_metrics,
     standstill_task,
 )
-from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import EVALUATION, VALIDATION_SEEDS
 from hydro_env import REFERENCE_FAMILIES, TaskConfig
 
