@@ -26,6 +26,8 @@ from hydro_agents.learning.trials import JUDGED, REST, Score, costs_of, over_tas
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.jobs import Columns, Job, run_jobs
+from hydro_agents.running.limit_cycles import counted_at_rest
+from hydro_agents.running.seeds import STANDSTILLS
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate, write_text
 from hydro_env.mistakes import unknown
@@ -44,6 +46,10 @@ NEARBY, NEAR = 56, 0.1  # candidates of :func:`searched_gains`, and their first 
 SEARCH_CASES = 42  # of each of these candidates
 TRIALS = (1, 2, 3, 4)  # seeds of the other cases that decide in the end
 TRIAL_CASES = 84  # of each seed: many, because few plants swing
+RESTS, PER_LIMIT_CYCLE = (
+    96,
+    1.5,
+)  # standstills, and what a limit cycle at all of them adds to the logarithm of the error
 
 
 class Space:
@@ -188,7 +194,8 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
     """Gains from a short search around :func:`chosen_gains`; it takes about a minute.
 
     Fresh cases decide between the best candidate of each generation, the choice and the first set: a search favours
-    what some cases happen to like. Like the choice it knows the rig's file alone. A kind with a single set keeps it.
+    what some cases happen to like. Limit cycles at rest count against each. Like the choice it knows the rig's file
+    alone. A kind with a single set keeps it.
     """
     first, *others = gain_sets(kind)
     key = kind, repr(config)
@@ -202,8 +209,15 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
         tune(kind, config, evaluations=NEARBY, cases=SEARCH_CASES, start=chosen, spread=NEAR, progress=progress)
         trials = [_costed(kind, leaders, [config], TRIAL_CASES, seed, False) for seed in TRIALS]
         errors = np.log([[score.equal for score in trial] for trial in trials]).mean(axis=0)
+        errors += PER_LIMIT_CYCLE * np.array([_swings(kind, gains, config) for gains in leaders])
         _SEARCHED[key] = leaders[int(np.argmin(errors))]
     return _SEARCHED.get(key, first)
+
+
+def _swings(kind: str, gains: Group, config: TaskConfig) -> float:
+    """The share of standstills, without sensor noise, that end in a limit cycle."""
+    controller = CONTROLLERS[kind][0](gains, config)
+    return counted_at_rest(controller, config, STANDSTILLS, RESTS)["limit_cycles"] / RESTS
 
 
 def rig_scores(kind: str, sets: Sequence[Group], config: TaskConfig) -> list[Score]:

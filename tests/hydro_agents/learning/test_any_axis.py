@@ -14,6 +14,7 @@ from hydro_agents.learning.opponents import opponent
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
+from hydro_agents.learning.trials import Score
 from hydro_agents.learning.tuning import Tuned, chosen_gains, gain_sets, rig_scores, searched_gains
 from hydro_agents.learning.vec_env import RigsVecEnv
 from hydro_agents.running.folders import pretrained_folder
@@ -135,6 +136,19 @@ def test_a_search_counts_where_its_candidates_are_better_on_other_cases(monkeypa
         monkeypatch.setattr(tuning, "chosen_gains", lambda *_, known=known: known)
         monkeypatch.setattr(tuning, "tune", lambda *_, progress, found=found, **__: progress(Tuned(found, None, 0)))
         assert searched_gains("flow_linearising", task) == good
+
+
+def test_a_search_prefers_gains_that_come_to_rest_to_slightly_better_ones(monkeypatch):
+    calm, task = FlowLinearisingGains(), RIGS[1]
+    wild = calm.model_copy(update={"position_gain": 20.0 * calm.position_gain})
+    assert tuning._swings("flow_linearising", calm, task) < tuning._swings("flow_linearising", wild, task)
+    for better in (0.95, 0.1):
+        scores = [Score(1.0, 1.0), Score(1.0, 1.0), Score(better, better)]
+        monkeypatch.setattr(tuning, "_SEARCHED", {})
+        monkeypatch.setattr(tuning, "chosen_gains", lambda *_: calm)
+        monkeypatch.setattr(tuning, "tune", lambda *_, progress, **__: progress(Tuned(wild, None, 0)))
+        monkeypatch.setattr(tuning, "_costed", lambda *_, scores=scores: scores)
+        assert searched_gains("flow_linearising", task) == (calm if better == 0.95 else wild)
 
 
 def test_an_untrained_policy_is_the_corrected_controller_on_every_rig(policy):
