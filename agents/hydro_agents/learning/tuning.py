@@ -209,15 +209,11 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
         tune(kind, config, evaluations=NEARBY, cases=SEARCH_CASES, start=chosen, spread=NEAR, progress=progress)
         trials = [_costed(kind, leaders, [config], TRIAL_CASES, seed, False) for seed in TRIALS]
         errors = np.log([[score.equal for score in trial] for trial in trials]).mean(axis=0)
-        errors += PER_LIMIT_CYCLE * np.array([_swings(kind, gains, config) for gains in leaders])
+        controllers = [CONTROLLERS[kind][0](gains, config) for gains in leaders]
+        rests = [counted_at_rest(controller, config, STANDSTILLS, RESTS) for controller in controllers]
+        errors += PER_LIMIT_CYCLE * np.array([counts["limit_cycles"] for counts in rests]) / RESTS
         _SEARCHED[key] = leaders[int(np.argmin(errors))]
     return _SEARCHED.get(key, first)
-
-
-def _swings(kind: str, gains: Group, config: TaskConfig) -> float:
-    """The share of standstills, without sensor noise, that end in a limit cycle."""
-    controller = CONTROLLERS[kind][0](gains, config)
-    return counted_at_rest(controller, config, STANDSTILLS, RESTS)["limit_cycles"] / RESTS
 
 
 def rig_scores(kind: str, sets: Sequence[Group], config: TaskConfig) -> list[Score]:

@@ -141,14 +141,13 @@ def test_a_search_counts_where_its_candidates_are_better_on_other_cases(monkeypa
 def test_a_search_prefers_gains_that_come_to_rest_to_slightly_better_ones(monkeypatch):
     calm, task = FlowLinearisingGains(), RIGS[1]
     wild = calm.model_copy(update={"position_gain": 20.0 * calm.position_gain})
-    assert tuning._swings("flow_linearising", calm, task) < tuning._swings("flow_linearising", wild, task)
-    for better in (0.95, 0.1):
-        scores = [Score(1.0, 1.0), Score(1.0, 1.0), Score(better, better)]
+    for better, taken in ((0.95, calm), (0.1, wild)):
+        scores = [Score(1.0, cost) for cost in (1.0, 1.0, better)]
         monkeypatch.setattr(tuning, "_SEARCHED", {})
         monkeypatch.setattr(tuning, "chosen_gains", lambda *_: calm)
         monkeypatch.setattr(tuning, "tune", lambda *_, progress, **__: progress(Tuned(wild, None, 0)))
         monkeypatch.setattr(tuning, "_costed", lambda *_, scores=scores: scores)
-        assert searched_gains("flow_linearising", task) == (calm if better == 0.95 else wild)
+        assert searched_gains("flow_linearising", task) == taken
 
 
 def test_an_untrained_policy_is_the_corrected_controller_on_every_rig(policy):
