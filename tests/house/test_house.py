@@ -40,7 +40,7 @@ ROOMS = (
 
 BUDGET = {
     "hydro_env": 59_100,
-    "hydro_agents": 141_100,
+    "hydro_agents": 141_200,
     "hydro_rig": 132_400,
     "tests": 230_400,
 }

@@ -7,24 +7,18 @@ sees 10 µm and 10 mm.
 
 from __future__ import annotations
 
-import math
 from copy import copy
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hydro_agents.controllers.base import ClassicalController, Observation, ObservationLayout
 from hydro_agents.controllers.preview import Preview
-from hydro_agents.controllers.registry import CONTROLLERS, kind_of, make_controller
-from hydro_agents.learning.tuning import GainsFor, chosen_gains
-from hydro_agents.running.cases import family_errors
+from hydro_agents.controllers.registry import kind_of
 from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.files import Group
-from hydro_env.task.paces import full_speed, pace
-from hydro_env.task.signals import data_sheet
+from hydro_env.task.paces import pace
 
 MIDDLE = 0.6  # share of the samples that stay within one unit
 RARE = 0.3  # unit of an input that is constant most of the time, as a fraction of its standard deviation
@@ -42,15 +36,10 @@ HISTORY_SIGNALS = (
 )
 HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)  # ages of the samples in the history, in steps of the rig
 NEWEST = (1, 2, 3)  # control periods; on a slow rig, a training without these samples learns less
-LONGEST_LAG = 10_000  # control periods; more must be a mistake
 STEPS_PER_PACE = 1.54
 """A *step of the rig* is this part of its pace; in the default task, whose pace is 7.7 ms, it is a control period."""
 
 LASTING_TIME = 0.2  # s; time constant of the slow average of the correction. Integral action handles slower errors.
-PREVIEW_PACES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)  # of the reference that a policy for any axis sees
-USUAL_ERROR = 0.03  # of untuned flow linearisation, as a part of the travel at full speed in a pace; on the paper's rig
-CORRECTION_RANGE = (0.1, 3.0)  # of the correction's size, relative to that at the usual error
-ERROR_PLANTS = 8  # plants of each family of references on which the error is simulated
 PREVIEW_SCALE = 0.01  # m; scale of the rebuilt samples of the preview, the same as in the observation
 FEATURE_LIMIT = 50.0  # inputs of the policy are limited to ± this value
 
@@ -259,7 +248,7 @@ class PolicyFeatures:
         return corrected.astype(np.float32)
 
     def describe(self) -> dict[str, Any]:
-        """All data to build this object again (JSON); :class:`StoredFeatures` reads them."""
+        """All data to build this object again (JSON); :mod:`~hydro_agents.learning.policy` reads them."""
         base = None
         if self.base is not None:
             base = {"kind": kind_of(self.base), "settings": self.base.gains.model_dump(mode="json")}
@@ -274,132 +263,3 @@ class PolicyFeatures:
             "history_signals": list(self.history),
             "history_lags": list(self.lags),
         }
-
-
-class AnyAxisFeatures(PolicyFeatures):
-    """Inputs of the same number and meaning on every rig, each in units of its own size under the corrected controller.
-
-    They are the measured signals, the reference some paces ahead, what the corrected controller commands and estimates,
-    a history in steps of the rig, and the data sheet. On a rig without a spool sensor the last command replaces it.
-
-    A correction is as large as the rig allows: in proportion to the travel that the corrected controller's error is.
-
-    Args:
-        config: the task on a rig.
-        base: the controller that the policy corrects, with its gains for any rig.
-        correction: command per 1 of the policy's output where that error is :data:`USUAL_ERROR`.
-        sheet: whether the policy sees the data sheet.
-        error: the error, as a part of the travel at full speed in a pace; :meth:`normalised` simulates it.
-    """
-
-    for_any_axis = True
-    normalising_seeds = SCALES.take(60)
-
-    def __init__(
-        self,
-        config: TaskConfig,
-        base: ClassicalController,
-        correction: float = 0.2,
-        sheet: bool = True,
-        error: float = USUAL_ERROR,
-    ) -> None:
-        periods = periods_per_step(config)
-        lags = tuple(max(round(lag * periods), place) for place, lag in enumerate(HISTORY_LAGS, 1))
-        factor = float(np.clip(error / USUAL_ERROR, *CORRECTION_RANGE))
-        super().__init__(config, base, correction * factor, True, True, True, lags=lags)
-        self.correction, self.sheet, self.error = correction, sheet, error
-        own, horizon = pace(config), self._preview.horizon
-        samples = np.minimum(np.array(PREVIEW_PACES) * own / config.control_period, horizon)
-        columns = np.arange(horizon + 2)[:, None] - 1.0  # −1: the sample before now
-        weights = np.maximum(1.0 - np.abs(columns - samples), 0.0)  # linear between samples
-        weights[1] -= 1.0
-        before = np.zeros((horizon + 2, 1))
-        before[:2, 0] = -own / config.control_period, own / config.control_period
-        self._weights = np.concatenate([weights, before], axis=1) / PREVIEW_SCALE
-        reach = horizon * config.control_period / own
-        more = [min(reach, 8.0) / 4.0, math.log(error / USUAL_ERROR)]
-        self._sheet = np.array([*data_sheet(config).values(), *more], np.float32)
-        self.moving = len(HISTORY_SIGNALS) * (1 + len(lags)) + self._weights.shape[1] + 3 + len(base.estimate_names)
-        self.size = self.moving + (len(self._sheet) if sheet else 0)
-
-    def _columns_of(self, names: tuple[str, ...]) -> NDArray[np.int64]:
-        present = ["previous_command" if name not in self.layout.names else name for name in HISTORY_SIGNALS]
-        return super()._columns_of(tuple(present))
-
-    def _seen(
-        self, inputs: NDArray[np.float32], signals: NDArray[np.float32], reference: NDArray[np.float64]
-    ) -> list[NDArray[np.float32]]:
-        del inputs
-        return [signals, (reference @ self._weights).astype(np.float32)]
-
-    def _normalised(self, parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-        moving = super()._normalised(parts)
-        if not self.sheet or self.normalisation is None:
-            return moving
-        return np.concatenate([moving, np.tile(self._sheet, (len(moving), 1))], axis=1, dtype=np.float32)
-
-    def describe(self) -> dict[str, Any]:
-        """All data to build this object again (JSON)."""
-        own = {"any_axis": True, "sheet": self.sheet, "correction": self.correction, "error": self.error}
-        return super().describe() | own | {"history_signals": list(HISTORY_SIGNALS)}
-
-    def normalised(self) -> AnyAxisFeatures:
-        """The same features with the error of the corrected controller and normalised by its values, by simulation."""
-        base: Any = self.base
-        errors = family_errors(self.config, base, ERROR_PLANTS, sensor_frame=True)
-        error = math.exp(np.mean(np.log(list(errors.values())))) / (full_speed(self.config.plant) * pace(self.config))
-        features = AnyAxisFeatures(self.config, base, self.correction, self.sheet, error)
-        return PolicyFeatures.normalised(features)
-
-    def moved_to(self, config: TaskConfig, gains: GainsFor = chosen_gains) -> AnyAxisFeatures:
-        """The same features on another rig: there a simulation finds the corrected controller's gains and the units.
-
-        Raises:
-            ConfigurationError: the rig lacks a sensor that the corrected controller reads.
-        """
-        base: Any = self.base
-        type(base)(base.gains, config)  # names a missing sensor
-        own = type(base)(gains(kind_of(base), config), config)
-        return AnyAxisFeatures(config, own, self.correction, self.sheet).normalised()
-
-
-class _StoredBase(Group):
-    kind: str
-    settings: dict[str, Any]
-
-
-class StoredFeatures(Group):
-    """The part of a weights' JSON that describes features."""
-
-    task: TaskConfig
-    base: _StoredBase | None
-    residual_scale: float = Field(gt=0.0, le=2.0)
-    see_correction: bool = False
-    full_preview: bool = False
-    see_estimates: bool = False
-    normalised: bool = False
-    history_signals: tuple[str, ...]
-    history_lags: tuple[Annotated[int, Field(ge=1, le=LONGEST_LAG)], ...] = Field(min_length=1, max_length=100)
-    any_axis: bool = False
-    sheet: bool = True
-    correction: float = Field(0.2, gt=0.0, le=2.0)
-    error: float = Field(1.0, gt=0.0, le=1e6)
-
-    def features(self) -> PolicyFeatures:
-        """The features, not yet normalised.
-
-        Raises:
-            ConfigurationError: this version has no such controller or history.
-        """
-        base: Any = None
-        if self.base is not None:
-            if self.base.kind not in CONTROLLERS:
-                raise ConfigurationError(f"features.base.kind = '{self.base.kind}': unknown to this version")
-            base = make_controller(self.base.kind, self.task, self.base.settings)
-        if self.any_axis:
-            return AnyAxisFeatures(self.task, base, self.correction, self.sheet, self.error)
-        seen = {name: getattr(self, name) for name in ("see_correction", "full_preview", "see_estimates")}
-        features = PolicyFeatures(self.task, base, self.residual_scale, **seen, lags=self.history_lags)
-        if self.history_signals != features.history:
-            raise ConfigurationError("was trained on another history of signals than this version computes")
-        return features

@@ -5,20 +5,20 @@ from __future__ import annotations
 from copy import copy
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Observation, as_batch
+from hydro_agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.features import (
     FEATURE_LIMIT,
-    AnyAxisFeatures,
     FeatureState,
     Normalisation,
     PolicyFeatures,
-    StoredFeatures,
 )
 from hydro_agents.learning.tuning import GainsFor, searched_gains
 from hydro_agents.running.weights import load_weights, require, save_weights
@@ -27,13 +27,56 @@ from hydro_env.files import Group, validate
 
 KIND = "policy"
 LARGEST_LAYER = 4096
+LONGEST_LAG = 10_000  # control periods; more must be a mistake
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
+
+
+class _StoredBase(Group):
+    kind: str
+    settings: dict[str, Any]
+
+
+class _StoredFeatures(Group):
+    """The part of a weights' JSON that describes features."""
+
+    task: TaskConfig
+    base: _StoredBase | None
+    residual_scale: float = Field(gt=0.0, le=2.0)
+    see_correction: bool = False
+    full_preview: bool = False
+    see_estimates: bool = False
+    normalised: bool = False
+    history_signals: tuple[str, ...]
+    history_lags: tuple[Annotated[int, Field(ge=1, le=LONGEST_LAG)], ...] = Field(min_length=1, max_length=100)
+    any_axis: bool = False
+    sheet: bool = True
+    correction: float = Field(0.2, gt=0.0, le=2.0)
+    error: float = Field(1.0, gt=0.0, le=1e6)
+
+    def features(self) -> PolicyFeatures:
+        """The features, not yet normalised.
+
+        Raises:
+            ConfigurationError: this version has no such controller or history.
+        """
+        base: Any = None
+        if self.base is not None:
+            if self.base.kind not in CONTROLLERS:
+                raise ConfigurationError(f"features.base.kind = '{self.base.kind}': unknown to this version")
+            base = make_controller(self.base.kind, self.task, self.base.settings)
+        if self.any_axis:
+            return AnyAxisFeatures(self.task, base, self.correction, self.sheet, self.error)
+        seen = {name: getattr(self, name) for name in ("see_correction", "full_preview", "see_estimates")}
+        features = PolicyFeatures(self.task, base, self.residual_scale, **seen, lags=self.history_lags)
+        if self.history_signals != features.history:
+            raise ConfigurationError("was trained on another history of signals than this version computes")
+        return features
 
 
 class _StoredPolicy(Group):
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
 
-    features: StoredFeatures
+    features: _StoredFeatures
     layer_sizes: tuple[int, ...] = Field(min_length=2, max_length=33)
     activation: Literal["tanh", "relu"] = "tanh"
     output: Literal["linear", "tanh"] = "linear"

@@ -20,8 +20,9 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
 
+from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.checkpoint import Checkpoint, take
-from hydro_agents.learning.features import AnyAxisFeatures, PolicyFeatures
+from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.running.cases import family_errors, validation_errors

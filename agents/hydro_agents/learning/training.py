@@ -17,8 +17,9 @@ from stable_baselines3 import PPO
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
+from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, restore
-from hydro_agents.learning.features import AnyAxisFeatures, PolicyFeatures, periods_per_step
+from hydro_agents.learning.features import PolicyFeatures, periods_per_step
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.privileged import ACTIVATIONS, AsymmetricPolicy
 from hydro_agents.learning.progress import Progress, TrainingCallback, training_logger

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from hydro_agents.controllers.base import rows
+from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.features import (
     FEATURE_LIMIT,
-    AnyAxisFeatures,
     FeatureState,
     PolicyFeatures,
     periods_per_step,

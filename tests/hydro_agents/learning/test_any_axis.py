@@ -9,7 +9,8 @@ from driven import commands
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.learning import tuning
-from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_PACES, PREVIEW_SCALE, USUAL_ERROR, AnyAxisFeatures
+from hydro_agents.learning.any_axis import PREVIEW_PACES, USUAL_ERROR, AnyAxisFeatures
+from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_SCALE
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
