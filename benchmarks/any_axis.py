@@ -5,7 +5,7 @@
 
 Errors are those in the sensor's frame, every family of references weighing the same; a failed axis is wrong by its
 stroke for the rest of the episode. ``--tuned`` adds gains tuned for each rig, as ``benchmarks/no_tuning.py`` does. The
-file of rows is the checkpoint: a later call continues it.
+file of rows is the checkpoint: a later call continues it, with more rigs if asked.
 """
 
 from __future__ import annotations
@@ -95,26 +95,40 @@ def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) ->
     return [{**facts, "controller": name, **measured(each, task, skip)} for name, each in controllers.items()]
 
 
+def in_words(ratio: pd.Series) -> list[str]:
+    """Of errors relative to another, one per rig: rigs, median (95 %), geometric mean, better on, range."""
+    chosen = np.random.default_rng(0).integers(0, len(ratio), (RESAMPLES, len(ratio)))
+    low, high = np.quantile(np.median(ratio.to_numpy()[chosen], axis=1), [0.025, 0.975])
+    return [
+        str(len(ratio)),
+        f"{ratio.median():.3f} ({low:.3f}–{high:.3f})",
+        f"{np.exp(np.log(ratio).mean()):.3f}",
+        f"{int((ratio < 1.0).sum())}",
+        f"{ratio.min():.3f}–{ratio.max():.3f}",
+    ]
+
+
 def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
     """One row per controller: its errors relative to those of untuned flow linearisation, rig by rig."""
     errors = rows.pivot(index="rig", columns="controller", values="error_um")
     travel = rows.pivot(index="rig", columns="controller", values="travel")
     for name in rows["controller"].unique():
-        ratio = (errors[name] / errors[UNTUNED]).dropna()
         own = rows[rows["controller"] == name]
-        chosen = np.random.default_rng(0).integers(0, len(ratio), (RESAMPLES, len(ratio)))
-        low, high = np.quantile(np.median(ratio.to_numpy()[chosen], axis=1), [0.025, 0.975])
         yield [
             name,
-            str(len(ratio)),
-            f"{ratio.median():.3f} ({low:.3f}–{high:.3f})",
-            f"{np.exp(np.log(ratio).mean()):.3f}",
-            f"{int((ratio < 1.0).sum())}",
-            f"{ratio.min():.3f}–{ratio.max():.3f}",
+            *in_words((errors[name] / errors[UNTUNED]).dropna()),
             f"{(travel[name] / travel[UNTUNED]).median():.2f}",
             f"{int(own['failures'].sum())}",
             f"{int(own['limit_cycles'].sum())}",
         ]
+
+
+def against(rows: pd.DataFrame) -> Iterator[list[str]]:
+    """The error of the policy relative to that of flow linearisation with gains of the rig, rig by rig."""
+    errors = rows.pivot(index="rig", columns="controller", values="error_um")
+    for name in (SEARCHED, TUNED):
+        if name in errors:
+            yield [name, *in_words((errors[POLICY] / errors[name]).dropna())]
 
 
 def main() -> None:
@@ -138,8 +152,10 @@ def main() -> None:
         lambda number: rig_rows(number, tasks[number], given.weights, given.tuned),
         given.jobs,
     )
-    header = ("controller", "rigs", "error ÷ untuned, median (95 %)", "geometric mean", "better on", "range")
+    more = ("geometric mean", "better on", "range")
+    header = ("controller", "rigs", "error ÷ untuned, median (95 %)", *more)
     print(markdown((*header, "valve travel, median", "failures", "limit cycles"), list(summary(rows))))
+    print(markdown(("policy's error ÷ that of", "rigs", "median (95 %)", *more), list(against(rows))))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from benchmarks import any_axis
-from benchmarks.any_axis import UNTUNED, measured, summary
+from benchmarks.any_axis import POLICY, SEARCHED, UNTUNED, against, measured, summary
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_env import TaskConfig
@@ -41,13 +41,14 @@ def test_the_summary_compares_rig_by_rig():
         [
             {"rig": rig, "controller": name, "error_um": error, "travel": 1.0, "failures": 0, "limit_cycles": cycles}
             for rig, own in ((0, 10.0), (1, 30.0))
-            for name, error, cycles in ((UNTUNED, own, 0), ("other", 2.0 * own, 3))
+            for name, error, cycles in ((UNTUNED, own, 0), (SEARCHED, 2.0 * own, 3), (POLICY, 3.0, 0))
         ]
     )
-    untuned, other = summary(rows)
+    untuned, other, _ = summary(rows)
     assert untuned[:5] == [UNTUNED, "2", "1.000 (1.000–1.000)", "1.000", "0"]
     assert other[2] == "2.000 (2.000–2.000)"
     assert other[-1] == "6"
+    assert next(against(rows)) == [SEARCHED, "2", "0.100 (0.050–0.150)", "0.087", "2", "0.050–0.150"]
 
 
 def test_rows_are_kept_and_what_is_missing_is_computed(tmp_path):
