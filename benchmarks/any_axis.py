@@ -124,11 +124,11 @@ def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
 
 
 def against(rows: pd.DataFrame) -> Iterator[list[str]]:
-    """The error of the policy relative to that of flow linearisation with gains of the rig, rig by rig."""
+    """The errors of policy and searched gains relative to those of gains of the rig, rig by rig."""
     errors = rows.pivot(index="rig", columns="controller", values="error_um")
-    for name in (SEARCHED, TUNED):
-        if name in errors:
-            yield [name, *in_words((errors[POLICY] / errors[name]).dropna())]
+    for name, other in ((POLICY, SEARCHED), (POLICY, TUNED), (SEARCHED, TUNED)):
+        if other in errors:
+            yield [f"{name} ÷ {other}", *in_words((errors[name] / errors[other]).dropna())]
 
 
 def main() -> None:
@@ -155,7 +155,7 @@ def main() -> None:
     more = ("geometric mean", "better on", "range")
     header = ("controller", "rigs", "error ÷ untuned, median (95 %)", *more)
     print(markdown((*header, "valve travel, median", "failures", "limit cycles"), list(summary(rows))))
-    print(markdown(("policy's error ÷ that of", "rigs", "median (95 %)", *more), list(against(rows))))
+    print(markdown(("ratio of errors", "rigs", "median (95 %)", *more), list(against(rows))))
 
 
 if __name__ == "__main__":

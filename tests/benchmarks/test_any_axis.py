@@ -48,7 +48,7 @@ def test_the_summary_compares_rig_by_rig():
     assert untuned[:5] == [UNTUNED, "2", "1.000 (1.000–1.000)", "1.000", "0"]
     assert other[2] == "2.000 (2.000–2.000)"
     assert other[-1] == "6"
-    assert next(against(rows)) == [SEARCHED, "2", "0.100 (0.050–0.150)", "0.087", "2", "0.050–0.150"]
+    assert next(against(rows)) == [f"{POLICY} ÷ {SEARCHED}", "2", "0.100 (0.050–0.150)", "0.087", "2", "0.050–0.150"]
 
 
 def test_rows_are_kept_and_what_is_missing_is_computed(tmp_path):

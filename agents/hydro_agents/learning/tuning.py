@@ -201,12 +201,13 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
     key = kind, repr(config)
     if others and key not in _SEARCHED:
         print("hydro: a simulation of the rig searches gains; about a minute", file=sys.stderr)
-        leaders = [first, chosen := chosen_gains(kind, config)]
+        found = [first, chosen := chosen_gains(kind, config)]
 
         def progress(best: Tuned) -> None:
-            leaders.append(best.gains)
+            found.append(best.gains)
 
         tune(kind, config, evaluations=NEARBY, cases=SEARCH_CASES, start=chosen, spread=NEAR, progress=progress)
+        leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
         trials = [_costed(kind, leaders, [config], TRIAL_CASES, seed, False) for seed in TRIALS]
         errors = np.log([[score.equal for score in trial] for trial in trials]).mean(axis=0)
         controllers = [CONTROLLERS[kind][0](gains, config) for gains in leaders]

@@ -143,11 +143,11 @@ def test_a_search_prefers_gains_that_come_to_rest_to_slightly_better_ones(monkey
     calm, task = FlowLinearisingGains(), RIGS[1]
     wild = calm.model_copy(update={"position_gain": 20.0 * calm.position_gain})
     for better, taken in ((0.95, calm), (0.1, wild)):
-        scores = [Score(1.0, cost) for cost in (1.0, 1.0, better)]
+        costs = {calm: Score(1.0, 1.0), wild: Score(1.0, better)}
         monkeypatch.setattr(tuning, "_SEARCHED", {})
         monkeypatch.setattr(tuning, "chosen_gains", lambda *_: calm)
         monkeypatch.setattr(tuning, "tune", lambda *_, progress, **__: progress(Tuned(wild, None, 0)))
-        monkeypatch.setattr(tuning, "_costed", lambda *_, scores=scores: scores)
+        monkeypatch.setattr(tuning, "_costed", lambda _, leaders, *__, costs=costs: [costs[one] for one in leaders])
         assert searched_gains("flow_linearising", task) == taken
 
 
