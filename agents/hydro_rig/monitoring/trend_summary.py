@@ -20,7 +20,7 @@ from hydro_rig.monitoring.oil import UNKNOWN_TEMPERATURE, Oil, common_error
 from hydro_rig.monitoring.trend_table import seconds, stamp
 
 DAY = 86400.0  # s
-LATEST = 5  # the state of an axis is the verdict on which three of its last five readings agree
+LATEST, AGREE = 5, 3  # the state of an axis is the verdict on which three of its last five readings agree
 MOST_COMMON = 0.1  # decades, of an error of the plant that all readings share
 SURE = 0.999  # smallest probability of growth for which a date is told
 FARTHEST = 365.0  # days ahead, up to which a date is told
@@ -143,9 +143,9 @@ def _trend(axis: str, rows: pd.DataFrame, limit: float, oil: Oil, between: tuple
 
 
 def _state(verdicts: Sequence[Kind], reasons: Sequence[str]) -> tuple[Kind, str]:
-    """The verdict on which three of the last five readings agree, or most of fewer, else undecided; and its reason."""
+    """The verdict on which three of the last five readings agree, or both of two, else undecided; and its reason."""
     kind, count = Counter(verdicts[-LATEST:]).most_common(1)[0]
-    kind = kind if 2 * count > min(len(verdicts), LATEST) else Kind.UNKNOWN
+    kind = kind if count >= min(len(verdicts), AGREE) else Kind.UNKNOWN
     return kind, next((why for each, why in zip(verdicts[::-1], reasons[::-1], strict=True) if each is kind), "")
 
 

@@ -215,6 +215,7 @@ def test_two_odd_verdicts_change_no_state(tmp_path):
     for row, state in ((5, Kind.HEALTHY), (3, Kind.HEALTHY), (4, Kind.LEAK)):
         table.loc[row, "verdict"] = Kind.LEAK.value
         assert trend(table).state is state
+    assert trend(table[2:5]).state is Kind.UNKNOWN  # two of three, as after a repair
     assert trend(table.assign(verdict=[kind.value for kind in (*Kind, *Kind)][:6])).state is Kind.UNKNOWN
 
 
