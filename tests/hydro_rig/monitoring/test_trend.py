@@ -213,10 +213,10 @@ def test_only_readings_since_the_repair_count(tmp_path):
 def test_two_odd_verdicts_change_no_state(tmp_path):
     table = table_of(np.full(6, 0.015), tmp_path)
     for row, state in ((5, Kind.HEALTHY), (3, Kind.HEALTHY), (4, Kind.LEAK)):
-        table.loc[row, "verdict"] = Kind.LEAK.value
+        table.loc[row, "verdict"] = Kind.LEAK
         assert trend(table).state is state
     assert trend(table[2:5]).state is Kind.UNKNOWN  # two of three, as after a repair
-    assert trend(table.assign(verdict=[kind.value for kind in (*Kind, *Kind)][:6])).state is Kind.UNKNOWN
+    assert trend(table.assign(verdict=[*Kind, *Kind][:6])).state is Kind.UNKNOWN
 
 
 def test_the_most_serious_state_gives_the_exit_code():
