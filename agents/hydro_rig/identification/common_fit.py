@@ -27,9 +27,10 @@ from hydro_rig.estimation.solver import Problem, fit, misfit_of
 from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, RISE_TIME, Prior, prior_of
 
 WELL_FITTED = LARGEST_MISFIT  # of an explained window
-OUTLIER = 3.0
+OUTLIER, FAR_OUTLIER = 3.0, 30.0
 """Unexplained windows whose misfit is larger than this factor times the median are left out: the search ended in a
-local minimum, or there was a disturbance."""
+local minimum, or there was a disturbance. Where most windows are unexplained the second factor holds: there a large
+misfit is what a window of fast motion has."""
 
 ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2, errors=False)
 """Search settings of the single windows; the common fit continues from their results."""
@@ -292,7 +293,9 @@ def costs_of(problem: Problem, trials: list[Floats]) -> list[float]:
 def without_outliers(misfit: Floats) -> Indices:
     """Indices of the windows that are explained, or whose misfit is not much larger than that of most others."""
     finite = np.where(np.isfinite(misfit), misfit, 1e9)
-    return np.flatnonzero(finite <= max(WELL_FITTED, OUTLIER * float(np.median(finite))))
+    median = float(np.median(finite))
+    factor = OUTLIER if median < WELL_FITTED else FAR_OUTLIER
+    return np.flatnonzero(finite <= max(WELL_FITTED, factor * median))
 
 
 def trials_of(scaled: Floats, shared: Indices, candidates: Floats) -> list[Floats]:

@@ -26,6 +26,7 @@ MOST_TRAVEL = 0.5  # largest share of the travel in the part that is held back
 MOST_WINDOWS = 12
 """More windows would take longer and add little: of a longer recording, each twelfth gives the one with most motion."""
 
+FAST = 0.5  # of the longest travel in a window: a move to a stop beyond the sensor's range, which is over soon
 FEWEST_OF_EACH = 3  # windows of each recording, if there are many: one out, one back, and one that ends at rest
 LONGEST_HELD_BACK = 10.0  # s, of one recording
 LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
@@ -77,8 +78,7 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     filled = [bridged(samples) for samples in recordings]
     cut_up = [cut(samples, length) for samples, _ in filled]
     commanded = [windows.part(windows.commanded) for windows in cut_up]
-    # Most readings of the position are known: not those at rest at the end of its range.
-    cuts = [windows.part(np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5) for windows in commanded]
+    cuts = [windows.part(_shows_position(windows)) for windows in commanded]
     count = sum(map(len, cuts))
     if count < FEWEST_WINDOWS - 1:
         raise ConfigurationError(
@@ -169,6 +169,14 @@ def _by_amplitude(cuts: Mapping[int, Windows]) -> list[list[int]]:
             amplitudes.append([])
         amplitudes[-1].append(number)
     return amplitudes
+
+
+def _shows_position(windows: Windows) -> NDArray[np.bool_]:
+    """The windows (B,) with most readings of the position, not at rest at the end of its range, or with a fast move."""
+    travel = _ranges(windows.signals)[:, POSITION]
+    most = np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5
+    shows: NDArray[np.bool_] = most | (travel > FAST * travel.max(initial=0.0))
+    return shows
 
 
 def _ranges(signals: Floats) -> Floats:

@@ -168,6 +168,11 @@ def test_leaks_and_springs_stay_within_their_bounds():
     assert values["leakage.internal_resistance"] == math.inf
 
 
+@pytest.mark.parametrize(("misfit", "kept"), [([1, 2, 3, 20], [0, 1, 2]), ([9, 9, 9, 200, 300], [0, 1, 2, 3])])
+def test_a_large_misfit_is_an_outlier_sooner_where_most_windows_are_explained(misfit, kept):
+    assert common_fit.without_outliers(np.array(misfit, float)).tolist() == kept
+
+
 def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(monkeypatch):
     """The first common fit leaves out one window; the second would leave out another: its result is of all it had."""
     misfits = {4: [1.0, 1.0, 1.0, 50.0], 3: [1.0, 1.0, 40.0]}

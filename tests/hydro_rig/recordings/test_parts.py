@@ -49,6 +49,14 @@ def test_of_a_long_recording_each_section_gives_its_liveliest_window():
     assert parts.held_back[0].signals.shape[1] == 2000
 
 
+def test_a_fast_move_to_a_stop_beyond_the_sensor_is_used_and_a_rest_there_is_not():
+    samples = samples_of(4000)
+    samples.signals[POSITION, 2400:3200] = np.nan
+    samples.signals[POSITION, 2400:2500] = np.linspace(-0.01, 0.01, 100)
+    parts = parts_of([samples, samples_of(4000)], ["a.csv", "b.csv"], [1])
+    assert 12.0 in parts.fitted.begin and 14.0 not in parts.fitted.begin
+
+
 def levels(amplitudes, sensors):
     """Recordings with these largest commands; each has only the named one of the two pressures."""
     recordings = []
