@@ -35,6 +35,7 @@ COLUMNS = ColumnMap.model_validate(
 )
 OVER = 2.0  # s
 LAG, PAST, COMMANDS = 2, 4, 8  # rows; terms of the autoregressive model
+MEMORY, MEAN = 600, 4  # rows: length and step of the regression of the load pressure
 
 Forecaster = Callable[[Floats, Floats, int], Floats]  # command, speed, first row → speed from there on
 
@@ -51,14 +52,17 @@ def regression(matrix: Floats, target: Floats) -> Floats:
     return found
 
 
-def static_gain(training: list[tuple[Floats, Floats]]) -> Forecaster:
-    """Speed in proportion to the command some rows before."""
-    command = np.concatenate([u[:-LAG] for u, _ in training])
-    matrix = np.column_stack([command, np.ones_like(command)])
-    gain, offset = regression(matrix, np.concatenate([v[LAG:] for _, v in training]))
+def static_gains(training: list[tuple[Floats, Floats]], directions: int) -> Forecaster:
+    """Speed in proportion to the command some rows before, with one gain, or one for each of two directions."""
+
+    def columns(command: Floats) -> Floats:
+        return np.column_stack([np.ones_like(command), command, np.abs(command)])[:, : directions + 1]
+
+    matrix = columns(np.concatenate([u[:-LAG] for u, _ in training]))
+    weights = regression(matrix, np.concatenate([v[LAG:] for _, v in training]))
 
     def forecast(command: Floats, speed: Floats, first: int) -> Floats:
-        ahead: Floats = gain * command[first - LAG : len(command) - LAG] + offset
+        ahead: Floats = columns(command[first - LAG : len(command) - LAG]) @ weights
         return ahead
 
     return forecast
@@ -83,6 +87,26 @@ def autoregression(training: list[tuple[Floats, Floats]]) -> Forecaster:
         return np.array(known[PAST:])
 
     return forecast
+
+
+def remembered(signals: Floats) -> Floats:
+    """Means of the commands of MEMORY rows before each row, direction of the last one, and 1: (T, columns)."""
+    command = signals[COMMAND]
+    means = np.convolve(np.pad(command, (MEMORY, 0), "edge"), np.ones(MEAN) / MEAN)
+    lags = [means[MEMORY - lag : len(command) + MEMORY - lag] for lag in range(0, MEMORY, MEAN)]
+    return np.column_stack([*lags, np.sign(means[MEMORY - LAG : len(command) + MEMORY - LAG]), np.ones_like(command)])
+
+
+def load_pressure(signals: Floats) -> Floats:
+    """Of a run, (T,), Pa."""
+    pressure: Floats = signals[PRESSURE_A]
+    return pressure
+
+
+def pieces(values: Floats, length: int) -> Floats:
+    """Successive pieces (N, length)."""
+    cut: Floats = values[: len(values) // length * length].reshape(-1, length)
+    return cut
 
 
 def forecasts(forecaster: Forecaster, command: Floats, position: Floats, period: float) -> tuple[Floats, Floats]:
@@ -127,11 +151,22 @@ def judged(found: Identification) -> dict[str, Floats]:
         whole = both[:, np.isfinite(both[0]).all(axis=1)]
         pressure = part.forecasts[:, np.isfinite(both[0]).all(axis=1), PRESSURE_A, :length]
         rows["identified plant"].append((*shares(whole[0], whole[1], period), share(pressure[0], pressure[1])))
-    for name, make in (("gain, lag and null", static_gain), ("autoregression (ARX)", autoregression)):
-        forecaster = make(training)
+    black_boxes = {
+        "gain, lag and null": static_gains(training, 1),
+        "the same with a gain for each direction": static_gains(training, 2),
+        "autoregression (ARX)": autoregression(training),
+    }
+    for name, forecaster in black_boxes.items():
         rows[name] = [
             (*shares(*forecasts(forecaster, signals[COMMAND], signals[POSITION], period), period), np.nan)
             for signals in (stretch.signals for stretch in found.parts.held_back)
+        ]
+    if np.isfinite(used[0][PRESSURE_A]).all():
+        matrix, target = (np.concatenate([of(signals) for signals in used]) for of in (remembered, load_pressure))
+        weights = regression(matrix, target)
+        rows["regression of the last 3 s of the command"] = [
+            (np.nan, np.nan, share(pieces(load_pressure(one), length), pieces(remembered(one) @ weights, length)))
+            for one in (stretch.signals for stretch in found.parts.held_back)
         ]
     return {name: np.array(values) for name, values in rows.items()}
 
@@ -155,7 +190,8 @@ def main() -> None:
     plant = results["identified plant"]
     table = []
     for name, values in results.items():
-        ahead = f"{int((plant[:, 0] > values[:, 0]).sum())} of {len(values)}" if values is not plant else "–"
+        beaten = int((plant[:, 0] > values[:, 0]).sum())
+        ahead = "–" if values is plant or np.isnan(values[:, 0]).any() else f"{beaten} of {len(values)}"
         cells = [
             "–" if np.isnan(column).all() else f"{np.median(column):.4f} ({column.min():.4f})" for column in values.T
         ]
