@@ -1,11 +1,12 @@
 """What `hydro diagnose` answers on recordings of simulated axes: verdicts, size errors, intervals.
 
-Run: python benchmarks/diagnosis.py [--only faults sensors handling errors clocks rest] [--share 1.0]
+Run: python benchmarks/diagnosis.py [--only faults sensors handling errors clocks rest supply] [--share 1.0]
 
 Each recording lasts 4 s (two windows), has a test seed of its own, and takes the whole way: file, checks, both
 detectors, verdict. The shipped PID moves the axis; plant and family of references are drawn from the default task.
-In the table ``rest`` an axis works and then stands, under a proportional or the flow-linearising controller; the
-two-stage detector, which remembers the work, reads it.
+In the table ``supply`` the supply swings or sags as in the training of the leakage head, at the valve; its transducer
+has an offset and noise of its own. In the table ``rest`` an axis works and then stands, under a proportional or the
+flow-linearising controller; the two-stage detector, which remembers the work, reads it.
 """
 
 from __future__ import annotations
@@ -16,14 +17,16 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import Reading, Windows, measured_run
+from hydro_agents.detection.disturbances import Disturbed, drawn
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.detection.operations import ACTING, MOTIONS, at_rest
@@ -31,6 +34,7 @@ from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import DIAGNOSIS
 from hydro_env import TaskConfig
+from hydro_env.plant.states import State
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
@@ -51,10 +55,36 @@ WRONG_RIG = TASK.model_copy(update={"plant": TASK.plant.replace(cylinder={"rod_d
 QUIET = {name: {"noise": 0.5 * getattr(TASK.sensors, name).noise} for name in SENSORS}
 LUGRE = TASK.model_copy(update={"plant": TASK.plant.replace(friction={"model": "lugre"})})
 
+SUPPLY = State._fields.index("supply_pressure")
+GAUGE_OFFSET, GAUGE_NOISE = (-0.5e5, 0.5e5), 0.3e5  # Pa, of the supply's transducer
+
 UNITS = {"position [mm]": 1e3, "pressure_a [bar]": 1e-5, "pressure_b [bar]": 1e-5, "spool_position [%]": 100.0}
 EXCHANGED = {"pressure_a [bar]": "pressure_b [bar]", "pressure_b [bar]": "pressure_a [bar]"}
 
 Change = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+class Gauged(Disturbed):
+    """A controller on one axis whose supply moves, and the pressure there at each of its samples."""
+
+    def __init__(self, controller: Controller, seed: int) -> None:
+        random, steps, period = np.random.default_rng(seed), TASK.steps, TASK.control_period
+        kind = np.array([("supply swings", "supply sags")[seed % 2]])
+        super().__init__(controller, drawn(random, kind, steps, period)._replace(direct=np.array([True])))
+        self.pressure: list[float] = []
+        self.error = random.uniform(*GAUGE_OFFSET) + GAUGE_NOISE * random.standard_normal(steps)
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], Any]:
+        """As before; note the pressure."""
+        command = super().predict(observation, state, episode_start, deterministic)
+        self.pressure.append(float(self._axes.state[0, SUPPLY]))
+        return command
+
+    def read(self, rows: int) -> Floats:
+        """Readings of the transducer, bar."""
+        return 1e-5 * (np.array(self.pressure[:rows]) + self.error[:rows])
 
 
 class Axis(NamedTuple):
@@ -66,6 +96,7 @@ class Axis(NamedTuple):
     faults: Mapping[str, float] = {}
     task: TaskConfig = TASK
     change: Change | None = None  # what is done to the file
+    supply: str = "constant"  # or "moves", "recorded"
 
 
 def without(*signals: str) -> Change:
@@ -227,6 +258,11 @@ TABLES: dict[str, tuple[Axis, ...]] = {
         Axis("underlap + 3.5 %", 60, faults={"valve_underlap": 0.035}),
         Axis("return line + 5 bar", 60, faults={"tank_pressure": 5e5}),
     ),
+    "supply": tuple(
+        Axis(f"supply {how}, {leak:g} l/min", 40, leak, supply=how)
+        for how in ("recorded", "moves")
+        for leak in (0.01, 0.3)
+    ),
 }
 
 
@@ -252,7 +288,12 @@ def diagnosed(axis: Axis, seeds: range, head: LeakageHead, folder: Path) -> list
     """The verdict on one recording per seed."""
     controller, file, found = shipped("pid", axis.task), folder / "axis.csv", []
     for seed in seeds:
-        record_axis(file, axis.task, controller, seed, axis.leak, faults=axis.faults)
+        moved = Gauged(controller, seed)
+        acting = controller if axis.supply == "constant" else moved
+        record_axis(file, axis.task, acting, seed, axis.leak, faults=axis.faults)
+        if axis.supply == "recorded":
+            table = pd.read_csv(file)
+            table.assign(**{"supply_pressure [bar]": moved.read(len(table))}).to_csv(file, index=False)
         if axis.change is not None:
             axis.change(pd.read_csv(file)).to_csv(file, index=False)
         found.append(diagnose(file, TASK, head).verdict)

@@ -160,11 +160,11 @@ class Windows:
         return _smooth(np.stack([self.auxiliary_signal(name) for name in RECORDED.values()], axis=1))
 
     def unrecorded(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """The unknowns without those that pressures recorded in every window replace."""
+        """The unknowns; the offset of its transducer in place of a pressure that was recorded in every window."""
         everywhere = {
             name for name, signal in RECORDED.items() if np.isfinite(self.auxiliary_signal(signal)).any(axis=1).all()
         }
-        return tuple(name for name in names if name not in everywhere)
+        return tuple(f"{RECORDED[name]}_bias" if name in everywhere else name for name in names)
 
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
         """Some of the windows."""

@@ -25,6 +25,7 @@ from hydro_rig.estimation.unknowns import (
     LATENCY,
     LEAKAGE,
     NULL_DRIFT,
+    RECORDED_BIASES,
     RISE_TIME,
     STARTS,
     Prior,
@@ -184,6 +185,7 @@ class Model:
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         commands = self.commands.beginning(samples or self.samples)
         course: Floats | None = None
+        offset = np.zeros((len(window), 2))
         drift: Floats | float = 0.0
         for name, value in zip(self.names, self.values(scaled).T, strict=True):
             if name.startswith(COURSE):
@@ -202,13 +204,19 @@ class Model:
                 lag = np.maximum(value, 0.0) / RISE
             elif name == NULL_DRIFT:
                 drift = value
-            for names, values in ((BIASES, bias), (GAINS, gain), (STARTS, start), (PARAMETER_PATHS, physical)):
+            for names, values in (
+                (BIASES, bias),
+                (GAINS, gain),
+                (STARTS, start),
+                (PARAMETER_PATHS, physical),
+                (RECORDED_BIASES, offset),
+            ):
                 if name in names:
                     values[:, names.index(name)] = value
         physical[:, _NULL] += drift
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
-        read = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course)
+        read = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course, offset)
         if self.config.sensors.differential_pressure:
             read[:, PRESSURE_A] -= read[:, PRESSURE_B]
         read *= (gain / self.noise)[:, :, None]

@@ -88,6 +88,7 @@ def replay(
     threads: int | None = None,
     lag: Floats | None = None,
     course: Floats | None = None,
+    offset: Floats | None = None,
 ) -> Floats:
     """Readings of R plants, without noise and bias, (R, sensors, T), in the order of ``SENSORS``.
 
@@ -105,6 +106,7 @@ def replay(
         threads: worker threads; ``None`` takes one per core.
         lag: time constant of the pressure transducers of each row, (R,), s; ``None``: that of the task.
         course: added to the setting of each row's supply, and to its pressure, (R, T), Pa; ``None``: 0.
+        offset: of recorded supply and tank pressure of each row, (R, 2), Pa: readings minus pressure; ``None``: 0.
     """
     rows, samples = len(window), commands.command.shape[1]
     readings = np.full((rows, len(SENSORS), samples), np.nan)
@@ -119,6 +121,7 @@ def replay(
         latency,
         np.full(rows, usual) if lag is None else np.asarray(lag, dtype=np.float64),
         np.zeros((rows, samples)) if course is None else course,
+        np.zeros((rows, 2)) if offset is None else offset,
         accuracy,
         np.array(start, dtype=np.float64),
         readings,
@@ -143,6 +146,7 @@ def _build(sources: int) -> Any:
         latency: Floats,
         time_constants: Floats,
         course: Floats,
+        offset: Floats,
         accuracy: Any,
         state: Floats,
         readings: Floats,
@@ -166,7 +170,7 @@ def _build(sources: int) -> Any:
             own, source = states[row], window[first + row]
             volts = FULL_VOLTAGE * command[source, 0]
             if not math.isnan(boundary[source, 0, 0]):  # then the supply has no dynamics of its own
-                own[_SUPPLY_PRESSURE] = boundary[source, 0, 0]
+                own[_SUPPLY_PRESSURE] = boundary[source, 0, 0] - offset[first + row, 0]
                 coefficient[row, _SUPPLY_DYNAMICS] = coefficient[row, _LINE_STIFFNESS] = 0.0
             if math.isnan(own[_CURRENT]):
                 own[_CURRENT] = c.drive_rate * volts / c.coil_rate
@@ -190,6 +194,7 @@ def _build(sources: int) -> Any:
                 coefficient[row, _RELIEF] += moved
                 for side in range(2):
                     mean = 0.5 * (boundary[source, side, sample - 1] + boundary[source, side, sample])
+                    mean -= offset[first + row, side]
                     if not math.isnan(mean) and side == 0:
                         states[row, _SUPPLY_PRESSURE] = mean
                     elif not math.isnan(mean):

@@ -18,19 +18,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.detector import RECORDED
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.plant.parts.leakage import ROD_SEAL
 from hydro_env.plant.states import STATE_NAMES, STATES
 from hydro_env.task.faults import SIGNED_KINDS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
-from hydro_env.task.sensors import SENSORS
+from hydro_env.task.sensors import PRESSURE_A, SENSORS
 from hydro_env.units import flow_from_resistance
 
 LEAKAGE, EXTERNAL_LEAKAGE = "leakage_flow_lpm", "external_leakage_flow_lpm"
 LATENCY, RISE_TIME = "command_latency", "pressure_rise_time"
 BIASES = tuple(f"{channel}_bias" for channel in SENSORS)
 GAINS = tuple(f"{channel}_gain" for channel in SENSORS)
+RECORDED_BIASES = tuple(f"{name}_bias" for name in RECORDED.values())
+"""Offsets of recorded supply and tank pressure, which drive the simulation instead of being explained."""
+
 COURSE, KNOTS = "supply.course_", 0.25
 """A supply that moves: its pressure rises by ``supply.course_k``, Pa, from knot k − 1 to knot k, KNOTS s later. These
 steps of a random walk are unknowns of a window, numbered from 1."""
@@ -177,6 +181,8 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
         span = sensor.high - sensor.low
         bias = _with_fault(config, name, _range(-sensor.bias, sensor.bias), span)
         return Prior(bias.mean, max(math.sqrt(bias.variance), 1e-9 * span))
+    if name in RECORDED_BIASES:  # a transducer like that of chamber a
+        return Prior(0.0, prior_of(config, BIASES[PRESSURE_A]).deviation)
     if name in GAINS:
         # The scale of a difference is often known from its amplifier alone.
         deviation = 0.1 if config.sensors.differential_pressure else 0.01

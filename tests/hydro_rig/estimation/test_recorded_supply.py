@@ -20,7 +20,7 @@ from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.estimator import EstimatorDetector, wear_priors
 from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.search import EstimationSettings
-from hydro_rig.estimation.unknowns import LEAKAGE, course_of, priors_of
+from hydro_rig.estimation.unknowns import LEAKAGE, Prior, course_of, priors_of
 from hydro_rig.recordings.columns import ColumnMap
 
 CONFIG = TaskConfig(episode_duration=2.5)
@@ -39,13 +39,13 @@ class Gauge(Disturbed):
 
 
 def swinging(leak, axes=2, size=0.05):
-    """Windows of 2 s under a supply that swings at 0.5 Hz, with the readings of its gauge."""
+    """Windows of 2 s under a supply that swings at 0.5 Hz, with the readings of its gauge, which has an offset."""
     course = np.zeros((axes, 4, CONFIG.steps))
     course[:, SUPPLY] = size * np.sin(np.pi * CONFIG.control_period * np.arange(CONFIG.steps))
     gauge = Gauge(shipped("pid", CONFIG), Disturbances(course, np.zeros(axes, np.bool_)))
     cases = Cases(np.array(DIAGNOSIS.take(axes, 9_000)), np.full(axes, leak), np.full(axes, "multi_sine"))
     signals, _ = measured_run(CONFIG, gauge, cases)
-    supply = np.array(gauge.seen).T + np.random.default_rng(0).normal(0.0, 0.2e5, (axes, CONFIG.steps))
+    supply = np.array(gauge.seen).T + np.random.default_rng(0).normal(0.5e5, 0.2e5, (axes, CONFIG.steps))
     unknown, part = np.full(axes, np.nan), slice(100, 501)
     return Windows(signals[:, :, part], unknown, unknown, {"supply_pressure": supply[:, part]})
 
@@ -121,6 +121,10 @@ def test_a_recorded_pressure_at_the_setting_of_a_constant_supply_changes_nothing
     np.testing.assert_allclose(known.readings(scaled), plain.readings(scaled), rtol=1e-6, atol=1e-3)
     boundary[:, 0] = 1.1 * setting
     assert np.abs(known.readings(scaled) - plain.readings(scaled)).max() > 10.0
+    offset = Prior(0.1 * setting, 1e5)  # of its transducer, which reads 10 % too much
+    mended = Model(steady, priors | {"supply_pressure_bias": offset}, commands, boundary=boundary)
+    expected = plain.readings(scaled)
+    np.testing.assert_allclose(mended.readings(np.pad(scaled, ((0, 0), (0, 1)))), expected, rtol=1e-6, atol=1e-3)
     with pytest.raises(ConfigurationError, match=r"boundary: shape \(1, 2, 99\)"):
         Model(steady, priors, commands, boundary=boundary[:, :, :99])
 
