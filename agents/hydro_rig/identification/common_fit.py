@@ -29,8 +29,8 @@ from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, RISE
 WELL_FITTED = LARGEST_MISFIT  # of an explained window
 OUTLIER, FAR_OUTLIER = 3.0, 30.0
 """Unexplained windows whose misfit is larger than this factor times the median are left out: the search ended in a
-local minimum, or there was a disturbance. Where most windows are unexplained the second factor is tried, too: there a
-large misfit is what a window of fast motion has."""
+local minimum, or there was a disturbance. Where most windows are unexplained the second factor holds: there a large
+misfit is what a window of fast motion has."""
 
 ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2, errors=False)
 """Search settings of the single windows; the common fit continues from their results."""
@@ -51,8 +51,6 @@ and roughness looks like information: an unknown without influence would seem to
 
 MOST_DAMPING = 5e5
 """A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
-
-END_OF_RANGE = 3.0**0.5  # standard deviations of a uniform distribution
 
 MUCH_BETTER = 0.7
 """A null that wanders is taken where it brings the median misfit below this share; otherwise it only takes up noise."""
@@ -120,12 +118,6 @@ class Common(NamedTuple):
         """Number of explained windows."""
         return int((self.misfit < WELL_FITTED).sum())
 
-    @property
-    def rank(self) -> tuple[float, ...]:
-        """Larger for the better of two fits: more windows explained, fewer values out of range, more windows."""
-        outside = int((np.abs(self.joint.common) > END_OF_RANGE).sum())
-        return self.explained, -outside, int(np.isfinite(self.misfit).sum()), -float(np.median(self.misfit))
-
 
 def fit_together(problem: Problem, first: Floats, progress: Callable[[int, int], None] | None = None) -> Joint:
     """The most probable shared parameters and start states of several windows.
@@ -191,21 +183,17 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
     report("windows", 0, len(windows))
     alone = fitted_alone(windows, config, priors)
     report("windows", len(windows), len(windows))
-    best, outlier = _common_fit(windows, config, priors, alone, report), OUTLIER
-    if 2 * best.explained < len(windows):
-        other = _common_fit(windows, config, priors, alone, report, FAR_OUTLIER)
-        if other.rank > best.rank:
-            best, outlier = other, FAR_OUTLIER
+    best = _common_fit(windows, config, priors, alone, report)
     if best.explained < len(windows):
         if 2 * best.explained >= len(windows):
             again = np.flatnonzero(~(best.misfit < WELL_FITTED))
-            nearer = _nearby(windows.part(again), config, best, alone.scaled[again])
+            other = _nearby(windows.part(again), config, best, alone.scaled[again])
         else:
             again = np.sort(np.argsort(alone.misfit)[:FEW])
-            nearer = fitted_alone(windows.part(again), config, priors, RANDOMLY)
-        if len(alone.take(again, nearer, nearer.misfit < alone.misfit[again])):
-            second = _common_fit(windows, config, priors, alone, report, outlier)
-            best = max(best, second, key=lambda found: found.rank)
+            other = fitted_alone(windows.part(again), config, priors, RANDOMLY)
+        if len(alone.take(again, other, other.misfit < alone.misfit[again])):
+            second = _common_fit(windows, config, priors, alone, report)
+            best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
     if 2 * best.explained < len(windows) and config.sensors.enabled:
         timing = {name: prior for name, prior in timing_priors(config).items() if name not in best.model.names}
         timed = _continued(best, timing, "timing", report) if timing else best
@@ -266,22 +254,17 @@ def _nearby(windows: Windows, config: TaskConfig, found: Common, first: Floats) 
 
 
 def _common_fit(
-    windows: Windows,
-    config: TaskConfig,
-    priors: Mapping[str, Prior],
-    alone: Estimate,
-    report: Report,
-    outlier: float = OUTLIER,
+    windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], alone: Estimate, report: Report
 ) -> Common:
     """The best common fit of the consistent windows from several starting values."""
-    kept, progress = without_outliers(alone.misfit, outlier), partial(report, "common fit")
+    kept, progress = without_outliers(alone.misfit), partial(report, "common fit")
     for again in (False, True):  # the second time without the outliers of the first
         problem = replayed(windows.part(kept), config, priors)
         rough = [descend(problem, first, progress)[0] for first in _first_values(problem, alone, kept)]
         costs = costs_of(problem, rough)
         order = np.argsort(costs)
         joint = fit_together(problem, rough[order[0]], progress)
-        still = without_outliers(joint.misfit, outlier)
+        still = without_outliers(joint.misfit)
         if again or len(still) == len(kept):
             break
         kept = kept[still]
@@ -307,10 +290,12 @@ def costs_of(problem: Problem, trials: list[Floats]) -> list[float]:
     return [_cost(problem.residual(one[:, None])[:, 0], known, one, *places) for one in trials]
 
 
-def without_outliers(misfit: Floats, outlier: float) -> Indices:
-    """Indices of the windows that are explained, or whose misfit is at most ``outlier`` times that of most others."""
+def without_outliers(misfit: Floats) -> Indices:
+    """Indices of the windows that are explained, or whose misfit is not much larger than that of most others."""
     finite = np.where(np.isfinite(misfit), misfit, 1e9)
-    return np.flatnonzero(finite <= max(WELL_FITTED, outlier * float(np.median(finite))))
+    median = float(np.median(finite))
+    factor = OUTLIER if median < WELL_FITTED else FAR_OUTLIER
+    return np.flatnonzero(finite <= max(WELL_FITTED, factor * median))
 
 
 def trials_of(scaled: Floats, shared: Indices, candidates: Floats) -> list[Floats]:

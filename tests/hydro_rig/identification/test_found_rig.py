@@ -168,14 +168,9 @@ def test_leaks_and_springs_stay_within_their_bounds():
     assert values["leakage.internal_resistance"] == math.inf
 
 
-def test_of_two_fits_that_explain_nothing_the_one_within_the_ranges_counts():
-    def fit_with(common, misfit):
-        joint = Joint(np.array([common]), np.arange(2), None, None, None, None, None, 0.0)
-        return common_fit.Common(None, joint, np.array(misfit))
-
-    inside, outside = fit_with([1.0, -1.0], [30.0, math.inf]), fit_with([1.0, 4.0], [9.0, 9.0])
-    assert fit_with([1.0, 1.0], [40.0, 40.0]).rank > inside.rank > outside.rank
-    assert fit_with([1.0, 4.0], [1.0, 9.0]).rank > inside.rank
+@pytest.mark.parametrize(("misfit", "kept"), [([1, 2, 3, 20], [0, 1, 2]), ([9, 9, 9, 200, 300], [0, 1, 2, 3])])
+def test_a_large_misfit_is_an_outlier_sooner_where_most_windows_are_explained(misfit, kept):
+    assert common_fit.without_outliers(np.array(misfit, float)).tolist() == kept
 
 
 def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(monkeypatch):
