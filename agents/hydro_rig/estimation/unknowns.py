@@ -270,10 +270,12 @@ def _mixture(share: float, first: _Moments, second: _Moments) -> _Moments:
 def _start(config: TaskConfig, state: str) -> Prior:
     """A wide prior over the range of a state on the rig; the search begins at the measured value, if there is one."""
     pressure = config.plant.supply.pressure
+    # Of a difference the sum is not measured, and two empty chambers explain one as well.
+    spread = 0.05 if config.sensors.differential_pressure else 0.3
     known = {
         "position": Prior(0.0, 0.3 * config.plant.cylinder.stroke),
         "velocity": Prior(0.0, 0.5),
-        **dict.fromkeys(("pressure_a", "pressure_b"), Prior(0.5 * pressure, 0.3 * pressure)),
+        **dict.fromkeys(("pressure_a", "pressure_b"), Prior(0.5 * pressure, spread * pressure)),
         "spool_position": Prior(0.0, 0.3),
         "spool_velocity": Prior(0.0, 5.0),
         "supply_pressure": Prior(pressure, 0.2 * pressure),
