@@ -45,8 +45,10 @@ LEAKS = ("constant", "onset", "growth", "orifice")
 CHANGING = ("onset", "growth")
 
 CHUNK, CHUNK_OF_RIG = 256, 24  # largest number of axes that are simulated together; the same for each drawn rig
+CHUNK_OF_POLICY = 96  # the same under a policy for any axis: it takes a quarter of a minute to choose its gains
 
 ANY_AXIS = ("flow_linearising", "ppo")  # kinds of controllers that serve drawn rigs
+POLICY = ANY_AXIS.index("ppo")
 
 SECOND_FAULT, AT_START, SMALL = 0.1, 0.2, 0.35
 """Shares: of faulty axes with a second fault, of windows at the start of a run, of leaks that are drawn from the
@@ -123,7 +125,7 @@ class Plan:
             for controller in acting:
                 for leak, share, moves in shares:
                     count = round(episodes * share * row.share / total / len(acting))
-                    most = CHUNK if one_rig else CHUNK_OF_RIG
+                    most = CHUNK if one_rig else CHUNK_OF_POLICY if controller == POLICY else CHUNK_OF_RIG
                     most = min(most, CHUNK // 4) if leak in CHANGING else most  # more lengths of windows
                     pieces = -(-count // most)
                     sizes = [count * (p + 1) // pieces - count * p // pieces for p in range(pieces)]
