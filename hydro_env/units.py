@@ -27,6 +27,7 @@ UNITS: dict[str, dict[str, float]] = {
     "m³": {"l": 1e-3, "cm³": 1e-6, "ml": 1e-6, "dm³": 1e-3, "m³": 1.0},
     "m/s": {"mm/s": 1e-3, "m/s": 1.0, "m/min": 1.0 / 60.0},
     "m³/s": {"l/min": LITRE_PER_MINUTE, "cm³/min": 1e-3 * LITRE_PER_MINUTE, "l/s": 1e-3, "cm³/s": 1e-6, "m³/s": 1.0},
+    "m³/(s Pa)": {"l/min/bar": LITRE_PER_MINUTE / 1e5, "m³/(s Pa)": 1.0},
     "Pa": {"bar": 1e5, "MPa": 1e6, "psi": 6894.757293168, "kPa": 1e3, "Pa": 1.0, "mbar": 1e2, "GPa": 1e9},
     "kg": {"kg": 1.0, "t": 1e3, "g": 1e-3},
     "N": {"N": 1.0, "kN": 1e3},

@@ -192,7 +192,8 @@ class _Plate:
             return
         flow, usual = self.si["pump_flow"], "assumed: 80 % of the supply pressure"
         yield self._given("pump_flow", "pump_flow")
-        yield "relief_slope", f"{flow / (5.0 * BAR):.3g}", "assumed: 5 bar more at full flow; m³/(s Pa)"
+        slope = _in(flow / (5.0 * BAR), "m³/(s Pa)", "l/min/bar")
+        yield "relief_slope", slope, "assumed: 5 bar more at full flow"
         if self.supply == "pump":
             litres = max(0.02 * flow / LITRE_PER_MINUTE, 0.1)
             yield "line_volume", f"{litres:.2g} l", "assumed: pressure line"

@@ -29,7 +29,7 @@ from hydro_rig.identification.intervals import hull, within_bounds
 
 DIGITS = 6  # significant, of the numbers in the file
 
-READ_IN = {"Pa": "bar", "m³/s": "l/min", "m": "mm", "m³": "cm³", "rad/s": "Hz", "m/s": "mm/s"}
+READ_IN = {"m": "mm", "m³": "cm³", "m/s": "mm/s", "m³/s": "l/min", "m³/(s Pa)": "l/min/bar", "Pa": "bar", "rad/s": "Hz"}
 """Unit in which a person reads a quantity, by its SI unit."""
 
 SHARES = ("overlap", "underlap", "null_shift", "air_fraction")
