@@ -39,7 +39,7 @@ def test_a_parameter_that_no_drawn_rig_varies_does_not_put_a_rig_outside():
     cases = Cases(VALIDATION_SEEDS.start + 996_000 + np.arange(80), sizes)
     signals, _ = measured_run(task, FlowLinearising(FlowLinearisingGains(), task), cases)
     found = ANY.moved_to(task).estimate_windows(signals)
-    assert found.outside.mean() < 0.2
+    assert found.outside.mean() < 0.3  # all of them, if a feature that never varied counted
     assert area_under_roc(found.probability, sizes == 3.0) > 0.95
 
 
