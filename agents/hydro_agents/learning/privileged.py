@@ -14,8 +14,9 @@ from stable_baselines3.common.torch_layers import MlpExtractor
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
+from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.equations import Coefficients
-from hydro_env.plant.states import TYPICAL_SIZE
+from hydro_env.plant.states import STATES, TYPICAL_SIZE
 from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 
 PLANTS = 256  # number of plants that are drawn for the mean and the spread of each parameter
@@ -26,18 +27,29 @@ SMALLEST_LEAK = 1e-4  # l/min; the leak enters as the logarithm of its size rela
 class Privileged:
     """The hidden quantities of N axes, scaled to order 1.
 
+    Args:
+        config: the task.
+        any_axis: the same numbers for every rig: all parameters of the plant, zeros for those that a rig does not
+            draw; states in parts of the rig's own full scale.
+
     Raises:
         ConfigurationError: a plant of the task cannot hold its initial position.
     """
 
-    def __init__(self, config: TaskConfig) -> None:
+    def __init__(self, config: TaskConfig, any_axis: bool = False) -> None:
         env = ServoHydraulicVectorEnv(PLANTS, config, info=False)
         env.reset(seed=list(LEARNING.take(PLANTS)))
         drawn = env.axes.physical
         area, pressure = (env.axes.coefficient[:, Coefficients._fields.index("area_a")], config.plant.supply.pressure)
         self._force = float(np.mean(area)) * pressure
-        self._drawn = np.flatnonzero(np.isfinite(drawn).all(axis=0) & (drawn != drawn[0]).any(axis=0))
-        self._mean, self._spread = drawn[:, self._drawn].mean(axis=0), drawn[:, self._drawn].std(axis=0)
+        varied = np.isfinite(drawn).all(axis=0) & (drawn != drawn[0]).any(axis=0)
+        self._drawn = np.arange(len(varied)) if any_axis else np.flatnonzero(varied)
+        finite = np.where(varied, drawn, 0.0)[:, self._drawn]
+        self._mean, self._spread = finite.mean(axis=0), finite.std(axis=0)
+        self._varied = varied[self._drawn]
+        self._spread[~self._varied] = 1.0
+        weights = [getattr(plant_coefficients(config.plant), f"{name}_weight") for name in STATES]
+        self._state_size = 1.0 / np.array(weights) if any_axis else TYPICAL_SIZE
         sensors = [getattr(config.sensors, name) for name in SENSORS]
         self._bias = np.array([sensor.bias if sensor.bias > 0.0 else 1.0 for sensor in sensors])
         self._steps, self._period = config.steps, config.control_period
@@ -47,13 +59,14 @@ class Privileged:
     def __call__(self, axes: Axes, chosen: slice | NDArray[np.int64] = slice(None)) -> NDArray[np.float32]:
         """The numbers of the ``chosen`` axes, (N, size)."""
         record = axes.record[chosen]
-        state = axes.state[chosen] / TYPICAL_SIZE
+        state = axes.state[chosen] / self._state_size
+        drawn = np.where(self._varied, axes.physical[chosen][:, self._drawn], 0.0)
         error = (record["reference"] - record["position"]) / ERROR_SCALE
         force = axes.coefficient[chosen, Coefficients._fields.index("external_force")] / self._force
         family = record["reference_family"][:, None] == np.arange(len(REFERENCE_FAMILIES))
         columns: list[NDArray[Any]] = [
             np.log10(np.maximum(record["leak_flow"], SMALLEST_LEAK))[:, None],
-            (axes.physical[chosen][:, self._drawn] - self._mean) / self._spread,
+            (drawn - self._mean) / self._spread,
             state,
             error[:, None],
             force[:, None],

@@ -93,8 +93,8 @@ class PPOSettings(Group):
             if getattr(self, name) and not self.residual:
                 raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
         if self.law is not None:
-            if not self.residual or not self.normalise or self.told_critic:
-                raise ValueError("law: needs residual: true, normalise: true and told_critic: false")
+            if not self.residual or not self.normalise:
+                raise ValueError("law: needs residual: true and normalise: true")
             if self.axes % self.law.count:
                 raise ValueError(f"axes = {self.axes}: must be a multiple of law.count = {self.law.count}")
         return self

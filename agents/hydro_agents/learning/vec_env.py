@@ -129,7 +129,8 @@ class AxisVecEnv(_SharedVecEnv):
         self._lengths = np.zeros(count, dtype=np.int64)
         self._parts = np.zeros(len(REWARD_PARTS))
         self._periods = 0
-        self._privileged = Privileged(self.env.config) if told_critic else None
+        any_axis = features is not None and features.for_any_axis
+        self._privileged = Privileged(self.env.config, any_axis) if told_critic else None
         observed: spaces.Space[Any] = self.env.single_observation_space
         if features is not None:
             told = self._privileged.size if self._privileged is not None else 0
@@ -299,8 +300,7 @@ class RigsVecEnv(_SharedVecEnv):
         self.render_mode = None
         ends = np.cumsum([env.num_envs for env in envs])
         self._parts = [slice(end - env.num_envs, end) for env, end in zip(envs, ends, strict=True)]
-        inputs = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size,), np.float32)
-        super().__init__(int(ends[-1]), inputs, spaces.Box(-1.0, 1.0, (1,), np.float32))
+        super().__init__(int(ends[-1]), envs[0].observation_space, spaces.Box(-1.0, 1.0, (1,), np.float32))
 
     def periods_per_step(self) -> NDArray[np.float64]:
         """Control periods in a step of the rig, of each axis, (N,)."""
