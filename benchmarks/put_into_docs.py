@@ -21,11 +21,12 @@ import pandas as pd
 
 from benchmarks.figures import ORIGIN
 from hydro_agents.running.machine import Origin
-from hydro_env.files import read_json
+from hydro_env.files import read_json, read_yaml
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TABLES = DOCS / "tables"
-PAGES = ("results.md", "reproduction.md", "learning.md")
+PROTOCOL = DOCS.parent / "configs" / "protocols" / "leakage.yaml"
+PAGES = ("results.md", "reproduction.md", "learning.md", "leakage.md")
 MARKED = re.compile(r"(<!-- (?:benchmark|table): (\w+) -->\n).*?(<!-- end -->)", flags=re.DOTALL)
 
 
@@ -69,6 +70,21 @@ def _by_level(table: pd.DataFrame) -> pd.DataFrame:
     wide = shares.pivot(index="detector", columns="level", values="text")[shares["level"].unique()]
     order = table["detector"].unique()
     return wide.loc[order].assign(windows=table.groupby("detector")["windows"].min()).reset_index()
+
+
+def _conditions(table: pd.DataFrame) -> pd.DataFrame:
+    kept = table[table["level"].isin((0.0, 0.1, 0.3, 1.0)) & ~table["condition"].str.startswith("rig_")]
+    return kept[["detector", "condition", "level", "flagged", "cannot_tell"]]
+
+
+def _by_condition(table: pd.DataFrame) -> pd.DataFrame:
+    """One row per condition: shares in %, of healthy axes under ``NAME 0``; its name as the protocol writes it."""
+    kinds = read_yaml(PROTOCOL)["conditions"]
+    shares = table.assign(flagged=100.0 * table["flagged"], cannot_tell=100.0 * table["cannot_tell"])
+    wide = shares.pivot(index="condition", columns=["detector", "level"], values=["flagged", "cannot_tell"])
+    wide = wide.reindex([name for name in kinds if name in wide.index])
+    wide.columns = [f"{detector} {figure} {level:g}".replace(".", ",") for figure, detector, level in wide.columns]
+    return wide.assign(condition=[kinds[name]["label"] for name in wide.index])
 
 
 def _seeds(table: pd.DataFrame) -> pd.DataFrame:
@@ -185,6 +201,22 @@ SOURCES = {
         | {"windows": "{windows:.0f}"},
         _by_level,
         _detectors,
+    ),
+    "conditions": Source(
+        "leakage/tables/detection.csv",
+        {
+            "condition": "{condition}",
+            "head: false alarms": "{head flagged 0:.1f}",
+            "0.1 l/min found": "{head flagged 0,1:.0f}",
+            "0.3 l/min found": "{head flagged 0,3:.0f}",
+            "1 l/min found": "{head flagged 1:.0f}",
+            "cannot tell": "{head cannot_tell 0:.0f}",
+            "estimator: false alarms": "{estimator flagged 0:.0f}",
+            "of 0.3 l/min found": "{estimator flagged 0,3:.0f}",
+            "it cannot tell": "{estimator cannot_tell 0:.0f}",
+        },
+        _by_condition,
+        _conditions,
     ),
     "alone": Source("alone/tables/over_seeds.csv", TRAINED, _trained, _trainings),
     "baselines": Source("baselines/tables/over_seeds.csv", TRAINED, _trained, _trainings),
