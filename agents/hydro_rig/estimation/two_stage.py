@@ -37,6 +37,7 @@ class TwoStageDetector:
     """
 
     threshold: float | None = None
+    ration = RATION  # `hydro alarms` reads it: answers at rest are rare, and sizes
 
     def __init__(self, head: HeadDetector, estimator: EstimatorDetector | None = None, remembers: bool = False):
         self.head, self.estimator, self.remembers = head, estimator or EstimatorDetector(), remembers
