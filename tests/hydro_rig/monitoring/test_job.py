@@ -64,6 +64,15 @@ def test_the_job_finds_settings_and_tests_them():
     assert rates.loc[1.0, "hours"] == 12 * 4 * 10
 
 
+def test_rare_answers_at_rest_are_compared_as_sizes():
+    made_up = MadeUp()
+    made_up.detector = TwoStageDetector(HeadDetector(untrained_head(CONFIG)))
+    still = run_job(made_up, JOB)[0].scales.standing
+    assert still.learning == 0
+    assert still.highest_baseline == CONFIG.leakage.class_bounds[0]
+    assert still.shift == pytest.approx(0.1 - still.highest_baseline)
+
+
 def test_a_detector_that_sees_nothing_is_refused():
     with pytest.raises(ConfigurationError, match="score of 'made up' does not rise"):
         run_job(MadeUp(rise=-4.0), JOB)
