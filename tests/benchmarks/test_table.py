@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import hydro
+from refusal import refused
 
 from benchmarks import run as command
 from benchmarks.run import benchmark_to_folder, measure_group
 from benchmarks.table import Case, Row, UnavailableError, figure, markdown_table, ratios, write_csv
 from hydro_agents.running.console import ProgressDisplay
-from hydro_env import ConfigurationError
 
 
 def peer_and_own():
@@ -85,7 +85,7 @@ def test_ctrl_c_keeps_what_was_measured(tmp_path, monkeypatch):
     assert dict(table["values"]) == {"one": "1.0 2.0 3.0", "absent": "", "two": "1.0 1.0"}
     assert "nothing there" in table.loc["absent", "note"]
     assert "## first" in (tmp_path / "benchmark.md").read_text(encoding="utf-8")
-    with pytest.raises(ConfigurationError, match="holds results already"):
+    with refused("holds results already"):
         benchmark_to_folder(tmp_path, [], True, False, "hydro benchmark")
 
 

@@ -53,12 +53,12 @@ LARGEST_MOVE = 1.5  # largest change of an unknown in one iteration, in standard
 SMALLEST_GAIN, SMALLEST_UNDERLAP, SMALLEST_COMPRESSIBILITY = 0.2, 1e-3, 0.3
 
 CAVITATING = 1e-3  # m per period; error of the travel while a pressure may be at the end of its sensor's range
-PARTS, TRACED = 8, 4
-"""Number of equal parts of a window, and of the unknowns that are also estimated for each part alone: the leak, the
-supply pressure, and the biases of the pressure transducers."""
-
 COUNT = len(Unknowns._fields)
 GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
+
+ALONE = INTERNAL, SUPPLY, BIAS_A, BIAS_B
+PARTS, TRACED = 8, len(ALONE)
+"""Number of equal parts of a window, and of the unknowns that are also estimated for each part alone."""
 
 _read_unknowns = tuple_reader(Unknowns)
 _read_coefficients = tuple_reader(Coefficients)
@@ -248,10 +248,8 @@ def _build(sources: int) -> Any:
                                 normals[residual, i, j] += whitened[i] * whitened[j]
                             rights[residual, i] -= whitened[i] * whitened[COUNT]
                         now = PARTS * k // (samples - 1)
-                        trace(pull, weight, residual, 0, now, whitened[INTERNAL], whitened[COUNT])
-                        trace(pull, weight, residual, 1, now, whitened[SUPPLY], whitened[COUNT])
-                        trace(pull, weight, residual, 2, now, whitened[BIAS_A], whitened[COUNT])
-                        trace(pull, weight, residual, 3, now, whitened[BIAS_B], whitened[COUNT])
+                        for one in range(TRACED):
+                            trace(pull, weight, residual, one, now, whitened[ALONE[one]], whitened[COUNT])
 
                 # Misfit of the model counts as noise: a residual above 1 contributes its logarithm.
                 cost = 0.0
@@ -281,10 +279,9 @@ def _build(sources: int) -> Any:
                     for residual in range(2):
                         correlation[window, residual] = product[residual] / (mean_square[residual] + 1e-9)
                     for now in range(PARTS):
-                        tell(pull, weight, 0, now, u.internal_leak, spread[INTERNAL], window, part, part_deviation)
-                        tell(pull, weight, 1, now, u.supply_pressure, spread[SUPPLY], window, part, part_deviation)
-                        tell(pull, weight, 2, now, u.bias_a, spread[BIAS_A], window, part, part_deviation)
-                        tell(pull, weight, 3, now, u.bias_b, spread[BIAS_B], window, part, part_deviation)
+                        for one in range(TRACED):
+                            i = ALONE[one]
+                            tell(pull, weight, one, now, theta[i], spread[i], window, part, part_deviation)
                     if gained < ENOUGH:
                         break
                 else:

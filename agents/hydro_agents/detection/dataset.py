@@ -16,7 +16,7 @@ from hydro_agents.detection.detector import CAUSE_OF_FAULT, MeasuredColumns
 from hydro_agents.detection.disturbances import KINDS as DISTURBANCES
 from hydro_agents.detection.disturbances import Disturbed, drawn
 from hydro_agents.detection.features import FEATURES, LABELS, features_of
-from hydro_agents.detection.operations import OPERATIONS, Operation
+from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation
 from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.opponents import shipped
@@ -121,7 +121,7 @@ class Plan:
         constant = 1.0 - 2.0 * changing - orifice - disturbed
         shares = [*zip(LEAKS, (constant, changing, changing, orifice), repeat(False)), ("constant", disturbed, True)]
         for number, row in enumerate(OPERATIONS):
-            acting = range(len(self.controllers if one_rig else ANY_AXIS)) if row.manner is None else [-1]
+            acting = [-1] if row.manner else range(len(self.controllers if one_rig else ANY_AXIS))
             for controller in acting:
                 for leak, share, moves in shares:
                     count = round(episodes * share * row.share / total / len(acting))
@@ -192,8 +192,8 @@ def simulated(
     labels[:, 0] = leaks > config.leakage.class_bounds[0]
     measured = MeasuredColumns.of(task)
     acting: Any
-    if row.manner is not None:
-        acting = Operation(row.manner, task, count, int(seeds[0]))
+    if row.manner:
+        acting = Operation(MANNERS[row.manner], task, count, int(seeds[0]))
     elif settings.law is not None:
         acting = shipped(ANY_AXIS[chunk.controller], task)
     else:

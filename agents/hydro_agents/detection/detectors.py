@@ -54,18 +54,17 @@ def make_detector(choice: DetectorChoice, head: HeadDetector | None = None) -> D
     Raises:
         ConfigurationError: its weights cannot be read, or the object that it names is no detector.
     """
+    detector: Detector
     if ":" in choice.kind:
         named = imported(choice.kind)
-        own: Detector = named() if isinstance(named, type) else named
-        missing = [part for part in ("threshold", "refuses", "read") if not hasattr(own, part)]
+        detector = named() if isinstance(named, type) else named
+        missing = [part for part in ("threshold", "refuses", "read") if not hasattr(detector, part)]
         if missing:
             raise ConfigurationError(f"'{choice.kind}': is no leak detector, it has no {', '.join(missing)}")
-        return own
-    if choice.kind == "estimator":
-        detector: Detector = imported(ESTIMATOR)(choice.task)
-        return detector
-    head = head or HeadDetector.load(choice.weights)
-    if choice.kind == "two_stage":
-        both: Detector = imported(TWO_STAGE)(head, imported(ESTIMATOR)(choice.task, restarts=0))
-        return both
-    return head
+    elif choice.kind == "estimator":
+        detector = imported(ESTIMATOR)(choice.task)
+    else:
+        detector = head or HeadDetector.load(choice.weights)
+        if choice.kind == "two_stage":
+            detector = imported(TWO_STAGE)(detector, imported(ESTIMATOR)(choice.task, restarts=0))
+    return detector

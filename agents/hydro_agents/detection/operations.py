@@ -246,21 +246,21 @@ class Row(NamedTuple):
 
     share: float
     task: Change
-    manner: Manner | None  # None: the controllers of the study
+    manner: str = ""  # of MANNERS; default: the controllers of the study
 
 
 OPERATIONS = (
-    Row(0.23, ordinary, None),
-    Row(0.08, slow, None),
-    Row(0.11, at_rest, None),
-    Row(0.06, loaded, None),
-    Row(0.08, ordinary, MANNERS["proportional"]),
-    Row(0.07, at_rest, MANNERS["proportional"]),
-    Row(0.10, ordinary, MANNERS["by hand"]),
-    Row(0.08, ordinary, MANNERS["chattering"]),
-    Row(0.03, at_rest, MANNERS["chattering"]),
-    Row(0.05, ordinary, MANNERS["dithering"]),
-    Row(0.03, at_rest, MANNERS["dithering"]),
-    Row(0.08, ordinary, MANNERS["open loop"]),
+    Row(0.23, ordinary),
+    Row(0.08, slow),
+    Row(0.11, at_rest),
+    Row(0.06, loaded),
+    Row(0.08, ordinary, "proportional"),
+    Row(0.07, at_rest, "proportional"),
+    Row(0.10, ordinary, "by hand"),
+    Row(0.08, ordinary, "chattering"),
+    Row(0.03, at_rest, "chattering"),
+    Row(0.05, ordinary, "dithering"),
+    Row(0.03, at_rest, "dithering"),
+    Row(0.08, ordinary, "open loop"),
 )
 """The mixture of the training data."""

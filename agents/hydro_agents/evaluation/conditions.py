@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
@@ -19,6 +20,7 @@ from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar,
 import pandas as pd
 from pydantic import Field, StringConstraints, model_validator
 
+from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.jobs import Columns, Job
 from hydro_agents.running.tasks import Surroundings, mappings, read_task
 from hydro_env import ConfigurationError, TaskConfig
@@ -26,6 +28,17 @@ from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.mistakes import kept, refuse, unknown
 from hydro_env.task.configuration import task_config
+
+
+@contextmanager
+def beginning() -> Iterator[None]:
+    """An error at the start of its runs names the condition; one of a controller stays its own."""
+    try:
+        yield
+    except ControllerError:
+        raise
+    except ConfigurationError as error:
+        raise ConfigurationError(f"the condition cannot begin: {error}") from None
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from pydantic import Field, model_validator
 from hydro_agents.detection.detector import Detector, Windows, measured_run
 from hydro_agents.detection.detectors import DetectorChoice
 from hydro_agents.detection.operations import ACTING, MOTIONS
-from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol, refuse_unknown
-from hydro_agents.running.cases import Cases, ControllerError
+from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol, beginning, refuse_unknown
+from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
 from hydro_agents.running.tasks import Surroundings
@@ -206,14 +206,10 @@ def read(detector: Detector, config: TaskConfig, known: TaskConfig, acting: str,
         ControllerError: the controller of the axes failed.
         ConfigurationError: a run cannot begin.
     """
-    try:
+    with beginning():
         signals, columns = simulated_windows(config, acting, cases, samples)
         good = np.flatnonzero(columns["failed"] == 0.0)
         reading = detector.read(Windows.of(signals[good]), known) if len(good) else None
-    except ControllerError:
-        raise
-    except ConfigurationError as error:
-        raise ConfigurationError(f"the condition cannot begin: {error}") from None
     for name in (*READ, "otherwise"):
         columns[name] = np.full(len(cases), np.nan)
         if reading is not None:

@@ -10,14 +10,14 @@ import pandas as pd
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.best_found import BestFound
-from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.conditions import Cell, beginning
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import PairedProtocol
 from hydro_agents.running.cases import Cases, ControllerError, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.limit_cycles import standstill_metrics, standstill_task
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 
 BEST_FOUND = "best found"
 SEARCHES: Mapping[str, Callable[[TaskConfig], Controller]] = {BEST_FOUND: BestFound}
@@ -86,7 +86,8 @@ def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns
         ControllerError: the controller failed.
         ConfigurationError: an episode cannot begin.
     """
-    rollout = _begun(controller, config, cases)
+    with beginning():
+        rollout = run_cases(config, controller, cases)
     families = np.full(len(cases), "user") if cases.families is None else cases.families
     preview = max(config.references.preview_times, default=0.0)
     metrics = rollout_metrics(rollout, families, config.control_period, preview)
@@ -95,17 +96,8 @@ def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns
 
 def at_rest(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
     """Limit cycles of cases whose task is a standstill."""
-    return standstill_metrics(_begun(controller, config, cases), config)
-
-
-def _begun(controller: Controller, config: TaskConfig, cases: Cases) -> Rollout:
-    """The cases under a controller; an error at their start names the condition."""
-    try:
-        return run_cases(config, controller, cases)
-    except ControllerError:
-        raise
-    except ConfigurationError as error:
-        raise ConfigurationError(f"the condition cannot begin: {error}") from None
+    with beginning():
+        return standstill_metrics(run_cases(config, controller, cases), config)
 
 
 def replay(protocol: PairedProtocol, chosen: Participants, row: Mapping[Any, Any]) -> Rollout:

@@ -43,11 +43,10 @@ class Privileged:
         area, pressure = (env.axes.coefficient[:, Coefficients._fields.index("area_a")], config.plant.supply.pressure)
         self._force = float(np.mean(area)) * pressure
         varied = np.isfinite(drawn).all(axis=0) & (drawn != drawn[0]).any(axis=0)
-        self._drawn = np.arange(len(varied)) if any_axis else np.flatnonzero(varied)
-        finite = np.where(varied, drawn, 0.0)[:, self._drawn]
-        self._mean, self._spread = finite.mean(axis=0), finite.std(axis=0)
+        self._drawn = varied | any_axis
         self._varied = varied[self._drawn]
-        self._spread[~self._varied] = 1.0
+        finite = np.where(self._varied, drawn[:, self._drawn], 0.0)
+        self._mean, self._spread = finite.mean(axis=0), np.where(self._varied, finite.std(axis=0), 1.0)
         weights = [getattr(plant_coefficients(config.plant), f"{name}_weight") for name in STATES]
         self._state_size = 1.0 / np.array(weights) if any_axis else TYPICAL_SIZE
         sensors = [getattr(config.sensors, name) for name in SENSORS]

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.detector import Cause
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_env import ConfigurationError
 
 SCALE = {"highest_baseline": 0.0, "learning": 5, "spread": 1.0, "shift": 1.0}
 
@@ -151,5 +151,5 @@ def test_settings_round_trip_and_bad_ones_are_refused(tmp_path):
     settings = alarm().settings
     settings.save(tmp_path / "alarm.yaml")
     assert AlarmSettings.load(tmp_path / "alarm.yaml") == settings
-    with pytest.raises(ConfigurationError, match="moving"):
+    with refused("moving"):
         alarm(scales={"standing": SCALE, "slow": SCALE})

@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 from command_line import assert_one_clear_line, hydro
 from joblib import parallel_config
+from refusal import refused
 
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.statistics import seeds_interval
 from hydro_agents.study import over_seeds
 from hydro_agents.study.settings import StudySettings
-from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
 
 HEAD = {"episodes": 100, "validation_episodes": 100, "epochs": 1, "width": 4, "batch": 64}
@@ -151,10 +151,10 @@ def test_side_by_side_nothing_is_replaced_and_a_missing_disk_is_told(tmp_path, m
     (tmp_path / "seed 1").mkdir()
     (tmp_path / "seed 1" / "study.yaml").write_text("mine")
     with in_threads(monkeypatch):
-        with pytest.raises(ConfigurationError, match=r"seed 1.study\.yaml: was not written by hydro"):
+        with refused(r"seed 1.study\.yaml: was not written by hydro"):
             over_seeds.run_over_seeds(STUDY, tmp_path, range(2))
         monkeypatch.setattr(over_seeds, "run_study", lambda *_: None)
-        with pytest.raises(ConfigurationError, match="seed 0: the worker wrote elsewhere; all need a common disk"):
+        with refused("seed 0: the worker wrote elsewhere; all need a common disk"):
             over_seeds.run_over_seeds(STUDY, tmp_path / "new", range(2))
 
 

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 import yaml
 from published import assert_published
+from refusal import refused
 
 from hydro_agents.commands.evaluate import evaluate
 from hydro_agents.commands.study import train
@@ -18,7 +19,6 @@ from hydro_agents.detection import dataset
 from hydro_agents.study import results, training
 from hydro_agents.study.run import run_study
 from hydro_agents.study.settings import StudySettings, default_study
-from hydro_env import ConfigurationError
 
 ALGORITHM = '''
 """A proportional controller whose gain is "trained"."""
@@ -132,12 +132,12 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
     assert state["done"] == ["train mine", "train leakage head", "evaluate"]
     assert StudySettings.from_yaml(folder / "study.yaml").seed == 5
 
-    with pytest.raises(ConfigurationError, match="holds results already"):
+    with refused("holds results already"):
         run_study(settings, folder, seed=5)
-    with pytest.raises(ConfigurationError, match=r"other settings \('seed' differs\)"):
+    with refused(r"other settings \('seed' differs\)"):
         run_study(settings, folder, seed=6, resume=True)
     other = {**CONTROLLERS, "mine": {**CONTROLLERS["mine"], "settings": {"gain": 4.0}}}
-    with pytest.raises(ConfigurationError, match=r"other settings \('controllers' differs\)"):
+    with refused(r"other settings \('controllers' differs\)"):
         run_study(StudySettings(**{**VALUES, "controllers": other}), folder, seed=5, resume=True)
     again = run_study(settings.model_copy(update={"title": "Another"}), folder, seed=5, resume=True)
     assert len(algorithm.calls) == 1
@@ -145,7 +145,7 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
     assert "Another" in (folder / "report.html").read_text()
 
     (folder / "state.json").write_text('{"format": "mine"}')
-    with pytest.raises(ConfigurationError, match=r"state\.json: is not the state of a study"):
+    with refused(r"state\.json: is not the state of a study"):
         run_study(settings, folder, seed=5, resume=True)
     anew = run_study(settings, folder, seed=5, overwrite=True)
     assert len(algorithm.calls) == 2
@@ -202,7 +202,7 @@ def test_the_training_of_the_head_goes_on_as_well(settings, tmp_path, monkeypatc
     ],
 )
 def test_what_cannot_work_stops_the_study_before_it_trains(algorithm, tmp_path, changes, message):
-    with pytest.raises(ConfigurationError, match=message):
+    with refused(message):
         run_study(StudySettings(**{**VALUES, **changes}), tmp_path / "out", seed=0)
     assert algorithm.calls == []
     assert not list(tmp_path.glob("out/controllers/*"))
@@ -211,14 +211,14 @@ def test_what_cannot_work_stops_the_study_before_it_trains(algorithm, tmp_path, 
 def test_evaluate_keeps_the_results_of_the_others(algorithm, tmp_path, capsys):
     agents = ["broken=my_study_algorithm:Broken", "PPO=ppo"]
     file = study_file(tmp_path, task={}, controllers={"PID": {"kind": "pid"}})
-    with pytest.raises(ConfigurationError, match=r"broken failed; .*out holds the results of the others"):
+    with refused(r"broken failed; .*out holds the results of the others"):
         evaluate(tmp_path / "out", file, agents, plants=3, head=Path("none"))
     errors = capsys.readouterr().err
     assert "broken: seed 2000000, reference step, leak 0.01 l/min, at 0.000 s: predict returned nan" in errors
     cases = pd.read_csv(tmp_path / "out" / "tables" / "cases.csv")
     assert list(cases["controller"].unique()) == ["PID", "PPO"]
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
-    with pytest.raises(ConfigurationError, match="holds results already"):
+    with refused("holds results already"):
         evaluate(tmp_path / "out", file, agents)
 
 
@@ -253,7 +253,7 @@ def test_evaluate_leaves_detection_out_and_joins_training_seeds(algorithm, tmp_p
         ({"head": Path("none"), "agent": ["mine#a=pid"]}, r"'mine#a': must be NAME, or NAME#0"),
         ({"head": Path("none"), "agent": ["mine#0=pid", "mine=pid"]}, "name the same training seed"),
     ):
-        with pytest.raises(ConfigurationError, match=message):
+        with refused(message):
             evaluate(tmp_path / "new", **{"config": file, **options} if "protocol" not in options else options)
     assert not (tmp_path / "new" / "tables").exists()
 
@@ -274,7 +274,7 @@ def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
         ("mine", {"resume": True}, "nothing to resume"),
         ("head", {"resume": True}, "no weights of this kind|nothing to resume"),
     ):
-        with pytest.raises(ConfigurationError, match=message):
+        with refused(message):
             train(what, tmp_path / "new", file, **options)
     assert not (tmp_path / "new").exists()
 

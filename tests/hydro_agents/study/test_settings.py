@@ -1,6 +1,7 @@
 """A study says who takes part; what does not fit is refused before any work."""
 
 import pytest
+from refusal import refused
 
 from hydro_agents.controllers.pid import PID
 from hydro_agents.evaluation.evaluate import ProtocolSettings, StudyProtocol
@@ -11,7 +12,6 @@ from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_agents.study.settings import StudySettings, default_study
-from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, validate
 from hydro_env.task.configuration import task_config
 
@@ -112,7 +112,7 @@ WRONG = (
 @pytest.mark.parametrize(("text", "message"), WRONG)
 def test_what_does_not_fit_is_told_in_one_line(tmp_path, text, message):
     (tmp_path / "wrong.yaml").write_text("proportional: -3\n")
-    with pytest.raises(ConfigurationError, match=message) as raised:
+    with refused(message) as raised:
         study(tmp_path, text)
     assert "\n" not in str(raised.value)
 
@@ -127,7 +127,7 @@ def test_controllers_ready_to_act_without_training(tmp_path):
     assert isinstance(replaced[POLICY], PID)
     own = study(tmp_path, PLAIN + '  learned: {kind: "my_algorithm:MyTrainer"}\n')
     assert type(own.with_weights({"learned": "anywhere"})["learned"]).__name__ == "Mine"
-    with pytest.raises(ConfigurationError, match="learned: no weights of this kind are shipped; give --agent learned"):
+    with refused("learned: no weights of this kind are shipped; give --agent learned"):
         own.with_weights({})
 
 

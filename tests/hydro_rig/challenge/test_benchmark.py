@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import hydro
+from refusal import refused
 
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 from hydro_rig.challenge import axes as benchmark_axes
 from hydro_rig.challenge.axes import LABELS, SPLITS, Benchmark
 from hydro_rig.challenge.files import digest_of_labels, labels_folder, read_labels, read_public, write_benchmark
@@ -132,7 +133,7 @@ def test_calibration_causes_and_sizes():
 def test_impossible_predictions_are_refused(change, message):
     labels = made_up(leaks=4, sound=6)
     table = change(looks(labels, lambda row, time: 0.5, every=30.0))
-    with pytest.raises(ConfigurationError, match=message):
+    with refused(message):
         score("x", table, labels)
 
 
@@ -161,7 +162,7 @@ def test_an_interrupted_benchmark_goes_on_and_another_one_is_refused(folder, mon
     write_benchmark(folder, TaskConfig(), Benchmark(SIZE), jobs=1)
     pd.testing.assert_frame_equal(labels_of(folder, "validation"), before)
     assert (folder / "validation/0000.parquet").read_bytes() == signals
-    with pytest.raises(ConfigurationError, match="holds another benchmark"):
+    with refused("holds another benchmark"):
         write_benchmark(folder, TaskConfig(), Benchmark(SIZE + 3), jobs=1)
 
 
@@ -181,10 +182,10 @@ def test_changed_labels_are_noticed(folder, tmp_path):
     shutil.rmtree(place)
     place.mkdir()
     labels.assign(size=0.5).to_parquet(place / "0.parquet")
-    with pytest.raises(ConfigurationError, match="are not those of"):
+    with refused("are not those of"):
         labels_of(changed, "test")
     (changed / "train" / "0000.parquet").unlink()
-    with pytest.raises(ConfigurationError, match="is not what"):
+    with refused("is not what"):
         read_public(changed, "train")
 
 

@@ -12,9 +12,10 @@ from browser import problems_everywhere
 from command_line import assert_one_clear_line, hydro, own_lines
 from published import assert_published_page
 from recorded import SEED, recorded_file
+from refusal import refused
 
 from hydro_agents.detection.detector import Windows
-from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.rig import read_rig
@@ -216,5 +217,5 @@ def test_a_load_pressure_of_unknown_gain_stands_for_two_pressures(folder, tmp_pa
     assert "differential_pressure: true" in (tmp_path / "out" / "rig.yaml").read_text(encoding="utf-8")
     wrong = hydro("identify", "--rig", folder / "rig.yaml", *given, tmp_path / "wrong")
     assert_one_clear_line(wrong, "load pressure", "differential_pressure: false")
-    with pytest.raises(ConfigurationError, match="for recordings"):
+    with refused("for recordings"):
         ServoHydraulicVectorEnv(2, task_config(None, rig=tmp_path / "rig.yaml"))

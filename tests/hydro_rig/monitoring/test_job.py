@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
+from refusal import refused
 from untrained import untrained_head
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
@@ -10,7 +11,7 @@ from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.detection.operations import ACTING, at_rest
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 from hydro_rig.estimation.known_windows import known_windows, leak_cases
 from hydro_rig.estimation.two_stage import TwoStageDetector
 from hydro_rig.monitoring import alarm_job
@@ -74,7 +75,7 @@ def test_rare_answers_at_rest_are_compared_as_sizes():
 
 
 def test_a_detector_that_sees_nothing_is_refused():
-    with pytest.raises(ConfigurationError, match="score of 'made up' does not rise"):
+    with refused("score of 'made up' does not rise"):
         run_job(MadeUp(rise=-4.0), JOB)
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from hydro_agents.detection.detector import Reading
-from hydro_env import ConfigurationError
 from hydro_rig.monitoring.oil import GRADES, REFERENCE, THERMOMETER, Oil, common_error, referred, temperature_range
 
 KNOWN = ((68.0, 8.6, 28.65), (30.0, 5.23, 14.53), (30.0, 4.24, 13.11), (70.0, 11.1, 32.92), (30.0, 5.81, 15.27))
@@ -29,13 +29,13 @@ def test_a_grade_is_its_viscosity_at_40_degrees():
 
 @pytest.mark.parametrize("text", ["45", "46/60", "46/0.1", "thick", "", "9999/10"])
 def test_an_impossible_oil_is_told(text):
-    with pytest.raises(ConfigurationError, match="--oil"):
+    with refused("--oil"):
         Oil.of(text)
 
 
 @pytest.mark.parametrize("text", ["60..20", "warm", "20..300", "", "..40"])
 def test_an_impossible_temperature_is_told(text):
-    with pytest.raises(ConfigurationError, match=r"--temperature"):
+    with refused(r"--temperature"):
         temperature_range(text)
 
 

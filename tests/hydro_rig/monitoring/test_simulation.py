@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection.detector import Reading
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.looks import Activity, activity_of, looks_at
-from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_rig.monitoring.alarm_simulation import Bench, Work, simulate, working_references
 
 CONFIG = TaskConfig()
@@ -136,11 +137,11 @@ def test_controllers_take_turns_over_the_axes():
 
 
 def test_too_short_work_and_recordings_are_refused():
-    with pytest.raises(ConfigurationError, match=r"work of 0.5 s is shorter than a window of 1 s"):
+    with refused(r"work of 0.5 s is shorter than a window of 1 s"):
         simulate(CONFIG, CONTROLLER, MeanPressure(), Work(0, 1, 0.5, 0.5))
-    with pytest.raises(ConfigurationError, match=r"recording of 0.5 s is shorter than a window of 1 s"):
+    with refused(r"recording of 0.5 s is shorter than a window of 1 s"):
         looks_at(np.zeros((1, 5, 100)), CONFIG, MeanPressure(), 0.5)
-    with pytest.raises(ConfigurationError, match="shape"):
+    with refused("shape"):
         looks_at(np.zeros((5, 400)), CONFIG, MeanPressure(), 0.5)
-    with pytest.raises(ConfigurationError, match="alarm: reads one sample in 5 ms"):
+    with refused("alarm: reads one sample in 5 ms"):
         looks_at(np.zeros((1, 5, 400)), TaskConfig(control_period=0.01), MeanPressure(), 0.5)

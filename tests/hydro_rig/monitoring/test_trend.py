@@ -9,6 +9,7 @@ import pytest
 from browser import problems_everywhere
 from command_line import assert_one_clear_line, hydro, own_lines
 from recorded import recorded_file
+from refusal import refused
 
 from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_env import ConfigurationError, TaskConfig
@@ -162,7 +163,7 @@ def test_folders_name_axes(tmp_path):
 @pytest.mark.parametrize("text", ["a,b\n1,2\n", "", f"{','.join(COLUMNS)}\n,\n", "\x00\x01"])
 def test_another_table_is_not_touched(tmp_path, text):
     (tmp_path / "t.csv").write_text(text)
-    with pytest.raises(ConfigurationError, match="is no table of hydro trend"):
+    with refused("is no table of hydro trend"):
         read_table(tmp_path / "t.csv")
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
 from recorded import recorded_file
+from refusal import refused
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.recordings.columns import read_map
@@ -40,7 +41,7 @@ def test_columns_between_spaces_have_their_headings_in_a_comment(tmp_path):
     (tmp_path / "map.yaml").write_text(
         "time: time\nposition: {column: command, unit: mm}\ncommand: {column: 3, unit: bar}"
     )
-    with pytest.raises(ConfigurationError, match="bar"):
+    with refused("bar"):
         read_recording(spaced, read_map(tmp_path / "map.yaml"))
 
 
@@ -152,13 +153,13 @@ def test_what_is_no_recording_is_told_in_one_line(tmp_path, text, parts):
 )
 def test_a_wrong_map_is_told_in_one_line(tmp_path, text, part):
     file = written(tmp_path, "t,u\n0,1\n1,1\n2,1\n")
-    with pytest.raises(ConfigurationError, match=part.replace("?", r"\?")):
+    with refused(part.replace("?", r"\?")):
         read_recording(file, read_map(written(tmp_path, text, "map.yaml")))
 
 
 def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("hydro_rig.recordings.files.LARGEST_RECORDING", 100)
-    with pytest.raises(ConfigurationError, match="larger than"):
+    with refused("larger than"):
         read_recording(written(tmp_path, PLAIN))
 
 
@@ -231,5 +232,5 @@ def test_pressures_of_the_supply_a_flow_and_a_temperature_may_stand_beside_the_s
     assert np.isnan(windows.auxiliary_signal("tank_pressure")).all()
     assert windows.part(np.array([1])).auxiliary_signal("supply_pressure")[0, 0] == pytest.approx(75e5)
     file.write_text("time [s],command [V],flow [furlong]\n0,0,1\n1,0,1\n2,0,1\n", encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=r"flow: .*furlong"):
+    with refused(r"flow: .*furlong"):
         read_recording(file)
