@@ -65,8 +65,8 @@ def evaluate(
     a controller fails, the results of the others are kept. `--agent NAME#0=…` and `NAME#1=…` give training seeds of one
     controller, which share its row. One line names each controller that oscillates at rest.
 
-    With `--rig` the task is moved to another rig. The command tunes nothing. It takes the gains and weights that ship
-    for this rig; without them it keeps the gains of the study and leaves out shipped weights that do not fit. One line
+    With `--rig` the task is moved to another rig. The command takes the gains and weights that ship for this rig;
+    without them it searches the gains by simulation, about a minute, and takes the policy for any axis. One line
     names what was made for another rig, and what is left out.
 
     With `--protocol` the shipped controllers (or those of `--config`) and your own run under every condition of a

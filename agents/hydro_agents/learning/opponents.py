@@ -115,7 +115,7 @@ def opponent(
     Args:
         what: an object with ``predict``; or ``"pid"`` or ``"ppo"`` (as shipped), ``"module:attribute"`` (see
             :func:`~hydro_agents.controllers.registry.make_controller`), the path of weights, a YAML file of tuned
-            gains, a folder ``controllers/NAME`` of a study, or one of ``hydro export``.
+            gains, or a folder ``controllers/NAME`` of a study.
         config: the task.
         name: for messages.
         trainer: trainer that loads weights; default PPO.
