@@ -40,8 +40,8 @@ Agents = Annotated[
         "--agent",
         metavar="NAME=WHAT",
         help="A controller: module:attribute (an object with predict, or a function or class that makes one from the "
-        "task), the path of weights, or a folder `controllers/NAME` of a study. If NAME is a controller of the study, it is "
-        "replaced. Repeat the option for several.",
+        "task), the path of weights, or a folder `controllers/NAME` of a study. If NAME is a controller of the study, "
+        "it is replaced. Repeat the option for several.",
     ),
 ]
 
