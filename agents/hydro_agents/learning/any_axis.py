@@ -44,6 +44,7 @@ class AnyAxisFeatures(PolicyFeatures):
         correction: command per 1 of the policy's output where that error is :data:`USUAL_ERROR`.
         sheet: whether the policy sees the data sheet.
         error: the error, as a part of the travel at full speed in a pace; :meth:`normalised` simulates it.
+        samples: of the history; a policy with a memory needs one.
     """
 
     for_any_axis = True
@@ -56,16 +57,17 @@ class AnyAxisFeatures(PolicyFeatures):
         correction: float = 0.2,
         sheet: bool = True,
         error: float = USUAL_ERROR,
+        samples: int = len(HISTORY_LAGS),
     ) -> None:
         periods = periods_per_step(config)
-        lags = tuple(max(round(lag * periods), place) for place, lag in enumerate(HISTORY_LAGS, 1))
+        lags = tuple(max(round(lag * periods), place) for place, lag in enumerate(HISTORY_LAGS[:samples], 1))
         factor = float(np.clip(error / USUAL_ERROR, *CORRECTION_RANGE))
         super().__init__(config, base, correction * factor, True, True, True, lags=lags)
         self.correction, self.sheet, self.error = correction, sheet, error
         own, horizon = pace(config), self._preview.horizon
-        samples = np.minimum(np.array(PREVIEW_PACES) * own / config.control_period, horizon)
+        ahead = np.minimum(np.array(PREVIEW_PACES) * own / config.control_period, horizon)
         columns = np.arange(horizon + 2)[:, None] - 1.0  # −1: the sample before now
-        weights = np.maximum(1.0 - np.abs(columns - samples), 0.0)  # linear between samples
+        weights = np.maximum(1.0 - np.abs(columns - ahead), 0.0)  # linear between samples
         weights[1] -= 1.0
         before = np.zeros((horizon + 2, 1))
         before[:2, 0] = -own / config.control_period, own / config.control_period
@@ -102,7 +104,7 @@ class AnyAxisFeatures(PolicyFeatures):
         base: Any = self.base
         errors = family_errors(self.config, base, ERROR_PLANTS, sensor_frame=True)
         error = math.exp(np.mean(np.log(list(errors.values())))) / (full_speed(self.config.plant) * pace(self.config))
-        features = AnyAxisFeatures(self.config, base, self.correction, self.sheet, error)
+        features = AnyAxisFeatures(self.config, base, self.correction, self.sheet, error, len(self.lags))
         return PolicyFeatures.normalised(features)
 
     def moved_to(self, config: TaskConfig, gains: GainsFor = chosen_gains) -> AnyAxisFeatures:
@@ -114,4 +116,4 @@ class AnyAxisFeatures(PolicyFeatures):
         base: Any = self.base
         type(base)(base.gains, config)  # names a missing sensor
         own = type(base)(gains(kind_of(base), config), config)
-        return AnyAxisFeatures(config, own, self.correction, self.sheet).normalised()
+        return AnyAxisFeatures(config, own, self.correction, self.sheet, samples=len(self.lags)).normalised()

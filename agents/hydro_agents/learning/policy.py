@@ -65,7 +65,7 @@ class _StoredFeatures(Group):
                 raise ConfigurationError(f"features.base.kind = '{self.base.kind}': unknown to this version")
             base = make_controller(self.base.kind, self.task, self.base.settings)
         if self.any_axis:
-            return AnyAxisFeatures(self.task, base, self.correction, self.sheet, self.error)
+            return AnyAxisFeatures(self.task, base, self.correction, self.sheet, self.error, len(self.history_lags))
         seen = {name: getattr(self, name) for name in ("see_correction", "full_preview", "see_estimates")}
         features = PolicyFeatures(self.task, base, self.residual_scale, **seen, lags=self.history_lags)
         if self.history_signals != features.history:

@@ -43,8 +43,10 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | 
         if base is None:
             raise ConfigurationError("residual: true needs a controller that the policy corrects")
         kind_of(corrected)  # the weights' file must be able to name it
+    recurrent = isinstance(settings, RecurrentPPOSettings)  # it remembers what it needs
     if settings.law is not None:
-        return AnyAxisFeatures(config, corrected, settings.residual_scale, settings.sheet).normalised()
+        history = {"samples": 1} if recurrent else {}
+        return AnyAxisFeatures(config, corrected, settings.residual_scale, settings.sheet, **history).normalised()
     features = PolicyFeatures(
         config,
         corrected,
@@ -52,7 +54,7 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | 
         settings.see_correction,
         settings.full_preview,
         settings.see_estimates,
-        lags=(1,) if isinstance(settings, RecurrentPPOSettings) else None,  # it remembers what it needs
+        lags=(1,) if recurrent else None,
     )
     return features.normalised() if settings.normalise else features
 
