@@ -56,9 +56,9 @@ CAVITATING = 1e-3  # m per period; error of the travel while a pressure may be a
 COUNT = len(Unknowns._fields)
 GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
 
-ALONE = INTERNAL, SUPPLY, BIAS_A, BIAS_B
-PARTS, TRACED = 8, len(ALONE)
-"""Number of equal parts of a window, and of the unknowns that are also estimated for each part alone."""
+PARTS, TRACED = 8, 4
+"""Number of equal parts of a window, and of the unknowns that are also estimated for each part alone: the leak, the
+supply pressure, and the biases of the pressure transducers."""
 
 _read_unknowns = tuple_reader(Unknowns)
 _read_coefficients = tuple_reader(Coefficients)
@@ -249,7 +249,8 @@ def _build(sources: int) -> Any:
                             rights[residual, i] -= whitened[i] * whitened[COUNT]
                         now = PARTS * k // (samples - 1)
                         for one in range(TRACED):
-                            trace(pull, weight, residual, one, now, whitened[ALONE[one]], whitened[COUNT])
+                            at = INTERNAL if one == 0 else SUPPLY if one == 1 else BIAS_A + one - 2
+                            trace(pull, weight, residual, one, now, whitened[at], whitened[COUNT])
 
                 # Misfit of the model counts as noise: a residual above 1 contributes its logarithm.
                 cost = 0.0
@@ -280,8 +281,8 @@ def _build(sources: int) -> Any:
                         correlation[window, residual] = product[residual] / (mean_square[residual] + 1e-9)
                     for now in range(PARTS):
                         for one in range(TRACED):
-                            i = ALONE[one]
-                            tell(pull, weight, one, now, theta[i], spread[i], window, part, part_deviation)
+                            at = INTERNAL if one == 0 else SUPPLY if one == 1 else BIAS_A + one - 2
+                            tell(pull, weight, one, now, theta[at], spread[at], window, part, part_deviation)
                     if gained < ENOUGH:
                         break
                 else:
