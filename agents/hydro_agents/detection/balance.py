@@ -53,12 +53,13 @@ LARGEST_MOVE = 1.5  # largest change of an unknown in one iteration, in standard
 SMALLEST_GAIN, SMALLEST_UNDERLAP, SMALLEST_COMPRESSIBILITY = 0.2, 1e-3, 0.3
 
 CAVITATING = 1e-3  # m per period; error of the travel while a pressure may be at the end of its sensor's range
-COUNT = len(Unknowns._fields)
-GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
 
 PARTS, TRACED = 8, 4
 """Number of equal parts of a window, and of the unknowns that are also estimated for each part alone: the leak, the
 supply pressure, and the biases of the pressure transducers."""
+
+COUNT = len(Unknowns._fields)
+GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
 
 _read_unknowns = tuple_reader(Unknowns)
 _read_coefficients = tuple_reader(Coefficients)
@@ -75,6 +76,12 @@ class _Supplied(NamedTuple):
 @inline
 def _absolute(pressure):
     return max(pressure + ATMOSPHERIC_PRESSURE, 0.2 * ATMOSPHERIC_PRESSURE)
+
+
+@inline
+def _traced(one):
+    """Place among the unknowns of one of those that are also estimated for each part alone."""
+    return INTERNAL if one == 0 else SUPPLY if one == 1 else BIAS_A if one == 2 else BIAS_B
 
 
 @inline
@@ -249,7 +256,7 @@ def _build(sources: int) -> Any:
                             rights[residual, i] -= whitened[i] * whitened[COUNT]
                         now = PARTS * k // (samples - 1)
                         for one in range(TRACED):
-                            at = INTERNAL if one == 0 else SUPPLY if one == 1 else BIAS_A + one - 2
+                            at = _traced(one)
                             trace(pull, weight, residual, one, now, whitened[at], whitened[COUNT])
 
                 # Misfit of the model counts as noise: a residual above 1 contributes its logarithm.
@@ -281,7 +288,7 @@ def _build(sources: int) -> Any:
                         correlation[window, residual] = product[residual] / (mean_square[residual] + 1e-9)
                     for now in range(PARTS):
                         for one in range(TRACED):
-                            at = INTERNAL if one == 0 else SUPPLY if one == 1 else BIAS_A + one - 2
+                            at = _traced(one)
                             tell(pull, weight, one, now, theta[at], spread[at], window, part, part_deviation)
                     if gained < ENOUGH:
                         break

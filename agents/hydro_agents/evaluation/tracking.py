@@ -97,7 +97,8 @@ def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns
 def at_rest(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:
     """Limit cycles of cases whose task is a standstill."""
     with beginning():
-        return standstill_metrics(run_cases(config, controller, cases), config)
+        rollout = run_cases(config, controller, cases)
+    return standstill_metrics(rollout, config)
 
 
 def replay(protocol: PairedProtocol, chosen: Participants, row: Mapping[Any, Any]) -> Rollout:

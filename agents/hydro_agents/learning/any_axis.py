@@ -44,7 +44,7 @@ class AnyAxisFeatures(PolicyFeatures):
         correction: command per 1 of the policy's output where that error is :data:`USUAL_ERROR`.
         sheet: whether the policy sees the data sheet.
         error: the error, as a part of the travel at full speed in a pace; :meth:`normalised` simulates it.
-        samples: of the history; a policy with a memory needs one.
+        samples: number of samples of the history, the newest; default: all. A policy with a memory needs one.
     """
 
     for_any_axis = True
@@ -57,7 +57,7 @@ class AnyAxisFeatures(PolicyFeatures):
         correction: float = 0.2,
         sheet: bool = True,
         error: float = USUAL_ERROR,
-        samples: int = len(HISTORY_LAGS),
+        samples: int | None = None,
     ) -> None:
         periods = periods_per_step(config)
         lags = tuple(max(round(lag * periods), place) for place, lag in enumerate(HISTORY_LAGS[:samples], 1))

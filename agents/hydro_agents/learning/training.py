@@ -45,8 +45,8 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | 
         kind_of(corrected)  # the weights' file must be able to name it
     recurrent = isinstance(settings, RecurrentPPOSettings)  # it remembers what it needs
     if settings.law is not None:
-        history = {"samples": 1} if recurrent else {}
-        return AnyAxisFeatures(config, corrected, settings.residual_scale, settings.sheet, **history).normalised()
+        samples = 1 if recurrent else None
+        return AnyAxisFeatures(config, corrected, settings.residual_scale, settings.sheet, samples=samples).normalised()
     features = PolicyFeatures(
         config,
         corrected,
