@@ -111,7 +111,7 @@ class LSTM(NamedTuple):
             memory = np.where(np.asarray(episode_start)[:, None], np.float32(0.0), memory)
         output, cells = memory[:, :size], memory[:, size:]
         gates = values @ self.inputs.T + output @ self.recurrent.T + self.bias
-        entry, kept, new, shown = np.split(gates, 4, axis=1)
+        entry, kept, new, shown = (gates[:, gate * size : (gate + 1) * size] for gate in range(4))
         cells = _sigmoid(kept) * cells + _sigmoid(entry) * np.tanh(new)
         output = _sigmoid(shown) * np.tanh(cells)
         return output, np.concatenate([output, cells], axis=1)

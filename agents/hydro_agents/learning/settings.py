@@ -62,6 +62,12 @@ class PPOSettings(Group):
     total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
     axes: int = Field(256, ge=1, le=65_536)
     hidden_sizes: tuple[Annotated[Whole, Field(ge=1, le=4096)], ...] = Field((128, 128), min_length=1, max_length=16)
+    lstm_cells: int | None = Field(
+        None,
+        ge=1,
+        le=4096,
+        description="of a recurrent layer (RecurrentPPO of sb3-contrib), which replaces the history; null: none",
+    )
     activation: Literal["tanh", "relu"] = Field(
         "relu", description="of the hidden layers; relu takes a third less time"
     )
@@ -92,6 +98,8 @@ class PPOSettings(Group):
         for name in ("family_units", "see_correction", "see_estimates"):
             if getattr(self, name) and not self.residual:
                 raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
+        if self.told_critic and self.lstm_cells is not None:
+            raise ValueError("told_critic: a recurrent policy cannot have one")
         if self.law is not None:
             if not self.residual or not self.normalise:
                 raise ValueError("law: needs residual: true and normalise: true")
@@ -124,15 +132,3 @@ class PPOSettings(Group):
         """Logarithm of the exploration's standard deviation when a share (0 to 1) of the training is done."""
         first, last = self.initial_log_standard_deviation, self.final_log_standard_deviation
         return first + (last - first) * share
-
-
-class RecurrentPPOSettings(PPOSettings):
-    """Settings of PPO with a recurrent layer (RecurrentPPO of sb3-contrib), which replaces the history of signals."""
-
-    lstm_cells: int = Field(64, ge=1, le=4096, description="of the recurrent layer of the actor, and of the critic's")
-
-    @model_validator(mode="after")
-    def _no_told_critic(self) -> Self:
-        if self.told_critic:
-            raise ValueError("told_critic: a recurrent policy cannot have one")
-        return self

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import imported
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings
+from hydro_agents.learning.settings import PPOSettings
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.files import Group
@@ -69,15 +69,10 @@ class Trainer(Protocol):
         ...
 
 
-class PolicyTrainer:
-    """A trainer of stable-baselines3, which is imported when a training begins.
+class PPOTrainer:
+    """PPO of stable-baselines3, or RecurrentPPO of sb3-contrib; they are imported when a training begins."""
 
-    Args:
-        settings: class of its settings; it names the algorithm.
-    """
-
-    def __init__(self, settings: type[PPOSettings]) -> None:
-        self.settings: type[Group] = settings
+    settings: type[Group] = PPOSettings
 
     def train(self, config: TaskConfig, settings: Any, **options: Any) -> PolicyController:
         """Train a policy; the residual form corrects the ``base`` of the options, a classical controller."""
@@ -90,10 +85,7 @@ class PolicyTrainer:
         return PolicyController.load(path)
 
 
-TRAINERS: dict[str, Trainer] = {
-    "ppo": PolicyTrainer(PPOSettings),
-    "recurrent_ppo": PolicyTrainer(RecurrentPPOSettings),
-}
+TRAINERS: dict[str, Trainer] = {"ppo": PPOTrainer()}
 
 
 def trainer(kind: str) -> Trainer:

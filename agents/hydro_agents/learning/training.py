@@ -23,7 +23,7 @@ from hydro_agents.learning.features import PolicyFeatures, periods_per_step
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.privileged import ACTIVATIONS, AsymmetricPolicy
 from hydro_agents.learning.progress import Progress, TrainingCallback, training_logger
-from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings
+from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import LEARNING
@@ -43,7 +43,7 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | 
         if base is None:
             raise ConfigurationError("residual: true needs a controller that the policy corrects")
         kind_of(corrected)  # the weights' file must be able to name it
-    recurrent = isinstance(settings, RecurrentPPOSettings)  # it remembers what it needs
+    recurrent = settings.lstm_cells is not None  # it remembers what it needs
     if settings.law is not None:
         samples = 1 if recurrent else None
         return AnyAxisFeatures(config, corrected, settings.residual_scale, settings.sheet, samples=samples).normalised()
@@ -141,7 +141,7 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -
     }
     algorithm: Any = PPO
     policy: Any = AsymmetricPolicy
-    if isinstance(settings, RecurrentPPOSettings):
+    if settings.lstm_cells is not None:
         algorithm, policy, network["lstm_hidden_size"] = RecurrentPPO, "MlpLstmPolicy", settings.lstm_cells
     else:
         network["actor_inputs"] = env.features.size

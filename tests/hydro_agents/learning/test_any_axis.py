@@ -14,7 +14,7 @@ from hydro_agents.learning.any_axis import PREVIEW_PACES, USUAL_ERROR, AnyAxisFe
 from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_SCALE
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings
+from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
 from hydro_agents.learning.trials import Score
 from hydro_agents.learning.tuning import Tuned, chosen_gains, gain_sets, rig_scores, searched_gains
@@ -237,7 +237,7 @@ def test_a_critic_is_told_the_same_quantities_of_every_rig(tmp_path):
 
 
 def test_a_recurrent_policy_sees_one_sample_of_history_on_every_rig(tmp_path):
-    settings = RecurrentPPOSettings(**SETTINGS.model_dump(), lstm_cells=4)
+    settings = SETTINGS.model_copy(update={"lstm_cells": 4})
     trained = train_policy(TASK, settings, untuned(TASK), seed=1)
     again = PolicyController.load(trained.save(tmp_path / "policy"))
     np.testing.assert_array_equal(commands(again, TASK), commands(trained, TASK))

@@ -9,7 +9,7 @@ from safetensors.numpy import load_file, save_file
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.base import rows as rows_of
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.settings import RecurrentPPOSettings
+from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.trainers import trainer
 from hydro_agents.learning.training import make_env, make_features, make_model
 from hydro_env import TaskConfig
@@ -21,11 +21,11 @@ SMALL = {"axes": 4, "steps_per_rollout": 24, "minibatches": 2, "epochs": 1, "hid
 
 def train(folder, resume=False, progress=None, **changes):
     options = {"seed": 0, "folder": folder, "resume": resume, "base": BASE, "progress": progress}
-    return trainer("recurrent_ppo").train(CONFIG, RecurrentPPOSettings(**(SMALL | changes)), **options)
+    return trainer("ppo").train(CONFIG, PPOSettings(**(SMALL | changes)), **options)
 
 
 def test_the_weights_act_as_the_model_does_over_starts_of_episodes():
-    settings = RecurrentPPOSettings(**SMALL, residual=False, paired=False)
+    settings = PPOSettings(**SMALL, residual=False, paired=False)
     features = make_features(CONFIG, settings, None)
     assert features.lags == (1,)
     env = make_env(CONFIG, settings, features, 0)
@@ -89,4 +89,4 @@ def test_damaged_weights_and_a_told_critic_are_refused(missing, tmp_path):
     with refused(missing):
         PolicyController.load(file)
     with pytest.raises(ValueError, match="a recurrent policy cannot have one"):
-        RecurrentPPOSettings(told_critic=True)
+        PPOSettings(told_critic=True, lstm_cells=5)

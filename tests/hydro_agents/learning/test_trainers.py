@@ -57,7 +57,7 @@ def test_ppo_is_a_trainer(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
-        ("td3", "trainer 'td3': unknown; known: ppo, recurrent_ppo, or my_module:MyTrainer"),
+        ("td3", "trainer 'td3': unknown; known: ppo, or my_module:MyTrainer"),
         ("absent_module:Trainer", "absent_module"),
         ("a2c_trainer:Absent", "Absent"),
         ("a2c_trainer:A2CSettings", "lacks settings, train, load"),
