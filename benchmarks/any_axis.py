@@ -73,7 +73,7 @@ def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, A
     }
 
 
-def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) -> list[dict[str, Any]]:
+def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None, seconds: float) -> list[dict[str, Any]]:
     """A row of results for each controller on one rig."""
     figures = pid_from_figures(task)
     controllers: dict[str, Controller] = {
@@ -92,7 +92,8 @@ def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None) ->
         controllers[TUNED] = FlowLinearising(tuned_for(task, tuned / f"rig_{number:03}", 420), task)
     facts = {"rig": number, "period_ms": 1e3 * task.control_period, "pace_ms": 1e3 * pace(task)}
     skip = 1000 + (400 * number) % 40_000
-    return [{**facts, "controller": name, **measured(each, task, skip)} for name, each in controllers.items()]
+    judged = task_config(task, episode_duration=seconds)
+    return [{**facts, "controller": name, **measured(each, judged, skip)} for name, each in controllers.items()]
 
 
 def in_words(ratio: pd.Series) -> list[str]:
@@ -140,6 +141,7 @@ def main() -> None:
     parser.add_argument("--rig", action="append", help="instead of drawn ones; repeat for several")
     parser.add_argument("--first", type=int, default=0, help="number of the first rig")
     parser.add_argument("--tuned", type=Path, help="folder for gains of each rig: minutes per rig")
+    parser.add_argument("--seconds", type=float, default=2.0, help="of each episode")
     parser.add_argument("--output", type=Path, default=Path("results/any_axis.csv"))
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
@@ -149,7 +151,7 @@ def main() -> None:
         given.output,
         "rig",
         range(len(tasks)),
-        lambda number: rig_rows(number, tasks[number], given.weights, given.tuned),
+        lambda number: rig_rows(number, tasks[number], given.weights, given.tuned, given.seconds),
         given.jobs,
     )
     more = ("geometric mean", "better on", "range")

@@ -194,6 +194,11 @@ def test_every_form_of_a_policy_can_be_exported(base, more, activation, output):
     exported_files(policy, TASK, "hydro export")  # it fails if ONNX or C differ
 
 
+def test_a_policy_with_a_memory_can_be_exported():
+    policy = PolicyController.load(pretrained_folder() / "policy_any_axis")
+    exported_files(policy, policy.features.config, "hydro export")
+
+
 # Refusals ------------------------------------------------------------------------------------------------------------
 
 
