@@ -1,11 +1,13 @@
 """How hard are drawn rigs: a policy for any axis, and its opponents, on test rigs that nobody used.
 
-    python benchmarks/any_axis.py [--weights WEIGHTS] [--rigs 100] [--tuned FOLDER] [--split test] [--output FILE]
+    python benchmarks/any_axis.py [--weights WEIGHTS] [--rigs 100] [--first 700] [--tuned FOLDER] [--split test]
+                                  [--seconds 2] [--output FILE]
     python benchmarks/any_axis.py --rig kovari_2015 --rig my.yaml
 
 Errors are those in the sensor's frame, every family of references weighing the same; a failed axis is wrong by its
 stroke for the rest of the episode. ``--tuned`` adds gains tuned for each rig, as ``benchmarks/no_tuning.py`` does. The
-file of rows is the checkpoint: a later call continues it, with more rigs if asked.
+file of rows is the checkpoint: a later call continues it, with more rigs if asked; other weights, splits or seconds
+need a file of their own.
 """
 
 from __future__ import annotations
@@ -150,8 +152,8 @@ def main() -> None:
     rows = kept_rows(
         given.output,
         "rig",
-        range(len(tasks)),
-        lambda number: rig_rows(number, tasks[number], given.weights, given.tuned, given.seconds),
+        range(given.first, given.first + len(tasks)),
+        lambda number: rig_rows(number, tasks[number - given.first], given.weights, given.tuned, given.seconds),
         given.jobs,
     )
     more = ("geometric mean", "better on", "range")

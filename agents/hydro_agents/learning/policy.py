@@ -125,8 +125,9 @@ class LSTM(NamedTuple):
 
 
 def _sigmoid(x: NDArray[np.float32]) -> NDArray[np.float32]:
-    value: NDArray[np.float32] = np.float32(0.5) + np.float32(0.5) * np.tanh(np.float32(0.5) * x)
-    return value
+    half = np.float32(0.5)
+    opening: NDArray[np.float32] = half + half * np.tanh(half * x)
+    return opening
 
 
 class PolicyController:

@@ -98,8 +98,8 @@ class PPOSettings(Group):
         for name in ("family_units", "see_correction", "see_estimates"):
             if getattr(self, name) and not self.residual:
                 raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
-        if self.told_critic and self.lstm_cells is not None:
-            raise ValueError("told_critic: a recurrent policy cannot have one")
+        if self.told_critic and self.lstm_cells:
+            raise ValueError("lstm_cells: needs told_critic: false")
         if self.law is not None:
             if not self.residual or not self.normalise:
                 raise ValueError("law: needs residual: true and normalise: true")

@@ -43,9 +43,8 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | 
         if base is None:
             raise ConfigurationError("residual: true needs a controller that the policy corrects")
         kind_of(corrected)  # the weights' file must be able to name it
-    recurrent = settings.lstm_cells is not None  # it remembers what it needs
-    if settings.law is not None:
-        samples = 1 if recurrent else None
+    samples = 1 if settings.lstm_cells else None  # a memory keeps what it needs
+    if settings.law:
         return AnyAxisFeatures(config, corrected, settings.residual_scale, settings.sheet, samples=samples).normalised()
     features = PolicyFeatures(
         config,
@@ -54,7 +53,7 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | 
         settings.see_correction,
         settings.full_preview,
         settings.see_estimates,
-        lags=(1,) if recurrent else None,
+        lags=(1,) if samples else None,
     )
     return features.normalised() if settings.normalise else features
 
@@ -141,7 +140,7 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -
     }
     algorithm: Any = PPO
     policy: Any = AsymmetricPolicy
-    if settings.lstm_cells is not None:
+    if settings.lstm_cells:
         algorithm, policy, network["lstm_hidden_size"] = RecurrentPPO, "MlpLstmPolicy", settings.lstm_cells
     else:
         network["actor_inputs"] = env.features.size

@@ -194,14 +194,21 @@ class StudySettings(Group):
                 controllers |= {seed: opponent(agents[seed], self.task, seed, entry.trainer) for seed in seeds}
             elif entry.trainer is None:
                 controllers[name] = opponent(self.make(name), self.task, name)
-            elif entry.kind in SHIPPED_WEIGHTS:
-                controllers[name] = opponent(entry.kind, self.task, name)
             else:
-                raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
+                controllers[name] = self._shipped(name)
         for name, what in agents.items():
             if name not in controllers:
                 controllers[name] = opponent(what, self.task, name)
         return controllers
+
+    def _shipped(self, name: str) -> Controller:
+        """The shipped weights, which correct flow linearisation; only those for any axis have a memory."""
+        entry = self.controllers[name]
+        if entry.kind in SHIPPED_WEIGHTS and entry.corrects and self.controllers[entry.corrects].kind in ANY_RIG:
+            settings: Any = self.training_settings(name)
+            if settings.law or not settings.lstm_cells:
+                return opponent(entry.kind, self.task, name)
+        raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
 
     def with_shipped_gains(self) -> StudySettings:
         """The study with the gains that ship for its rig, where a controller would have to be tuned for it first."""
@@ -219,7 +226,7 @@ class StudySettings(Group):
         for name, entry in self.controllers.items():
             if entry.trainer is not None and name not in given:
                 try:
-                    opponent(entry.kind, self.task, name)
+                    self._shipped(name)
                 except ConfigurationError as error:
                     reasons.append(str(error))
                     others = {key: value for key, value in study.controllers.items() if key != name}

@@ -88,5 +88,5 @@ def test_damaged_weights_and_a_told_critic_are_refused(missing, tmp_path):
     redigested(file)
     with refused(missing):
         PolicyController.load(file)
-    with pytest.raises(ValueError, match="a recurrent policy cannot have one"):
+    with pytest.raises(ValueError, match="needs told_critic: false"):
         PPOSettings(told_critic=True, lstm_cells=5)

@@ -171,7 +171,7 @@ def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, tmp_path, mo
     answer = hydro(*common)
     assert answer.returncode == 0, answer.stderr
     assert seen == [["PID"]]
-    assert "hydro: left out: PPO: flow linearisation: reads pressure_a, pressure_b, and this rig" in answer.stderr
+    assert "hydro: left out: PPO: no weights of this kind are shipped" in answer.stderr
     named = hydro(*common, "--agent", "mine=ppo")
     assert named.returncode == 2
     assert named.stderr.splitlines()[-1].startswith("hydro: mine: flow linearisation: reads pressure_a, pressure_b")

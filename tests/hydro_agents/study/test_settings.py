@@ -184,6 +184,7 @@ def test_the_trainings_that_ship_can_be_trained(name):
     if name == "baselines":
         assert {each["total_steps"] for each in settings.values()} == {1_000_000}
         assert {entry.kind for entry in found.controllers.values()} >= set(TRAINERS)
+        assert [name for name in found.fitting({})[0] if "PPO" in name] == ["PPO on flow linearisation"]
 
 
 def changed(settings, others):
