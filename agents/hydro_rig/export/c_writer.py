@@ -127,11 +127,12 @@ class CWriter:
             text = self._elementwise(node, index)
             return text if self._is_closed(node) else f"({text})"
         text = self.inputs[node.name] if node.operation == "input" else self._names[node]
-        return text if node.size == 1 else f"{text}[{self._place(node.name, index)}]"
+        return text if node.size == 1 else f"{text}[{self._place(node, index)}]"
 
-    def _place(self, name: str, index: int | str) -> int | str:
+    def _place(self, node: Node, index: int | str) -> int | str:
         """An index, by its name where it has one."""
-        return self.places[name][index] if isinstance(index, int) and name in self.places else index
+        names = self.places.get(node.name, ())
+        return names[index] if isinstance(index, int) and len(names) == node.size else index
 
     def _elementwise(self, node: Node, index: int | str) -> str:
         return self._expression(node, [self.element(part, 0 if part.size == 1 else index) for part in node.operands])
@@ -157,7 +158,7 @@ class CWriter:
         lines = self.declared_array(node, name)
         for run in runs_of_places(node):
             if run.length == 1:
-                target = f"{name}[{self._place(node.name, run.first)}]"
+                target = f"{name}[{self._place(node, run.first)}]"
                 lines.append(self.assign(target, self.element(run.source, run.start)))
             else:
                 text = self.element(run.source, loop_place(run.start, run.step, "i") if run.source.size > 1 else 0)

@@ -177,6 +177,8 @@ class Builder:
 
     def collect(self, operands: Sequence[Node], places: NDArray[np.int64], **details: Any) -> Node:
         """Elements of the concatenated operands at ``places``, (size,)."""
+        if not places.size:
+            return self.constant(np.empty(0, operands[0].kind))
         whole = Node("collect", tuple(operands), places.size, operands[0].kind, places)
         pieces = [whole.piece(element) for element in range(places.size)]
         firsts: dict[Node, int] = {}
