@@ -69,7 +69,7 @@ class ResetOptions:
         self.count = count
         self._samples = samples
         self._rigs = [(to_vector(task.plant), draws_of(task)) for task in tasks]
-        self._half = 0.5 * min(task.plant.cylinder.stroke for task in tasks)
+        self._half_strokes = 0.5 * np.array([task.plant.cylinder.stroke for task in tasks])
         self.fixed = Fixed(
             parameters=np.full((count, len(PARAMETER_PATHS)), np.nan),
             leakage_flow_lpm=np.full(count, np.nan),
@@ -82,7 +82,7 @@ class ResetOptions:
         self._check_parameters(np.full(len(PARAMETER_PATHS), np.nan), "task: randomisation")
         if tasks[0].references.user:
             row = np.asarray(tasks[0].references.user)
-            self.fixed.user_reference[:] = self._checked_reference(row, "references.user")
+            self.fixed.user_reference[:] = self._checked_reference(row, "references.user", self._half_strokes.min())
         self._own_reference = self.fixed.user_reference[0].copy()
 
     def used(self, axes: Indices) -> None:
@@ -111,13 +111,15 @@ class ResetOptions:
             if name not in OPTION_NAMES:
                 raise UnknownKeyError(f"reset options: {unknown(name, OPTION_NAMES, 'option')}")
         values: dict[str, NDArray[Any]] = {}
-        if "initial_position" in given:
-            position = self._per_axis(given["initial_position"], "initial_position", axes, -self._half, self._half, "m")
-            values["initial_position"] = position
+        half = self._half_strokes.min()
         if "rig" in given:
             values["rig"] = self._per_axis(given["rig"], "rig", axes, 0, len(self._rigs) - 1)
             if (values["rig"] % 1.0 != 0.0).any():
                 raise _wrong(f"rig = {shown(given['rig'])}: must be whole numbers")
+            half = self._half_strokes[values["rig"].astype(np.int64)].min()
+        if "initial_position" in given:
+            position = self._per_axis(given["initial_position"], "initial_position", axes, -half, half, "m")
+            values["initial_position"] = position
         if "leakage_flow_lpm" in given:
             flow, unit = given["leakage_flow_lpm"], "l/min at 100 bar"
             values["leakage_flow_lpm"] = self._per_axis(flow, "leakage_flow_lpm", axes, 0.0, LEAKAGE_LIMIT, unit)
@@ -127,7 +129,7 @@ class ResetOptions:
             values["parameters"] = self._parameters(given["parameters"], axes)
         reference = None
         if given.get("reference") is not None:
-            values["family"], reference = self._reference(given["reference"], axes)
+            values["family"], reference = self._reference(given["reference"], axes, half)
         for name, drawn in _DRAWN.items():
             getattr(self.fixed, name)[axes] = values.get(name, drawn)
         if reference is not None:
@@ -201,7 +203,7 @@ class ResetOptions:
             except ConfigurationError as error:
                 raise ConfigurationError(f"{where}: {error}") from None
 
-    def _reference(self, given: Any, axes: Indices) -> tuple[Indices, Floats | None]:
+    def _reference(self, given: Any, axes: Indices, half: float) -> tuple[Indices, Floats | None]:
         """Family of each axis, and the rows of references that the user gives as numbers."""
         names = [given] * len(axes) if isinstance(given, str) else given
         if isinstance(names, list | tuple) and names and all(isinstance(name, str) for name in names):
@@ -222,16 +224,16 @@ class ResetOptions:
         elif array.ndim != 2 or len(array) not in (self.count, len(axes)):
             raise _wrong(f"reference has shape {array.shape}: must be (samples,) or ({self.count}, samples)")
         chosen = array[axes] if len(array) > len(axes) else array
-        rows = np.array([self._checked_reference(row, "reset options: reference") for row in chosen])
+        rows = np.array([self._checked_reference(row, "reset options: reference", half) for row in chosen])
         return np.full(len(axes), USER_FAMILY, dtype=np.int64), rows
 
-    def _checked_reference(self, values: Floats, where: str) -> Floats:
+    def _checked_reference(self, values: Floats, where: str, half: float) -> Floats:
         """The reference with the length that an episode needs; its last value is repeated."""
         if len(values) == 0:
             raise ConfigurationError(f"{where}: must be a row of positions in m")
-        wrong = ~(np.abs(values) < self._half)
+        wrong = ~(np.abs(values) < half)
         if wrong.any():
-            first, limit = int(np.argmax(wrong)), f"±{self._half:g} m"
+            first, limit = int(np.argmax(wrong)), f"±{half:g} m"
             raise ConfigurationError(
                 f"{where}[{first}] = {values[first]:g} m: must be a position within the stroke, {limit} (unit: m)"
             )

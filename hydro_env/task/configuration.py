@@ -220,6 +220,8 @@ class TaskConfig(TaskGroup):
                 )
         if self.episode_duration < self.control_period:
             raise ValueError("episode_duration must be at least one control_period")
+        if self.law is not None and not (self.sensors.pressure_a.fitted and self.sensors.pressure_b.fitted):
+            raise ValueError("sensors.pressure_a, pressure_b: a task that draws its rigs needs both")
         check_draws(self.randomisation, self.plant)
         return self
 

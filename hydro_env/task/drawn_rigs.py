@@ -106,7 +106,7 @@ def drawn_rig(law: RigLaw, seed: int) -> tuple[str, Rig, dict[str, float]]:
             return *new_rig(answers_from(texts), texts, f"rig {seed} of the law"), timing
         except ConfigurationError as error:
             fault = error
-    raise ConfigurationError(f"law: none of {TRIES} drawn rigs can work; the last one: {fault}")
+    raise ConfigurationError(f"law: none of {TRIES} drawn rigs can work; the last one: {' '.join(str(fault).split())}")
 
 
 def drawn_task(config: TaskConfig, law: RigLaw, seed: int) -> TaskConfig:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -80,10 +81,19 @@ class RigLaw(TaskGroup):
         for name in ("cylinders", "supplies", "rated_flows", "pressure_ranges", "periods"):
             if not getattr(self, name):
                 raise ValueError(f"{name}: is empty; a law needs at least one to draw from")
+        for name in ("supplies", "rated_flows", "pressure_ranges"):
+            if wrong := [value for value in getattr(self, name) if not 0.0 < value < math.inf]:
+                raise ValueError(f"{name}: {wrong[0]:g}: each must be positive")
+        for bore, rods in self.cylinders.items():
+            if not rods or not all(0 < rod < bore for rod in rods):
+                raise ValueError(f"cylinders: {bore}: {list(rods)}: needs rods, each thinner than the bore")
         if list(self.preview_paces) != sorted({paces for paces in self.preview_paces if 0.0 < paces <= 20.0}):
-            raise ValueError("preview_paces must rise, each within 0 (excluded) to 20")
-        if not all(0.5 <= period <= 20.0 and share > 0.0 for period, share in self.periods.items()):
-            raise ValueError("periods: each must be within 0.5 to 20 ms, with a positive share")
+            raise ValueError(f"preview_paces = {list(self.preview_paces)}: must rise, each within 0 (excluded) to 20")
+        for period, share in self.periods.items():
+            if not 0.5 <= period <= 20.0 or not 0.0 < share < math.inf:
+                raise ValueError(
+                    f"periods: {period:g}: {share:g}: each must be within 0.5 to 20 ms, with a positive share"
+                )
         if min(self.periods) < self.latency[0]:
             raise ValueError(f"latency: its low end of {self.latency[0]:g} ms exceeds a period")
         return self

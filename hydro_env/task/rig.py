@@ -71,6 +71,10 @@ def rig_from(values: Mapping[str, Any], source: str) -> Rig:
     return Rig(plant, checked.randomisation, sensors, source)
 
 
+DRAWN = ("plant", "control_period", "command_latency", "command_latency_range")
+"""Settings of a task that a law draws with the rig."""
+
+
 def law_of(given: str | Path) -> dict[str, Any] | None:
     """The law from which rigs are drawn: of a name in ``configs/laws``, or in a file; ``None``: it is one rig.
 
@@ -142,9 +146,17 @@ def task_from(
         if not isinstance(rig, str | Path):
             raise ConfigurationError(f"task: rig = {str(rig)[:60]!r}: must be the name or the YAML file of a rig")
         law = law_of(rig)
+        if law is None and overrides.get("law") is not None:
+            raise ConfigurationError(
+                f"task: rig = {str(rig)[:60]!r} is one rig, and law draws others: give one of them"
+            )
         checked = validate(model, values, source, within).model_dump()
         values = moved(checked, defaults, read_rig(rig)) if law is None else checked | {"law": law}
-    return validate(model, merged(values, overrides), source, within)
+    values = merged(values, overrides)
+    by_law = [name for name in DRAWN if name in overrides and values.get("law") is not None]
+    if by_law:
+        raise ConfigurationError(f"task: {by_law[0]}: the law draws it with each rig")
+    return validate(model, values, source, within)
 
 
 def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dict[str, Any]:

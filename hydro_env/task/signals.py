@@ -97,19 +97,24 @@ Layout = tuple[tuple[str, ...], tuple[str, ...], Floats, Floats]
 def observation_layout(config: TaskConfig) -> Layout:
     """Names, units, scales (SI per 1 of the observation) and largest absolute values (in the observation)."""
     if config.law is not None:
-        return _own_layout(config.law)
+        return _own_layout(config, config.law)
     half = 0.5 * config.plant.cylinder.stroke
     reference, *others = _entries(half)
-    previews = [(f"reference_preview_{1e3 * t:g}ms", "m", 0.01, 2.0 * half) for t in config.references.preview_times]
+    previews = [(name, "m", 0.01, 2.0 * half) for name in _preview_names(config)]
     fitted = [row for row in others if row[0] not in CHANNELS or getattr(config.sensors, row[0]).fitted]
     names, units, scale, largest = zip(reference, *previews, *fitted, strict=True)
     return names, units, np.array(scale), np.array(largest) / np.array(scale)
 
 
-def _own_layout(law: RigLaw) -> Layout:
+def _preview_names(config: TaskConfig) -> list[str]:
+    return [f"reference_preview_{1e3 * time:g}ms" for time in config.references.preview_times]
+
+
+def _own_layout(config: TaskConfig, law: RigLaw) -> Layout:
     """The layout of a task that draws its rigs: the observation is in units of the rig, its scale is 1."""
     reference, *others = OWN_ENTRIES
-    previews = [(f"reference_preview_{paces:g}_paces", "full speed, pace", 1000.0) for paces in law.preview_paces]
+    ahead = [f"reference_preview_{paces:g}_paces" for paces in law.preview_paces] or _preview_names(config)
+    previews = [(name, "full speed, pace", 1000.0) for name in ahead]
     sheet = [(name, "1", SHEET_LIMIT) for name in SHEET] if law.sheet else []
     names, units, largest = zip(reference, *previews, *others, *sheet, strict=True)
     return names, units, np.ones(len(names)), np.array(largest)
@@ -149,7 +154,7 @@ def layout_of(config: TaskConfig, law: RigLaw | None = None) -> NDArray[Any]:
         config: the task; on one of its rigs if it draws them.
         law: from which the rig was drawn; ``None``: the task has one rig.
     """
-    names, units, scale, limit = observation_layout(config) if law is None else _own_layout(law)
+    names, units, scale, limit = observation_layout(config) if law is None else _own_layout(config, law)
     layout = table(len(scale), LAYOUT)
     layout["limit"] = limit
     layout["preview"][1 : 1 + len(config.preview_samples)] = config.preview_samples

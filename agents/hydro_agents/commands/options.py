@@ -61,7 +61,13 @@ Written = tuple[str, dict[str, str | bytes]]  # text of the results (Markdown), 
 
 
 def _rig_file(given: Path | None) -> Path | None:
-    return config_file("rigs", given) if given is not None else None
+    from hydro_env.task.rig import law_of
+
+    if given is None:
+        return None
+    if law_of(given) is not None:
+        raise ConfigurationError(f"--rig {given}: draws rigs, and a command needs one; gym.make takes it as rig")
+    return config_file("rigs", given)
 
 
 Rig = Annotated[

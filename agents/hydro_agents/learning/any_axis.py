@@ -21,6 +21,7 @@ from hydro_agents.learning.tuning import GainsFor, chosen_gains
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES
 from hydro_env import TaskConfig
+from hydro_env.task.configuration import task_config
 from hydro_env.task.paces import full_speed, pace
 from hydro_env.task.signals import data_sheet
 
@@ -115,5 +116,8 @@ class AnyAxisFeatures(PolicyFeatures):
         """
         base: Any = self.base
         type(base)(base.gains, config)  # names a missing sensor
-        own = type(base)(gains(kind_of(base), config), config)
-        return AnyAxisFeatures(config, own, self.correction, self.sheet, samples=len(self.lags)).normalised()
+        usual = task_config(config, episode_duration=TaskConfig().episode_duration)  # longer ones find other gains
+        own = type(base)(gains(kind_of(base), usual), usual)
+        moved = AnyAxisFeatures(usual, own, self.correction, self.sheet, samples=len(self.lags)).normalised()
+        moved.config = config
+        return moved

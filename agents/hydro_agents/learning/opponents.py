@@ -54,6 +54,7 @@ def shipped(kind: str, config: TaskConfig, gains: GainsFor = chosen_gains) -> Co
 
 def shipped_weights(name: str, config: TaskConfig) -> Path:
     """The shipped weights of a name: those for the task's rig if they exist, else those for any axis."""
+    ObservationLayout.of(config)  # refuses a law
     usual = pretrained_folder() / name
     if _usual_period(config) and config.plant == PlantParameters():
         return usual

@@ -104,13 +104,12 @@ def head_card(
 
 
 def _axis(config: TaskConfig, for_any: bool = False) -> str:
-    if for_any:
-        return (
-            "It serves any rig that measures its position and both pressures; the results are those on the paper's rig."
-        )
     cylinder, period = config.plant.cylinder, 1e3 * config.control_period
     sizes = f"bore {1e3 * cylinder.bore_diameter:.4g} mm, stroke {1e3 * cylinder.stroke:.4g} mm"
-    return f"It was trained for a cylinder of {sizes}, with a control period of {period:g} ms."
+    any_rig = "serves any rig that measures its position and both pressures; the results are those on"
+    return (
+        f"It {any_rig if for_any else 'was trained for'} a cylinder of {sizes}, with a control period of {period:g} ms."
+    )
 
 
 def card_file(name: str) -> str:

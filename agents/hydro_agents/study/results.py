@@ -131,14 +131,16 @@ def evaluate_study(
         validation_error_mm=validation_errors(study.task, next(iter(working.values())))[0] if len(curve) else np.nan,
     )
     render_page(study.title, STUDY, content).write(folder / REPORT_FILE)
-    paths, ships = weights or {}, shipped_weights("ppo", study.task).name
+    paths, ships = weights or {}, shipped_weights("policy", study.task).name
     cards = {
         name: controller_card(name, controller, evaluation, command, corrects.get(name), paths.get(name), ships)
         for name, controller in working.items()
         if name in controllers  # a card is about the weights of one training
     }
     if head is not None:
-        cards["leakage_head"] = head_card(head, evaluation, command, paths.get("leakage_head"))
+        cards["leakage_head"] = head_card(
+            head, evaluation, command, paths.get("leakage_head"), shipped_weights("leakage_head", study.task).name
+        )
     for name, card in cards.items():
         if card is not None:
             write_text(folder / CARDS / card_file(name), card)

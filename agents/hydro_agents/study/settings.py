@@ -307,7 +307,7 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
         raise ConfigurationError(f"no controller works with the sensors of this rig: {notes[0]}")
     changes: dict[str, Any] = {"controllers": kept}
     if study.leakage_head is not None:
-        notes.append(f"no leakage head: it reads {', '.join(absent)}, but this rig has no such sensor")
+        notes.append(f"trains no leakage head: it would read {', '.join(absent)}, but this rig has no such sensor")
         changes["leakage_head"] = None
     return study.model_copy(update=changes), notes
 

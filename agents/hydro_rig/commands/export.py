@@ -63,7 +63,8 @@ def export(
     `hydro export playground` writes `playground.html`: one page, without server or network, on which three axes move
     in real time while you turn leak, supply, load and gains. It needs `pip install 'hydro_env[playground]'`.
     """
-    from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.folders import output_folder, refuse_taken
+    from hydro_rig.export.controller_folder import FILES
 
     part = _part(what)
     if part not in ("", "leakage_head") and (period is not None or latency is not None):
@@ -80,6 +81,7 @@ def export(
         case "playground":
             names, make = _playground()
         case _:
+            refuse_taken(output, JOB, FILES, overwrite)  # before a simulation of the rig searches gains
             names, make = _controller(what, _Request(task, rig, period, latency))
     with output_folder(output, JOB, names, overwrite=overwrite):
         files, report = make()

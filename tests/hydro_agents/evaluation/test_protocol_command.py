@@ -104,6 +104,7 @@ def test_tables_page_and_the_shares_found_on_the_console(place):
     [
         (("--protocol", "robst"), ("protocol 'robst': unknown", "quick, robustness")),
         (("--protocol", "own.yaml", "--rig", "nowhere"), ("rig 'nowhere': unknown", "symmetric_eha")),
+        (("--rig", "drawn"), ("--rig drawn: draws rigs, and a command needs one",)),
         (("--protocol", "own.yaml", "--plants", "9"), ("--plants", "from its file")),
         (("--protocol", "own.yaml", "--agent", "mine=nowhere:Agent"), ("mine", "nowhere")),
         (("--resume",), ("--resume: needs --protocol",)),

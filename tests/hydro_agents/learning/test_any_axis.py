@@ -241,7 +241,9 @@ def test_a_recurrent_policy_sees_one_sample_of_history_on_every_rig(tmp_path):
     trained = train_policy(TASK, settings, untuned(TASK), seed=1)
     again = PolicyController.load(trained.save(tmp_path / "policy"))
     np.testing.assert_array_equal(commands(again, TASK), commands(trained, TASK))
-    moved = again.moved_to(RIGS[0], lambda kind, task: FlowLinearisingGains())
+    long = task_config(RIGS[0], episode_duration=4.0)
+    moved, alike = (again.moved_to(task, lambda kind, task: FlowLinearisingGains()) for task in (RIGS[0], long))
+    assert (alike.features.config, alike.features.error) == (long, moved.features.error)
     assert len(moved.features.lags) == 1
     assert moved.features.size == trained.features.size
 

@@ -101,7 +101,7 @@ def test_a_study_leaves_out_what_cannot_work(files, capsys):
     assert [line.split(":")[1].strip() for line in told] == [
         "Flow linearisation is left out",
         "PPO corrects PID instead of Flow linearisation",
-        "no leakage head",
+        "trains no leakage head",
     ]
 
 

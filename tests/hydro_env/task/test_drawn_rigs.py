@@ -9,6 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from refusal import refused
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.seeds import RIGS, SeedRange
 from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import closed_port_natural_frequency, full_pressure_forces, speed_limits
@@ -85,8 +86,9 @@ def test_each_axis_of_a_batch_has_its_rig_bit_for_bit():
         assert step == min(20, batch.rigs[own["rig"]].steps)
 
 
-def test_observations_are_in_the_units_of_the_rig():
-    env = ServoHydraulicEnv(**SMALL, sensors={"enabled": False})
+@pytest.mark.parametrize("paces", [RigLaw().preview_paces, []])
+def test_observations_are_in_the_units_of_the_rig(paces):
+    env = ServoHydraulicEnv(**{**SMALL, "law": {"count": 6, "preview_paces": paces}}, sensors={"enabled": False})
     for rig, task in enumerate(env.rigs):
         options = {"rig": rig, "initial_position": 0.01, "reference": np.r_[0.01, np.full(3000, 0.012)]}
         observation, info = env.reset(seed=1, options=options)
@@ -94,16 +96,20 @@ def test_observations_are_in_the_units_of_the_rig():
         seen = dict(zip(env.observation_names, observation, strict=True))
         plant, travel = task.plant, full_speed(task.plant) * pace(task)
         assert seen["position"] == pytest.approx(0.02 / plant.cylinder.stroke, rel=1e-5)
-        assert seen["reference_preview_2_paces"] == pytest.approx(0.002 / travel, rel=1e-5)
+        ahead = [seen[name] for name in env.observation_names if "preview" in name]
+        assert ahead == pytest.approx([0.002 / travel] * (len(paces) or 4), rel=1e-5)
         state = env.axes.state[0]
         assert seen["pressure_a"] == pytest.approx(state[2] / plant.supply.pressure, rel=1e-5)
         for name, value in data_sheet(task).items():
             assert seen[name] == pytest.approx(value, rel=1e-5, abs=1e-7)
         if not task.sensors.spool_position.fitted:
             assert seen["spool_position"] == seen["previous_command"]
-        counts = task.preview_samples
-        assert counts == tuple(sorted(set(counts)))
-        assert counts[-1] * task.control_period == pytest.approx(5.0 * pace(task), abs=task.control_period)
+        if paces:
+            counts = task.preview_samples
+            assert counts == tuple(sorted(set(counts)))
+            assert counts[-1] * task.control_period == pytest.approx(5.0 * pace(task), abs=task.control_period)
+        far = 0.45 * plant.cylinder.stroke  # the limit is this rig's, not that of the shortest
+        env.reset(options={"rig": rig, "initial_position": far, "reference": [far]})
 
 
 def test_an_agent_may_have_to_find_out_and_lengths_are_those_of_the_rigs():
@@ -136,7 +142,9 @@ def test_gymnasium_accepts_it():
         ({"count": 0}, "law.count = 0"),
         ({"split": "tests"}, "law.split = 'tests'"),
         ({"supplies": []}, "supplies: is empty"),
-        ({"periods": {30.0: 1.0}}, "periods: each must be within 0.5 to 20 ms"),
+        ({"supplies": [70, -5]}, "supplies: -5: each must be positive"),
+        ({"cylinders": {25: [30]}}, "cylinders: 25: [30]: needs rods, each thinner than the bore"),
+        ({"periods": {30.0: 1.0}}, "periods: 30: 1: each must be within 0.5 to 20 ms"),
         ({"full_speed": [1.0, 0.1]}, "full_speed"),
         ({"supplies": [1.5], "weight_share": 1.0, "count": 1}, "law: none of 100 drawn rigs can work; the last one: "),
     ],
@@ -151,6 +159,14 @@ def test_what_needs_one_rig_says_so(tmp_path):
     task = task_config(rig="drawn", law={"count": 2})
     with refused("law: a controller is made for one rig"):
         FlowLinearising(FlowLinearisingGains(), task)
+    with refused("law: a controller is made for one rig"):
+        shipped("ppo", task)
+    with refused("control_period: the law draws it with each rig"):
+        task_config(rig="drawn", control_period=0.002)
+    with refused("one rig, and law draws others"):
+        task_config(rig="kovari_2015", law={"count": 2})
+    with refused("pressure_a, pressure_b: a task that draws its rigs needs both"):
+        task_config(rig="drawn", sensors={"pressure_b": {"fitted": False}})
     with refused("rig = 2: must be within 0 to 1"):
         ServoHydraulicEnv(task).reset(options={"rig": 2})
     with refused("max_episode_steps"):
