@@ -190,11 +190,13 @@ def _controller(
     if corrected in study.trained:
         raise ConfigurationError(f"{name} corrects {corrected}, which must be trained first; run hydro study")
     base = study.make(corrected) if corrected is not None else None
-    files = (*TRAINING_FILES, *TUNING_FILES) if corrected in study.tuned else TRAINING_FILES
+    one_rig = getattr(settings, "law", None) is None  # gains of one rig serve no policy for any axis
+    tuned = corrected if corrected in study.tuned and one_rig else None
+    files = (*TRAINING_FILES, *TUNING_FILES) if tuned is not None else TRAINING_FILES
     kept = (CHECKPOINTS, *TUNING_FILES)
     with _training(folder, name, files, kept, resume, overwrite) as display:
-        if corrected in study.tuned:
-            base = tune_controller(study, corrected, folder, seed, display)
+        if tuned is not None:
+            base = tune_controller(study, tuned, folder, seed, display)
         train_controller(study, name, folder, seed, base, display, settings)
     return folder / f"{WEIGHTS}.safetensors"
 

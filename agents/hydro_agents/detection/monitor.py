@@ -128,7 +128,6 @@ def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:
 def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
     """Weights of a leakage head, the shipped ones for the rig by default, checked against the task."""
     path = path or shipped_weights(HEAD_FILE, config)
-    head = LeakageHead.load(path)
-    head = head.moved_to(config) if head.for_any_axis else head
+    head = HeadDetector(LeakageHead.load(path)).on(config)
     check_head(head, config, str(path))
     return head
