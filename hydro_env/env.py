@@ -61,7 +61,8 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
     ## Observation Space
 
     A ``Box`` of ``float32``; each entry is the measured value (SI) divided by a fixed scale. ``observation_names``,
-    ``observation_units`` and ``observation_scale`` list them: ``observation * observation_scale`` is SI.
+    ``observation_units`` and ``observation_scale`` list them: ``observation * observation_scale`` is SI. With drawn rigs
+    (``rig="drawn"``) the entries are others, in units of the rig: docs/drawn_rigs.md.
 
     | index | observation | scale | unit | min, max |
     |---|---|---|---|---|
@@ -133,6 +134,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
     | ``failure`` | why the episode was terminated; ``"none"`` until then |
     | ``reward_terms`` | the three terms of the reward |
     | ``faults`` | size now of each fault besides the leak |
+    | ``rig`` | number of the rig, if rigs are drawn |
 
     With ``info="flat"``, family and failure are indices, and the terms are called ``reward_tracking`` and so on.
 

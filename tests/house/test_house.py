@@ -39,10 +39,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 59_100,
-    "hydro_agents": 141_200,
+    "hydro_env": 59_350,
+    "hydro_agents": 141_300,
     "hydro_rig": 132_600,
-    "tests": 230_700,
+    "tests": 231_000,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

@@ -29,8 +29,8 @@ def export(
         typer.Argument(
             help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector, or the path of your "
             "own. alarm: the alarm over time, or the alarm.yaml of hydro alarms. playground: a page to try out. Or a "
-            "controller: results/study/controllers/NAME of a study on your rig; as shipped, for the paper's rig: pid, "
-            "flow_linearising, adrc, lqg, mpc, ppo; a file of gains, weights, or module:attribute.",
+            "controller: results/study/controllers/NAME of a study on your rig; as shipped: flow_linearising or "
+            "ppo, for any rig; pid, adrc, lqg or mpc, for the paper's; a file of gains, weights, or module:attribute.",
             show_default=False,
         ),
     ],
