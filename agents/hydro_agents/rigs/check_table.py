@@ -119,7 +119,7 @@ def check_to_console(
     given = read_rig(rig) if rig is not None else Rig(PlantParameters(), {}, {}, "rig")
     task = timed_task(None, rig, period, latency, "check-rig")
     rows = [*check_rig(given.plant, given.source, task), position_accuracy(given, task)]
-    warnings = implausible(given.plant)
+    warnings = [*implausible(given.plant), *_short_sensors(task)]
     title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(given)}"
     files = []
     if folder is not None:
@@ -140,6 +140,15 @@ def check_to_console(
     table = Table("", HEADINGS, cells, breaks={place: group for group, place in first.items()})
     console.print(console_table(table, left=(0, 1, 3)))  # narrow enough for a terminal of 80 columns
     return files
+
+
+def _short_sensors(task: TaskConfig) -> list[str]:
+    supply, sensors = task.plant.supply.pressure, dict(task.sensors)
+    return [
+        f"warning: sensors.{name} reads to {sensors[name].high / BAR:.4g} bar, and the supply has {supply / BAR:.4g} bar"
+        for name in ("pressure_a", "pressure_b")
+        if sensors[name].fitted and sensors[name].high < supply
+    ]
 
 
 def _summary(rig: Rig) -> str:

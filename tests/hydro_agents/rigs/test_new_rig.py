@@ -171,7 +171,9 @@ def test_the_command_writes_a_file_that_check_rig_reads(tmp_path):
     assert checked.returncode == 0, checked.stderr
     assert "63/36 x 500 mm" in checked.stdout
     assert_one_clear_line(hydro("new-rig", *words(LEAST), "--output", file), "exists; --overwrite replaces it")
-    assert hydro("new-rig", *words(LEAST), "--output", file, "--overwrite").returncode == 0
+    short = words(LEAST | {"pressure_range": "10 bar"})
+    assert hydro("new-rig", *short, "--output", file, "--overwrite").returncode == 0
+    assert "warning: sensors.pressure_a reads to 10 bar, and the supply" in hydro("check-rig", "--rig", file).stdout
 
 
 WRONG = {
