@@ -61,8 +61,8 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
     ## Observation Space
 
     A ``Box`` of ``float32``; each entry is the measured value (SI) divided by a fixed scale. ``observation_names``,
-    ``observation_units`` and ``observation_scale`` list them: ``observation * observation_scale`` is SI. With drawn rigs
-    (``rig="drawn"``) the entries are others, in units of the rig: docs/drawn_rigs.md.
+    ``observation_units`` and ``observation_scale`` list them: ``observation * observation_scale`` is SI. With
+    drawn rigs (``rig="drawn"``) the entries are others, in units of the rig: docs/drawn_rigs.md.
 
     | index | observation | scale | unit | min, max |
     |---|---|---|---|---|

@@ -145,7 +145,7 @@ def check_to_console(
 def _short_sensors(task: TaskConfig) -> list[str]:
     supply, sensors = task.plant.supply.pressure, dict(task.sensors)
     return [
-        f"warning: sensors.{name} reads to {sensors[name].high / BAR:.4g} bar, and the supply has {supply / BAR:.4g} bar"
+        f"warning: sensors.{name} reads to {sensors[name].high / BAR:.4g} bar, the supply has {supply / BAR:.4g} bar"
         for name in ("pressure_a", "pressure_b")
         if sensors[name].fitted and sensors[name].high < supply
     ]

@@ -173,7 +173,7 @@ def test_the_command_writes_a_file_that_check_rig_reads(tmp_path):
     assert_one_clear_line(hydro("new-rig", *words(LEAST), "--output", file), "exists; --overwrite replaces it")
     short = words(LEAST | {"pressure_range": "10 bar"})
     assert hydro("new-rig", *short, "--output", file, "--overwrite").returncode == 0
-    assert "warning: sensors.pressure_a reads to 10 bar, and the supply" in hydro("check-rig", "--rig", file).stdout
+    assert "warning: sensors.pressure_a reads to 10 bar, the supply" in hydro("check-rig", "--rig", file).stdout
 
 
 WRONG = {
