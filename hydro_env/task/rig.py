@@ -81,8 +81,8 @@ def law_of(given: str | Path) -> dict[str, Any] | None:
     Raises:
         ConfigurationError: the file does not exist or is unreadable, or holds a law and something else.
     """
-    named = config_folder() / "laws" / f"{given}.yaml"
-    file = named if Path(given).name == str(given) and named.is_file() else config_file("rigs", given)
+    laws = {file.stem: file for file in (config_folder() / "laws").glob("*.yaml")}
+    file = laws.get(str(given)) or config_file("rigs", given)
     values = read_yaml(file)
     if "law" not in values:
         return None

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from cmaes import CMA
+from cmaes import CMA, SepCMA
 from joblib import effective_n_jobs
 
 from hydro_agents.controllers.base import Controller, search_space
@@ -102,6 +102,7 @@ def tune(
     progress: Callable[[Tuned], None] | None = None,
     population: int = POPULATION,
     spread: float = _SIGMA,
+    separable: bool = False,
 ) -> Tuned:
     """Tune the gains of a kind of :data:`~hydro_agents.controllers.registry.CONTROLLERS`.
 
@@ -119,6 +120,8 @@ def tune(
         progress: called after every generation with the best candidate so far.
         population: candidates per generation.
         spread: of the first generation, in parts of the search ranges.
+        separable: learn no correlations. Then the search is the same on every processor, because it needs no
+            eigenvectors, whose last digits differ; gains have six digits.
 
     Raises:
         ConfigurationError: the kind is unknown, or the log is damaged or was written with other settings.
@@ -141,12 +144,16 @@ def tune(
     rows = _read(log, settings) if log is not None and resume else []
     resumed = len(rows)
     bounds = np.tile([0.0, 1.0], (len(space.names), 1))
-    optimiser = CMA(space.point(base), spread, bounds=bounds, seed=seed, population_size=population)
+    strategy = SepCMA if separable else CMA
+    optimiser = strategy(space.point(base), spread, bounds=bounds, seed=seed, population_size=population)
     best: Tuned | None = None
     generations = -(-evaluations // population)
     for generation in range(generations):
         points = [optimiser.ask() for _ in range(population)]
-        gains = [_gains(group, {**base.model_dump(), **space.values(point)}) for point in points]
+        found = [space.values(point) for point in points]
+        if separable:
+            found = [{name: float(f"{value:.6g}") for name, value in values.items()} for values in found]
+        gains = [_gains(group, {**base.model_dump(), **values}) for values in found]
         known = generation < len(rows)
         if not known:
             rows.append(_costed(kind, gains, tasks, cases, seed, generation > resumed))
@@ -206,7 +213,16 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
         def progress(best: Tuned) -> None:
             found.append(best.gains)
 
-        tune(kind, config, evaluations=NEARBY, cases=SEARCH_CASES, start=chosen, spread=NEAR, progress=progress)
+        tune(
+            kind,
+            config,
+            evaluations=NEARBY,
+            cases=SEARCH_CASES,
+            start=chosen,
+            spread=NEAR,
+            separable=True,
+            progress=progress,
+        )
         leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
         trials = [_costed(kind, leaders, [config], TRIAL_CASES, seed, False) for seed in TRIALS]
         errors = np.log([[score.equal for score in trial] for trial in trials]).mean(axis=0)
