@@ -1,6 +1,6 @@
 """How hard are drawn rigs: a policy for any axis, and its opponents, on test rigs that nobody used.
 
-    python benchmarks/any_axis.py [--weights WEIGHTS] [--rigs 100] [--first 700] [--tuned FOLDER] [--split test]
+    python benchmarks/any_axis.py [--weights WEIGHTS] [--rigs 100] [--first 800] [--tuned FOLDER] [--split test]
                                   [--seconds 2] [--output FILE]
     python benchmarks/any_axis.py --rig kovari_2015 --rig my.yaml
 
