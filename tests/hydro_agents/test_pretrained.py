@@ -45,7 +45,8 @@ def test_the_policy_for_any_axis_beats_what_it_corrects_on_rigs_that_it_never_sa
     tasks = rig_tasks(task_config(law={"split": "validation", "count": 1, "first": 50, "preview_paces": []}))
     for task in (*tasks, task_config(rig="symmetric_eha", control_period=0.004)):
         corrected = FlowLinearising(FlowLinearisingGains(), task)
-        errors = [family_errors(task, each, 24, sensor_frame=True) for each in (opponent("ppo", task, "PPO"), corrected)]
+        both = opponent("ppo", task, "PPO"), corrected
+        errors = [family_errors(task, each, 24, sensor_frame=True) for each in both]
         ratios = [errors[0][family] / errors[1][family] for family in errors[0]]
         assert np.exp(np.mean(np.log(ratios))) < 0.99
 

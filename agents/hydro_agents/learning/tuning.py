@@ -46,10 +46,8 @@ NEARBY, NEAR = 56, 0.1  # candidates of :func:`searched_gains`, and their first 
 SEARCH_CASES = 42  # of each of these candidates
 TRIALS = (1, 2, 3, 4)  # seeds of the other cases that decide in the end
 TRIAL_CASES = 84  # of each seed: many, because few plants swing
-RESTS, PER_LIMIT_CYCLE = (
-    96,
-    1.5,
-)  # standstills, and what a limit cycle at all of them adds to the logarithm of the error
+RESTS = 96  # standstills
+PER_LIMIT_CYCLE = 1.5  # what a limit cycle at all of them adds to the logarithm of the error
 
 
 class Space:
@@ -189,11 +187,9 @@ def chosen_gains(kind: str, config: TaskConfig) -> Group:
     key = kind, repr(config)
     if key not in _CHOSEN:
         sets = gain_sets(kind)
-        _CHOSEN[key] = sets[0]
-        if len(sets) > 1:
-            errors = [score.equal for score in rig_scores(kind, sets, config)]
-            if min(errors) < CLEARLY * errors[0]:
-                _CHOSEN[key] = sets[int(np.argmin(errors))]
+        errors = [score.equal for score in rig_scores(kind, sets, config)] if len(sets) > 1 else [1.0]
+        clearly = min(errors) < CLEARLY * errors[0]
+        _CHOSEN[key] = sets[int(np.argmin(errors)) if clearly else 0]
     return _CHOSEN[key]
 
 
