@@ -40,7 +40,7 @@ ROOMS = (
 
 BUDGET = {
     "hydro_env": 59_350,
-    "hydro_agents": 141_400,
+    "hydro_agents": 141_450,
     "hydro_rig": 132_600,
     "tests": 231_000,
 }
