@@ -18,7 +18,7 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 from hydro_agents.evaluation.participants import split_name
-from hydro_agents.learning.opponents import shipped_weights
+from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, shipped_weights
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.sections import render_page
 from hydro_agents.report.study import STUDY, Example, content_of, overview, tables_of
@@ -131,7 +131,7 @@ def evaluate_study(
         validation_error_mm=validation_errors(study.task, next(iter(working.values())))[0] if len(curve) else np.nan,
     )
     render_page(study.title, STUDY, content).write(folder / REPORT_FILE)
-    paths, ships = weights or {}, shipped_weights("policy", study.task).name
+    paths, ships = weights or {}, shipped_weights(SHIPPED_WEIGHTS["ppo"], study.task).name
     cards = {
         name: controller_card(name, controller, evaluation, command, corrects.get(name), paths.get(name), ships)
         for name, controller in working.items()
