@@ -160,7 +160,8 @@ def test_an_untrained_policy_is_the_corrected_controller_on_every_rig(policy):
         np.testing.assert_array_equal(commands(moved, task), commands(corrected, task))
 
 
-def test_stored_weights_serve_another_rig(policy):
+def test_stored_weights_serve_another_rig(policy, monkeypatch):
+    monkeypatch.delattr(np.linalg, "eigh")  # which eigenvectors it finds depends on the processor
     folder, trained = policy
     task = RIGS[4]
     stored = PolicyController.load(folder / "policy")
