@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import operator
 import re
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from blark.parse import parse_source_code
 
 OPERATORS = {"=": "==", "<>": "!=", "AND": "and", "OR": "or"}
+ORDERS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 NUMBER = re.compile(r"-?\d+\.\d+(?:E[-+]?\d+)?|-?\d+")
 KINDS = {"LREAL": 0.0, "REAL": 0.0, "BOOL": False, "LINT": 0, "DINT": 0}
 
@@ -25,14 +27,20 @@ def divided(a: float, b: float) -> float:
     return a / b if b != 0.0 else math.nan if a == 0.0 or a != a else math.copysign(math.inf, a) * math.copysign(1.0, b)
 
 
+def compared(block: dict[str, Any], order: str, a: float, b: float) -> bool:
+    """A comparison; with what is not a number it stops the runtime, as that of TwinCAT, unless ``block`` allows it."""
+    if block["stops"] and (a != a or b != b):
+        raise FloatingPointError(f"{a} {order} {b}")
+    return ORDERS[order](a, b)
+
+
 FUNCTIONS: dict[str, Any] = {
+    "_compared": compared,
     "ABS": abs,
     "SQRT": lambda x: math.sqrt(x) if x >= 0.0 else math.nan,
     "EXP": math.exp,
     "LN": math.log,
     "EXPT": pow,
-    "MAX": lambda a, b: a if a >= b or a != a else b,
-    "MIN": lambda a, b: a if a <= b or a != a else b,
     "LIMIT": lambda low, x, high: max(low, min(x, high)),
     "SEL": lambda chosen, no, yes: yes if chosen else no,
     "LREAL_TO_REAL": real,
@@ -46,7 +54,12 @@ FUNCTIONS: dict[str, Any] = {
 
 
 class FunctionBlock:
-    """One instance of the function block of a text; ``gains`` are its inputs by name."""
+    """One instance of the function block of a text; ``gains`` are its inputs by name.
+
+    ``stops``: whether a comparison with what is not a number stops the runtime.
+    """
+
+    stops = True
 
     def __init__(self, text: str) -> None:
         parsed = parse_source_code(text)
@@ -81,16 +94,22 @@ class FunctionBlock:
             if kind not in KINDS:
                 continue  # the structure of gains
             value: Any = [KINDS[kind]] * size if size else KINDS[kind]
-            if entry.init.value is not None:
+            if name == "valid":
+                value = [True] * size
+            elif entry.init.value is not None:
                 numbers = [float(one) for one in NUMBER.findall(str(entry.init.value))]
                 value = [real(one) for one in numbers] if kind == "REAL" else numbers
                 assert len(value) == max(size, 1), name
                 value = value if size else int(value[0])  # the place of a signal
             self.memory[name] = value
 
-    def __call__(self, signals: Any, start: bool) -> float:
+    holding = property(lambda self: self.memory["holding"])
+
+    def __call__(self, signals: Any, start: bool, valid: Any = None, lost_limit: int = 0) -> float:
         """Voltage for the signals of one sample."""
-        self.memory |= {"signals": [float(one) for one in signals], "start": bool(start)}
+        valid = [math.isfinite(one) for one in signals] if valid is None else list(valid)
+        self.memory |= {"signals": [float(one) for one in signals], "start": bool(start), "valid": valid}
+        self.memory |= {"lostlimit": lost_limit, "stops": self.stops}
         self.memory |= {f"gains.{name}": value for name, value in self.gains.items()}
         self._step(self.memory)
         return self.memory["voltage"]
@@ -118,10 +137,10 @@ class FunctionBlock:
     def _value(self, one: Any) -> str:
         kind = type(one).__name__
         if kind == "BinaryOperation":
-            left, right, operator = self._value(one.left), self._value(one.right), str(one.op).upper()
-            if operator == "/":
-                return f"_divided({left}, {right})"
-            return f"({left} {OPERATORS.get(operator, operator)} {right})"
+            left, right, sign = self._value(one.left), self._value(one.right), str(one.op).upper()
+            if sign in ORDERS:
+                return f"_compared(v, '{sign}', {left}, {right})"
+            return f"_divided({left}, {right})" if sign == "/" else f"({left} {OPERATORS.get(sign, sign)} {right})"
         if kind == "UnaryOperation":
             return f"({'not ' if str(one.op).upper() == 'NOT' else str(one.op)}{self._value(one.expr)})"
         if kind == "ParenthesizedExpression":

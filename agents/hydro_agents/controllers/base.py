@@ -242,7 +242,7 @@ def gain(
         logarithmic: whether tuning searches over its logarithm.
         needs: parameter of the plant, ``group.field``, without which the gain has no effect and tuning leaves it alone.
     """
-    extra: Any = {"unit": unit, "search": search, "logarithmic": logarithmic, "needs": needs}
+    extra: Any = {"unit": unit, "range": (low, high), "search": search, "logarithmic": logarithmic, "needs": needs}
     return Field(default, ge=low, le=high, description=f"{unit}; {description}", json_schema_extra=extra)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import math
 import os
 import sys
 from collections.abc import Mapping
@@ -129,6 +130,8 @@ class GainRow(NamedTuple):
     value: Any  # in its own unit
     in_practice: str  # "0.199 V/mm", or empty if its own unit is the usual one
     meaning: str
+    low: float = -math.inf  # ends of the range of allowed values, in its own unit
+    high: float = math.inf
 
 
 def gain_rows(gains: Group) -> list[GainRow]:
@@ -140,7 +143,7 @@ def gain_rows(gains: Group) -> list[GainRow]:
         if unit in PRACTICE:
             factor, practical = PRACTICE[unit]
             in_practice, meaning = f"{factor * value:.4g} {practical}", meaning.removeprefix(f"{unit}; ")
-        rows.append(GainRow(name, value, in_practice, meaning))
+        rows.append(GainRow(name, value, in_practice, meaning, *extra.get("range", ())))
     return rows
 
 

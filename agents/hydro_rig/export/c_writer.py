@@ -14,16 +14,17 @@ from hydro_rig.export.graph import KINDS, SCALED, Graph, Node, regular, runs_of_
 C_TYPES = dict(zip(KINDS, ("double", "float", "long", "int"), strict=True))
 _INFIX = {
     **{"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "and": "&&", "or": "||"},
-    **{"equal": "==", "not_equal": "!=", "greater": ">", "greater_equal": ">=", "less": "<", "less_equal": "<="},
+    **{"equal": "==", "not_equal": "!="},
 }
+_COMPARED = {"greater": ">", "greater_equal": ">=", "less": "<", "less_equal": "<="}
 _PREFIX = {"negative": "-", "not": "!"}
 _FUNCTIONS = {name: name for name in ("sqrt", "exp", "log", "tanh", "copysign")}
 _FUNCTIONS |= {"absolute": "fabs", "power": "pow", "arcsinh": "asinh"}
 _HELPERS = {
     # As in NumPy: the first value unless the other one is larger (smaller); NaN stays NaN.
-    "maximum": "static {type} {name}({type} a, {type} b) {{ return a >= b || a != a ? a : b; }}",
-    "minimum": "static {type} {name}({type} a, {type} b) {{ return a <= b || a != a ? a : b; }}",
-    "sign": "static {type} {name}({type} a) {{ return a > 0 ? 1 : a < 0 ? -1 : a; }}",
+    "maximum": "static {type} {name}({type} a, {type} b) {{ return isless(a, b) ? b : a; }}",
+    "minimum": "static {type} {name}({type} a, {type} b) {{ return isgreater(a, b) ? b : a; }}",
+    "sign": "static {type} {name}({type} a) {{ return isgreater(a, 0) ? 1 : isless(a, 0) ? -1 : a; }}",
 }
 _EXACT = {"where", "cast", "maximum", "minimum", "absolute", "sign", "copysign", "negative"}
 LONGEST = 120
@@ -221,6 +222,8 @@ class CWriter:
 
     def _is_closed(self, node: Node) -> bool:
         """Whether the text of an operation needs no brackets inside another one."""
+        if node.operation in _COMPARED:
+            return node.operands[0].kind.kind == "f"
         return node.operation in (*_FUNCTIONS, *_HELPERS) or (node.operation == "cast" and node.kind != np.bool_)
 
     def _expression(self, node: Node, operands: list[str]) -> str:
@@ -228,6 +231,10 @@ class CWriter:
         suffix = "f" if kind == np.float32 else ""
         if operation in _INFIX:
             return f" {_INFIX[operation]} ".join(operands)
+        if operation in _COMPARED:
+            if kind.kind == "f":  # the macros of C99 raise no exception for what is not a number
+                return f"is{operation.replace('_', '')}({', '.join(map(bare, operands))})"
+            return f" {_COMPARED[operation]} ".join(operands)
         if operation in _PREFIX:
             return f"{_PREFIX[operation]}{operands[0]}"
         if operation == "where":

@@ -19,13 +19,21 @@ from hydro_env.files import Group
 from hydro_rig.export.c_files import CCode, c_code
 from hydro_rig.export.c_writer import C_TYPES, CWriter
 from hydro_rig.export.graph import Builder, Graph, Node, in_order
-from hydro_rig.export.measured import MeasuredController, MeasuredSignals, arrays_of, leaves_of, with_leaves
+from hydro_rig.export.measured import (
+    LOST_RULE,
+    MeasuredController,
+    MeasuredSignals,
+    arrays_of,
+    leaves_of,
+    with_leaves,
+)
 from hydro_rig.export.onnx_writer import OnnxWriter
-from hydro_rig.export.tracing import TraceError, trace
+from hydro_rig.export.tracing import TraceError, named, trace
 
 STARTED, CONTINUED = "started.", "continued."
 GAINS = "gains."
-OUTPUTS = ("voltage", "next_state", "lost_signals")
+INPUTS = ("signals", "valid", "start", "lost_limit")
+OUTPUTS = ("voltage", "next_state", "lost_signals", "holding")
 DOUBLE = np.dtype(np.float64)
 _C_NAME = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -34,7 +42,7 @@ _C_NAME = re.compile(r"[a-z][a-z0-9_]*")
 class ControllerGraph:
     """A controller as a graph.
 
-    Inputs: ``signals``, ``start`` and the parts of the memory. Outputs: ``begins`` (whether the controller starts
+    Inputs: :data:`INPUTS` and the parts of the memory. Outputs: ``begins`` (whether the controller starts
         here), ``lost`` (number of lost signals), and the parts that are the same in both cases. ``voltage`` and the
         other parts occur twice: with the prefix ``started.`` for a start, ``continued.`` for a continuation.
     """
@@ -92,10 +100,16 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
     everything = leaves_of(empty)
     arrays = arrays_of(everything)
 
-    def step(signals: Any, start: Any, **values: Any) -> dict[str, Any]:
-        variable = {gain.name: values.pop(GAINS + gain.name) for gain in gains}
+    def step(signals: Any, valid: Any, start: Any, lost_limit: Any, **values: Any) -> dict[str, Any]:
+        sound, variable = [], dict[str, Any]()
+        for gain in gains:
+            present_gain = values.pop(GAINS + gain.name)
+            within = np.logical_and(present_gain >= gain.low, present_gain <= gain.high)
+            sound.append(named(f"{gain.name}_sound", within))
+            usable_gain = np.where(within, present_gain, float(gain.value))
+            variable[gain.name] = named(f"{gain.name}_used", usable_gain)
         varied = MeasuredController(_with_gains(controller, variable), measured.signals) if variable else measured
-        now = varied.step(signals, start, with_leaves(empty, values))
+        now = varied.step(signals, valid, start, lost_limit, with_leaves(empty, values), sound)
         outputs: dict[str, Any] = {"begins": now.begins, "lost": now.lost, **leaves_of(now.common)}
         for prefix, case in ((STARTED, now.started), (CONTINUED, now.continued)):
             leaves = leaves_of(case)
@@ -106,7 +120,8 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
         return outputs
 
     starts = {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
-    graph = trace(step, {"signals": empty.last, "start": np.array(False), **starts, **arrays})
+    given = (empty.last, np.ones(len(empty.last), np.bool_), np.array(False), np.array(0))
+    graph = trace(step, {**dict(zip(INPUTS, given, strict=True)), **starts, **arrays})
     after, _ = controller.predict(np.zeros((1, len(measured.signals.layout.names)), dtype=np.float32), None)
     if not isinstance(after, np.ndarray):
         raise TraceError(f"{who}: keeps its memory outside its state: cannot be exported")
@@ -158,7 +173,8 @@ def _is_used(controller: Controller, config: TaskConfig, row: GainRow) -> bool:
         graph = controller_graph(controller, config, [row]).graph
     except (TraceError, TypeError):
         return False
-    return bool(graph.used([*graph.outputs.values()])[GAINS + row.name].any())
+    given = graph.inputs[GAINS + row.name]
+    return any(node.operation == "where" and given in node.operands for node in graph.nodes())
 
 
 def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
@@ -201,10 +217,10 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
     if not _C_NAME.fullmatch(name):
         raise ConfigurationError(f"name '{name}': must be a valid name in C, such as controller_1")
     fields = field_names(controller)
-    names = inputs_of(controller, "signals", "start", f"{name}_gains.")
+    names = inputs_of(controller, INPUTS, f"{name}_gains.")
     variables = {part: f"memory->{field}" for part, field in fields.items()}
     writer = CWriter(names | variables, places=element_names(controller, f"{name.upper()}_"))
-    writer.reserve("voltage", "memory", "signals", "start", f"{name}_step", f"{name}_gains")
+    writer.reserve("voltage", "memory", *INPUTS, f"{name}_step", f"{name}_gains")
     values = written_step(controller, writer, variables)
     values["kept"] += f"\n    memory->lost_signals = (int){values['lost']};"
     parts = [{"type": C_TYPES[part.kind], "field": fields[part.name], "size": part.size} for part in controller.memory]
@@ -219,15 +235,15 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
     return c_code(name, values, "controller")
 
 
-def inputs_of(controller: ControllerGraph, signals: str, start: str, gains: str) -> dict[str, str]:
+def inputs_of(controller: ControllerGraph, texts: Sequence[str], gains: str) -> dict[str, str]:
     """Text of each input of the graph but the memory, by name; ``gains`` stands before the name of each gain."""
-    return {"signals": signals, "start": start} | {GAINS + gain.name: gains + gain.name for gain in controller.gains}
+    return dict(zip(INPUTS, texts, strict=True)) | {GAINS + gain.name: gains + gain.name for gain in controller.gains}
 
 
 def element_names(controller: ControllerGraph, prefix: str) -> dict[str, list[str]]:
     """Names of the elements of the arrays that hold one number per signal, by the name of the array."""
     names = [prefix + signal.name.upper() for signal in controller.signals.signals]
-    return dict.fromkeys(("signals", "last", "present", "held"), names)
+    return dict.fromkeys(("signals", "valid", "reading", "inside", "present", "last", "held"), names)
 
 
 def field_names(controller: ControllerGraph) -> dict[str, str]:
@@ -280,6 +296,7 @@ def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[s
         "version": __version__,
         "sample_time": controller.signals.config.control_period,
         "signals": controller.signals.signals,
+        "lost_rule": LOST_RULE,
         "common": "\n".join(common),
         "started": case(started),
         "continued": case(continued),
@@ -299,7 +316,7 @@ def _field(name: str) -> str:
 
 
 def controller_model(controller: ControllerGraph) -> Any:
-    """The model; inputs ``signals``, ``state``, ``start``, outputs ``voltage``, ``next_state``, ``lost_signals``.
+    """The model; inputs: :data:`INPUTS` and ``state``; outputs: :data:`OUTPUTS`.
 
     The state is one vector: the parts of the memory, one after the other, as ``double``, which represents every
     ``float`` and truth value exactly.
@@ -310,7 +327,9 @@ def controller_model(controller: ControllerGraph) -> Any:
     """
     parts, signals = controller.memory, controller.signals.signals
     size = sum(part.size for part in parts)
-    inputs = {"signals": (len(signals), DOUBLE), "state": (size, DOUBLE), "start": (1, np.dtype(np.bool_))}
+    given = {name: controller.graph.inputs[name] for name in INPUTS}
+    inputs = {"signals": (len(signals), DOUBLE), "state": (size, DOUBLE)}
+    inputs |= {name: (node.size, node.kind) for name, node in given.items()}
     writer = OnnxWriter(inputs, OUTPUTS)
     first = 0
     for part in parts:
@@ -320,8 +339,14 @@ def controller_model(controller: ControllerGraph) -> Any:
     chosen = controller.chosen()
     pieces = [writer.cast(writer.tensor(chosen[part.name]), part.kind, DOUBLE, f"next.{part.name}") for part in parts]
     joined = writer.add("Concat", pieces, "next_memory", axis=0)
-    tensors = (writer.tensor(chosen["voltage"]), joined, writer.tensor(chosen["lost"]))
-    outputs = {name: (tensor, n, DOUBLE) for name, tensor, n in zip(OUTPUTS, tensors, (1, size, 1), strict=True)}
+    tensors = (
+        writer.tensor(chosen["voltage"]),
+        joined,
+        writer.tensor(chosen["lost"]),
+        writer.tensor(chosen["holding"]),
+    )
+    kinds = zip(OUTPUTS, tensors, (1, size, 1, 1), (DOUBLE, DOUBLE, DOUBLE, np.dtype(np.bool_)), strict=True)
+    outputs = {name: (tensor, n, kind) for name, tensor, n, kind in kinds}
     facts = {
         "signals": ", ".join(f"{signal.name} ({signal.unit})" for signal in signals),
         "sample_time": repr(controller.signals.config.control_period),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import csv_text, tested
 from hydro_rig.export.controller import controller_code, controller_graph, controller_model, variable_gains
-from hydro_rig.export.measured import MeasuredController
+from hydro_rig.export.measured import LOST_RULE, LOST_TIME, OUTSIDE, STOPPING_TIME, MeasuredController
 from hydro_rig.export.onnx_writer import onnx_session
 from hydro_rig.export.structured_text import structured_text
 
@@ -29,6 +30,7 @@ MODEL_FILE, ST_FILE, TASK_FILE = "controller.onnx", "controller.st", "task.yaml"
 FILES = (MODEL_FILE, f"{CODE}.c", f"{CODE}.h", ST_FILE, f"test_{CODE}.c", "vectors.csv", TASK_FILE, "README.md")
 FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them
 LONGEST = 250  # control periods per episode of the vectors
+DAMAGED = np.array([70, 90, 110, 130])  # first samples of the vectors that are out of range
 
 
 class Vectors(NamedTuple):
@@ -40,7 +42,7 @@ class Vectors(NamedTuple):
 
 
 def make_vectors(measured: MeasuredController) -> Vectors:
-    """Closed-loop episodes under the controller, and one with lost samples and values out of range.
+    """Closed-loop episodes under the controller, and one with lost samples, values out of range, and stops.
 
     The voltages of the closed-loop episodes come from ``predict`` with the observations of the environment: they also
     check that the signals in SI units give the same observations.
@@ -50,16 +52,18 @@ def make_vectors(measured: MeasuredController) -> Vectors:
     families: list[str | None] = [name for name in FAMILIES if weights.get(name, 0.0) > 0.0] or [None]
     seeds = CONTROLLER_VECTORS.take(len(families))
     episodes = [_closed_loop(measured, seed, family) for seed, family in zip(seeds, families, strict=True)]
-    disturbed = _disturbed(np.resize(episodes[0][0], (120, len(signals.signals))))
+    missing = math.ceil(LOST_TIME / signals.config.control_period) + 10
+    disturbed = _disturbed(np.resize(episodes[0][0], (150 + missing, len(signals.signals))))
+    begins = np.isin(np.arange(len(disturbed)), (0, 66, *DAMAGED + 5))
     answers, memory = [], None
-    for row in disturbed:
-        answer, memory = measured(row, memory)
+    for row, begin in zip(disturbed, begins, strict=True):
+        answer, memory = measured(row, memory, bool(begin), np.isfinite(row))
         answers.append(answer)
     episodes.append((disturbed, np.array(answers)))
     voltage = np.concatenate([voltages for _, voltages in episodes])
     if not np.isfinite(voltage).all():
         raise HydroError(f"{type(measured.controller).__name__}: its voltage is not finite: cannot be exported")
-    starts = np.concatenate([np.arange(len(voltages)) == 0 for _, voltages in episodes])
+    starts = np.concatenate([*(np.arange(len(voltages)) == 0 for _, voltages in episodes[:-1]), begins])
     rows = np.concatenate([samples for samples, _ in episodes])
     return Vectors(starts, rows, voltage)
 
@@ -82,14 +86,18 @@ def _closed_loop(measured: MeasuredController, seed: int, family: str | None) ->
 
 
 def _disturbed(samples: Floats) -> Floats:
-    """Samples with lost ones at the start, of each signal in turn and of all at once, and values out of range."""
+    """Samples with lost ones at the start, of each signal in turn and of all at once, values out of range, and a stop.
+
+    In the end the position stays away until the controller holds the axis.
+    """
     rows, count = samples.copy(), samples.shape[1]
     rows[:2, -2] = np.nan  # the controller waits
     for signal in range(count):
-        rows[10 + 4 * signal : 12 + 4 * signal, signal] = (np.nan, np.inf)
+        rows[10 + 4 * signal, signal] = np.nan
     rows[60:63] = np.nan
-    for place, factor in enumerate((1e3, -1e3, 1e6, -1e6)):
-        rows[70 + 10 * place : 73 + 10 * place] *= factor
+    for place, factor in zip(DAMAGED, (1e3, -1e3, 1e6, -1e6), strict=True):
+        rows[place : place + 3] *= factor
+    rows[150:, 0] = np.nan
     return rows
 
 
@@ -121,6 +129,9 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
         "sample_time": config.control_period,
         "latency": config.command_latency,
         "signals": graph.signals.signals,
+        "lost_rule": LOST_RULE,
+        "stopping_time": STOPPING_TIME,
+        "outside": OUTSIDE,
         "state_size": sum(part.size for part in graph.memory),
         "variable": [gain.name for gain in varied.gains],
         "gains": gain_rows(gains) if isinstance(gains, Group) else [],
@@ -144,7 +155,8 @@ def check_onnx(model: bytes, vectors: Vectors, who: str) -> str:
     state = np.zeros(session.get_inputs()[1].shape)
     voltages = np.empty(len(vectors.voltage))
     for sample, (start, signals) in enumerate(zip(*vectors[:2], strict=True)):
-        voltage, state, _ = session.run(None, {"signals": signals, "state": state, "start": np.array([start])})
+        given = {"signals": signals, "valid": np.isfinite(signals), "start": np.array([start])}
+        voltage, state, *_ = session.run(None, {**given, "lost_limit": np.array([0]), "state": state})
         voltages[sample] = voltage[0]
     difference = np.abs(voltages - vectors.voltage) / FULL_VOLTAGE
     largest = float(difference.max())

@@ -6,15 +6,20 @@ scaling, limits) and the treatment of lost samples, which only a machine needs.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.controllers.flow_model import FlowModel
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
+from hydro_env.plant.analysis import speed_limits
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.parts.load import holding_force
 from hydro_env.task.sensors import CHANNEL_UNITS, CHANNELS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import observation_layout
@@ -25,6 +30,24 @@ from hydro_rig.export.tracing import TraceError, named
 
 COMPUTED = ("velocity_estimate", "tracking_error", "error_integral")
 """Entries of the observation that follow from measured signals."""
+
+OUTSIDE = 0.025
+"""Share of its range by which a signal may lie outside of it; beyond, it is lost. A current loop of 4 to 20 mA below
+3.6 mA (NAMUR NE 43), or with a broken wire, lies beyond."""
+
+LOST_TRAVEL = 1e-3
+"""m that the axis may travel at the present command after the first lost sample, which is always allowed."""
+
+LOST_TIME = 0.1
+"""s during which samples may be lost, even if the axis stands still."""
+
+LOST_RULE = (
+    f"those in which the axis travels {1e3 * LOST_TRAVEL:g} mm at the present command, at least one, "
+    f"and not more than {1e3 * LOST_TIME:g} ms"
+)
+
+STOPPING_TIME = 0.01
+"""s in which the voltage goes from full command to the one that holds the axis."""
 
 _PREVIEW = "reference_preview_"
 SENSOR_MEANINGS = {
@@ -73,6 +96,8 @@ class MeasuredSignals:
             needed |= {"reference"}
         self.signals = tuple(self._signal(name) for name in self.layout.names if name in needed - set(COMPUTED))
         self.places = {signal.name: place for place, signal in enumerate(self.signals)}
+        spans = np.array([(signal.low, signal.high) for signal in self.signals]).T
+        self.lowest, self.highest = spans + OUTSIDE * (spans[1] - spans[0]) * np.array([[-1.0], [1.0]])
 
     def _signal(self, name: str) -> Signal:
         place = self.layout.index(name)
@@ -110,7 +135,11 @@ class MeasuredMemory(NamedTuple):
     """Memory of a controller from one sample to the next."""
 
     last: Floats  # (signals,), the last valid samples
-    waiting: NDArray[np.bool_]  # (), it starts at the next sample: none was complete, or the command was not a number
+    running: NDArray[np.bool_]  # (), it goes on at the next sample; else it starts there, as a memory of zeros does
+    lost_samples: NDArray[np.int64]  # (), successive ones with a lost signal or without a command
+    holding: NDArray[np.bool_]  # (), too many samples were lost: it holds the axis until the next start
+    holding_voltage: Floats  # (), V, that holds the load of the last complete sample
+    last_voltage: Floats  # (), V, of the last call
     computed: dict[str, Floats]
     """If the controller reads them: velocity_estimate (), m/s, and error_integral (), m s. With them standby (),
     whether the last call was a start with a complete sample."""
@@ -137,22 +166,40 @@ class MeasuredController:
         self._period, self._blend = signals.config.control_period, float(settings["velocity_blend"])
         self._integral_time = float(settings["integral_time"])
         self._integral_limit = float(settings["integral_limit"])
+        plant = signals.config.plant
+        self._model, self._plant = FlowModel(plant), plant_coefficients(plant)
+        self._speed_per_volt = max(speed_limits(plant)) / FULL_VOLTAGE
 
     # One sample ---------------------------------------------------------------------------------------------------
 
-    def step(self, signals: Floats, start: Any, memory: MeasuredMemory) -> Step:
+    def step(
+        self,
+        signals: Floats,
+        valid: Any,
+        start: Any,
+        lost_limit: Any,
+        memory: MeasuredMemory,
+        sound: Sequence[Any] = (),
+    ) -> Step:
         """Both continuations of one sample.
 
         Args:
-            signals: (signals,), SI units; a lost signal is NaN or infinite.
+            signals: (signals,), SI units.
+            valid: (signals,), whether each signal is what its sensor measures. A signal is lost if it is not valid, not
+                a number, or outside of its range by more than :data:`OUTSIDE`.
             start: (), whether the controller begins here. In consecutive starts it stands by while another controller
                 drives the axis: it measures the speed with which it takes over.
-            memory: of the last call; at the first start its values are ignored.
+            lost_limit: (), successive lost samples that are allowed; 0: :data:`LOST_TRAVEL` and :data:`LOST_TIME`.
+            memory: of the last call; of zeros: the controller begins here.
+            sound: of each gain that may change, (), whether it is usable; else the last command stays.
         """
         s = self.signals
-        present = np.less(np.absolute(signals), np.inf)
+        reading = np.where(valid, signals, memory.last)  # nothing is compared with a signal that is not valid
+        lowest, highest = s.lowest, s.highest
+        inside = np.logical_and(np.less_equal(lowest, reading), np.less_equal(reading, highest))
+        present = np.logical_and(valid, inside)
         lost = np.where(present, 0.0, 1.0).sum(axis=0)
-        begins = np.logical_or(start, memory.waiting)
+        begins = np.logical_or(start, np.logical_not(memory.running))
         value: dict[str, Any] = {}
         for name, place in s.places.items():
             sample = np.where(present[place], signals[place], memory.last[place])
@@ -189,41 +236,79 @@ class MeasuredController:
                 entries[place] = named(name + SCALED, scaled)
         observation = np.stack(entries)[None]
         kept = np.clip(value["previous_voltage"], -FULL_VOLTAGE, FULL_VOLTAGE)
+        complete = np.less(lost, 0.5)
+        still = np.logical_and(memory.holding, np.logical_not(np.logical_and(start, complete)))
+        one_more = np.where(still, 0, 1)
+        rest = np.where(complete, self._voltage_at_rest(value), memory.holding_voltage)
 
-        def way(memory: Any, incomplete: Any) -> dict[str, Any]:
-            command, new = self.controller.predict(observation, memory)
-            voltage = FULL_VOLTAGE * np.clip(command.astype(np.float64), -1.0, 1.0)[0, 0]
+        def way(before: Any, *ready: Any) -> dict[str, Any]:
+            command, new = self.controller.predict(observation, before)
+            wanted_voltage = FULL_VOLTAGE * np.clip(command.astype(np.float64), -1.0, 1.0)[0, 0]
             # The valve keeps its voltage before the first complete sample, and if the command is not a number.
-            waiting = np.logical_or(incomplete, np.logical_not(np.absolute(voltage) < np.inf))
-            voltage = np.where(waiting, kept, voltage)
-            return {"voltage": voltage, "waiting": waiting, "controller": new}
+            usable = reduce(np.logical_and, (*ready, *sound, np.absolute(wanted_voltage) <= FULL_VOLTAGE))
+            wanted_voltage = np.where(usable, wanted_voltage, kept)
+            lost_samples = np.where(np.logical_and(complete, usable), 0, memory.lost_samples + one_more)
+            lost_travel = (lost_samples - 1) * (self._period * self._speed_per_volt) * np.absolute(wanted_voltage)
+            beyond_own = np.logical_or(lost_travel > LOST_TRAVEL, lost_samples * self._period > LOST_TIME)
+            beyond = np.where(lost_limit > 0, lost_samples > lost_limit, beyond_own)
+            holding = np.logical_or(still, beyond)
+            largest_step = FULL_VOLTAGE * min(self._period / STOPPING_TIME, 1.0)
+            stopping_voltage = memory.last_voltage + np.clip(rest - memory.last_voltage, -largest_step, largest_step)
+            voltage = np.where(holding, stopping_voltage, wanted_voltage)
+            running = np.logical_and(usable, np.logical_not(holding))
+            own = {"lost_samples": lost_samples, "holding": holding, "last_voltage": voltage}
+            return {"voltage": voltage, "running": running, **own, "controller": new}
 
-        common = {"last": held, "computed": computed}
-        incomplete = lost > 0.5
-        return Step(begins, lost, common, way(None, incomplete), way(memory.controller, np.array(False)))
+        common = {"last": held, "computed": computed, "holding_voltage": rest}
+        return Step(begins, lost, common, way(None, complete), way(memory.controller))
+
+    def _voltage_at_rest(self, value: Mapping[str, Any]) -> Any:
+        """Voltage (V) at which no oil moves the piston, at the measured pressures; else at those of the rig's own load.
+
+        The valve holds both chambers with equal openings: the pressures add up to those of supply and tank.
+        """
+        c, position = self._plant, value.get("position", np.zeros(()))
+        if {"pressure_a", "pressure_b"} <= self.signals.places.keys():
+            pressure_a, pressure_b = value["pressure_a"], value["pressure_b"]
+        else:
+            total = c.relief_pressure + c.tank_pressure
+            force = holding_force.py_func(position, c)  # type: ignore[attr-defined]
+            force = np.clip(force, -c.area_b * total, c.area_a * total)
+            pressure_a = (force + c.area_b * total) / (c.area_a + c.area_b)
+            pressure_b = total - pressure_a
+        pressures, speed = np.stack([pressure_a, pressure_b])[:, None], np.zeros(1)
+        flow = self._model.at(position, pressures, self._model.supply(pressures, speed))
+        voltage_at_rest = FULL_VOLTAGE * self._model.opening(speed, flow)[0]
+        return voltage_at_rest
 
     def empty(self) -> MeasuredMemory:
         """Memory before the first call: the right shapes, no content."""
         s = self.signals
-        rest = np.array([0.5 * (one.low + one.high) for one in s.signals])
         computed: dict[str, Floats] = {
             name: np.zeros(()) for name in ("velocity_estimate", "error_integral") if name in s.used
         }
         if computed:
             computed["standby"] = np.array(False)
-        plain = MeasuredMemory(rest, np.array(False), computed, None)
+        none, zero, never = np.zeros(len(s.signals)), np.zeros(()), np.array(False)
+        plain = MeasuredMemory(none, never, np.array(0), never, zero, zero, computed, None)
         observation = np.zeros((1, len(s.layout.names)), dtype=np.float32)
         observation[0] = [0.25 if "pressure" in name else 0.0 for name in s.layout.names]
         _, memory = self.controller.predict(observation, None)
         return plain._replace(controller=memory)
 
     def __call__(
-        self, signals: Floats, memory: MeasuredMemory | None, start: bool = False
+        self,
+        signals: Floats,
+        memory: MeasuredMemory | None,
+        start: bool = False,
+        valid: NDArray[np.bool_] | None = None,
+        lost_limit: int = 0,
     ) -> tuple[float, MeasuredMemory]:
-        """Voltage, V, for a sample, and the memory for the next one; ``None`` starts."""
-        start = start or memory is None
+        """Voltage, V, for a sample, and the memory for the next one; arguments as :meth:`step`, ``None`` starts."""
+        memory = memory if memory is not None else self.empty()
+        valid = np.ones(len(self.signals.signals), np.bool_) if valid is None else valid
         with np.errstate(all="ignore"):
-            step = self.step(signals, np.array(start), memory if memory is not None else self.empty())
+            step = self.step(signals, valid, np.array(start), np.array(lost_limit), memory)
         way = dict(step.started if bool(step.begins) else step.continued)
         return float(way.pop("voltage")), MeasuredMemory(**step.common, **way)
 

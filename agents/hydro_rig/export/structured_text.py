@@ -23,8 +23,11 @@ _OPERATORS = {
     **{"equal": "=", "not_equal": "<>", "greater": ">", "greater_equal": ">=", "less": "<", "less_equal": "<="},
 }
 _FUNCTIONS = {"absolute": "ABS({0})", "sqrt": "SQRT({0})", "exp": "EXP({0})", "log": "LN({0})"}
-_FUNCTIONS |= {"maximum": "MAX({0}, {1})", "minimum": "MIN({0}, {1})", "power": "EXPT({0}, {1})"}
+_FUNCTIONS |= {"power": "EXPT({0}, {1})"}
 _FUNCTIONS |= {
+    # MAX and MIN do not define what they make of a value that is not a number: here the first value stays.
+    "maximum": "SEL({0} < {1}, {0}, {1})",
+    "minimum": "SEL({0} > {1}, {0}, {1})",
     # The standard has no such functions; beyond 20 the hyperbolic tangent is 1 to the last digit.
     "tanh": "1.0 - 2.0 / (EXP(2.0 * LIMIT(-20.0, {0}, 20.0)) + 1.0)",
     "arcsinh": "SEL({0} < 0.0, 1.0, -1.0) * LN(ABS({0}) + SQRT({0} * {0} + 1.0))",
@@ -55,7 +58,7 @@ class StructuredTextWriter(CWriter):
 
     declared: list[str] = field(default_factory=list)
     types: ClassVar[Mapping[Any, str]] = TYPES
-    repeats: ClassVar[frozenset[str]] = frozenset({"arcsinh", "sign", "copysign"})
+    repeats: ClassVar[frozenset[str]] = frozenset({"arcsinh", "sign", "copysign", "maximum", "minimum"})
     reserved: ClassVar[frozenset[str]] = _RESERVED
 
     def _key(self, name: str) -> str:
@@ -169,9 +172,9 @@ def structured_text(controller: ControllerGraph, name: str = "Controller") -> st
         name: of the function block; ``NAMEGains`` is the structure of its gains.
     """
     fields = {part: f"{text}_before" for part, text in field_names(controller).items()}
-    names = inputs_of(controller, "Signals", "Start", "Gains.")
+    names = inputs_of(controller, ("Signals", "Valid", "Start", "LostLimit"), "Gains.")
     writer = StructuredTextWriter(names | fields, places=element_names(controller, "AT_"))
-    writer.reserve("voltage", "signals", "start", "gains", "lost_signals", *fields.values())
+    writer.reserve("voltage", "signals", "valid", "start", "lostlimit", "gains", "holding", *fields.values())
     values = written_step(controller, writer, fields) | {
         "name": name,
         "gains": [gain._replace(value=literal(float(gain.value))) for gain in controller.gains],

@@ -34,7 +34,7 @@ def test_each_language_gives_the_voltages_of_the_vectors_sample_by_sample(kind, 
     made = exported(kind)
     rows = np.genfromtxt(made.folder / "vectors.csv", delimiter=",", skip_header=1)
     starts, signals, expected = rows[:, 0] > 0.0, rows[:, 1:-1], rows[:, -1]
-    assert starts.sum() == 4  # episodes
+    assert starts.sum() == 9  # of three episodes, and after each loss
     assert (np.abs(expected) == 10.0).any()
     assert np.isnan(signals).any()
     if language == "c":
@@ -56,9 +56,9 @@ def test_the_model_has_plain_operators_fixed_shapes_and_names(kind, exported):
     names = [node.name for node in model.graph.node]
     assert len(set(names)) == len(names)
     assert {"previous_voltage_sample", "position_scaled"} <= set(names)
-    assert [value.name for value in model.graph.input] == ["signals", "state", "start"]
-    assert exported(kind).report[0].startswith("controller.onnx: 480 samples in onnxruntime")
-    assert exported(kind).report[1].startswith(("controller.c: 480 samples", "controller.c: not compiled"))
+    assert [value.name for value in model.graph.input] == ["signals", "state", "valid", "start", "lost_limit"]
+    assert exported(kind).report[0].startswith("controller.onnx: 540 samples in onnxruntime")
+    assert exported(kind).report[1].startswith(("controller.c: 540 samples", "controller.c: not compiled"))
 
 
 def test_the_compensation_of_an_overlapped_valve_is_exported():
@@ -122,7 +122,7 @@ def test_it_waits_for_the_first_complete_sample_and_starts_there(exported):
     broken[:3, names.index("pressure_a")] = (np.nan, np.inf, -np.inf)
     broken[:3, names.index("previous_voltage")] = (1.5, 1.5, 99.0)
     results = run_in_onnx(made.folder, broken)
-    assert results[:3].tolist() == [[1.5, 1], [1.5, 1], [10.0, 1]]
+    assert results[:3].tolist() == [[1.5, 1], [1.5, 1], [1.5, 2]]  # 99 V is no voltage of a valve
     assert np.array_equal(results[3:], run_in_onnx(made.folder, rows))
 
 
