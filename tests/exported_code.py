@@ -39,11 +39,9 @@ class InC:
 
     def gains_of(self, names):
         """The gains of the library by name, which may be changed."""
-        kind = type("Gains", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_double) for name in names]})
-        structure = kind.in_dll(*self._place)
-        structure.__class__.__getitem__ = lambda self, name: getattr(self, name)
-        structure.__class__.__setitem__ = setattr
-        return structure
+        fields = {"_fields_": [(name, ctypes.c_double) for name in names]}
+        items = {"__getitem__": lambda *key: getattr(*key), "__setitem__": lambda *item: setattr(*item)}
+        return type("Gains", (ctypes.Structure,), fields | items).in_dll(*self._place)
 
 
 class InOnnx:
