@@ -143,11 +143,18 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
     if any(finding.weight is Weight.SEVERE for finding in findings):
         return nothing
     phase = None if own else _phase(place, rows[COMMAND], per_period, distance, config)
-    if phase is None:
+    chosen = place % max(per_period, 1) == phase
+    # A slow sensor may have its readings in other rows than the controller its samples.
+    if phase is None or (_share_known(rows[:, chosen]) < 0.5 * _share_known(rows)).any():
         return _own_grid(time, rows, place, distance, findings)
-    chosen = place % per_period == phase
     index = (place[chosen] - place[chosen][:1]) // per_period
     return index, time[chosen], rows[:, chosen], period, moved
+
+
+def _share_known(rows: Floats) -> Floats:
+    """Share of known values of each channel, from (channels, n)."""
+    share: Floats = np.isfinite(rows).mean(axis=1)
+    return share
 
 
 def _own_grid(
@@ -171,8 +178,8 @@ def _own_grid(
     if len(number) > 1 and number[1] == number[0] + 1 and np.isnan(commands[0]):
         commands[0] = values[COMMAND, 0]  # what acted before the first row
     samples[COMMAND] = commands
-    what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for the command in the control period; taken "
-    what += f"on its own grid, each sample the median of {rows} rows" if rows > 1 else "on its own grid"
+    what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for command and readings in the control "
+    what += "period; taken on its own grid" + (f", each sample the median of {rows} rows" if rows > 1 else "")
     findings.append(Finding("time", what, Weight.NOTE))
     number = number - number[0]
     return number, time[0] + number * period, samples, period, True
