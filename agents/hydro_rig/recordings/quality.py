@@ -41,7 +41,7 @@ MOST_SAMPLES = 4000
 used."""
 
 FEWEST_SAMPLES = 100
-LONGEST_BLANK = 20.0  # samples between two readings of a slow sensor
+LONGEST_BLANK = 0.1  # s between two readings of a slow sensor
 LEAST_TRAVEL = 20.0  # smallest useful travel, in standard deviations of the position's noise
 STEADY = 0.05  # scatter of the flow over its mean, below which the axis moves at one speed
 LEAST_SHARE = 0.05  # smallest travel, as a share of the travel from the valve's flow
@@ -58,7 +58,6 @@ SLOPES = (0.15, 6.0)
 
 ROUNDING = 1e-4  # of full scale, by which a command at its limit may exceed it without a word
 LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
-
 
 SETTLED = "a move by a positive command settles it: the axis extends, and chamber a gets the oil"
 
@@ -218,8 +217,7 @@ def _without_gaps(samples: Sampled, config: TaskConfig) -> Sampled:
     for values in signals[:COMMAND]:
         known = np.isfinite(values)
         if known.any() and not known.all():
-            own = samples.place[known].astype(np.float64)
-            values[:] = interpolated(samples.place.astype(np.float64), own, values[known], LONGEST_BLANK)
+            values[:] = interpolated(samples.time, samples.time[known], values[known], LONGEST_BLANK)
     return samples._replace(signals=signals if "flow" in samples.auxiliary else _completed(signals, config))
 
 

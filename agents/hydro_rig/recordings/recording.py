@@ -124,7 +124,7 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
                 "'equidistant: 5 ms'"
             )
         first = time[known][0] if known.any() else 0.0
-        time = first + 0.5 * sum(spacing) * np.arange(rows)
+        time = np.asarray(first + 0.5 * sum(spacing) * np.arange(rows), np.float64)
         known[:] = True
     if not known.all():
         share = float(1.0 - known.mean())

@@ -98,7 +98,7 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
         findings.append(finding)
         if finding.weight is Weight.SEVERE:
             return nothing
-        time = distance * np.arange(len(time))
+        time = np.asarray(distance * np.arange(len(time)), np.float64)
     steps = np.diff(time, prepend=-np.inf)
     if (back := steps < 0.0).any():
         worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s{EQUIDISTANT}"

@@ -141,6 +141,7 @@ def test_equidistant_rows_lie_as_far_apart_as_rounded_stamps_allow(tmp_path, cas
             read_recording(file, read_map(columns))
         return
     found = sampled(read_recording(file, read_map(columns)), TaskConfig(), own_grid=True)
+    assert len(found.place) == len(time)
     assert found.period == pytest.approx(max(told, 0.001), rel=0.01 * (told not in (0.005, 0.001)), abs=1e-12)
 
 
