@@ -1,6 +1,6 @@
 """Checks of each single channel, missing, constant, stuck, saturated, and impossible values; and of the driving.
 
-A limit cycle, and a command at its limit, tell of the controller rather than of the axis.
+A limit cycle, and a command at its limit, tell of the controller rather than of the axis; a set point is no command.
 """
 
 from __future__ import annotations
@@ -14,16 +14,24 @@ from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SP
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.recordings.columns import MEASURED, UNITS
-from hydro_rig.recordings.findings import Finding, Mask, Weight, finding_of, runs_of, severe_if
+from hydro_rig.recordings.findings import Finding, Mask, Weight, finding_of, missing_weight, runs_of, severe_if
 from hydro_rig.recordings.recording import FULL_COMMAND
 from hydro_rig.recordings.sampling import Sampled, cut
 
+LONGEST_LAG = 0.3  # s, by which a position may follow its set point
+SPEED_OVER = 0.02  # s, half of the time over which the speed is taken
+LEAST_ALIKE, MOST_FLOWING = 0.97, 0.7
+"""Least correlation of a set point with the position, and largest with the speed.
+
+Of the nine families of references the set points have 0.91 to 1 and at most 0.4, but for fast sines, which remain
+unnoticed; no command of PID and PPO with more than 0.97 has less than 0.97.
+"""
+
 Found = tuple[Mask, str, Weight]
 
-MOST_MISSING = 0.2  # share of a channel
 MOST_SATURATED = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
 ACTIVE_COMMAND = 0.01  # range of the command, as a fraction of full command, over which the spool must move
-FEWEST_STEPS = 20.0  # change of another channel that a sensor cannot miss, in steps of its acquisition
+FEWEST_STEPS = 20.0  # change of another channel that a sensor cannot miss, in steps of its readings
 LEAST_TRAVEL = 2e-3  # m; travel that the oil through the valve would cause
 LEAST_PRESSURE_CHANGE = 0.02  # of the other chamber, as a share of the supply pressure
 MOST_SPIKES = 0.05  # largest share of out-of-range values that count as single spikes, which are left out
@@ -61,7 +69,7 @@ def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding],
         known = np.isfinite(values)
         if not known.any():
             continue  # not recorded, or no numbers: already reported
-        found(row, ~known, "lacks readings", severe_if(1.0 - known.mean() > MOST_MISSING))
+        found(row, ~known, "lacks readings", missing_weight(signal, float(1.0 - known.mean())))
         if signal != "command" and np.nanmin(values) == np.nanmax(values):
             findings.append(Finding(signal, f"is constant at {_shown(signal, values[known][0])}", Weight.SEVERE))
             continue
@@ -174,6 +182,8 @@ def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) ->
     sensor = getattr(config.sensors, signal)
     same = np.append(False, (np.diff(values) == 0.0) & (np.diff(samples.place) == 1)) & ~_at_end(values, sensor)
     shortest = max(FEWEST, round(SHORTEST / samples.period))
+    changes = np.abs(np.diff(values))
+    step = float(max(sensor.resolution, np.min(changes, where=changes > 0.0, initial=np.inf)))
     stuck, ended, runs = np.zeros_like(same), np.zeros_like(same), 0
     extremes = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else ()
     for begin, end in zip(*runs_of(same), strict=True):
@@ -181,7 +191,7 @@ def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) ->
             continue
         if signal == "position" and values[begin] in extremes and end < len(values):
             ended[begin - 1 : end] = True
-        elif _must_change(samples.signals[:, begin - 1 : end], signal, samples, config):
+        elif _must_change(samples.signals[:, begin - 1 : end], signal, FEWEST_STEPS * step, samples, config):
             stuck[begin - 1 : end] = True
             runs += 1
     levels = np.unique(values[stuck])
@@ -192,29 +202,30 @@ def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) ->
     return stuck | ended, f"is cut off at {_shown(signal, levels[0])}" if cut else "is stuck at one value", Weight.FAULT
 
 
-def _must_change(during: Floats, signal: str, samples: Sampled, config: TaskConfig) -> bool:
+def _must_change(during: Floats, signal: str, least: float, samples: Sampled, config: TaskConfig) -> bool:
     """Whether the other channels (5, n) of a stretch show a motion that ``signal`` cannot miss.
 
+    ``least`` is the change that its readings show in any case, although they are rounded or held within a dead band.
     The spool follows the command. The piston follows the oil through the valve, whatever constant part of it a shifted
     null or a leak takes. A pressure changes with that of the other chamber; if that was not recorded, with the command.
     """
     command = during[COMMAND]
     swing = np.ptp(command[np.isfinite(command)]) if np.isfinite(command).any() else 0.0
     if signal == "spool_position":
-        return bool(swing > max(ACTIVE_COMMAND, FEWEST_STEPS * config.sensors.spool_position.resolution))
+        return bool(swing > max(ACTIVE_COMMAND, least))
     if signal == "position":
         spool = during[SPOOL] if np.isfinite(during[SPOOL]).all() else command
         if not np.isfinite(spool).all():
             return False
         travel = np.cumsum(spool - spool.mean()) * samples.period * np.mean(speed_limits(config.plant))
-        return bool(np.ptp(travel) > max(LEAST_TRAVEL, FEWEST_STEPS * config.sensors.position.resolution))
+        return bool(np.ptp(travel) > max(LEAST_TRAVEL, least))
     other = PRESSURE_A if signal == "pressure_b" else PRESSURE_B
     known = during[other][np.isfinite(during[other])]
     if len(known) < 2:
         return bool(swing > ACTIVE_COMMAND)
     noise = 1.05 * np.median(np.abs(np.diff(known)))  # of one reading: 1.483 / √2 of that of a difference
     low, high = np.quantile(known, [0.05, 0.95])
-    return bool(high - low > max(10.0 * noise, LEAST_PRESSURE_CHANGE * config.plant.supply.pressure))
+    return bool(high - low > max(10.0 * noise, LEAST_PRESSURE_CHANGE * config.plant.supply.pressure, least))
 
 
 def _shown(signal: str, value: float) -> str:
@@ -241,6 +252,30 @@ def check_driving(samples: Sampled, config: TaskConfig) -> list[Finding]:
     if full.mean() > MANY_STRETCHES:
         findings.append(finding_of(full, samples.time, AXIS, "runs with the command at its limit", Weight.NOTE))
     return findings
+
+
+def check_set_point(signals: Floats, period: float) -> Finding | None:
+    """Find a command that is the position's set point, from signals (5, T) without gaps in motion.
+
+    The position equals its set point a little later. Under the command of a valve the speed does so.
+    """
+    command, position, half = signals[COMMAND], signals[POSITION], max(round(SPEED_OVER / period), 1)
+    lags = np.arange(0, min(round(LONGEST_LAG / period), len(command) // 2), max(half // 2, 1))
+    alike = [_correlation(command[: len(command) - lag], position[lag:]) for lag in lags]
+    speed = position[2 * half :] - position[: -2 * half]
+    commands = [command[first : first + len(speed)] for first in (0, half)]  # at the time of the speed, and before
+    flowing = max(_correlation(values, speed) for values in commands)
+    if max(alike, default=0.0) < LEAST_ALIKE or flowing > MOST_FLOWING:
+        return None
+    late = 1e3 * period * float(lags[int(np.argmax(alike))])
+    what = f"is the set point of the position, which follows it by {late:.2g} ms: the command to the valve is another"
+    return Finding("command", f"{what} column; map that one", Weight.SEVERE)
+
+
+def _correlation(one: Floats, other: Floats) -> float:
+    """Size of the correlation of two signals (T,); 0 if one is constant."""
+    one, other = one - one.mean(), other - other.mean()
+    return abs(float(one @ other)) / max(float(np.sqrt((one @ one) * (other @ other))), 1e-300)
 
 
 def _swing(signals: Floats, period: float, least: float, config: TaskConfig) -> tuple[float, float, float] | None:

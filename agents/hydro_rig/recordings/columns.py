@@ -84,7 +84,11 @@ class Column(Group):
 class TimeColumn(Column):
     """The time stamps."""
 
-    equidistant: bool = Field(False, description="whether the rows lie at equal distances, whatever their stamps say")
+    equidistant: bool | Annotated[Number, Field(gt=0.0, le=1.0)] = Field(
+        False,
+        description="whether the rows lie at equal distances, whatever their stamps say; or this distance, as in 5 ms",
+        json_schema_extra={"unit": "s"},
+    )
 
 
 class CommandColumn(Column):

@@ -1,8 +1,7 @@
 """Files of measuring programs as columns: CSV, Parquet, MDF4, TDMS and MAT.
 
-Channels of MDF4 and TDMS, and a struct of a MAT file that holds a time, have their own time stamps, which are kept. If
-the stamps of the chosen channels differ, :func:`together` interpolates them at the stamps of the command and reports it
-as a finding.
+Channels of MDF4 and TDMS, and a struct of a MAT file that holds a time, have their own time stamps, which are kept.
+:func:`together` brings the chosen channels to the stamps of the command, and reports it as a finding.
 """
 
 from __future__ import annotations
@@ -28,6 +27,8 @@ LARGEST_RECORDING = 1_000_000_000  # largest size in bytes; about twenty hours a
 
 LONGEST_STEP = 2.0
 """Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
+
+AS_FAST = 1.5  # longest usual distance of a channel's stamps for interpolation, as a multiple of that of the command
 
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
 TIMES = ("time", "t", "zeit", "timestamps")
@@ -119,8 +120,9 @@ def library_errors(path: Path, library: str) -> Iterator[Any]:
 def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], list[Finding]]:
     """The chosen columns by signal, all with the same rows.
 
-    Columns with their own time stamps are interpolated linearly at the stamps of the command, never extrapolated, and
-    are missing (NaN) in their gaps. A finding names each such signal.
+    Columns with their own time stamps that are as dense as those of the command are interpolated linearly at these,
+    never extrapolated, and are missing (NaN) in their gaps. A reading of a slower one stands in the row of the nearest
+    stamp; between two of them nothing is known. A finding names each such signal.
 
     Args:
         columns: of the file.
@@ -137,11 +139,21 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
         own = columns.stamps[place]
         if own is None or (len(own) == len(base) and np.allclose(own, base, rtol=0.0, atol=1e-9)):
             continue
-        cells[signal] = pd.Series(interpolated(base, own, numbers_of(columns.cells[place])))
-        usual = 1e3 * np.median(np.diff(own)) if len(own) > 1 else np.nan
-        what = f"has its own time stamps, one every {usual:.4g} ms; it is interpolated at those of the command"
+        values = numbers_of(columns.cells[place])
+        usual, row = _usual_step(own), _usual_step(base)
+        what = f"has its own time stamps, one every {1e3 * usual:.4g} ms; "
+        if usual > AS_FAST * row:
+            cells[signal] = pd.Series(placed(base, own, values, 0.5 * row))
+            what += "its readings stand in the nearest rows of the command"
+        else:
+            cells[signal] = pd.Series(interpolated(base, own, values))
+            what += "it is interpolated at those of the command"
         findings.append(Finding(signal, what, Weight.NOTE))
     return cells, findings
+
+
+def _usual_step(stamps: Floats) -> float:
+    return float(np.median(np.diff(stamps))) if len(stamps) > 1 else np.nan
 
 
 def numbers_of(cells: pd.Series) -> Floats:
@@ -149,18 +161,31 @@ def numbers_of(cells: pd.Series) -> Floats:
     return np.array(pd.to_numeric(cells, errors="coerce").to_numpy(np.float64, na_value=np.nan))
 
 
-def interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
-    """Values at ``time`` between the samples (own, values); NaN before, after, and in gaps."""
+def interpolated(time: Floats, own: Floats, values: Floats, longest: float = 0.0) -> Floats:
+    """Values at ``time`` between the samples (own, values); NaN before, after, and in gaps.
+
+    A gap is longer than ``longest``; default: LONGEST_STEP usual steps.
+    """
     order = np.argsort(own, kind="stable")
     own, values = own[order], values[order]
     if len(own) < 2:
         return np.full(len(time), np.nan)
     after = np.clip(np.searchsorted(own, time), 1, len(own) - 1)
     step = own[after] - own[after - 1]
-    inside = (time >= own[0]) & (time <= own[-1]) & (step <= LONGEST_STEP * np.median(np.diff(own)))
+    inside = (time >= own[0]) & (time <= own[-1]) & (step <= (longest or LONGEST_STEP * np.median(np.diff(own))))
     share = (time - own[after - 1]) / np.where(step > 0.0, step, 1.0)
     between = values[after - 1] + share * (values[after] - values[after - 1])
     return np.where(inside, between, np.nan)
+
+
+def placed(time: Floats, own: Floats, values: Floats, farthest: float) -> Floats:
+    """Values at the nearest ``time``, rising, of the samples (own, values), if no farther away; NaN elsewhere."""
+    after = np.clip(np.searchsorted(time, own), 1, len(time) - 1)
+    nearest = after - (own - time[after - 1] < time[after] - own)
+    near = np.abs(time[nearest] - own) <= farthest
+    there = np.full(len(time), np.nan)
+    there[nearest[near]] = values[near]
+    return there
 
 
 def of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
@@ -220,14 +245,17 @@ def read_mdf(path: Path, asammdf: Any) -> list[Channel]:
 
 def read_tdms(path: Path, nptdms: Any) -> list[Channel]:
     """All channels with values; only a waveform has stamps, otherwise a column of the file is the time."""
+    found = [channel for group in nptdms.TdmsFile.read(path).groups() for channel in group.channels() if len(channel)]
+    starts = [np.datetime64(channel.properties.get("wf_start_time", 0), "us").astype(float) for channel in found]
+    first = min((start for start in starts if start > 0.0), default=0.0)  # an unknown start is none, or 1904
     channels = []
-    for group in nptdms.TdmsFile.read(path).groups():
-        for channel in group.channels():
-            values, properties = channel[:], channel.properties
-            if len(values):
-                stamps = channel.time_track() if "wf_increment" in properties else None
-                unit = str(properties.get("unit_string", ""))
-                channels.append(Channel(group.name, channel.name, unit, values, stamps))
+    for channel, start in zip(found, starts, strict=True):
+        values, properties, stamps = channel[:], channel.properties, None
+        if "wf_increment" in properties:
+            begin = 1e-6 * max(start - first, 0.0) + float(properties.get("wf_start_offset", 0.0))
+            stamps = begin + float(properties["wf_increment"]) * np.arange(len(values))
+        unit = str(properties.get("unit_string", ""))
+        channels.append(Channel(channel.group_name, channel.name, unit, values, stamps))
     return channels
 
 

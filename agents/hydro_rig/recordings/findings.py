@@ -11,6 +11,12 @@ from numpy.typing import NDArray
 from hydro_agents.running.text import number
 from hydro_env.types import Floats
 
+MOST_MISSING = 0.9
+"""Largest share of missing readings of a sensor: every tenth row, by a slower program, tells enough."""
+
+MOST_MISSING_COMMANDS = 0.2
+"""The same for the command, without which the axis cannot be simulated."""
+
 Mask = NDArray[np.bool_]
 """True where a finding is about a row, (n,)."""
 
@@ -49,6 +55,11 @@ def runs_of(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First index of each run of true values, and the index after its last."""
     edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+
+
+def missing_weight(signal: str, share: float) -> Weight:
+    """Weight of a share of missing readings of a signal."""
+    return severe_if(share > (MOST_MISSING_COMMANDS if signal == "command" else MOST_MISSING))
 
 
 def severe_if(condition: object) -> Weight:

@@ -18,7 +18,8 @@ from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_env.types import Floats
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.recording import FULL_COMMAND, Recording
-from hydro_rig.recordings.sampling import LARGEST_DEVIATION, LONGEST_FILL, Sampled, sampled
+from hydro_rig.recordings.row_distance import LARGEST_DEVIATION
+from hydro_rig.recordings.sampling import LONGEST_FILL, Sampled, sampled
 
 SECTION = 300.0  # s; one window of each is kept, about 25 kB
 MARGIN = 5  # rows before and after a window, from which lost rows at its ends are completed

@@ -172,9 +172,13 @@ def _by_amplitude(cuts: Mapping[int, Windows]) -> list[list[int]]:
 
 
 def _shows_position(windows: Windows) -> NDArray[np.bool_]:
-    """The windows (B,) with most readings of the position, not at rest at the end of its range, or with a fast move."""
+    """The windows (B,) with most readings of the position, not at rest at the end of its range, or with a fast move.
+
+    A slow sensor has few readings in every window.
+    """
     travel = _ranges(windows.signals)[:, POSITION]
-    most = np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5
+    readings = np.isfinite(windows.signals[:, POSITION]).mean(axis=1)
+    most = readings > 0.5 * readings.max(initial=0.0)
     shows: NDArray[np.bool_] = most | (travel > FAST * travel.max(initial=0.0))
     return shows
 

@@ -27,7 +27,8 @@ from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SP
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.estimation.first_guess import two_pressures
-from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_driving
+from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_driving, check_set_point
+from hydro_rig.recordings.files import interpolated
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import Sampled, on_grid, sampled
@@ -40,6 +41,7 @@ MOST_SAMPLES = 4000
 used."""
 
 FEWEST_SAMPLES = 100
+LONGEST_BLANK = 0.1  # s between two readings of a slow sensor
 LEAST_TRAVEL = 20.0  # smallest useful travel, in standard deviations of the position's noise
 STEADY = 0.05  # scatter of the flow over its mean, below which the axis moves at one speed
 LEAST_SHARE = 0.05  # smallest travel, as a share of the travel from the valve's flow
@@ -56,7 +58,6 @@ SLOPES = (0.15, 6.0)
 
 ROUNDING = 1e-4  # of full scale, by which a command at its limit may exceed it without a word
 LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
-
 
 SETTLED = "a move by a positive command settles it: the axis extends, and chamber a gets the oil"
 
@@ -96,6 +97,9 @@ def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig
     findings = [*known, *samples.findings]
     if not len(samples.time):
         return Checked(samples, findings)
+    moving = _stretch_with_motion(_without_gaps(samples, config))
+    if moving is not None and (set_point := check_set_point(moving, samples.period)):
+        return Checked(samples, [*findings, set_point])
     samples, beyond = _within_full_scale(samples)
     findings += beyond
     findings += check_driving(samples, config)
@@ -179,9 +183,7 @@ def _stretch_with_motion(samples: Sampled) -> Floats | None:
 
 def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
     """Find wrong signs, exchanged chambers and wrong units; needs motion."""
-    if "flow" not in samples.auxiliary:  # a pump moves the axis, and the command may be none of a valve
-        samples = samples._replace(signals=_completed(samples.signals, config))
-    signals = _stretch_with_motion(samples)
+    signals = _stretch_with_motion(_without_gaps(samples, config))
     if signals is None:
         return []
     findings = _spool_and_command(signals, config)
@@ -204,6 +206,19 @@ def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
         what = f"moves against the valve's flow: its sign, or that of the command, is wrong; {SETTLED}"
         return [*findings, Finding("position", what, Weight.SEVERE)]
     return findings
+
+
+def _without_gaps(samples: Sampled, config: TaskConfig) -> Sampled:
+    """The samples with all signals, and with readings between those of a slow sensor, for checks of slow motion.
+
+    With a flow, a pump moves the axis, and the command may be none of a valve: absent signals stay absent.
+    """
+    signals = samples.signals.copy()
+    for values in signals[:COMMAND]:
+        known = np.isfinite(values)
+        if known.any() and not known.all():
+            values[:] = interpolated(samples.time, samples.time[known], values[known], LONGEST_BLANK)
+    return samples._replace(signals=signals if "flow" in samples.auxiliary else _completed(signals, config))
 
 
 def _completed(signals: Floats, config: TaskConfig) -> Floats:

@@ -14,8 +14,9 @@ from hydro_env import ConfigurationError
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, numbers_of, read_columns, together
-from hydro_rig.recordings.findings import Finding, Weight, severe_if
+from hydro_rig.recordings.findings import Finding, Weight, missing_weight, severe_if
 from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
+from hydro_rig.recordings.row_distance import Spacing, spacing_of
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
 FEWEST_ROWS = 3
@@ -33,6 +34,7 @@ class Recording(NamedTuple):
     auxiliary: Mapping[str, Floats] = {}  # the recorded ones of AUXILIARY by name, each (n,), SI
     begin: float = 0.0  # s, stamp of the first row in the file; of dates and times since 1970
     differential: bool = False  # pressure a is pressure a minus b
+    spacing: Spacing | None = None  # of rows that the map calls equidistant; ``time`` is then their middle guess
 
     def part(self, first: int, end: int) -> Recording:
         """A copy of the rows from ``first`` to before ``end``."""
@@ -106,17 +108,24 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
         if signal not in values:
             findings.append(Finding(signal, "was not recorded", Weight.NOTE, absent=True))
     time = values.pop("time")
-    known = np.isfinite(time)
-    if columns.time.equidistant and known.any():
-        time = np.linspace(time[known][0], time[known][-1], rows)
-        known[:] = True
-        findings.append(Finding("time", "is taken as equidistant, as the map says", Weight.NOTE))
-    if known.sum() < FEWEST_ROWS:
+    known, even = np.isfinite(time), columns.time.equidistant
+    if known.sum() < FEWEST_ROWS and isinstance(even, bool):
         example = str(cells["time"].iloc[0])[:40]
         raise ConfigurationError(
             f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp (the first one is {example!r}); allowed are "
             "numbers, 2026-03-01T08:00:00.005 and 01.03.2026 08:00:00,005"
         )
+    spacing = None
+    if even is not False:
+        spacing = spacing_of(time) if even is True else (even, even)
+        if spacing is None:
+            raise ConfigurationError(
+                f"{source}: time: the stamps do not tell the distance of the rows; give it in the map, as in "
+                "'equidistant: 5 ms'"
+            )
+        first = time[known][0] if known.any() else 0.0
+        time = np.asarray(first + 0.5 * sum(spacing) * np.arange(rows), np.float64)
+        known[:] = True
     if not known.all():
         share = float(1.0 - known.mean())
         what = "is missing in some rows, which are left out"
@@ -125,7 +134,8 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
     absent = np.full(rows, np.nan)
     signals = np.array([values.get(signal, absent)[known] for signal in MEASURED])
     auxiliary = {name: values[name][known] for name in AUXILIARY if name in values}
-    return Recording(source, time - time[0], signals, units, findings, auxiliary, begin + float(time[0]), differential)
+    begin += float(time[0])
+    return Recording(source, time - time[0], signals, units, findings, auxiliary, begin, differential, spacing)
 
 
 def map_for(file: Columns, source: str) -> ColumnMap:
@@ -151,7 +161,7 @@ def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Find
         example, share = str(cells.iloc[text[0]])[:20], len(text) / len(values)
         place = f"line {first_line + text[0]}" if first_line else f"row {text[0] + 1}"
         what = f"has {len(text)} cells that are not numbers, the first one {example!r} in {place}"
-        findings.append(Finding(signal, what, severe_if(share > 0.2), share=share))
+        findings.append(Finding(signal, what, missing_weight(signal, share), share=share))
     return values
 
 

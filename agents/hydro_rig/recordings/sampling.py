@@ -17,13 +17,16 @@ from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_env.types import Floats
-from hydro_rig.recordings.columns import UNITS
 from hydro_rig.recordings.files import interpolated
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.recording import Recording
-
-LARGEST_DEVIATION = 0.02
-"""Largest relative deviation of the row distance from a whole fraction of the control period; clocks differ less."""
+from hydro_rig.recordings.row_distance import (
+    SHORTEST_DISTANCE,
+    equidistant,
+    other_sampling,
+    row_distance,
+    whole_fraction,
+)
 
 JITTER = (0.05, 0.4)
 """Jitter of time stamps, as a fraction of the row distance: limit for a note, and limit beyond which stamps do not tell
@@ -35,9 +38,8 @@ the row distance."""
 
 SLOWEST = 1.5  # longest row distance, in control periods, of a log on its own grid; a slower one misses commands
 
-ROWS_TOGETHER = 20
-SHORTEST_DISTANCE = 1e-7  # s between two rows; no rig logs faster, so the unit of the stamps is wrong
-MOST_MISSING = 0.2  # largest share of rows that may be missing or duplicate
+MOST_MISSING = 0.2  # largest share of rows that may be missing in gaps, or duplicate
+PAUSE = 1.0  # s; a longer gap is a pause of the recording, which leaves the rows before and after it
 
 FOLLOWING = 0.1
 """Share of a stamp's deviation by which the clock is corrected: a slightly wrong clock then loses no row."""
@@ -91,6 +93,12 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
     period = config.control_period
     nothing = np.zeros(0, np.int64), time[:0], rows[:, :0], period, False
     moved = False
+    if recording.spacing is not None:
+        distance, finding = equidistant(recording.spacing, period)
+        findings.append(finding)
+        if finding.weight is Weight.SEVERE:
+            return nothing
+        time = np.asarray(distance * np.arange(len(time)), np.float64)
     steps = np.diff(time, prepend=-np.inf)
     if (back := steps < 0.0).any():
         worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s{EQUIDISTANT}"
@@ -107,11 +115,11 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
         findings.append(Finding("time", "has one stamp alone", Weight.SEVERE))
         return nothing
 
-    distance = _row_distance(time, period)
-    per_period = _whole_fraction(distance, period)
+    distance = row_distance(time, period)
+    per_period = whole_fraction(distance, period)
     own = own_grid or (not per_period and distance < SLOWEST * period)
     if distance < SHORTEST_DISTANCE or not (own or per_period):
-        findings.append(_other_sampling(distance, period, recording.units.get("time", "s")))
+        findings.append(other_sampling(distance, period, recording.units.get("time", "s")))
         return nothing
     place, jitter = _places(time, distance)
     if jitter > JITTER[0] * distance:
@@ -119,7 +127,14 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
             f"has stamps that jitter by up to {1e3 * jitter:.2g} ms (95 %) around one row every {1e3 * distance:.4g} ms"
         )
         if jitter > JITTER[1] * distance:
-            time, rows, moved = _steady(time, rows, period / per_period if per_period else distance)
+            pieces = np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > PAUSE) + 1)
+            step = period / per_period if per_period else distance
+            parts = [_steady(time[piece], rows[:, piece], step) for piece in pieces if len(piece) > TOGETHER]
+            if not parts:
+                findings.append(Finding("time", f"{what}, in short pieces", Weight.SEVERE))
+                return nothing
+            times, values, steadied = zip(*parts, strict=True)
+            time, rows, moved = np.concatenate(times), np.concatenate(values, axis=1), any(steadied)
             what += "; the readings are interpolated at a steady clock" if moved else "; taken as equidistant rows"
             distance = time[1] - time[0]
             place, _ = _places(time, distance)
@@ -128,11 +143,18 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
     if any(finding.weight is Weight.SEVERE for finding in findings):
         return nothing
     phase = None if own else _phase(place, rows[COMMAND], per_period, distance, config)
-    if phase is None:
+    chosen = place % max(per_period, 1) == phase
+    # A slow sensor may have its readings in other rows than the controller its samples.
+    if phase is None or (_share_known(rows[:, chosen]) < 0.5 * _share_known(rows)).any():
         return _own_grid(time, rows, place, distance, findings)
-    chosen = place % per_period == phase
     index = (place[chosen] - place[chosen][:1]) // per_period
     return index, time[chosen], rows[:, chosen], period, moved
+
+
+def _share_known(rows: Floats) -> Floats:
+    """Share of known values of each channel, from (channels, n)."""
+    share: Floats = np.isfinite(rows).mean(axis=1)
+    return share
 
 
 def _own_grid(
@@ -156,8 +178,8 @@ def _own_grid(
     if len(number) > 1 and number[1] == number[0] + 1 and np.isnan(commands[0]):
         commands[0] = values[COMMAND, 0]  # what acted before the first row
     samples[COMMAND] = commands
-    what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for the command in the control period; taken "
-    what += f"on its own grid, each sample the median of {rows} rows" if rows > 1 else "on its own grid"
+    what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for command and readings in the control "
+    what += "period; taken on its own grid" + (f", each sample the median of {rows} rows" if rows > 1 else "")
     findings.append(Finding("time", what, Weight.NOTE))
     number = number - number[0]
     return number, time[0] + number * period, samples, period, True
@@ -261,32 +283,6 @@ def cut(samples: Sampled, length: int) -> Windows:
     return Windows(signals, begin, begin + length * samples.period, auxiliary)
 
 
-def _row_distance(time: Floats, period: float) -> float:
-    """Usual distance of two rows in s: the median, or that over many rows if only this fits the period."""
-    distance = float(np.median(np.diff(time)))
-    many = min(ROWS_TOGETHER, len(time) - 1)
-    together = float(np.median(time[many:] - time[:-many])) / many
-    return distance if _whole_fraction(distance, period) or not _whole_fraction(together, period) else together
-
-
-def _whole_fraction(distance: float, period: float) -> int:
-    """Rows per control period; 0 if the row distance is not a whole fraction of it."""
-    rows = round(period / max(distance, SHORTEST_DISTANCE))
-    return rows if rows >= 1 and abs(distance * rows / period - 1.0) <= LARGEST_DEVIATION else 0
-
-
-def _other_sampling(distance: float, period: float, unit: str) -> Finding:
-    """The finding that the row distance does not fit the control period, with a unit of time that would fit."""
-    units = UNITS["time"]
-    fitting = [name for name in units if 1 <= _whole_fraction(distance * units[name] / units[unit], period) <= 100]
-    what = f"has one row every {1e3 * distance:.4g} ms, but the rig's control period is {1e3 * period:g} ms"
-    if fitting:
-        what += f"; stamps in {fitting[0]} instead of {unit} would fit"
-    else:
-        what += ": the commands between the rows are unknown; record faster, or give the --task of this rig"
-    return Finding("time", what, Weight.SEVERE)
-
-
 def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], float]:
     """Number of row distances since the first row, (n,), and the jitter of the stamps in s, 95 % quantile."""
     place, off = np.zeros(len(time), dtype=np.int64), np.zeros(len(time))
@@ -302,15 +298,17 @@ def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], float]:
 
 
 def _add_gaps(place: NDArray[np.int64], time: Floats, distance: float, findings: list[Finding]) -> None:
-    """Append a finding about missing rows."""
-    jumps = np.diff(place, prepend=-1)
-    gaps = np.flatnonzero(jumps > 1)
+    """Append a finding about missing rows; those of a pause cost a window, and those of many gaps every window."""
+    missing = np.diff(place, prepend=-1) - 1
+    gaps = np.flatnonzero(missing > 0)
     if len(gaps):
-        share = float((jumps[gaps] - 1).sum()) / (int(place[-1]) + 1)
-        longest = f"{1e3 * distance * (jumps.max() - 1):.3g} ms"
+        lost = missing[missing * distance < PAUSE].sum()
+        seconds = distance * float(missing.max())
+        longest = f"{seconds:.4g} s" if seconds >= PAUSE else f"{1e3 * seconds:.3g} ms"
         what = f"has {len(gaps)} gaps, the longest of {longest}" if len(gaps) > 1 else f"has a gap of {longest}"
         begin, end = float(time[gaps[0] - 1]), float(time[gaps[0]])
-        findings.append(Finding("time", what, severe_if(share > MOST_MISSING), begin, end, share))
+        share, many = float(missing.sum()) / (int(place[-1]) + 1), lost > MOST_MISSING * (lost + len(place))
+        findings.append(Finding("time", what, severe_if(many), begin, end, share))
 
 
 def _steady(time: Floats, rows: Floats, distance: float) -> tuple[Floats, Floats, bool]:

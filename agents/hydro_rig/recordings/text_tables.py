@@ -63,11 +63,12 @@ def layout_of(text: str) -> Layout | None:
 
     The headings are the first line that has as many cells as most lines, more than half of them filled and none a
     number; without such a line, the first one. If the line below holds units, each heading gets its own: ``P_A [bar]``.
-    What stands before the headings, empty lines and lines that begin with ``#`` are skipped; without headings, the
-    last comment above the numbers counts if it has as many cells. Spaces separate columns where nothing else does.
+    What stands before the headings, empty lines and lines that begin with ``#`` or ``%`` are skipped; without headings,
+    the last comment above the numbers counts if it has as many cells. Spaces separate columns where nothing else does.
 
     Raises:
         csv.Error: a line is too long for a table.
+        ValueError: the line above the numbers has another number of cells.
     """
     whole = text.split("\n")
     numbers = [k for k, line in enumerate(whole) if line.strip() and not _is_comment(line)][:MOST_LINES]
@@ -82,12 +83,19 @@ def layout_of(text: str) -> Layout | None:
     usual = max(set(widths), key=widths.count)
     place = next((k for k, row in enumerate(rows) if len(row) == usual and _are_headings(row)), None)
     if place is None:
-        comments = [line.strip().lstrip("# ") for line in whole[: numbers[0]] if _is_comment(line)]
+        comments = [line.strip().lstrip("#% ") for line in whole[: numbers[0]] if _is_comment(line)]
         comment = comments[-1] if comments else ""
         above = _cells(comment, "," if separator == SPACES and "," in comment else separator)
         if len(above) == usual and _are_headings(above):
             return _layout(above, separator, numbers[0] + 1, text)
-        place = 0
+        first = next((k for k, row in enumerate(rows) if len(row) == usual and any(map(_NUMBER.fullmatch, row))), 0)
+        place = max(first - 1, 0)
+        count = len(rows[place])
+        named = [rows[place], *rows[first:]]  # a separator at the end of lines makes no column
+        if first and count != usual and any(any(row[min(count, usual) :]) for row in named):
+            raise ValueError(
+                f"line {numbers[place] + 1} with the headings has {count} cells, the rows below it {usual}"
+            )
     headings = rows[place]
     if place + 1 < len(rows) and len(rows[place + 1]) == len(headings) and _are_units(rows[place + 1]):
         place += 1
@@ -118,7 +126,7 @@ def _beginning(path: Path) -> tuple[str, str]:
 
 
 def _is_comment(line: str) -> bool:
-    return line.lstrip().startswith("#")
+    return line.lstrip().startswith(("#", "%"))
 
 
 def _cells(line: str, separator: str) -> list[str]:

@@ -43,8 +43,8 @@ def test_mdf4_with_one_time(tmp_path):
     same_as_written(tmp_path / "a.mf4")
 
 
-def test_channels_with_stamps_of_their_own_are_interpolated_and_told(tmp_path):
-    own = np.arange(0.0025, 0.9, 0.010)  # it begins later, ends earlier, and has a gap
+def test_channels_as_fast_as_the_command_are_interpolated_and_told(tmp_path):
+    own = np.arange(0.0025, 0.9, 0.005)  # it begins later, ends earlier, and has a gap
     own = own[(own < 0.4) | (own > 0.5)]
     values = 100.0 * own  # mm; a line, which linear interpolation meets exactly
     write_mdf(tmp_path / "a.mf4", [("position", "mm", own, values), ("command", "V", TIME, COMMAND)])
@@ -58,7 +58,39 @@ def test_channels_with_stamps_of_their_own_are_interpolated_and_told(tmp_path):
     assert not known[own[-1] < TIME].any()
     assert not known[(TIME > 0.401) & (TIME < 0.499)].any()
     assert known[(TIME > 0.01) & (TIME < 0.39)].all()
-    assert [f.signal for f in found.findings if "its own time stamps, one every 10 ms" in f.line()] == ["position"]
+    assert [f.signal for f in found.findings if "its own time stamps, one every 5 ms" in f.line()] == ["position"]
+
+
+def test_readings_of_a_slower_channel_stand_where_their_stamps_are(tmp_path):
+    write_mdf(
+        tmp_path / "a.mf4",
+        [("position", "mm", TIME[2::4] + 1e-4, POSITION[2::4]), ("command", "V", TIME, COMMAND)],
+    )
+    found = read_recording(tmp_path / "a.mf4")
+    np.testing.assert_allclose(found.signals[0, 2::4], 1e-3 * POSITION[2::4], rtol=1e-6)
+    assert np.isfinite(found.signals[0]).sum() == len(TIME[2::4])
+    assert [f.signal for f in found.findings if "one every 20 ms; its readings stand" in f.line()] == ["position"]
+
+
+def test_tdms_channels_begin_at_their_own_start(tmp_path):
+    """Two tasks of one program: the second begins 10 ms later; a third channel has a start in 1904, which is none."""
+    nptdms = library("nptdms")
+    start = np.datetime64("2026-03-01T08:00:00.000000")
+    channels = [
+        nptdms.ChannelObject("daq", name, values, {"unit_string": unit, "wf_increment": 0.005, "wf_start_time": begin})
+        for name, values, unit, begin in [
+            ("position", POSITION[2:], "mm", start + np.timedelta64(10, "ms")),
+            ("spool", COMMAND, "V", np.datetime64("1904-01-01T00:00:00.000000")),
+            ("command", COMMAND, "V", start),
+        ]
+    ]
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
+        file.write_segment(channels)
+    found = read_recording(tmp_path / "a.tdms")
+    np.testing.assert_allclose(found.time, TIME, atol=1e-9)
+    np.testing.assert_allclose(found.signals[0, 2:], 1e-3 * POSITION[2:], rtol=1e-6)
+    assert np.isnan(found.signals[0, :2]).all()
+    np.testing.assert_allclose(found.signals[3], 0.1 * COMMAND, rtol=1e-6)
 
 
 def test_tdms_waveforms_and_columns(tmp_path):
@@ -90,7 +122,7 @@ def test_mat_files_with_a_map(tmp_path):
 def test_mat_files_with_a_struct_per_channel_and_unequal_lengths(tmp_path):
     own = TIME[:-20:2]
     content = {
-        "position": {"Time": own, "Data": 100.0 * own, "Unit": "mm"},  # a line, which interpolation meets exactly
+        "position": {"Time": own, "Data": 100.0 * own, "Unit": "mm"},
         "command": {"time": TIME, "signals": {"values": COMMAND, "dimensions": 1.0}, "unit": "V"},
         "note": "text",
         "other": np.arange(7.0),
@@ -101,7 +133,7 @@ def test_mat_files_with_a_struct_per_channel_and_unequal_lengths(tmp_path):
     np.testing.assert_allclose(found.signals[4], 0.1 * COMMAND, rtol=1e-9)
     known = np.isfinite(found.signals[0])
     np.testing.assert_allclose(found.signals[0, known], 0.1 * TIME[known], rtol=1e-9)
-    assert known.sum() == np.sum(own[-1] >= TIME)
+    assert known.sum() == len(own)
 
 
 def test_vectors_of_unequal_length_are_told(tmp_path):

@@ -51,6 +51,32 @@ def command_moved(by):
     return change
 
 
+def blank(every):
+    """Pressures in each so many row alone, as a slower program logs them."""
+
+    def change(recording):
+        signals = recording.signals.copy()
+        signals[1:3, np.arange(signals.shape[1]) % every > 0] = np.nan
+        return changed(recording, signals=signals)
+
+    return change
+
+
+def held(values):
+    """As a historian holds them within a dead band of 1 bar."""
+    kept = values.copy()
+    for row in kept:
+        for k in range(1, len(row)):
+            if abs(row[k] - row[k - 1]) < BAR:
+                row[k] = row[k - 1]
+    return kept
+
+
+def as_set_point(scale):
+    """The position 40 ms later stands in the column of the command."""
+    return lambda r: changed(r, signals=np.vstack([r.signals[:4], scale * np.roll(r.signals[0], -8)]))
+
+
 def resting_encoder(recording):
     """From 4.5 s on the axis rests: an encoder of 25 µm repeats its value while the command hunts in the dead band."""
     signals, noise = recording.signals.copy(), np.random.default_rng(3)
@@ -90,7 +116,32 @@ CASES = {
     "lost": (edited(0, slice(7, None, 31), -0.2), [(FAULT, "position loses readings: it falls 39 times to -200 mm")]),
     "spikes": (edited(1, slice(50, None, 100), 9e8), [(NOTE, "pressure_a has single values")]),
     "NaN": (edited(3, slice(100, 110), np.nan), [(NOTE, "spool_position lacks readings, first at 0.500 to 0.545 s")]),
-    "many NaN": (edited(3, slice(100, 900), np.nan), [(SEVERE, "spool_position lacks readings")]),
+    "many NaN": (edited(3, slice(100, 900), np.nan), [(NOTE, "spool_position lacks readings")]),
+    "most NaN": (edited(3, slice(100, None), np.nan), [(SEVERE, "spool_position lacks readings")]),
+    "commands NaN": (edited(4, slice(100, 400), np.nan), [(SEVERE, "command lacks readings")]),
+    "a slow program": (blank(4), [(NOTE, "pressure_a lacks readings"), (NOTE, "pressure_b lacks readings")]),
+    "a slow program, position turned": (
+        lambda r: scaled(-1, 1, 1, 1, 1)(blank(4)(r)),
+        [(NOTE, "lacks readings"), (NOTE, "lacks readings"), (SEVERE, "the other sign of the position")],
+    ),
+    "pressures in whole bar": (edited(slice(1, 3), slice(None), lambda v: BAR * np.round(v / BAR)), []),
+    "pressures in steps of 2 bar": (edited(slice(1, 3), slice(None), lambda v: 2 * BAR * np.round(0.5 * v / BAR)), []),
+    "pressures of a historian": (edited(slice(1, 3), slice(None), held), []),
+    "stuck in whole bar": (
+        lambda r: edited(1, slice(None), lambda v: BAR * np.round(v / BAR))(edited(1, slice(400, 600), 51 * BAR)(r)),
+        [(FAULT, "pressure_a is stuck at one value, first at 2.0")],
+    ),
+    "the set point as command": (as_set_point(1.0), [(SEVERE, "command is the set point of the position")]),
+    "the set point beyond full scale": (as_set_point(100.0), [(SEVERE, "command is the set point of the position")]),
+    "a pause": (
+        lambda r: changed(r, time=r.time + 60.0 * (r.time > 3.0)),
+        [(NOTE, "time has a gap of 60 s, first at 3.000 to 63.005 s")],
+    ),
+    "a day's pause, with jitter": (
+        restamped(lambda t: np.sort(t + np.random.default_rng(0).uniform(-4e-3, 4e-3, len(t))) + 86400.0 * (t > 3.0)),
+        [(NOTE, "ms; taken as equidistant rows"), (NOTE, "time has a gap of 8.64e+04 s")],
+    ),
+    "many gaps": (rows(lambda n: np.flatnonzero(np.arange(n) % 10 < 7)), [(SEVERE, "time has 119 gaps")]),
     "gap": (rows(lambda n: np.r_[0:400, 440:n]), [(NOTE, "time has a gap of 200 ms, first at 1.995 to 2.200 s")]),
     "twice": (rows(lambda n: np.r_[0:400, 399:n]), [(NOTE, "time has duplicate stamps")]),
     "backward": (restamped(lambda t: np.r_[t[:400], t[400:] - 1.0]), [(SEVERE, "runs backward 1 times, by up to")]),
@@ -214,6 +265,16 @@ def test_a_fast_log_without_a_change_of_command_has_a_grid_too():
     assert samples.period == pytest.approx(1e-3)
     assert np.nanmin(samples.signals[4]) == np.nanmax(samples.signals[4]) == 0.2
     assert 3 <= np.isnan(samples.signals[4]).sum() <= 4
+
+
+def test_readings_of_a_slow_sensor_between_the_samples_of_the_controller_are_kept(recording):
+    """A log of 1 kHz with a pressure at every tenth row, 2 ms after a sample of the controller."""
+    signals = np.repeat(recording.signals, 5, axis=1)
+    signals[1, np.arange(signals.shape[1]) % 10 != 2] = np.nan
+    fast = changed(recording, time=1e-3 * np.arange(signals.shape[1]), signals=signals)
+    samples = check_recording(fast, CONFIG).samples
+    assert samples.period == pytest.approx(1e-3)
+    np.testing.assert_array_equal(samples.signals[1][np.isfinite(samples.signals[1])], recording.signals[1, ::2])
 
 
 def test_a_log_that_keeps_the_control_period_is_taken_at_it(recording):

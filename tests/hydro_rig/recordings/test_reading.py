@@ -8,8 +8,10 @@ from refusal import refused
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.recordings.columns import read_map
+from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.guessed_map import UnknownHeadingsError
 from hydro_rig.recordings.recording import read_recording
+from hydro_rig.recordings.row_distance import equidistant
 from hydro_rig.recordings.sampling import cut, sampled
 from hydro_rig.recordings.simulated import recording_csv
 
@@ -104,9 +106,58 @@ def test_a_map_gives_columns_units_signs_and_offsets(tmp_path):
     np.testing.assert_allclose(found.signals[0], SIGNALS[0], atol=1e-9)
     np.testing.assert_allclose(found.signals[4], [np.nan, *SIGNALS[4, :-1]])
     assert [finding.signal for finding in found.findings] == ["pressure_a", "pressure_b", "spool_position"]
-    steady = written(tmp_path, "time: {column: When, equidistant: true}\ncommand: {column: Y, unit: '-'}", "even.yaml")
+    steady = written(tmp_path, "time: {column: When, equidistant: 5 ms}\ncommand: {column: Y, unit: '-'}", "even.yaml")
     file.write_text(file.read_text().replace(":00.010,", ":00.005,"))  # a stamp that came late
     np.testing.assert_allclose(read_recording(file, read_map(steady)).time, TIME)
+
+
+EVEN = 1e-3 * np.arange(3000)
+JITTER = np.random.default_rng(0).uniform(-4e-3, 4e-3, 3000)
+STAMPS = {
+    "whole seconds": (0.005, 0.005, lambda t: np.floor(t + 0.3)),
+    "tenths of a second": (0.005, 0.005, lambda t: np.round(t, 1)),
+    "whole seconds of a log of 1 kHz": (0.001, 0.001, np.floor),
+    "a number below the rows": (0.005, 0.005, lambda t: np.append(t[:-1], 3000.0)),
+    "the end of summer time": (0.005, 0.005, lambda t: t - 3600.0 * (t > 6.0)),
+    "the end of summer time in whole seconds": (0.005, 0.005, lambda t: np.floor(t) - 3600.0 * (t > 6.0)),
+    "late stamps": (0.005, 0.005, lambda t: t + JITTER),
+    "a clock of its own": (1.0 / 204.8, 1.0 / 204.8, lambda t: t),
+    "a clock of its own in tenths of a second": (1.0 / 204.8, 1.0 / 204.8, lambda t: np.floor(10.0 * t) / 10.0),
+    "lost rows": (0.00525, 0.005, lambda t: np.delete(0.005 * np.arange(3150), np.arange(0, 3150, 21))),
+    "minutes": (0.005, None, lambda t: 60.0 * np.floor((t + 55.0) / 60.0)),
+}  # fmt: skip
+"""Distance of rows, what the stamps of 3000 of them tell of it (None: nothing), and the stamps, by name."""
+
+
+@pytest.mark.parametrize("case", STAMPS)
+def test_equidistant_rows_lie_as_far_apart_as_rounded_stamps_allow(tmp_path, case):
+    distance, told, stamp = STAMPS[case]
+    time = stamp(1e3 * distance * EVEN)
+    rows = "".join(f"{t:.9g},{np.sin(k):.6g}\n" for k, t in enumerate(time))
+    file = written(tmp_path, "t,u\n" + rows)
+    columns = written(tmp_path, "time: {column: t, equidistant: true}\ncommand: {column: u, unit: '-'}", "map.yaml")
+    if case == "minutes":
+        with refused("do not tell the distance of the rows.*'equidistant: 5 ms'"):
+            read_recording(file, read_map(columns))
+        return
+    found = sampled(read_recording(file, read_map(columns)), TaskConfig(), own_grid=True)
+    assert len(found.place) == len(time)
+    assert found.period == pytest.approx(max(told, 0.001), rel=0.01 * (told not in (0.005, 0.001)), abs=1e-12)
+
+
+@pytest.mark.parametrize("spacing", [(0.002, 0.006), (0.0053, 0.0058), (1e-7, 1e-6)])
+def test_a_distance_of_rows_that_the_stamps_leave_open_is_asked_for(spacing):
+    finding = equidistant(spacing, 0.005)[1]
+    assert finding.weight is Weight.SEVERE
+    assert "'equidistant: 5 ms'" in finding.line()
+
+
+@pytest.mark.parametrize("mark", ["%", "# ", "% "])
+@pytest.mark.parametrize("separator", [" ", ",", "\t"])
+def test_a_mark_before_the_headings_is_no_column(tmp_path, mark, separator):
+    head, *rows = (line.replace(" [", "[").replace(",", separator) for line in PLAIN.splitlines()[1:])
+    text = "\n".join(["% exported, by a simulation", mark + head, *rows])
+    np.testing.assert_allclose(read_recording(written(tmp_path, text)).signals, SIGNALS, rtol=1e-6)
 
 
 def test_text_becomes_a_finding_with_its_line(tmp_path):
@@ -122,7 +173,12 @@ def test_text_becomes_a_finding_with_its_line(tmp_path):
     [
         ("", ["holds no table"]),
         ("time [s],command [V]\n", ["no rows"]),
-        ("time [s],command [V]\n0,1,2\n1,1,2\n", ["more columns than the line of headings"]),
+        ("time [s],command [V]\n0,1,2\n1,1,2\n", ["line 1 with the headings has 2 cells, the rows below it 3"]),
+        (
+            "of 2026\nNo.,time [s],command [V]\n0,1\n1,1\n2,1\n",
+            ["line 2 with the headings has 3 cells, the rows below it 2"],
+        ),
+        ("time [s],command [V]\n0,1,2\n1,1\n2,1\n", ["more columns than the line of headings"]),
         ("a,b\n1,2\n", ["no column has the heading 'time'", "--map"]),
         (PLAIN.replace("command", "foo"), ["'command'", "foo [V]"]),
         (PLAIN.replace("[bar]", "[bars]", 1), ["pressure_a", "'bars'", "MPa"]),
@@ -146,6 +202,8 @@ def test_what_is_no_recording_is_told_in_one_line(tmp_path, text, parts):
         ("time: t\ncommand: {column: u, unit: bar}", "'bar': must be one of V"),
         ("time: t\ncommand: {column: absent, unit: V}", "no column has the heading 'absent'"),
         ("time: t\ncommand: {column: 9, unit: V}", "column 9"),
+        ("time: {column: t, equidistant: 5}\ncommand: u", "equidistant"),
+        ("time: {column: t, equidistant: 5 mm}\ncommand: u", "time.equidistant = '5 mm': unit 'mm': must be one of s"),
         ("time: t\ncommand: {column: u, units: V}", "unknown key; did you mean unit?"),
         ("{time: t, command: u, pressure_a: p, pressure_b: p}", "pressure_b: column 'p' is already pressure_a"),
         ("{time: t, command: u, pressure_a: p, load_pressure: q}", "load_pressure: is pressure a minus b"),
