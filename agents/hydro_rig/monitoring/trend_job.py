@@ -117,7 +117,7 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
         if table.empty:
             first = next(iter(new.values()))
             _tell_why(first, maps[first] is None, [*left_out.values()])
-        newest = {file.axis: file.name for file in sorted(files, key=lambda file: file.path.stat().st_mtime)}
+        newest = {file.axis: file.name for file in sorted(files, key=lambda file: file.changed)}
         errors = {axis: left_out[name] for axis, name in newest.items() if name in left_out}
         limits = {axis: how.limit or USUAL_LIMIT * leak_scale(config) for axis, config in configs.items()}
         found = trends_of(table, limits, settings.oil, settings.between, errors, time())

@@ -44,6 +44,7 @@ class File(NamedTuple):
     axis: str
     name: str  # in the table: axis, and path within its folder
     size: int  # bytes
+    changed: float = 0.0  # s since 1970
 
 
 def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
@@ -68,8 +69,8 @@ def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
         if not recordings:
             raise ConfigurationError(f"{place}: holds no recording ({', '.join(SUFFIXES)})")
         for path in recordings:
-            axis, name = _axis_of(path, folder)
-            same = found.setdefault(name, File(path, axis, name, path.stat().st_size))
+            (axis, name), facts = _axis_of(path, folder), path.stat()
+            same = found.setdefault(name, File(path, axis, name, facts.st_size, facts.st_mtime))
             if same.path.resolve() != path.resolve():
                 raise ConfigurationError(f"{path}: {same.path} is '{name}' as well; give the folder above both")
     told = ", ".join(f"{count} {ending}" for ending, count in sorted(others.items()))
