@@ -35,7 +35,7 @@ from hydro_env.folders import config_folder  # noqa: E402
 LONG = "a" * 5000  # for a word of the cases
 LINES = {kind: CASES[kind] for kind in ("arguments", "nameplate", "output")}
 LINES["options"] = [f"{line} --{name}={{}}" for line, names in CASES["options"].items() for name in names.split()]
-VERDICTS = ("diagnose", "trend", "leak-test")  # commands whose exit codes 10 to 12 are answers
+VERDICTS = ("diagnose", "trend", "leak-test")  # commands whose exit codes 10 to 14 are answers
 UNCLEAR = re.compile("|".join(CASES["unclear"]))
 PROGRESS = re.compile(r"[\w ]+: +\d+ %|hydro: left out: ")
 
@@ -107,7 +107,7 @@ def fault(answer: Answer | subprocess.CompletedProcess[str], line: list[str], wr
     faults = {
         "hang": answer.returncode == 130,
         "traceback": "Traceback" in answer.stderr,
-        "exit code": answer.returncode not in ((0, 2, 10, 11, 12) if line[0] in VERDICTS else (0, 2)),
+        "exit code": answer.returncode not in ((0, 2, *range(10, 15)) if line[0] in VERDICTS else (0, 2)),
         "silent": wrong and answer.returncode in (0, 10),
         "unclear": UNCLEAR.search(said),
         "no clear line": refused and not (lines and lines[0].startswith("hydro: ") and max(map(len, lines)) < 3000),

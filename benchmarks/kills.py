@@ -29,7 +29,7 @@ JOBS = {  # without --resume first, and where nothing was kept
     "record": "record --benchmark OUT --count 9 --jobs 2",
 }
 MARK = str(os.getpid())  # of the commands, as a variable of their environment
-FINISHED = (0, 10, 11, 12)  # exit codes
+FINISHED = (0, 10, 11, 12, 13, 14)  # exit codes
 RESULTS = re.compile(r"(?!progress|state|protocol|\.hydro|.*checkpoint).*\.(csv|safetensors|parquet|svg|yaml|json)")
 TIMES = re.compile(rb',\s*"(seconds|digest)": [^,}\s]*')  # of a training, and of the text with it
 

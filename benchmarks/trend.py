@@ -27,10 +27,9 @@ from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import TREND_CALIBRATION, TRENDS
 from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
-from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.monitoring.oil import GRADES, Oil
 from hydro_rig.monitoring.trend import WINDOW, Settings, row_of
-from hydro_rig.monitoring.trend_summary import DAY, trends_of
+from hydro_rig.monitoring.trend_summary import DAY, State, trends_of
 from hydro_rig.monitoring.trend_table import SIZES, TEXTS, stamp
 from hydro_rig.recordings.liveliest import liveliest
 from hydro_rig.recordings.recording import Recording
@@ -115,7 +114,7 @@ def judge(kept: Path, controller: Controller, seed: int, days: int, grows: bool,
     for day in range(SLOWEST - 1, days):
         trend = trends_of(table.iloc[: day + 1], {f"{seed}": LIMIT}, Oil.of("46"))[0]
         if not grows:
-            raised += trend.state in (Kind.LEAK, Kind.OTHER) or trend.dated or trend.growth.ahead.value == 0.0
+            raised += trend.state in (State.LEAK, State.OTHER) or trend.dated or trend.growth.ahead.value == 0.0
         elif since <= day < min(crossing, axis.repairs[1]) and axis.leak[day] >= 0.5 * LIMIT:
             left, ahead = crossing - day, trend.growth.ahead
             holds.append(trend.dated and ahead.low <= left <= ahead.high)

@@ -115,14 +115,15 @@ def trend(
     the estimator of `hydro diagnose`. Sizes are referred to 100 bar and 40 °C. Writes the table and a page. Ctrl-C
     keeps all finished files; the same command goes on. `docs/trend.md` shows timers and files of historians.
 
-    Exit codes: 0 all healthy, 10 an axis leaks, 11 something else, 12 cannot tell, 2 wrong input.
+    Exit codes: 0 all healthy and fresh, 10 an axis leaks, 11 something else, 12 cannot tell, 13 unread, 14 stale,
+    2 wrong input.
     """
     from hydro_rig.monitoring.trend_job import Watch, watch
 
     given = Watch(append, columns or [], task, rig or [], oil, temperature, limit)
     with reading(as_json) as progress:
         found = watch(recordings, given, command_line(), progress)
-    for line in found.left_out:
+    for line in filter(None, [*found.left_out, found.ignored]):
         print(f"hydro: left out: {line}", file=sys.stderr)
     say(*([json.dumps(found.json(), indent=1, ensure_ascii=False)] if as_json else found.lines()))
     raise typer.Exit(found.exit_code)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from hydro_agents.commands.options import say
+from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
     from hydro_agents.running.jobs import Report
@@ -26,4 +27,5 @@ def reading(quiet: bool = False) -> Iterator[Report | None]:
             yield None if display is None else display.update
     except UnknownHeadingsError as error:
         say(error.guess)
-        raise
+        advice = "a map guessed from the headings stands above: save it as FILE, check it, add --map FILE"
+        raise ConfigurationError(f"{error}; {advice}") from None

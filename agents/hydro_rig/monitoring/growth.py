@@ -46,6 +46,11 @@ class Growth(NamedTuple):
     not_before: float  # the same, which the limit is reached before with a probability of EARLIEST
     grows: float  # probability that it grows
     level: Interval  # size at the last time
+    odd: bool  # whether the last size is far from the others and left out
+
+
+UNKNOWN = Interval(np.nan, np.nan, np.nan)
+NO_GROWTH = Growth(UNKNOWN, UNKNOWN, np.nan, np.nan, UNKNOWN, odd=False)
 
 
 class _Mixture(NamedTuple):
@@ -95,10 +100,10 @@ def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike,
     root = np.hypot(what, 0.02 * limit)
     y, error = np.log10(0.5 * (what + root)), np.hypot(sigma / root / np.log(10.0), LEAST_ERROR)
     known = np.isfinite(what) & np.isfinite(when) & np.isfinite(sigma)
-    known[known] = _usual(when[known], y[known], error[known])
+    usual = _usual(when[known], y[known], error[known])
+    known[known] = usual
     if known.sum() < FEWEST or np.ptp(when[known]) <= 0.0:
-        unknown = Interval(np.nan, np.nan, np.nan)
-        return Growth(unknown, unknown, np.nan, np.nan, unknown)
+        return NO_GROWTH
     x, y, error = _averaged(when[known], y[known], error[known])
     now, span = float(np.nanmax(when)), float(x[-1] - x[0])
     found = _mixture((x - now) / span, y, error)
@@ -119,6 +124,7 @@ def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike,
         not_before=when_reached(EARLIEST),
         grows=found.grows(),
         level=Interval(*(float(10.0**part) for part in found.quantiles(0))),
+        odd=not usual[-1],
     )
 
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
+from time import time
 from typing import Any, NamedTuple
 
 import pandas as pd
@@ -20,16 +21,9 @@ from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
 from hydro_rig.monitoring.oil import Oil, temperature_range
 from hydro_rig.monitoring.trend import Settings, read_row
-from hydro_rig.monitoring.trend_page import lines_of, render_trend
+from hydro_rig.monitoring.trend_page import render_trend
 from hydro_rig.monitoring.trend_summary import AxisTrend, exit_code, trends_of
-from hydro_rig.monitoring.trend_table import (
-    File,
-    files_of,
-    read_table,
-    unread,
-    with_rows,
-    write_table,
-)
+from hydro_rig.monitoring.trend_table import File, files_of, read_table, unread, with_rows, write_table
 from hydro_rig.recordings.columns import maps_of
 from hydro_rig.recordings.files import read_columns
 from hydro_rig.recordings.recording import map_for
@@ -52,10 +46,11 @@ class Watch(NamedTuple):
 class Watched(NamedTuple):
     """What was done and found."""
 
-    trends: list[AxisTrend]
+    trends: list[AxisTrend]  # the most urgent first
     read: int  # files that were read now
     known: int  # files that were in the table already
     left_out: list[str]  # one line per file that cannot be read
+    ignored: str  # what else the folders hold; empty: nothing
     notes: list[str]  # about clocks
     table: Path
     page: Path
@@ -68,14 +63,14 @@ class Watched(NamedTuple):
     def lines(self) -> list[str]:
         """For a person."""
         done = f"{self.read} files read, {self.known} known, {len(self.left_out)} left out"
-        return [*self.notes, *lines_of(self.trends), f"{self.table}: {done}", str(self.page)]
+        return [*self.notes, *(one.line() for one in self.trends), f"{self.table}: {done}", str(self.page)]
 
     def json(self) -> dict[str, Any]:
         """For another program."""
         return {
             "exit_code": self.exit_code,
-            "axes": [one.json() for one in self.trends],
-            "files": {"read": self.read, "known": self.known, "left_out": self.left_out},
+            "axes": [one.json() for one in sorted(self.trends, key=lambda one: one.axis)],
+            "files": {name: getattr(self, name) for name in ("read", "known", "left_out", "ignored")},
             "notes": self.notes,
             "table": str(self.table),
             "page": str(self.page),
@@ -97,12 +92,12 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
     """
     settings = Settings(Oil.of(how.oil), temperature_range(how.temperature))
     folder = how.table.parent
-    files = files_of(places, how.table)
+    files, ignored = files_of(places, how.table)
     table = read_table(how.table)
     maps = dict(zip(files, maps_of(how.maps, [file.path for file in files]), strict=True))
     configs = _configs(how, {file.axis for file in files} | set(table["axis"]))
     new = {file.name: file for file in unread(files, table)}
-    page, left_out = folder / f"{how.table.stem}.html", list[str]()
+    page, left_out = folder / f"{how.table.stem}.html", dict[str, str]()
     with output_folder(folder, "trend", (page.name, FIGURE_FILES), resume=True):
         jobs = {
             name: Job(read_row, None, (str(file.path.absolute()), file.axis, configs[file.axis], maps[file], settings))
@@ -114,19 +109,23 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
         with closing(answers_of(jobs, None)) as answers:
             for done, (name, result) in enumerate(answers, 1):
                 if result.error:
-                    left_out.append(result.error)
+                    left_out[name] = result.error
                 else:
                     table = with_rows(table, new[name], result.metrics, settings.oil)
                     write_table(how.table, table)
                 report("files", done, len(new))
         if table.empty:
             first = next(iter(new.values()))
-            _tell_why(first, maps[first] is None, left_out)
-        axes = sorted(set(table["axis"]))
-        limits = {axis: how.limit or USUAL_LIMIT * leak_scale(configs[axis]) for axis in axes}
-        trends = trends_of(table, limits, settings.oil, settings.between)
-        render_trend(trends, how.table.name, left_out, Origin.now(command)).write(page)
-    return Watched(trends, len(new) - len(left_out), len(files) - len(new), left_out, _clocks(table), how.table, page)
+            _tell_why(first, maps[first] is None, [*left_out.values()])
+        newest = {file.axis: file.name for file in sorted(files, key=lambda file: file.changed)}
+        errors = {axis: left_out[name] for axis, name in newest.items() if name in left_out}
+        limits = {axis: how.limit or USUAL_LIMIT * leak_scale(config) for axis, config in configs.items()}
+        found = trends_of(table, limits, settings.oil, settings.between, errors, time())
+        trends, lines = sorted(found, key=lambda one: one.urgency), [*left_out.values()]
+        shown = [*filter(None, [*lines, ignored])]
+        render_trend(trends, how.table.name, shown, Origin.now(command)).write(page)
+    read, known = len(new) - len(lines), len(files) - len(new)
+    return Watched(trends, read, known, lines, ignored, _clocks(table), how.table, page)
 
 
 def _configs(how: Watch, axes: set[str]) -> dict[str, TaskConfig]:

@@ -6,6 +6,8 @@ mark in the column ``repaired`` says that the seal was new from that row on, and
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,6 +33,9 @@ ran back, s; ``repaired``: any mark."""
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mf4", ".mdf", ".tdms", ".mat")
 DECIMALS = 5
 
+_DATE_FOLDERS = re.compile(r"(?:^|/)20\d\d(?:[-_./ ]?W?\d\d?){0,2}(?=/|$)")  # 2026-10-03, 2026/10/03
+_DATE = re.compile(r"(?<!\d)20\d\d(?:[-_.:T ]*\d\d)*(?!\d)")  # in the name of a file, with or without a time
+
 
 class File(NamedTuple):
     """A recording."""
@@ -39,38 +44,56 @@ class File(NamedTuple):
     axis: str
     name: str  # in the table: axis, and path within its folder
     size: int  # bytes
+    changed: float = 0.0  # s since 1970
 
 
-def files_of(places: Sequence[Path], table: Path) -> list[File]:
-    """The recordings in folders, and single ones, in the order of their names.
+def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
+    """The recordings in folders, and single ones, in the order of their names; and what else the folders hold.
 
-    The first folder below a folder names the axis (``axis=3`` is 3), or the folder itself if the files lie in it.
+    What begins with ``.`` or ``_`` is hidden.
 
     Raises:
-        ConfigurationError: a place does not exist, or holds no recording.
+        ConfigurationError: a place does not exist, holds no recording, or holds a file of the same name as another.
     """
     found: dict[str, File] = {}
+    others: Counter[str] = Counter()
+    own = {table.resolve(), table.with_suffix(".html").resolve()}
     for place in places:
         if not place.exists():
             raise ConfigurationError(f"{place}: does not exist")
-        paths = [place] if place.is_file() else [path for path in place.rglob("*") if _recording(path, place)]
-        paths = [path for path in paths if path.resolve() != table.resolve()]
-        if not paths:
+        folder = place if place.is_dir() else place.parent
+        paths = [path for path in place.rglob("*") if _visible(path, place)] if place.is_dir() else [place]
+        paths = [path for path in paths if path.resolve() not in own]
+        recordings = [path for path in paths if path.suffix.lower() in SUFFIXES or path == place]
+        others.update(path.suffix or path.name for path in {*paths} - {*recordings})
+        if not recordings:
             raise ConfigurationError(f"{place}: holds no recording ({', '.join(SUFFIXES)})")
-        for path in paths:
-            folder, *rest = path.relative_to(place).parts if path != place else (path.name,)
-            if not rest:
-                folder, rest = path.resolve().parent.name, [path.name]
-            axis = folder.split("=", 1)[-1] or "axis"
-            name = "/".join([axis, *rest])
-            found[name] = File(path, axis, name, path.stat().st_size)
-    return [found[name] for name in sorted(found)]
+        for path in recordings:
+            (axis, name), facts = _axis_of(path, folder), path.stat()
+            same = found.setdefault(name, File(path, axis, name, facts.st_size, facts.st_mtime))
+            if same.path.resolve() != path.resolve():
+                raise ConfigurationError(f"{path}: {same.path} is '{name}' as well; give the folder above both")
+    told = ", ".join(f"{count} {ending}" for ending, count in sorted(others.items()))
+    return [found[name] for name in sorted(found)], f"files that are no recordings: {told}" if told else ""
 
 
-def _recording(path: Path, place: Path) -> bool:
-    """Whether a path in a folder is a recording, and not hidden."""
-    hidden = any(part.startswith((".", "_")) for part in path.relative_to(place).parts)
-    return not hidden and path.suffix.lower() in SUFFIXES and path.is_file()
+def _visible(path: Path, place: Path) -> bool:
+    return path.is_file() and not any(part.startswith((".", "_")) for part in path.relative_to(place).parts)
+
+
+def _axis_of(path: Path, folder: Path) -> tuple[str, str]:
+    """The axis of a file, and the name of the file in the table.
+
+    The axis is the path of the file's folder below the given one, without dates (``axis=3`` is 3). Without such a
+    folder it is the name of the file without its date, or of the given folder if no letter is left.
+    """
+    parts = [part.split("=", 1)[-1] for part in path.relative_to(folder).parts[:-1]]
+    axis = _DATE_FOLDERS.sub("", "/".join(parts)).strip("/")
+    if not axis:
+        stem = _DATE.sub("", path.stem).strip(" -_.")
+        axis = stem if any(map(str.isalpha, stem)) else folder.resolve().name or "axis"
+    dates = [part for part in path.relative_to(folder).parts[:-1] if part.split("=", 1)[-1] not in axis.split("/")]
+    return axis, "/".join([axis, *dates, path.name])
 
 
 def read_table(path: Path) -> pd.DataFrame:

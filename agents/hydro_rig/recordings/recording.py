@@ -147,9 +147,7 @@ def map_for(file: Columns, source: str) -> ColumnMap:
     try:
         return own_map(file.headings, source)
     except ConfigurationError as error:
-        guess = guessed_map(file.headings, source)
-        what = f"{error}; a map guessed from the headings stands above: save it as FILE, check it, add --map FILE"
-        raise UnknownHeadingsError(what, guess) from None
+        raise UnknownHeadingsError(str(error), guessed_map(file.headings, source)) from None
 
 
 def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:

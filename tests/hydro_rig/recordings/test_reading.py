@@ -249,7 +249,7 @@ def test_a_map_is_guessed_from_unknown_headings_and_can_be_saved(tmp_path, headi
         ",".join([str(5 * k)] + [f"{3.0 + 0.5 * (k % 3 + column):g}" for column in range(1, width)]) for k in range(9)
     ]
     path = written(tmp_path, "\n".join([headings, *rows]))
-    with pytest.raises(UnknownHeadingsError, match="a map guessed from the headings stands above") as error:
+    with pytest.raises(UnknownHeadingsError, match="--map FILE") as error:
         read_recording(path)
     assert "\n" not in str(error.value)
     (tmp_path / "map.yaml").write_text(error.value.guess, encoding="utf-8")
