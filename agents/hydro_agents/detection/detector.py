@@ -83,6 +83,7 @@ class Why(Worded):
     NOT_ASKED = 6, "the estimator has read a window of this axis within the last minute"
     OUTSIDE = 7, "unlike all that the leakage head was trained on"
     FEW_WINDOWS = 8, "the recording holds fewer than 2 windows with all commands"
+    DIFFERS = 9, "the model differs slowly from several signals, which can hide a leak"
 
 
 VERDICTS = tuple(dict.fromkeys(cause.word for cause in Cause))

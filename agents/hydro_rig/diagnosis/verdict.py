@@ -106,8 +106,10 @@ def judge(
        other fault is named too. **Cannot tell** if there is one and neither pressure was recorded.
     5. A sensor sticks or loses readings, or most windows show another fault → **something else**: which.
     6. The interval lies below the smallest leak that counts as a fault → **healthy**; **cannot tell** if neither
-       pressure was recorded.
+       pressure was recorded, or if the model differs slowly from several signals.
     7. The interval contains healthy and faulty leaks → **cannot tell**.
+
+    Where the model differs slowly from several signals, by more than their noise, it names no fault.
 
     The estimator decides if it has run, because its model shows when it is not valid, and its intervals what a
     recording does not determine; the detector beside it decides only where the estimator has not run.
@@ -124,6 +126,7 @@ def judge(
     nothing = Reading.of(np.zeros(0))
     estimator, companion = estimator or nothing, companion or nothing
     severe, stuck = ([one for one in findings if one.weight is weight] for weight in (Weight.SEVERE, Weight.FAULT))
+    lacking = "; ".join(finding.line() for finding in findings if finding.weight is Weight.DOUBT)
     driven = "".join(f"; {finding.line()}" for finding in findings if finding.signal == AXIS)
     blamed = "".join(f"; {finding.line()}" for finding in stuck[:1]) + driven
     if severe:  # rule 1
@@ -140,7 +143,7 @@ def judge(
 
     ran = bool((estimator.why != Why.NO_COMMANDS).any())
     reading, leader = (estimator, "estimator") if ran else (companion, companion_name)
-    fault = f"{Cause.SENSOR.word}: {stuck[0].line()}" if stuck else named_fault(reading)
+    fault = f"{Cause.SENSOR.word}: {stuck[0].line()}" if stuck else "" if lacking else named_fault(reading)
     if not reading.sized.any():  # rule 3
         if stuck and tried.any() and share < MOST:
             return Verdict(Kind.OTHER, fault, None, leader)
@@ -160,10 +163,14 @@ def judge(
     if fault:  # rule 5
         return Verdict(Kind.OTHER, fault, leak, leader)
     if leak.high >= limits.fault:  # rule 7
-        why = f"{size}, which may be healthy or faulty; record more motion, or run the leak test (hydro leak-test)"
+        advice = lacking or "record more motion, or run the leak test (hydro leak-test)"
+        why = f"{size}, which may be healthy or faulty; {advice}"
         return Verdict(Kind.UNKNOWN, why, leak, leader)
     if blind:
         why = f"{size}, but without pressures a faulty seal can look healthy; record one pressure at least"
+        return Verdict(Kind.UNKNOWN, why, leak, leader)
+    if lacking:
+        why = f"{size}, but what the model lacks may hide a faulty one: {lacking}"
         return Verdict(Kind.UNKNOWN, why, leak, leader)
     return Verdict(Kind.HEALTHY, "", leak, leader)  # rule 6
 

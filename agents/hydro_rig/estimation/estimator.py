@@ -221,7 +221,9 @@ def _reading(
         low_lpm=value - HALF_WIDTH * deviation,
         high_lpm=value + HALF_WIDTH * deviation,
         fault=_in_words(worn, excess > 0.0),
-        why=np.select([~fits, known, still], [Why.MISFIT, Why.ANSWERED, Why.AT_REST], Why.UNDETERMINED),
+        why=np.select(
+            [~fits, known, still, worn.differs], [Why.MISFIT, Why.ANSWERED, Why.AT_REST, Why.DIFFERS], Why.UNDETERMINED
+        ),
     )
 
 

@@ -14,6 +14,8 @@ from hydro_env.types import Floats
 
 Indices = NDArray[np.int64]
 
+SLOW = 1.0  # slow error that the data sheet does not explain, in standard deviations of its noise
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -54,6 +56,11 @@ class Estimate:
     def deviation(self, name: str) -> Floats:
         """Standard deviations of one unknown, (B,)."""
         return self.deviations[:, self._place(name)]
+
+    @property
+    def differs(self) -> NDArray[np.bool_]:
+        """Windows in which more than one signal differs slowly, (B,): not one sensor is wrong, but the model."""
+        return np.asarray((self.slow > SLOW).sum(axis=1) > 1)
 
     def interval(self, name: str, coverage: float = 0.9) -> tuple[Floats, Floats]:
         """Lower and upper end, (B,) each, of the interval that covers the true value with probability ``coverage``."""

@@ -24,9 +24,6 @@ SURE = 3.0  # standard deviations
 UNEVEN = 2.0  # white noise of a channel, over the median of all, beyond which a search perhaps ended too early
 UNKNOWN_COMMANDS = 2  # readings at an end of the window that are left out if its commands are a row late or early
 ROUNDS = 3  # of a fit and an estimate of the errors of its readings, one after the other
-WIDENING = 1.5
-"""Factor on the standard deviations of a window with a slow error: it is an error of the model, and not only of the
-readings. Chosen on validation plants with LuGre friction, a moving supply and drifting sensors."""
 LARGEST_SLOW_ERROR = 0.05  # of a channel's standard deviation in the window; with a larger one the model does not hold
 SMALL_SLOW_ERROR = 3.0  # the same in standard deviations of the data sheet's noise, which is always allowed
 
@@ -168,26 +165,33 @@ def _approach(problem: Problem, first: Floats, settings: EstimationSettings) -> 
 
 
 def assess(problem: Problem, scaled: Floats, directions: Floats, searches: int | Indices = 1) -> Estimate:
-    """Uncertainty and goodness of fit at some values, (B, P) scaled; a slow error of the readings widens it."""
+    """Uncertainty and goodness of fit at some values, (B, P) scaled.
+
+    A slow error may be one of the model, of which an unknown has taken up a part that no residual shows. That part is
+    taken to be as large as the one that they show, and to point where it moves the unknown most: the uncertainty is
+    that with white noise of the norm of a channel's slow error in place of the slow error.
+    """
     model, linear = problem.model, problem.linearised(scaled, directions)
     errors = problem.errors or Errors.of_data_sheet(*linear.known.shape[:2])
-    covariance = np.linalg.inv(linear.jacobian @ linear.jacobian.transpose(0, 2, 1) + problem.belief.precision)
+    covariance = doubtful = linear.covariance(problem.belief)
+    if problem.errors is not None:
+        hidden = np.hypot(errors.white, errors.slow * np.sqrt(linear.known.sum(axis=2)))
+        wide = problem._replace(errors=Errors(hidden, np.zeros_like(hidden), errors.memory))
+        doubtful = wide.linearised(scaled, directions).covariance(problem.belief)
     values = model.values(scaled)
     timing: dict[str, Any] = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
     timing |= {name: values[:, model.names.index(name)] for name in timing if name in model.names}
     chi2 = (linear.residual**2).sum(axis=1)
-    variance = np.einsum("bii->bi", covariance)
+    variance = np.einsum("bii->bi", doubtful)
     # A search that ended far off may have a singular information matrix: such a window is unreliable.
     misfit = np.where(np.all(variance > 0.0, axis=1), misfit_of(linear, covariance), np.inf)
     scale = model.derivative(scaled)
-    widening = np.where((errors.slow > 0.0).any(axis=1), WIDENING, 1.0)
-    covariance = covariance * widening[:, None, None] ** 2
-    deviation = widening[:, None] * np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))
     return Estimate(
         names=model.names,
         values=values,
         deviations=deviation * scale,
-        covariance=covariance * scale[:, :, None] * scale[:, None, :],
+        covariance=doubtful * scale[:, :, None] * scale[:, None, :],
         remaining=deviation,
         chi2_per_sample=chi2 / np.maximum(linear.known.sum(axis=(1, 2)), 1),
         misfit=misfit,

@@ -107,6 +107,11 @@ class Linearised(NamedTuple):
     weight: Floats  # (B, readings), 1 over the mean square of its channel's residuals, at most 1
     known: NDArray[np.bool_]  # (B, channels, T), readings that exist
 
+    def covariance(self, belief: Belief) -> Floats:
+        """Covariance of the unknowns, (B, P, P), given these readings and the belief."""
+        inverse: Floats = np.linalg.inv(self.jacobian @ self.jacobian.transpose(0, 2, 1) + belief.precision)
+        return inverse
+
     def equations(self, scaled: Floats, belief: Belief, shared: Indices) -> Equations:
         """Normal equations of each window, and those of the shared unknowns after its others are eliminated.
 

@@ -25,6 +25,7 @@ class Weight(StrEnum):
     """Effect of a finding on the verdict."""
 
     NOTE = "note"  # no effect
+    DOUBT = "doubt"  # the model explains the readings only in part: nothing is healthy, and no other fault is sure
     FAULT = "fault"  # a sensor of the rig is faulty
     SEVERE = "severe"  # no verdict is possible
 
