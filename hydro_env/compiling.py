@@ -12,7 +12,8 @@ import hashlib
 import sys
 import threading
 from collections import namedtuple
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -123,13 +124,10 @@ class Kernel:
     def _first(self, arguments: tuple[Any, ...]) -> Any:
         collecting = gc.isenabled()
         gc.disable()  # otherwise it searches millions of live compiler objects repeatedly
-        timer = threading.Timer(SILENT_SECONDS, _announce)
-        timer.daemon = True
-        timer.start()
         try:
-            result = self._load(arguments)
+            with _announcing():
+                result = self._load(arguments)
         finally:
-            timer.cancel()
             if collecting:
                 gc.enable()
         self._ready = True
@@ -157,6 +155,25 @@ def compiled(function: Callable[..., Any]) -> Kernel:
 
 
 _announced = threading.Event()
+
+
+@contextmanager
+def _announcing() -> Iterator[None]:
+    """Say it on the console if something compiles for long; importing numba and loading machine code is no reason."""
+    event = numba().core.event
+    timer = threading.Timer(SILENT_SECONDS, _announce)
+    timer.daemon = True
+
+    def begin(*_: Any) -> None:
+        if timer.ident is None:  # functions that are merged into the kernel compile within it
+            timer.start()
+
+    listener = type("Begin", (event.Listener,), {"on_start": begin, "on_end": lambda *_: None})()
+    with event.install_listener("numba:compile", listener):
+        try:
+            yield
+        finally:
+            timer.cancel()
 
 
 def _announce() -> None:

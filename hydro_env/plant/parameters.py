@@ -121,6 +121,14 @@ MODEL_CODES: dict[str, tuple[str, ...]] = {
 }
 """Choices of each field that names a model; a parameter vector holds the index of the choice."""
 
+PARAMETER_LIMITS: dict[str, tuple[float, float]] = {
+    path: (0.0, len(MODEL_CODES[path]) - 1.0)
+    if path in MODEL_CODES
+    else tuple(next(getattr(bound, name) for bound in info.metadata if hasattr(bound, name)) for name in ("ge", "le"))
+    for path, info in _fields().items()
+}
+"""Smallest and largest allowed value of each parameter, in its unit; of a field that names a model, its index."""
+
 Physical = named_tuple("Physical", (path.replace(".", "_") for path in PARAMETER_PATHS), __name__)
 """The parameters of :class:`PlantParameters` as ``group_field``, for compiled code."""
 

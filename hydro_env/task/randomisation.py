@@ -10,7 +10,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from hydro_env.files import Group
 from hydro_env.mistakes import did_you_mean
-from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PARAMETER_UNITS, PlantParameters
+from hydro_env.plant.parameters import (
+    MODEL_CODES,
+    PARAMETER_LIMITS,
+    PARAMETER_PATHS,
+    PARAMETER_UNITS,
+    PlantParameters,
+)
 from hydro_env.plant.parts.leakage import LEAK_LAWS
 from hydro_env.units import Number, in_si, written
 
@@ -182,11 +188,9 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
             values = [value * factor for value, factor in zip(values, factors, strict=True)]
         if distribution.otherwise is not None:
             values.append(distribution.otherwise)
-        group, field = path.split(".")
-        metadata = type(getattr(plant, group)).model_fields[field].metadata
-        low, high = (next(getattr(bound, name) for bound in metadata if hasattr(bound, name)) for name in ("ge", "le"))
+        low, high = PARAMETER_LIMITS[path]
         for value in values:
             if not low <= value <= high:
                 side, limit = ("below", low) if value < low else ("above", high)
-                number, limit = written(value, PARAMETER_UNITS[path]), written(limit, PARAMETER_UNITS[path])
-                raise ValueError(f"randomisation: {path} = {number} is {side} its limit {limit}")
+                number, allowed = written(value, PARAMETER_UNITS[path]), written(limit, PARAMETER_UNITS[path])
+                raise ValueError(f"randomisation: {path} = {number} is {side} its limit {allowed}")

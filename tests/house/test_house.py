@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import hydro_env
+from hydro_agents.running import jobs
 
 ROOT = Path(__file__).parents[2]
 GROUND = ("errors", "version", "types", "compiling", "mistakes", "units", "field_mistakes", "folders", "files")
@@ -93,6 +94,23 @@ def test_nothing_imports_upwards(file):
         there = room_of(name)
         if there is not None and file != "hydro_env/__init__.py":  # it loads lazily what stands above
             assert ROOMS.index(there) <= ROOMS.index(here), f"{file} imports {name}"
+
+
+def test_jobs_know_the_rooms_from_the_bottom_to_the_top():
+    order = [ROOMS.index(f"{room}/") for room in jobs.ROOMS]
+    assert order == sorted(order)
+    assert len(order) == len([room for room in ROOMS if room.count("/") == 2 and room.startswith("hydro_rig/")]) + 5
+
+
+DOORS = sorted(file for file in INSTALLED if file.endswith("__init__.py"))
+
+
+@pytest.mark.parametrize("file", DOORS)
+def test_every_door_says_what_its_room_does(file):
+    text = ast.get_docstring(ast.parse((ROOT / file).read_text(encoding="utf-8"))) or ""
+    assert text.endswith(".")
+    assert len(text.split()) > 4, text
+    assert "TODO" not in text
 
 
 def own_imports() -> dict[str, set[str]]:

@@ -172,3 +172,41 @@ def test_bit_for_bit_whatever_the_number_of_axes_blocks_and_threads(many, count,
     assert mine[2] == (threads > 1 and count == 1000)
     np.testing.assert_array_equal(mine[0], observations[:, :count])
     np.testing.assert_array_equal(mine[1], rewards[:, :count])
+
+
+WITHOUT_RIG = """
+import sys
+from pathlib import Path
+sys.path[:] = [place for place in sys.path if not (Path(place) / "hydro_rig").exists()]
+"""
+"""A ``sitecustomize`` of an installation that has the core alone, for this process and its workers."""
+
+SMALL_STUDY = """
+task: {episode_duration: 0.4}
+controllers: {PID: {kind: pid}}
+leakage_head: null
+evaluation: {plants: 3, leak_levels: [0.01], families: [step]}
+"""
+
+
+def test_study_evaluation_and_training_need_no_rig_package(tmp_path):
+    shutil.copytree(ROOT / "agents/hydro_agents", tmp_path / "hydro_agents")
+    (tmp_path / "sitecustomize.py").write_text(WITHOUT_RIG)
+    (tmp_path / "study.yaml").write_text(SMALL_STUDY)
+    for line in (
+        "study --config study.yaml --jobs 2 --output study",
+        "evaluate --config study.yaml --output evaluated",
+        "train pid --config study.yaml --steps 8 --output trained",
+        "--help",
+    ):
+        answer = subprocess.run(
+            [sys.executable, "-m", "hydro_agents.commands.application", *line.split()],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert answer.returncode == 0, answer.stderr
+    assert "check-rig" in answer.stdout
+    assert "diagnose" not in answer.stdout

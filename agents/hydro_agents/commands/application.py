@@ -12,6 +12,7 @@ import sys
 import textwrap
 import warnings
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -88,8 +89,8 @@ def application(only: str = "") -> typer.Typer:
     app.callback()(common)
     for heading, commands in GROUPS.items():
         for name, place in commands.items():
-            if not only or name == only:
-                module, _, function = place.partition(":")
+            module, _, function = place.partition(":")
+            if only == name or (not only and find_spec(module.split(".")[0]) is not None):
                 command = getattr(import_module(module), function)
                 text = re.sub(r"docs/(\w+\.md)", lambda found: page(found[1]), inspect.getdoc(command) or "")
                 app.command(name, rich_help_panel=heading, help=text)(command)

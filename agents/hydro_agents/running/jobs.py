@@ -36,11 +36,10 @@ from hydro_env.files import write_whole
 
 JOBS_FOLDER = "jobs"
 RESULT_FILES = f"{JOBS_FOLDER}/*.npz"
-CODE = (
-    *(f"hydro_agents/{room}" for room in ("controllers", "running", "learning", "detection", "evaluation")),
-    *(f"hydro_rig/{room}" for room in ("estimation", "recordings", "monitoring")),
-)
-"""Rooms whose code may change the result of a job."""
+_AGENTS = tuple(f"hydro_agents/{room}" for room in ("controllers", "running", "learning", "detection", "evaluation"))
+_RIG = ("estimation", "recordings", "export", "identification", "diagnosis", "monitoring", "challenge")
+ROOMS = (*_AGENTS, *(f"hydro_rig/{room}" for room in _RIG))
+"""Rooms whose code may change the result of a job; each uses only those before it."""
 
 _JOBS_PER_ROUND = 4
 MOST_KILLED = 3
@@ -85,11 +84,21 @@ class Job:
     arguments: tuple[Any, ...] = ()
     digest: str = ""
 
+    @property
+    def code(self) -> str:
+        """Digest of the code that may change the result: rooms up to the highest one of the work and the participant.
+
+        Work of another place may use every room of the agents.
+        """
+        makers = (self.participant, *type(self.participant).__mro__)
+        highest = max(_room(self.work, len(_AGENTS) - 1), *(_room(maker, 0) for maker in makers))
+        return digest_of_code(*ROOMS[: highest + 1])
+
     @cached_property
     def file(self) -> str:
         """Name of the result file; it differs for every work, participant, argument and version of the code."""
         name = f"{self.work.__module__}.{self.work.__qualname__}"
-        values = to_json([digest_of_code(*CODE), name, self.digest, self.arguments], fallback=np.ndarray.tolist)
+        values = to_json([self.code, name, self.digest, self.arguments], fallback=np.ndarray.tolist)
         return f"{hashlib.sha256(values).hexdigest()[:32]}.npz"
 
     def run(self) -> JobResult:
@@ -98,6 +107,11 @@ class Job:
             return JobResult(self.work(self.participant, *self.arguments))
         except ConfigurationError as error:
             return JobResult({}, str(error))
+
+
+def _room(maker: Any, otherwise: int) -> int:
+    room = "/".join(str(getattr(maker, "__module__", "")).split(".")[:2])
+    return ROOMS.index(room) if room in ROOMS else otherwise
 
 
 def fingerprint(*participants: Any) -> str:
@@ -171,7 +185,7 @@ def beside(listed: Iterable[Job], folder: Path) -> Iterator[None]:
     """
     backend, count = get_active_backend()
     files = {folder / JOBS_FOLDER / job.file: job for job in listed if job.digest}
-    calls = [delayed(_kept)(file, job, digest_of_code(*CODE)) for file, job in files.items() if not file.exists()]
+    calls = [delayed(_kept)(file, job, job.code) for file, job in files.items() if not file.exists()]
     others = min(effective_n_jobs(count), cpu_count()) - 1
     if not calls or others < 1 or type(backend).__name__ != "LokyBackend":
         yield
@@ -257,7 +271,7 @@ def _in_worker(key: str, job: Job, code: str) -> tuple[str, JobResult]:
     Raises:
         ConfigurationError: the worker has another version of the code.
     """
-    if digest_of_code(*CODE) != code:
+    if job.code != code:
         raise ConfigurationError(f"the worker on {gethostname()} has another version of hydro_env: install the same")
     return _named(key, job)
 
@@ -286,7 +300,7 @@ def answers_of(
         yield _named(key, left.pop(key))
     killed = 0
     while left:
-        calls = [delayed(_in_worker)(key, job, digest_of_code(*CODE)) for key, job in left.items()]
+        calls = [delayed(_in_worker)(key, job, job.code) for key, job in left.items()]
         try:
             for key, result in _pooled(calls, jobs):
                 del left[key]

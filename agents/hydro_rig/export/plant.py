@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import platform
+import re
 import sys
 import uuid
 import zipfile
@@ -32,6 +34,7 @@ from hydro_env.plant.equations import (
 from hydro_env.plant.equilibrium import equilibrium_state
 from hydro_env.plant.parameters import (
     MODEL_CODES,
+    PARAMETER_LIMITS,
     PARAMETER_PATHS,
     PARAMETER_UNITS,
     Physical,
@@ -40,8 +43,9 @@ from hydro_env.plant.parameters import (
 )
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, State
+from hydro_env.task.faults import fault_limits
 from hydro_env.task.settings import settings_of
-from hydro_env.units import LITRE_PER_MINUTE
+from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 from hydro_rig.export.c_files import CCode, c_code, compiled, render
 from hydro_rig.export.expressions import DOUBLE
 from hydro_rig.export.translator import Translator
@@ -52,6 +56,21 @@ BINARIES = {"linux": ("linux64", ".so"), "win32": ("win64", ".dll"), "darwin": (
 """Folder and suffix of the binary in the FMU, by system; FMI 2.0 knows 64-bit x86 alone."""
 
 _ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
+
+_BASE_UNITS: dict[str, dict[str, float]] = {
+    **{name: {name: 1} for name in ("kg", "m", "s", "A", "K", "rad")},
+    "min": {"s": 1, "factor": 60.0},
+    "l": {"m": 3, "factor": 1e-3},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "Pa": {"kg": 1, "m": -1, "s": -2},
+    "J": {"kg": 1, "m": 2, "s": -2},
+    "W": {"kg": 1, "m": 2, "s": -3},
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
+    "H": {"kg": 1, "m": 2, "s": -2, "A": -2},
+    "1": {},
+}
+"""Exponents of the SI base units, and the factor, of the units in a variable's unit."""
 
 
 def plant_code(parameters: PlantParameters | None = None) -> CCode:
@@ -98,6 +117,9 @@ class Variable(NamedTuple):
     unit: str
     causality: str
     start: float | None = None
+    low: float = -math.inf
+    high: float = math.inf
+    whole: bool = False  # a code
 
     @property
     def symbol(self) -> str:
@@ -108,20 +130,30 @@ class Variable(NamedTuple):
 def fmu_variables(config: TaskConfig) -> list[Variable]:
     """Inputs, parameters and outputs, in the order of their value references."""
     _, voltage = equilibrium(config.plant, 0.0)
+    stroke = config.plant.cylinder.stroke
+    law = LEAK_LAWS[config.leakage.law]
+    largest_leak = max(law.flow(limit) for limit in PARAMETER_LIMITS[f"leakage.{law.parameter}"] if limit > 0.0)
+    leak = leak_at_test_pressure(with_one_leak(config))
+    force = PARAMETER_LIMITS["load.external_force"]
+    faults = (
+        ("valve_null_shift", "spool position at which the edges are centred", "1"),
+        ("valve_underlap", "added to the underlap, of full stroke", "1"),
+        ("valve_flow", "relative change of the rated flow", "1"),
+        ("tank_pressure", "added to the tank pressure", "Pa"),
+        ("external_leak", "past the rod seal, at 100 bar", "l/min"),
+    )
     inputs = [
-        ("voltage", "command to the valve's drive", "V", voltage),
-        ("external_force", "added to the plant's own; positive against extension", "N", 0.0),
-        ("leakage", "past the piston seal, at 100 bar", "l/min", leak_at_test_pressure(with_one_leak(config))),
-        ("fault.valve_null_shift", "spool position at which the edges are centred", "1", 0.0),
-        ("fault.valve_underlap", "added to the underlap, of full stroke", "1", 0.0),
-        ("fault.valve_flow", "relative change of the rated flow", "1", 0.0),
-        ("fault.tank_pressure", "added to the tank pressure", "Pa", 0.0),
-        ("fault.external_leak", "past the rod seal, at 100 bar", "l/min", 0.0),
+        Variable("voltage", "command to the valve's drive", "V", "input", voltage, -FULL_VOLTAGE, FULL_VOLTAGE),
+        Variable("external_force", "added to the plant's own; positive against extension", "N", "input", 0.0, *force),
+        Variable("leakage", "past the piston seal, at 100 bar", "l/min", "input", leak, 0.0, largest_leak),
+        *(Variable(f"fault.{name}", what, unit, "input", 0.0, *fault_limits(name)) for name, what, unit in faults),
     ]
     lag = float(settings_of(config)["pressure_lag"][0]) * config.control_period
     parameters = [
-        ("initial_position", "position of the axis at rest at the start", "m", 0.0),
-        ("pressure_lag", "time constant of the pressure transducers", "s", lag),
+        Variable(
+            "initial_position", "of the axis at rest at the start", "m", "parameter", 0.0, -0.5 * stroke, 0.5 * stroke
+        ),
+        Variable("pressure_lag", "time constant of the pressure transducers", "s", "parameter", lag, 0.0, 1.0),
         *_rig_parameters(config),
     ]
     outputs = [
@@ -134,23 +166,24 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
         ("holding_voltage", "holds the axis at its initial position", "V"),
     ]
     variables = [
-        *(Variable(name, what, unit, "input", start) for name, what, unit, start in inputs),
-        *(Variable(name, what, unit, "parameter", start) for name, what, unit, start in parameters),
+        *inputs,
+        *parameters,
         *(Variable(name, what, unit, "output") for name, what, unit in outputs),
     ]
     return [_in_xml(variable) for variable in variables]
 
 
-def _rig_parameters(config: TaskConfig) -> Iterator[tuple[str, str, str, float]]:
-    """Name, meaning, unit and value of each number of the rig but the leak, which is an input."""
+def _rig_parameters(config: TaskConfig) -> Iterator[Variable]:
+    """Each number of the rig but the leak, which is an input."""
     for path, value in zip(PARAMETER_PATHS, to_vector(config.plant).tolist(), strict=True):
         if path == f"leakage.{LEAK_LAWS[config.leakage.law].parameter}":
             continue
-        group, field = path.split(".")
-        codes = MODEL_CODES.get(path)
-        described = type(getattr(config.plant, group)).model_fields[field].description or ""
-        meaning = ", ".join(f"{i} {name}" for i, name in enumerate(codes)) if codes else described
-        yield f"rig.{path}", meaning, PARAMETER_UNITS[path], value
+        group, field = path.replace("_", " ").split(".")
+        meaning, codes = f"{field} of the {group}", MODEL_CODES.get(path, ())
+        if codes:
+            meaning += ": " + ", ".join(f"{index} {name}" for index, name in enumerate(codes))
+        limits = PARAMETER_LIMITS[path]
+        yield Variable(f"rig.{path}", meaning, PARAMETER_UNITS[path], "parameter", value, *limits, whole=bool(codes))
 
 
 def with_one_leak(config: TaskConfig) -> PlantParameters:
@@ -173,6 +206,21 @@ def _in_xml(variable: Variable) -> Variable:
     )
 
 
+def _in_base_units(unit: str) -> dict[str, float] | None:
+    """Exponents of the SI base units and the factor of a unit; ``None`` if an exponent is not whole."""
+    found: dict[str, float] = {}
+    for sign, part in zip((1, -1), unit.split("/", 1), strict=False):
+        for name, power in re.findall(r"([^\d\s()]+|1)(\d*)", part):
+            if name not in _BASE_UNITS:
+                return None
+            for base, exponent in _BASE_UNITS[name].items():
+                if base == "factor":
+                    found[base] = found.get(base, 1.0) * exponent**sign
+                else:
+                    found[base] = found.get(base, 0) + sign * int(power or 1) * exponent
+    return {base: number for base, number in found.items() if number != 0}
+
+
 def make_fmu(config: TaskConfig) -> bytes:
     """The FMU of a task, with its rig, as the bytes of a zip file; the same task gives the same sources.
 
@@ -185,7 +233,8 @@ def make_fmu(config: TaskConfig) -> bytes:
         "version": __version__,
         "model": MODEL,
         "variables": variables,
-        "units": sorted({variable.unit for variable in variables} - {""}),
+        "units": {unit: _in_base_units(unit) for unit in sorted({variable.unit for variable in variables} - {""})},
+        "infinite": math.inf,
         "states": STATE_NAMES,
         "derived": list(_units_of_derived()),
         "leak": LEAK_LAWS[config.leakage.law],

@@ -187,6 +187,20 @@ def test_the_trainings_that_ship_can_be_trained(name):
         assert [name for name in found.fitting({})[0] if "PPO" in name] == ["PPO on flow linearisation"]
 
 
+@pytest.mark.parametrize(
+    ("name", "heading"),
+    [("alone", "PPO alone"), ("baselines", "Learned baselines with one budget"), ("training_choices", "Measured")],
+)
+def test_a_published_row_is_of_a_study_that_ships(name, heading):
+    page = (config_folder().parent / "docs" / "learning.md").read_text(encoding="utf-8")
+    rows = (
+        page.partition(f"\n## {heading}\n")[2].partition("\n## ")[0].partition("| controller | seeds |")[2].splitlines()
+    )
+    names = [row.split("|")[1].strip() for row in rows[2:] if row.startswith("|")]
+    assert len(names) > 5
+    assert set(names) <= set(StudySettings.from_yaml(config_folder() / "studies" / f"{name}.yaml").controllers)
+
+
 def changed(settings, others):
     return {key for key in settings if settings[key] != others[key]}
 

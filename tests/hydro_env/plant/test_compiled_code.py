@@ -182,6 +182,14 @@ def test_a_damaged_cache_is_dropped_and_made_again(cheap, damage, ending):
     assert len(again) == 2
 
 
+def test_compiling_is_said_only_when_something_compiles(tmp_path, capfd):
+    at_once = CHEAP.replace("import numpy as np", "import numpy as np\ncompiling.SILENT_SECONDS = 0.0")
+    run_cheap_kernel(tmp_path, at_once)
+    assert "compiling" in capfd.readouterr().err
+    run_cheap_kernel(tmp_path)
+    assert capfd.readouterr().err == ""
+
+
 def test_a_full_disk_does_not_stop_a_kernel(tmp_path):
     """Writing fails while the machine code is stored: the kernel is compiled for this process alone."""
     full = CHEAP.replace(

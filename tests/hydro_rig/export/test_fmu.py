@@ -27,23 +27,48 @@ def file(tmp_path_factory):
 
 def run_fmu(file, **values):
     """Outputs of the FMU under the voltages, by name; at every sample and at the end."""
-    fmpy = pytest.importorskip("fmpy")
-    description = fmpy.read_model_description(str(file))
-    references = {variable.name: variable.valueReference for variable in description.modelVariables}
     names = ["position", "pressure_a", "measured_pressure_a", "leakage_flow", "holding_voltage"]
-    axis = fmpy.instantiate_fmu(fmpy.extract(str(file)), description, "CoSimulation")
-    axis.setupExperiment(startTime=0.0)
-    axis.enterInitializationMode()
-    axis.setReal([references[name] for name in values], list(values.values()))
-    axis.exitInitializationMode()
-    rows = [axis.getReal([references[name] for name in names])]
+    axis = Instance(file)
+    axis.set(**values)
+    axis.fmu.exitInitializationMode()
+    rows = [axis.get(*names)]
     for sample, voltage in enumerate(VOLTAGE):
-        axis.setReal([references["voltage"]], [voltage])
-        axis.doStep(sample * PERIOD, PERIOD)
-        rows.append(axis.getReal([references[name] for name in names]))
-    axis.terminate()
-    axis.freeInstance()
+        axis.set(voltage=voltage)
+        axis.fmu.doStep(sample * PERIOD, PERIOD)
+        rows.append(axis.get(*names))
+    axis.fmu.terminate()
+    axis.fmu.freeInstance()
     return dict(zip(names, np.array(rows).T, strict=True))
+
+
+class Instance:
+    """An FMU in initialisation mode, and what it logged."""
+
+    def __init__(self, file):
+        fmpy = pytest.importorskip("fmpy")
+        description = fmpy.read_model_description(str(file))
+        self.references = {variable.name: variable.valueReference for variable in description.modelVariables}
+        self.lines = []
+        self.fmu = fmpy.instantiate_fmu(fmpy.extract(str(file)), description, "CoSimulation", logger=self.log)
+        self.fmu.setupExperiment(startTime=0.0)
+        self.fmu.enterInitializationMode()
+
+    def log(self, environment, name, status, category, message):
+        self.lines.append(message.decode())
+
+    def set(self, **values):
+        self.fmu.setReal([self.references[name] for name in values], list(values.values()))
+
+    def get(self, *names):
+        return self.fmu.getReal([self.references[name] for name in names])
+
+    def refused(self, call, *arguments, **values):
+        """The one line that a failing call logs."""
+        self.lines.clear()
+        with pytest.raises(Exception, match="fmi2"):
+            call(*arguments, **values)
+        (line,) = self.lines
+        return line
 
 
 @needs_compiler
@@ -76,9 +101,90 @@ def test_it_moves_as_the_kernel_does(law, file, tmp_path):
 
 
 @needs_compiler
-def test_a_place_that_cannot_be_held_is_an_error(file):
-    with pytest.raises(Exception, match=r"fmi2ExitInitializationMode|initial_position"):
-        run_fmu(file, initial_position=0.19)
+def test_outputs_in_initialisation_mode_are_those_of_the_equilibrium(file):
+    axis = Instance(file)
+    names = ["position", "pressure_a", "pressure_b", "supply_pressure", "measured_pressure_a", "holding_voltage"]
+    for values, changes in (
+        ({"initial_position": PLACE}, {}),
+        ({"leakage": 2.0}, {"leakage": leak_past_piston(2.0, "laminar")}),
+        ({"rig.supply.pressure": 9e6}, {"leakage": leak_past_piston(2.0, "laminar"), "supply": {"pressure": 9e6}}),
+    ):
+        axis.set(**values)
+        state, voltage = equilibrium(PlantParameters().replace(**changes), PLACE)
+        expected = {**state, "measured_pressure_a": state["pressure_a"], "holding_voltage": voltage}
+        assert axis.get(*names) == pytest.approx([expected[name] for name in names], rel=1e-9)
+    axis.set(voltage=axis.get("holding_voltage")[0])
+    axis.fmu.exitInitializationMode()
+    for sample in range(100):
+        axis.fmu.doStep(sample * PERIOD, PERIOD)
+    assert axis.get("position")[0] == pytest.approx(PLACE, abs=1e-7)
+
+
+@needs_compiler
+def test_what_is_out_of_range_or_fixed_is_refused_in_one_line(file):
+    axis = Instance(file)
+    for name, value in {
+        "rig.valve.rated_flow": -1e-4,
+        "rig.friction.model": 7.0,
+        "rig.valve.model": 1.5,
+        "rig.load.mass": -1.0,
+        "leakage": -3.0,
+        "voltage": np.nan,
+        "initial_position": 0.3,
+        "position": 0.1,
+    }.items():
+        before = axis.get(name)
+        assert axis.refused(axis.set, **{name: value}).startswith(name)
+        assert axis.get(name) == before
+    axis.set(**{"rig.cylinder.stroke": 0.1, "initial_position": 0.06})
+    assert axis.refused(axis.get, "position").startswith("initial_position = 0.06 m")
+    axis.set(**{"rig.cylinder.stroke": 0.4, "initial_position": 0.19})
+    assert "cannot be held" in axis.refused(axis.fmu.exitInitializationMode)
+    axis.set(initial_position=PLACE)
+    axis.fmu.exitInitializationMode()
+    mass = axis.get("rig.load.mass")
+    assert axis.refused(axis.set, **{"rig.load.mass": 6000.0}).startswith("rig.load.mass")
+    assert axis.get("rig.load.mass") == mass
+    axis.set(leakage=1.0)
+    axis.fmu.reset()
+    axis.set(**{"rig.load.mass": 70.0})
+
+
+@needs_compiler
+def test_a_state_of_one_instance_leaves_another_its_logger(file):
+    one, other = Instance(file), Instance(file)
+    one.set(initial_position=PLACE)
+    one.fmu.exitInitializationMode()
+    saved = one.fmu.getFMUstate()
+    other.fmu.setFMUstate(saved)
+    assert other.get("position") == pytest.approx([PLACE])
+    assert other.refused(other.fmu.doStep, 0.0, -1.0).startswith("communication step")
+    assert one.lines == []
+
+
+@needs_compiler
+def test_its_description_is_of_this_rig_and_tools_can_convert_its_units(tmp_path):
+    fmpy = pytest.importorskip("fmpy")
+    file = tmp_path / "axis.fmu"
+    file.write_bytes(make_fmu(task_config(plant={"load": {"mass": 80.0}, "cylinder": {"stroke": 0.5}})))
+    description = fmpy.read_model_description(str(file))
+    variables = {variable.name: variable for variable in description.modelVariables}
+    mass, place, model = (variables[name] for name in ("rig.load.mass", "initial_position", "rig.valve.model"))
+    assert (float(mass.start), float(mass.min), float(mass.max)) == (80.0, 0.01, 1e6)
+    assert (float(place.min), float(place.max)) == (-0.25, 0.25)
+    assert (float(model.min), float(model.max)) == (0.0, 2.0)
+    origins = ("paper", "assumed", "derived")
+    assert [name for name, variable in variables.items() if any(word in variable.description for word in origins)] == []
+    assert all(variables[name].min is not None for name in variables if variables[name].causality != "output")
+    bases = {unit.name: unit.baseUnit for unit in description.unitDefinitions}
+    assert {name for name, base in bases.items() if base is None} <= {"m3/(s sqrt Pa)"}
+    flow, resistance = bases["l/min"], bases["Pa s/m3"]
+    assert (int(flow.m), int(flow.s), float(flow.factor)) == (3, -1, pytest.approx(1e-3 / 60))
+    assert (int(resistance.kg), int(resistance.m), int(resistance.s)) == (1, -4, -1)
+    # An output passes a change of an input on after the next step; at the start the voltage changes no output.
+    assert all(unknown.dependencies == [] for unknown in description.outputs)
+    known = {variable.name for variable in description.initialUnknowns[0].dependencies}
+    assert known == {name for name, variable in variables.items() if variable.causality != "output"} - {"voltage"}
 
 
 def test_its_variables_have_units_and_the_rig_s_values():
