@@ -10,9 +10,7 @@ from command_line import ROOT, assert_one_clear_line, hydro
 
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
-from hydro_agents.rigs.check import check_rig
-from hydro_agents.rigs.check_table import assumed, brief, check_csv, implausible
-from hydro_agents.rigs.stable_gain import (
+from hydro_agents.learning.stable_gain import (
     beyond_dead_band,
     leaking,
     loops_within_ranges,
@@ -22,6 +20,8 @@ from hydro_agents.rigs.stable_gain import (
     stable_start,
     weakest,
 )
+from hydro_agents.rigs.check import check_rig
+from hydro_agents.rigs.check_table import assumed, brief, check_csv, implausible
 from hydro_agents.study.settings import default_study
 from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import speed_limits
