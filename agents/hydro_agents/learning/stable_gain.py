@@ -24,12 +24,9 @@ HEALTHY_LEAK = 0.01  # l/min at 100 bar
 DRAWN = 128
 """Number of plants that are drawn from the ranges of a rig; the rare ones beyond them are left to the gain margin."""
 
-SHARE_OF_STABLE = 0.5  # proportional gain over the largest stable one: a gain margin of 6 dB
+SHARE_OF_STABLE = 0.5  # proportional gain over the largest stable or quiet one: a gain margin of 6 dB
 FEW_UNSTABLE = 0.02
 """Share of loops within the ranges that tuned gains may leave unstable without friction, and start a search."""
-
-OWN_MARGIN, WORST_MARGIN = 2.0, math.sqrt(2.0)
-"""Largest quiet gain over the recommended one: 6 dB with the file's own values, 3 dB on the worst plant."""
 
 PLANTS = 32  # drawn ones that must come to rest with a gain
 MEDIUM, LOWEST, HIGHEST = 10.0, 1e-2, 1e4  # 1/s, 1/s, 1/m: where the search for the largest quiet gain begins and ends
@@ -124,26 +121,27 @@ def leaking(parameters: PlantParameters, leak: float) -> PlantParameters:
 
 
 class QuietGains(NamedTuple):
-    """The largest proportional gains with which simulated axes come to rest after a small step and back."""
+    """The largest proportional gains of a PID with which simulated axes come to rest after a step and back."""
 
     own: float  # 1/m, of the file's own values
     worst: float  # 1/m, of all of :data:`PLANTS` plants drawn from their ranges
 
     @property
     def recommended(self) -> float:
-        """The gain with a margin on both sides, 1/m."""
-        return min(self.own / OWN_MARGIN, self.worst / WORST_MARGIN)
+        """Recommended proportional gain, 1/m: half of what the worst plant bears."""
+        return SHARE_OF_STABLE * self.worst
 
 
 def quiet_gains(task: TaskConfig) -> QuietGains:
     """The largest quiet gains of a rig, with its friction, sampling and latency, a healthy seal and no sensor noise.
 
-    The linearised loop has no dry friction, with which an axis stays quiet far above the largest stable gain.
+    The linearised loop has no dry friction, with which an axis stays quiet far above the largest stable gain, unless a
+    hard kick sets it in motion: the feed-forward of a step is one.
 
     Raises:
-        HydroError: no gain is quiet, or the axis cannot be held.
+        HydroError: no gain is quiet, or the axis cannot be held or moved.
     """
-    full_speed = 0.5 * sum(speed_limits(beyond_dead_band(task.plant)))
+    full_speed = max(0.5 * sum(speed_limits(beyond_dead_band(task.plant))), 1e-6)
     exact, lowest = task_config(task, randomisation={}), LOWEST / full_speed
     own = _largest_quiet_gain(exact, 1, MEDIUM / full_speed, lowest)
     return QuietGains(own, min(own, _largest_quiet_gain(task, PLANTS, own, lowest)) if task.randomisation else own)
@@ -151,8 +149,8 @@ def quiet_gains(task: TaskConfig) -> QuietGains:
 
 def _largest_quiet_gain(task: TaskConfig, plants: int, begin: float, lowest: float) -> float:
     def quiet(gain: float) -> bool:
-        counts = counted_at_rest(PID(proportional(task, gain), task), task, STANDSTILLS, plants, HEALTHY_LEAK)
-        return comes_to_rest(counts)
+        controller = PID(pid_with_gain(task, gain), task)
+        return comes_to_rest(counted_at_rest(controller, task, STANDSTILLS, plants, HEALTHY_LEAK))
 
     low = high = begin
     if quiet(begin):
@@ -187,9 +185,9 @@ def pids_from_figures(task: TaskConfig) -> list[PIDGains]:
     Raises:
         ConfigurationError: neither exists.
     """
-    found = [pid_from_figures(task)]
+    found: list[PIDGains | None] = [pid_from_figures(task)]
     try:
-        found.insert(0, _with_feedforward(task, quiet_gains(task).recommended))
+        found.insert(0, pid_with_gain(task, quiet_gains(task).recommended))
     except HydroError as error:
         if found == [None]:
             raise ConfigurationError(f"pid: no gains for this rig: {error}; give a file of gains") from None
@@ -203,15 +201,20 @@ def pid_from_figures(task: TaskConfig, loops: Iterable[SampledLoop] | None = Non
     ``loops`` are those of :func:`loops_within_ranges`, if they are known.
     """
     found = weakest(loops_within_ranges(task) if loops is None else loops)
-    usable = found is not None and 0.0 < found.gain < math.inf
-    return _with_feedforward(task, found.recommended) if found is not None and usable else None
+    moves = min(speed_limits(beyond_dead_band(task.plant))) > 0.0
+    usable = found is not None and moves and 0.0 < found.gain < math.inf
+    return pid_with_gain(task, found.recommended) if found is not None and usable else None
 
 
-def _with_feedforward(task: TaskConfig, gain: float) -> PIDGains | None:
-    """A PID with a proportional gain (1/m), and the inverse of the no-load speeds as feed-forward; with these alone."""
+def pid_with_gain(task: TaskConfig, gain: float) -> PIDGains:
+    """A PID with a proportional gain (1/m), and the inverse of the no-load speeds as feed-forward; no derivative.
+
+    Raises:
+        HydroError: the axis cannot move.
+    """
     out, back = speed_limits(beyond_dead_band(task.plant))
     if min(out, back) <= 0.0:
-        return None
+        raise HydroError("the supply cannot move the axis")
     return PIDGains(
         proportional=gain,
         integral=INTEGRAL_SHARE * gain * 0.5 * (out + back) * gain,

@@ -44,7 +44,8 @@ EVALUATIONS = 2800
 _SIGMA = 0.2
 CLEARLY = 0.9  # of the first set's error, for another set to be chosen; few cases favour some set by chance
 CHOICE_CASES = 14  # of each set in :func:`chosen_gains`, beside the resting ones
-NEARBY, NEAR = 56, 0.1  # candidates of :func:`searched_gains`, and their first spread in parts of the search ranges
+NEARBY = 56  # candidates of :func:`searched_gains`
+NEAR = {"pid": 0.05, "flow_linearising": 0.1}  # their first spread in parts of the search ranges
 SEARCH_CASES = 42  # of each of these candidates
 TRIALS = (1, 2, 3, 4)  # seeds of the other cases that decide in the end
 TRIAL_CASES = 84  # of each seed: many, because few plants swing
@@ -227,7 +228,7 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
             evaluations=NEARBY,
             cases=SEARCH_CASES,
             start=chosen,
-            spread=NEAR,
+            spread=NEAR[kind],
             separable=True,
             progress=progress,
         )
