@@ -1,19 +1,19 @@
 """How hard are drawn rigs: a policy for any axis, and its opponents, on test rigs that nobody used.
 
     python benchmarks/any_axis.py [--weights WEIGHTS] [--rigs 100] [--first 800] [--tuned FOLDER] [--split test]
-                                  [--seconds 2] [--output FILE]
+                                  [--seconds 2] [--output FILE] [--controller NAME]
     python benchmarks/any_axis.py --rig kovari_2015 --rig my.yaml
 
 Errors are those in the sensor's frame, every family of references weighing the same; a failed axis is wrong by its
 stroke for the rest of the episode. ``--tuned`` adds gains tuned for each rig, as ``benchmarks/no_tuning.py`` does. The
-file of rows is the checkpoint: a later call continues it, with more rigs if asked; other weights, splits or seconds
-need a file of their own.
+file of rows is the checkpoint: a later call continues it, with more rigs if asked; other weights, splits, seconds or
+controllers need a file of their own.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,8 @@ from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinea
 from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.tuning import searched_gains
-from hydro_agents.rigs.stable_gain import pid_from_figures
+from hydro_agents.learning.stable_gain import proportional
+from hydro_agents.learning.tuning import gain_sets, searched_gains
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.limit_cycles import counted_at_rest
@@ -43,7 +43,8 @@ from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 UNTUNED, POLICY, TUNED = "flow linearisation, untuned", "policy for any axis", "flow linearisation, tuned for the rig"
 SEARCHED = "flow linearisation, gains searched by simulation"
-FIGURES, PROPORTIONAL, NOTHING = "PID from the rig's figures", "P from the rig's figures", "no command"
+PID_OF_RIG, FIGURES = "PID, gains searched by simulation", "PID, the recommended gain"
+PROPORTIONAL, NOTHING = "P, the recommended gain", "no command"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
 PLANTS = 8  # of each family and leak
 STANDSTILLS = 16
@@ -75,27 +76,39 @@ def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, A
     }
 
 
-def rig_rows(number: int, task: TaskConfig, weights: str, tuned: Path | None, seconds: float) -> list[dict[str, Any]]:
-    """A row of results for each controller on one rig."""
-    figures = pid_from_figures(task)
-    controllers: dict[str, Controller] = {
-        UNTUNED: FlowLinearising(FlowLinearisingGains(), task),
-        POLICY: PolicyController.load(weights).moved_to(task),
-        SEARCHED: make_controller("flow_linearising", task, searched_gains("flow_linearising", task).model_dump()),
+def controllers_on(task: TaskConfig, weights: str, tuned: Path | None) -> dict[str, Callable[[], Controller]]:
+    """What makes each controller on one rig, by name."""
+
+    def gain() -> float:
+        first: Any = gain_sets("pid", task)[0]
+        return float(first.proportional)
+
+    makers: dict[str, Callable[[], Controller]] = {
+        UNTUNED: lambda: FlowLinearising(FlowLinearisingGains(), task),
+        POLICY: lambda: PolicyController.load(weights).moved_to(task),
+        SEARCHED: lambda: make_controller(
+            "flow_linearising", task, searched_gains("flow_linearising", task).model_dump()
+        ),
+        PID_OF_RIG: lambda: make_controller("pid", task, searched_gains("pid", task).model_dump()),
+        FIGURES: lambda: make_controller("pid", task, gain_sets("pid", task)[0].model_dump()),
+        PROPORTIONAL: lambda: PID(proportional(task, gain()), task),
+        NOTHING: lambda: PID(proportional(task, 0.0), task),
     }
-    if figures is not None:
-        controllers[FIGURES] = PID(figures, task)
-        more = ("integral", "feedforward_extending", "feedforward_retracting", "overlap_compensation")
-        controllers[PROPORTIONAL] = PID(figures.model_copy(update=dict.fromkeys(more, 0.0)), task)
-        controllers[NOTHING] = PID(
-            figures.model_copy(update=dict.fromkeys((*more, "proportional", "derivative"), 0.0)), task
-        )
     if tuned is not None:
-        controllers[TUNED] = FlowLinearising(tuned_for(task, tuned / f"rig_{number:03}", 420), task)
+        makers[TUNED] = lambda: FlowLinearising(tuned_for(task, tuned, 420), task)
+    return makers
+
+
+def rig_rows(
+    number: int, task: TaskConfig, chosen: Sequence[str], weights: str, tuned: Path | None, seconds: float
+) -> list[dict[str, Any]]:
+    """A row of results for each controller, or for the chosen ones, on one rig."""
+    makers = controllers_on(task, weights, tuned and tuned / f"rig_{number:03}")
     facts = {"rig": number, "period_ms": 1e3 * task.control_period, "pace_ms": 1e3 * pace(task)}
     skip = 1000 + (400 * number) % 40_000
     judged = task_config(task, episode_duration=seconds)
-    return [{**facts, "controller": name, **measured(each, judged, skip)} for name, each in controllers.items()]
+    names = [name for name in makers if name in (UNTUNED, *chosen) or not chosen]
+    return [{**facts, "controller": name, **measured(makers[name](), judged, skip)} for name in names]
 
 
 def in_words(ratio: pd.Series) -> list[str]:
@@ -129,8 +142,8 @@ def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
 def against(rows: pd.DataFrame) -> Iterator[list[str]]:
     """The errors of policy and searched gains relative to those of gains of the rig, rig by rig."""
     errors = rows.pivot(index="rig", columns="controller", values="error_um")
-    for name, other in ((POLICY, SEARCHED), (POLICY, TUNED), (SEARCHED, TUNED)):
-        if other in errors:
+    for name, other in ((POLICY, SEARCHED), (POLICY, TUNED), (SEARCHED, TUNED), (PID_OF_RIG, FIGURES)):
+        if {name, other} <= {*errors}:
             yield [f"{name} ÷ {other}", *in_words((errors[name] / errors[other]).dropna())]
 
 
@@ -145,6 +158,7 @@ def main() -> None:
     parser.add_argument("--tuned", type=Path, help="folder for gains of each rig: minutes per rig")
     parser.add_argument("--seconds", type=float, default=2.0, help="of each episode")
     parser.add_argument("--output", type=Path, default=Path("results/any_axis.csv"))
+    parser.add_argument("--controller", action="append", default=[], help="judge it and the untuned one alone; repeat")
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
     law = {"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": []}
@@ -153,7 +167,9 @@ def main() -> None:
         given.output,
         "rig",
         range(given.first, given.first + len(tasks)),
-        lambda number: rig_rows(number, tasks[number - given.first], given.weights, given.tuned, given.seconds),
+        lambda number: rig_rows(
+            number, tasks[number - given.first], given.controller, given.weights, given.tuned, given.seconds
+        ),
         given.jobs,
     )
     more = ("geometric mean", "better on", "range")

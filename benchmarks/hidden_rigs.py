@@ -14,9 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from hydro_agents.rigs.stable_gain import stable_pid
+from hydro_agents.controllers.pid import PID, PIDGains
+from hydro_agents.learning.opponents import usual_gains
+from hydro_agents.learning.stable_gain import stable_start
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.files import write_text
+from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.task.configuration import task_config
 from hydro_env.task.drawn_rigs import TRIES, drawn_answers
@@ -78,7 +80,8 @@ def hidden_rig(folder: Path, seed: int, number: int, duration: float) -> HiddenR
     recording, rig, kept = (folder / f"{seed}{end}" for end in (".csv", ".yaml", ".json"))
     if not kept.exists():
         texts, config = _drawn(folder / f"{seed}-true.yaml", seed, kind, duration)
-        record_axis(recording, config, stable_pid(config)[0], seed)
+        moving = stable_start(config, PIDGains.model_validate(read_yaml(usual_gains("pid"))))
+        record_axis(recording, config, PID(moving, config), seed)
         given = dict(texts)
         if kind in CLIPPED:
             given["position_range"] = f"{_clip(recording):.7g} mm"

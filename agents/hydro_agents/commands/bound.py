@@ -53,7 +53,8 @@ def bound(
     protocol = bound_protocol(config, leak or [0.01, 0.3, 1.0, 4.0], plants)
 
     def compared(display: ProgressDisplay) -> Written:
-        controllers, unfit = study.model_copy(update={"task": config}).fitting(named_agents(agent))
+        moved = study.model_copy(update={"task": config}).with_gains_of_rig()
+        controllers, unfit = moved.fitting(named_agents(agent))
         for reason in unfit:
             display.say(f"left out: {reason}")
         frame = compare(protocol, controllers, display.update)

@@ -65,9 +65,9 @@ def evaluate(
     a controller fails, the results of the others are kept. `--agent NAME#0=…` and `NAME#1=…` give training seeds of one
     controller, which share its row. One line names each controller that oscillates at rest.
 
-    With `--rig` the task is moved to another rig. The command takes the gains and weights that ship for this rig;
-    without them it searches the gains by simulation, about a minute, and takes the policy for any axis. One line
-    names what was made for another rig, and what is left out.
+    With `--rig` the task is moved to another rig. The command takes the gains and weights that ship for this rig.
+    Without them flow linearisation has its gains for any rig, a simulation of the rig searches those of the PID, a
+    minute or two, the policy is that for any axis, and other controllers are left out, with one line each.
 
     With `--protocol` the shipped controllers (or those of `--config`) and your own run under every condition of a
     protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--task` and `--rig`
@@ -95,7 +95,7 @@ def evaluate(
         changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
         study = study.model_copy(update={"evaluation": changed})
     if rig is not None:
-        study = study.with_shipped_gains()
+        study = study.with_gains_of_rig()
     own = named_agents(agent)
     replaced = {split_name(name)[0] for name in own}
     beside = _trained_beside(config, study)

@@ -143,7 +143,7 @@ def _participants(protocol: RobustnessProtocol, agents: Mapping[str, str], study
         from hydro_agents.study.settings import StudySettings
 
         study = StudySettings.from_yaml(config_file("studies", study_file)).model_copy(update={"task": protocol.task})
-        controllers = dict(study.with_weights(agents))
+        controllers = dict(study.with_gains_of_rig().with_weights(agents))
     seeded = {split_name(name)[0] for name in agents if SEED_MARK in name}
     controllers = {name: what for name, what in controllers.items() if name not in seeded or name in agents}
     return participants(controllers, protocol)

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group
+from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.signals import observation_layout
 
 Observation = NDArray[np.floating[Any]]
@@ -247,12 +248,18 @@ def gain(
 
 
 def search_space(gains: type[Group], plant: PlantParameters) -> dict[str, tuple[float, float, bool]]:
-    """The fields that tuning searches on a plant: lower bound, upper bound, and whether over the logarithm."""
-    space = {}
+    """The fields that tuning searches on a plant: lower bound, upper bound, and whether over the logarithm.
+
+    Bounds of a command per speed (s/m) are those of the paper's rig; on a faster rig they are lower.
+    """
+    space, usual, own = {}, max(speed_limits(PlantParameters())), max(speed_limits(plant))
+    slower = usual / own if own > 0.0 else 1.0
     for name, info in gains.model_fields.items():
         extra: Any = info.json_schema_extra or {}
         if "search" in extra and (not extra["needs"] or attrgetter(extra["needs"])(plant) != 0.0):
-            space[name] = (*extra["search"], extra["logarithmic"])
+            factor = slower if extra["unit"] == "s/m" else 1.0
+            low, high = (factor * end for end in extra["search"])
+            space[name] = (low, high, extra["logarithmic"])
     return space
 
 

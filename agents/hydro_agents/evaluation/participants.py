@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,11 +11,11 @@ from typing import TYPE_CHECKING
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.evaluation.robustness_protocol import ControllerChoice, PairedProtocol
-from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
+from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, Origin, opponent, origin_of_gains
 from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import SEED_MARK
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
 
 if TYPE_CHECKING:
@@ -25,15 +26,17 @@ NAMES = {"flow_linearising": "Flow linearisation", "ppo": "PPO on flow linearisa
 
 
 def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:
-    """Controllers with shipped gains or weights, by name; the first one, the PID, is the baseline.
+    """Controllers with gains or weights for the rig of a task, by name; the first one, the PID, is the baseline.
 
     The MPC takes part where it is named: docs/learning.md compares it with flow linearisation.
     """
-    folder = config_folder() / "agents"
-    tuned = [kind for kind in CONTROLLERS if kind != "mpc" and (folder / f"{kind}.yaml").is_file()]
-    kinds = (*tuned, *SHIPPED_WEIGHTS)
-    named = {_name(kind): kind for kind in kinds}
-    mended = make_controller("pid", task, read_yaml(folder / "pid_mended.yaml"))
+    kinds = [kind for kind in CONTROLLERS if kind != "mpc" and origin_of_gains(kind, task) != Origin.NOWHERE]
+    named: dict[str, Controller | str] = {_name(kind): kind for kind in (*kinds, *SHIPPED_WEIGHTS)}
+    if task.plant != PlantParameters():
+        gone = ", ".join(_name(kind) for kind in CONTROLLERS if origin_of_gains(kind, task) == Origin.NOWHERE)
+        print(f"hydro: left out: {gone}: no gains for this rig; hydro study --rig tunes some", file=sys.stderr)
+        return named
+    mended = make_controller("pid", task, read_yaml(config_folder() / "agents" / "pid_mended.yaml"))
     return {"PID": "pid", "PID mended": mended, **named}
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +33,12 @@ ANY_RIG = ("flow_linearising",)
 def shipped(kind: str, config: TaskConfig, gains: GainsFor = chosen_gains) -> Controller:
     """The controller that comes with the project: with gains or weights of the task's rig, if such ones ship.
 
-    Flow linearisation has gains for any rig, the defaults of its class; it takes them on a rig that has none of its
-    own. Any other controller then takes those of the paper's rig. ``gains`` finds those that a policy for any axis
-    corrects: one of nine sets by default, in seconds; :func:`opponent` searches for a minute.
+    On a rig that has none of its own, flow linearisation takes its gains for any rig, the defaults of its class.
+    ``gains`` finds those of a PID there, and those that a policy for any axis corrects: one of a few sets by default,
+    in seconds; :func:`opponent` searches for a minute.
 
     Raises:
-        ConfigurationError: the kind is not shipped.
+        ConfigurationError: the kind is not shipped, or has no gains for the rig.
 
     Example:
         >>> from hydro_agents.learning.opponents import shipped
@@ -47,9 +49,16 @@ def shipped(kind: str, config: TaskConfig, gains: GainsFor = chosen_gains) -> Co
     """
     if kind in SHIPPED_WEIGHTS:
         return on_rig(TRAINERS[kind].load(shipped_weights(SHIPPED_WEIGHTS[kind], config)), config, gains)
-    if takes_gains_for_any_rig(kind, config):
-        return make_controller(kind, config)
-    return make_controller(kind, config, read_yaml(gains_file(kind, config) or usual_gains(kind)))
+    match origin_of_gains(kind, config):
+        case Origin.TUNED:
+            return make_controller(kind, config, read_yaml(gains_file(kind, config) or usual_gains(kind)))
+        case Origin.ANY_RIG:
+            return make_controller(kind, config)
+        case Origin.RIG:
+            return make_controller(kind, config, gains(kind, config).model_dump())
+    raise ConfigurationError(
+        f"{kind}: no gains for this rig; hydro study --rig FILE tunes them, or give a file of your own"
+    )
 
 
 def shipped_weights(name: str, config: TaskConfig) -> Path:
@@ -92,9 +101,20 @@ def shipped_rig(config: TaskConfig) -> str:
     return next((file.stem for file in files if read_rig(file).plant == config.plant), "")
 
 
-def takes_gains_for_any_rig(kind: str, config: TaskConfig) -> bool:
-    """Whether a kind has gains for any rig, and none of its own for the task's rig."""
-    return kind in ANY_RIG and config.plant != PlantParameters() and gains_file(kind, config) is None
+class Origin(StrEnum):
+    """Where the gains of a classical controller come from on a rig; in words for a person."""
+
+    TUNED = "tuned for this rig"
+    ANY_RIG = "gains for any rig, which nobody tuned for this one"
+    RIG = "from the figures of this rig, and a simulation of it"
+    NOWHERE = "none: those that ship belong to another rig"
+
+
+def origin_of_gains(kind: str, config: TaskConfig) -> Origin:
+    """Where the gains of a shipped classical controller come from on a task's rig."""
+    if config.plant == PlantParameters() or gains_file(kind, config) is not None:
+        return Origin.TUNED
+    return Origin.ANY_RIG if kind in ANY_RIG else Origin.RIG if kind == "pid" else Origin.NOWHERE
 
 
 def usual_gains(kind: str) -> Path:
@@ -106,6 +126,15 @@ def gains_file(kind: str, config: TaskConfig) -> Path | None:
     """The gains of a classical controller that were tuned for the task's rig, if they ship."""
     file = config_folder() / "agents" / f"{kind}_{shipped_rig(config)}.yaml"
     return file if file.is_file() else None
+
+
+def ships(kind: str, settings: Mapping[str, Any]) -> bool:
+    """Whether the settings of a classical controller are gains that ship, of whichever rig, or its defaults."""
+    if kind not in CONTROLLERS:
+        return False
+    files = [file for file in (config_folder() / "agents").rglob(f"{kind}*.yaml") if not file.stem.endswith("_sets")]
+    known = [CONTROLLERS[kind][1]().model_dump(mode="json"), *map(read_yaml, files)]
+    return not settings or dict(settings) in known
 
 
 def opponent(

@@ -21,7 +21,9 @@ from cmaes import CMA, SepCMA
 from joblib import effective_n_jobs
 
 from hydro_agents.controllers.base import Controller, search_space
+from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import CONTROLLERS
+from hydro_agents.learning.stable_gain import pids_from_figures
 from hydro_agents.learning.trials import JUDGED, REST, Score, costs_of, over_tasks, resting_cases, scored, tuning_cases
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import config_folder
@@ -42,7 +44,8 @@ EVALUATIONS = 2800
 _SIGMA = 0.2
 CLEARLY = 0.9  # of the first set's error, for another set to be chosen; few cases favour some set by chance
 CHOICE_CASES = 14  # of each set in :func:`chosen_gains`, beside the resting ones
-NEARBY, NEAR = 56, 0.1  # candidates of :func:`searched_gains`, and their first spread in parts of the search ranges
+NEARBY = 56  # candidates of :func:`searched_gains`
+NEAR = {"pid": 0.05, "flow_linearising": 0.1}  # their first spread in parts of the search ranges
 SEARCH_CASES = 42  # of each of these candidates
 TRIALS = (1, 2, 3, 4)  # seeds of the other cases that decide in the end
 TRIAL_CASES = 84  # of each seed: many, because few plants swing
@@ -171,8 +174,19 @@ def tune(
     return best._replace(evaluations=generations * population)
 
 
-def gain_sets(kind: str) -> list[Group]:
-    """Sets of gains that serve different rigs; the first is the default of the class, and alone if no others ship."""
+def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
+    """Sets of gains that may serve the rig of a task; the first is preferred.
+
+    Those of a PID follow from the figures of the rig. Of another kind they serve different rigs: the default of the
+    class, and what ships beside it.
+
+    Raises:
+        ConfigurationError: no PID follows from the figures.
+    """
+    if kind == "pid":
+        if (key := repr(config)) not in _PIDS:
+            _PIDS[key] = pids_from_figures(config)
+        return [*_PIDS[key]]
     group = CONTROLLERS[kind][1]
     file = config_folder() / "agents" / f"{kind}_sets.yaml"
     others = read_yaml(file)["sets"] if file.is_file() else []
@@ -186,7 +200,7 @@ def chosen_gains(kind: str, config: TaskConfig) -> Group:
     """
     key = kind, repr(config)
     if key not in _CHOSEN:
-        sets = gain_sets(kind)
+        sets = gain_sets(kind, config)
         errors = [score.equal for score in rig_scores(kind, sets, config)] if len(sets) > 1 else [1.0]
         clearly = min(errors) < CLEARLY * errors[0]
         _CHOSEN[key] = sets[int(np.argmin(errors)) if clearly else 0]
@@ -198,13 +212,12 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
 
     Fresh cases decide between the best candidate of each generation, the choice and the first set: a search favours
     what some cases happen to like. Limit cycles at rest count against each. Like the choice it knows the rig's file
-    alone. A kind with a single set keeps it.
+    alone.
     """
-    first, *others = gain_sets(kind)
     key = kind, repr(config)
-    if others and key not in _SEARCHED:
-        print("hydro: a simulation of the rig searches gains; about a minute", file=sys.stderr)
-        found = [first, chosen := chosen_gains(kind, config)]
+    if key not in _SEARCHED:
+        print(f"hydro: {kind}: a simulation of the rig searches gains; about a minute", file=sys.stderr)
+        found = [gain_sets(kind, config)[0], chosen := chosen_gains(kind, config)]
 
         def progress(best: Tuned) -> None:
             found.append(best.gains)
@@ -215,7 +228,7 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
             evaluations=NEARBY,
             cases=SEARCH_CASES,
             start=chosen,
-            spread=NEAR,
+            spread=NEAR[kind],
             separable=True,
             progress=progress,
         )
@@ -226,7 +239,7 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
         rests = [counted_at_rest(controller, config, STANDSTILLS, RESTS) for controller in controllers]
         errors += PER_LIMIT_CYCLE * np.array([counts["limit_cycles"] for counts in rests]) / RESTS
         _SEARCHED[key] = leaders[int(np.argmin(errors))]
-    return _SEARCHED.get(key, first)
+    return _SEARCHED[key]
 
 
 def rig_scores(kind: str, sets: Sequence[Group], config: TaskConfig) -> list[Score]:
@@ -234,6 +247,7 @@ def rig_scores(kind: str, sets: Sequence[Group], config: TaskConfig) -> list[Sco
     return _costed(kind, sets, [config], CHOICE_CASES, 0, False)
 
 
+_PIDS: dict[str, list[PIDGains]] = {}
 _CHOSEN: dict[tuple[str, str], Group] = {}
 _SEARCHED: dict[tuple[str, str], Group] = {}
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
-from hydro_agents.rigs.stable_gain import (
+from hydro_agents.learning.stable_gain import (
     DRAWN,
     HEALTHY_LEAK,
     Weakest,
@@ -18,6 +18,7 @@ from hydro_agents.rigs.stable_gain import (
     leaking,
     loops_within_ranges,
     nominal_loops,
+    quiet_gains,
     weakest,
 )
 from hydro_env import HydroError, PlantParameters, TaskConfig
@@ -211,15 +212,22 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
         sampled.append(Row(group, largest, at, _gain(over_reach[leak]), "1/m", key))
     within = f"worst of {DRAWN} plants in the ranges, {leak_text(HEALTHY_LEAK)}"
     sampled.append(Row(group, largest, within, _gain(worst), "1/m", "gain in the ranges"))
-    if worst is None or not 0.0 < worst.gain < math.inf:
+    try:
+        quiet = quiet_gains(task)
+    except HydroError:
         return [*rows, *sampled]
-    gain, half = worst.recommended, "half of the worst in the ranges"
-    sampled.append(Row(group, "recommended gain", half, gain, "1/m", "recommended gain"))
-    for which, weak in (("own values", over_reach[HEALTHY_LEAK]), ("worst in the ranges", worst)):
+    gain, simulated = quiet.recommended, "simulated with friction"
+    sampled.append(Row(group, "recommended gain", simulated, gain, "1/m", "recommended gain"))
+    for which, largest, weak in (
+        ("own values", quiet.own, over_reach[HEALTHY_LEAK]),
+        ("worst in the ranges", quiet.worst, worst),
+    ):
+        at, margin = f"recommended gain, {which}", 20.0 * math.log10(largest / gain)
+        sampled.append(Row(group, "largest quiet gain", f"{which}, {simulated}", largest, "1/m", f"quiet, {which}"))
+        sampled.append(Row(group, "gain margin", f"{at}, {simulated}", margin, "dB", f"gain margin, {which}"))
         if weak is not None:
-            at, phase = f"recommended gain, {which}", weak.loop.phase_margin(gain)
-            sampled.append(Row(group, "gain margin", at, _text(weak.gain_margin(gain)), "dB", f"gain margin, {which}"))
-            sampled.append(Row(group, "phase margin", at, _text(phase), "°", f"phase margin, {which}"))
+            phase = _text(weak.loop.phase_margin(gain))
+            sampled.append(Row(group, "phase margin", f"{at}, without friction", phase, "°", f"phase margin, {which}"))
     for leak, plant in leaky.items():
         stiffness = _figure(partial(_static_stiffness, gain), plant, place)
         sampled.append(Row(group, "static stiffness", f"recommended gain, {here[leak]}", stiffness, "kN/mm"))

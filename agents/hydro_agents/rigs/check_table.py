@@ -12,8 +12,8 @@ import pandas as pd
 from rich.padding import Padding
 from rich.table import Table as ConsoleTable
 
+from hydro_agents.learning.stable_gain import DRAWN, beyond_dead_band
 from hydro_agents.rigs.check import BAR, LEAKS, MILLIMETRE, OVERDAMPED, Row, check_rig, leak_text
-from hydro_agents.rigs.stable_gain import DRAWN, beyond_dead_band
 from hydro_agents.running.console import PlainConsole, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.tasks import timed_task
@@ -64,8 +64,8 @@ def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, s
             for margin in ("gain margin", "phase margin")
         )
         facts["recommended gain"] = (
-            f"{both('recommended gain')}: half of the worst; gain margin {' and '.join(gain)} dB, phase margin "
-            f"{'° and '.join(phase)}° (own values and worst)"
+            f"{both('recommended gain')}: a simulation with friction comes to rest with {' and '.join(gain)} dB more; "
+            f"phase margin without friction {'° and '.join(phase)}° (own values and worst)"
         )
     watch = _watched(figures, figures[healthy].value)
     return [*facts.items(), ("verdict", "; ".join(["it works", *watch]))]
@@ -85,6 +85,8 @@ def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:
             watch.append(f"the pump alone sustains only {lasting:.3g} mm/s {way}")
     if isinstance(damping, float) and damping < WEAK_DAMPING:
         watch.append("the axis rings: use damping (pressure feedback) or a low gain")
+    if "phase margin, own values" in figures and figures["phase margin, own values"].value == 0.0:
+        watch.append("with the recommended gain its friction alone keeps it quiet: if it swings, take half")
     if isinstance(damping, str) and damping != OVERDAMPED:
         watch.append(f"at the examined position: {damping}")
     return watch

@@ -104,14 +104,17 @@ def counted(rows: pd.DataFrame) -> dict[str, float]:
     }
 
 
-def counted_at_rest(controller: Controller, config: TaskConfig, seeds: SeedRange, count: int) -> dict[str, float]:
-    """The same for a controller of a task, on plants and leaks that the task draws.
+def counted_at_rest(
+    controller: Controller, config: TaskConfig, seeds: SeedRange, count: int, leakage_flow_lpm: float | None = None
+) -> dict[str, float]:
+    """The same for a controller of a task, on plants that the task draws, with a leak or those that it draws.
 
     Raises:
         ControllerError: the controller failed.
     """
     task = standstill_task(config)
-    rollout = run_cases(task, controller, Cases(np.array(seeds.take(count))))
+    leaks = None if leakage_flow_lpm is None else np.full(count, leakage_flow_lpm)
+    rollout = run_cases(task, controller, Cases(np.array(seeds.take(count)), leaks))
     return counted(pd.DataFrame(standstill_metrics(rollout, task)))
 
 

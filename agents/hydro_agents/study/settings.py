@@ -17,11 +17,20 @@ from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name
-from hydro_agents.learning.opponents import ANY_RIG, SHIPPED_WEIGHTS, gains_file, opponent, usual_gains
+from hydro_agents.learning.opponents import (
+    ANY_RIG,
+    SHIPPED_WEIGHTS,
+    gains_file,
+    opponent,
+    shipped,
+    ships,
+    usual_gains,
+)
+from hydro_agents.learning.tuning import searched_gains
 from hydro_agents.running.tasks import read_settings, read_task
 from hydro_agents.running.text import correction_name
 from hydro_agents.study.entries import ControllerEntry, Name, TuningSettings, following, refuse_later
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.mistakes import kept, refuse
@@ -210,13 +219,25 @@ class StudySettings(Group):
                 return opponent(entry.kind, self.task, name)
         raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
 
-    def with_shipped_gains(self) -> StudySettings:
-        """The study with the gains that ship for its rig, where a controller would have to be tuned for it first."""
+    def with_gains_of_rig(self) -> StudySettings:
+        """The study on its rig: gains that ship for another one give way to those that ship for or come from this one.
+
+        A controller for which there are none is left out, with a line on standard error.
+        """
         controllers = dict(self.controllers)
-        for name in self.tuned:
-            if (file := gains_file(controllers[name].kind, self.task)) is not None:
-                changes = {"settings": read_yaml(file), "tune": None}
-                controllers[name] = controllers[name].model_copy(update=changes)
+        for name, entry in self.controllers.items():
+            if self.task.plant == PlantParameters() or not ships(entry.kind, entry.settings):
+                continue
+            if entry.kind in ANY_RIG and gains_file(entry.kind, self.task) is None:
+                continue
+            try:
+                own: Any = shipped(entry.kind, self.task, searched_gains)
+            except ConfigurationError as error:
+                print(f"hydro: left out: {name}: {error}", file=sys.stderr)
+                del controllers[name]
+            else:
+                settings = own.gains.model_dump(mode="json")
+                controllers[name] = entry.model_copy(update={"settings": settings, "tune": None})
         return self.model_copy(update={"controllers": controllers})
 
     def fitting(self, agents: Mapping[str, str]) -> tuple[dict[str, Controller], list[str]]:

@@ -14,8 +14,8 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.head_training import train_head
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
+from hydro_agents.learning.stable_gain import stable_start
 from hydro_agents.learning.tuning import Tuned, tune
-from hydro_agents.rigs.stable_gain import stable_start
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest, rest_text

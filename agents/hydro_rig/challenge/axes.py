@@ -23,7 +23,7 @@ from hydro_agents.detection.disturbances import KINDS as MOVING
 from hydro_agents.detection.disturbances import PRESSURES, Disturbed, drawn
 from hydro_agents.detection.operations import ACTING, MOTIONS
 from hydro_agents.detection.sheet import leak_scale
-from hydro_agents.rigs.stable_gain import pid_from_figures
+from hydro_agents.learning.stable_gain import pid_from_figures
 from hydro_agents.running.cases import Cases, TrueStateController
 from hydro_agents.running.seeds import BENCHMARK_TEST, BENCHMARK_TRAINING, BENCHMARK_VALIDATION
 from hydro_env import TaskConfig

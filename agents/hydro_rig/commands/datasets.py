@@ -79,8 +79,8 @@ def record(
     With `--rig` alone the axis has the parameters of its file. With `--task`, for `--minari`, and without `--rig`, the
     task draws the parameters that are not known exactly.
     """
-    from hydro_agents.learning.opponents import opponent
-    from hydro_agents.rigs.stable_gain import stable_pid
+    from hydro_agents.learning.opponents import Origin, opponent, origin_of_gains, shipped
+    from hydro_agents.learning.tuning import chosen_gains
     from hydro_agents.running.tasks import named_faults
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
@@ -105,14 +105,19 @@ def record(
         return
     assert output is not None
     check_new_file(output, overwrite)
-    config = task_config(exact_task(task, rig), rig=rig, episode_duration=20.0 if duration is None else duration)
-    mover, gains = stable_pid(config) if controller == "pid" else (opponent(controller, config, "--controller"), "")
+    usual = task_config(exact_task(task, rig), rig=rig)
+    config = task_config(usual, episode_duration=20.0 if duration is None else duration)
+    if by_pid := controller == "pid":  # its gains need no episodes as long as the recording
+        mover = shipped(controller, config, lambda kind, _: chosen_gains(kind, usual))
+    else:
+        mover = opponent(controller, config, "--controller")
+    origin = origin_of_gains(controller, config) if by_pid else Origin.TUNED
     done = record_axis(output, config, mover, seed, leakage, family, faults, command_line())
     end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
     drawn = f"; parameters of the plant drawn by --seed {seed}" if config.randomisation else ""
     leak = f"leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"
     say(
-        *([f"{output}: {gains}"] if gains else []),
+        *([f"{output}: gains of the PID: {origin}"] if origin != Origin.TUNED else []),
         f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}",
     )
 

@@ -29,8 +29,8 @@ def export(
         typer.Argument(
             help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector, or the path of your "
             "own. alarm: the alarm over time, or the alarm.yaml of hydro alarms. playground: a page to try out. Or a "
-            "controller: results/study/controllers/NAME of a study on your rig; as shipped: flow_linearising or "
-            "ppo, for any rig; pid, adrc, lqg or mpc, for the paper's; a file of gains, weights, or module:attribute.",
+            "controller: results/study/controllers/NAME of a study on your rig; as shipped: flow_linearising, ppo or "
+            "pid, for any rig; adrc, lqg or mpc, for the paper's; a file of gains, weights, or module:attribute.",
             show_default=False,
         ),
     ],
@@ -172,8 +172,7 @@ def _playground() -> Job:
 
 def _controller(what: str, request: _Request) -> Job:
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.learning.opponents import gains_file, takes_gains_for_any_rig, trained_for
-    from hydro_env import PlantParameters
+    from hydro_agents.learning.opponents import Origin, origin_of_gains, trained_for
     from hydro_rig.export.controller_folder import FILES, exported_files
     from hydro_rig.export.onnx_writer import onnx_package
 
@@ -183,15 +182,10 @@ def _controller(what: str, request: _Request) -> Job:
     if made_for is not None and made_for != config.plant:
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
     _tell_distance(what, controller, config)
-    if takes_gains_for_any_rig(what, config):
-        say(f"{what}: gains for any rig, which nobody tuned for this one: {page('no_tuning.md')} says what they cost")
-    elif what in CONTROLLERS and config.plant != PlantParameters() and gains_file(what, config) is None:
-        print(
-            f"hydro: {what}: the shipped gains, tuned for the paper's rig: not safe on yours. hydro study --rig FILE "
-            "tunes them; then export results/study/controllers/NAME",
-            file=sys.stderr,
-        )
-    return FILES, partial(exported_files, controller, config, command_line())
+    origin = origin_of_gains(what, config) if what in CONTROLLERS else ""
+    if origin not in ("", Origin.TUNED):
+        say(f"{what}: {origin}: {page('no_tuning.md')} says what they cost")
+    return FILES, partial(exported_files, controller, config, command_line(), origin)
 
 
 def _controller_and_task(what: str, request: _Request) -> tuple[Controller, TaskConfig]:

@@ -101,13 +101,16 @@ def _disturbed(samples: Floats) -> Floats:
     return rows
 
 
-def exported_files(controller: Controller, config: TaskConfig, command: str) -> tuple[dict[str, bytes], list[str]]:
+def exported_files(
+    controller: Controller, config: TaskConfig, command: str, origin: str = ""
+) -> tuple[dict[str, bytes], list[str]]:
     """The files of an exported controller by name, and the results of their checks, one line each.
 
     Args:
         controller: the controller.
         config: its task.
         command: that exports it.
+        origin: where its gains come from.
 
     Raises:
         TraceError: the controller cannot be exported exactly.
@@ -122,6 +125,7 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
         "title": graph.title,
         "version": __version__,
         "command": command,
+        "origin": origin,
         "name": CODE,
         "type": "ControllerMemory",
         "samples": len(vectors.voltage),

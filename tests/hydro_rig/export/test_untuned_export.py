@@ -1,5 +1,8 @@
 """A controller for a rig that nobody tuned: the command, its C code on that rig, and a take-over in motion."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
@@ -67,8 +70,20 @@ def test_it_is_made_for_this_rig_and_timing_with_the_gains_for_any(folder, task)
     page = (folder / "README.md").read_text(encoding="utf-8")
     assert "every 2.0 ms" in page
     assert "from 0.6 ms after it" in page
+    assert "Origin: gains for any rig, which nobody tuned for this one." in page
     assert shipped("flow_linearising", task).gains == FlowLinearisingGains()
     assert shipped("flow_linearising", TaskConfig()).gains != FlowLinearisingGains()  # the paper's rig has its own
+
+
+def test_half_the_position_gain_is_exported_as_the_page_says(rig, monkeypatch):
+    text = (Path(__file__).parents[3] / "docs" / "no_tuning.md").read_text(encoding="utf-8")
+    gains, command = re.search(r'echo "(.*)" > slower.yaml\n *hydro (export slower.yaml .*)\n', text).groups()
+    monkeypatch.chdir(rig.parent)
+    Path("slower.yaml").write_text(gains + "\n", encoding="utf-8")
+    answer = hydro(*command.split())
+    assert answer.returncode == 0, answer.stderr
+    half = 0.5 * FlowLinearisingGains().position_gain
+    assert f"| position_gain | {half:g} |" in Path("slower", "README.md").read_text(encoding="utf-8")
 
 
 def test_in_c_it_takes_over_an_axis_in_motion(task, in_c):

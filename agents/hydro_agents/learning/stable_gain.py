@@ -1,4 +1,4 @@
-"""The largest stable gain of a rig, and of the plants within its ranges; the gains of a PID that follow from it."""
+"""The largest stable gain of a rig, linearised and simulated, and of the plants within its ranges; PIDs from them."""
 
 from __future__ import annotations
 
@@ -8,25 +8,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.pid import PIDGains
-from hydro_agents.controllers.registry import make_controller
+from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_agents.controllers.sampled_loop import SampledLoop, places_in_reach, sampled_loop
-from hydro_agents.learning.opponents import gains_file, shipped, usual_gains
-from hydro_env import HydroError, PlantParameters, TaskConfig
-from hydro_env.files import Group, read_yaml
+from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest
+from hydro_agents.running.seeds import STANDSTILLS
+from hydro_env import ConfigurationError, HydroError, PlantParameters, TaskConfig
+from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.parameters import from_vector, to_vector
 from hydro_env.plant.parts.leakage import leak_past_piston
+from hydro_env.task.configuration import task_config
 from hydro_env.task.settings import draws_of
 
 HEALTHY_LEAK = 0.01  # l/min at 100 bar
 DRAWN = 128
 """Number of plants that are drawn from the ranges of a rig; the rare ones beyond them are left to the gain margin."""
 
-SHARE_OF_STABLE = 0.5  # proportional gain over the largest stable one: a gain margin of 6 dB
+SHARE_OF_STABLE = 0.5  # proportional gain over the largest stable or quiet one: a gain margin of 6 dB
 FEW_UNSTABLE = 0.02
 """Share of loops within the ranges that tuned gains may leave unstable without friction, and start a search."""
+
+PLANTS = 32  # drawn ones that must come to rest with a gain
+MEDIUM, LOWEST, HIGHEST = 10.0, 1e-2, 1e4  # 1/s, 1/s, 1/m: where the search for the largest quiet gain begins and ends
+CLOSE = 1.1  # ratio of gains at which it ends
 
 INTEGRAL_SHARE = 0.1  # rate of the integral over the crossover frequency: it costs 6° of phase there
 
@@ -116,21 +120,105 @@ def leaking(parameters: PlantParameters, leak: float) -> PlantParameters:
     return parameters.replace(leakage=leak_past_piston(leak, "laminar"))
 
 
+class QuietGains(NamedTuple):
+    """The largest proportional gains of a PID with which simulated axes come to rest after a step and back."""
+
+    own: float  # 1/m, of the file's own values
+    worst: float  # 1/m, of all of :data:`PLANTS` plants drawn from their ranges
+
+    @property
+    def recommended(self) -> float:
+        """Recommended proportional gain, 1/m: half of what the worst plant bears."""
+        return SHARE_OF_STABLE * self.worst
+
+
+def quiet_gains(task: TaskConfig) -> QuietGains:
+    """The largest quiet gains of a rig, with its friction, sampling and latency, a healthy seal and no sensor noise.
+
+    The linearised loop has no dry friction, with which an axis stays quiet far above the largest stable gain, unless a
+    hard kick sets it in motion: the feed-forward of a step is one.
+
+    Raises:
+        HydroError: no gain is quiet, or the axis cannot be held or moved.
+    """
+    full_speed = max(0.5 * sum(speed_limits(beyond_dead_band(task.plant))), 1e-6)
+    exact, lowest = task_config(task, randomisation={}), LOWEST / full_speed
+    own = _largest_quiet_gain(exact, 1, MEDIUM / full_speed, lowest)
+    return QuietGains(own, min(own, _largest_quiet_gain(task, PLANTS, own, lowest)) if task.randomisation else own)
+
+
+def _largest_quiet_gain(task: TaskConfig, plants: int, begin: float, lowest: float) -> float:
+    def quiet(gain: float) -> bool:
+        controller = PID(pid_with_gain(task, gain), task)
+        return comes_to_rest(counted_at_rest(controller, task, STANDSTILLS, plants, HEALTHY_LEAK))
+
+    low = high = begin
+    if quiet(begin):
+        while high < HIGHEST and quiet(high := min(2.0 * low, HIGHEST)):
+            low = high
+    else:
+        while not quiet(low := 0.5 * high):
+            high = low
+            if low < lowest:
+                raise HydroError(f"no proportional gain down to {low:.2g} 1/m lets the axis come to rest")
+    while high / low > CLOSE:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if quiet(middle) else (low, middle)
+    return low
+
+
+def proportional(task: TaskConfig, gain: float) -> PIDGains:
+    """A proportional controller (1/m) that adds the overlap of the valve; saturation leaves nothing in its integral."""
+    return PIDGains(
+        proportional=gain,
+        integral=0.0,
+        feedforward_extending=0.0,
+        feedforward_retracting=0.0,
+        anti_windup_time=10.0,
+        overlap_compensation=1.0 if task.plant.valve.overlap else 0.0,
+    )
+
+
+def pids_from_figures(task: TaskConfig) -> list[PIDGains]:
+    """PIDs of a rig that nobody tuned: with the recommended gain, with 3 dB more, and that of :func:`pid_from_figures`.
+
+    Raises:
+        ConfigurationError: neither exists.
+    """
+    found: list[PIDGains | None] = [pid_from_figures(task)]
+    try:
+        gain = quiet_gains(task).recommended
+        found = [pid_with_gain(task, gain), pid_with_gain(task, math.sqrt(2.0) * gain), *found]
+    except HydroError as error:
+        if found == [None]:
+            raise ConfigurationError(f"pid: no gains for this rig: {error}; give a file of gains") from None
+    return [gains for gains in found if gains is not None]
+
+
 def pid_from_figures(task: TaskConfig, loops: Iterable[SampledLoop] | None = None) -> PIDGains | None:
     """Half of the largest stable gain of the weakest plant within the task's ranges, and feed-forward; no derivative.
 
-    The feed-forward is the inverse of the no-load speeds; the overlap of the valve is compensated. ``None`` if no gain
-    makes a loop unstable, or each gain does.
+    Without friction in its figures it is a careful start. ``None`` if no gain makes a loop unstable, or each does.
     ``loops`` are those of :func:`loops_within_ranges`, if they are known.
     """
     found = weakest(loops_within_ranges(task) if loops is None else loops)
+    moves = min(speed_limits(beyond_dead_band(task.plant))) > 0.0
+    usable = found is not None and moves and 0.0 < found.gain < math.inf
+    return pid_with_gain(task, found.recommended) if found is not None and usable else None
+
+
+def pid_with_gain(task: TaskConfig, gain: float) -> PIDGains:
+    """A PID with a proportional gain (1/m), and the inverse of the no-load speeds as feed-forward; no derivative.
+
+    Raises:
+        HydroError: the axis cannot move.
+    """
     out, back = speed_limits(beyond_dead_band(task.plant))
-    if found is None or not 0.0 < found.gain < math.inf or min(out, back) <= 0.0:
-        return None
-    crossover = found.recommended * 0.5 * (out + back)
+    if min(out, back) <= 0.0:
+        raise HydroError("the supply cannot move the axis")
     return PIDGains(
-        proportional=found.recommended,
-        integral=INTEGRAL_SHARE * crossover * found.recommended,
+        proportional=gain,
+        integral=INTEGRAL_SHARE * gain * 0.5 * (out + back) * gain,
         feedforward_extending=1.0 / out,
         feedforward_retracting=1.0 / back,
         overlap_compensation=1.0 if task.plant.valve.overlap else 0.0,
@@ -151,19 +239,3 @@ def stable_start(task: TaskConfig, given: Group) -> Group:
     if sum(not loop.is_stable(given.proportional) for loop in loops) <= FEW_UNSTABLE * len(loops):
         return given
     return pid_from_figures(task, loops) or given
-
-
-def stable_pid(task: TaskConfig) -> tuple[Controller, str]:
-    """The shipped PID, or, where its gains are unstable on this rig, one from the rig's figures; and what was done.
-
-    The text is empty on a rig with gains of its own.
-    """
-    controller = shipped("pid", task)
-    if task.plant == PlantParameters() or gains_file("pid", task) is not None:
-        return controller, ""
-    given = PIDGains.model_validate(read_yaml(usual_gains("pid")))
-    start = stable_start(task, given)
-    if start == given:
-        return controller, "the gains of the PID were tuned for another rig; they are stable here"
-    what = "no PID was tuned for this rig, and the usual gains are unstable here: half of the largest stable gain acts"
-    return make_controller("pid", task, start.model_dump()), what
