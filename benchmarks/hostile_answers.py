@@ -37,7 +37,7 @@ from hydro_rig.recordings.simulated import record_axis
 
 TASK = TaskConfig(episode_duration=10.0)
 LIMITS = Limits.of(TASK)
-AXES = [(seed, leak) for leak in (0.01, 0.3) for seed in (1, 2)]  # seed, leak in l/min at 100 bar
+AXES = [(2, 0.01), (1, 0.3), (1, 0.01), (2, 0.3)]  # seed, leak in l/min at 100 bar
 MOST_ADVICE = 3  # times that advice is followed on the way to an answer
 REFUSED = "refused"  # as kind of an answer
 OUTCOMES = ["traceback", "healthy called leaking", "leaking called healthy", "wrong cause", "wrong size", "cannot tell"]
