@@ -4,6 +4,9 @@
 ``hostile_inputs.yaml`` lists them, a case per number, and writes ``cases_0.csv``. Numbers that are in it already are
 left out; ``--number 7`` shows one case. Bad are a traceback, a hang, more than one line, an unknown exit code, a
 half-written folder, and exit code 0 for what is wrong beyond doubt. Each fiftieth case is a process of its own.
+
+``--recordings [--jobs 2]`` mangles recordings of healthy and leaking axes instead (``hostile_recordings.py``), and
+counts wrong verdicts of ``hydro diagnose``; ``recordings.csv`` holds every case, and those in it are left out.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "agents"), str(ROOT / "tests")]
 from command_line import COMMAND, Answer, done, environment, hydro, own_lines  # type: ignore[import-not-found]  # noqa: E402
 from hostile_damage import CASES, damage, write_table  # type: ignore[import-not-found]  # noqa: E402
 
+from benchmarks.hostile_answers import run as mangled_recordings  # noqa: E402
 from hydro_env.folders import config_folder  # noqa: E402
 
 LONG = "a" * 5000  # for a word of the cases
@@ -123,7 +127,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     for name, usual in (("count", 2000), ("seed", 0), ("number", -1)):
         parser.add_argument(f"--{name}", type=int, default=usual)
+    parser.add_argument("--recordings", action="store_true", help="verdicts on mangled recordings")
+    parser.add_argument("--jobs", type=int, default=1, help="of --recordings: processes")
     given = parser.parse_args()
+    if given.recordings:
+        mangled_recordings(given.folder, given.jobs)
+        return
     base, cases = given.folder.absolute() / "valid", given.folder.absolute() / f"cases_{given.seed}.csv"
     if not base.exists():
         prepare(base)

@@ -154,10 +154,24 @@ def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:
         )
 
 
-def as_batch(observation: Observation) -> tuple[Observation, bool]:
-    """The observation as a batch (N, n), and whether it was a single one."""
+def as_batch(observation: Observation, memory: Any) -> tuple[Observation, bool]:
+    """The observation as a batch (N, n), and whether it was a single one.
+
+    Raises:
+        ConfigurationError: the memory is that of another number of axes.
+    """
     array = observation if hasattr(observation, "ndim") else np.asarray(observation)
-    return (array[None], True) if array.ndim == 1 else (array, False)
+    batch, single = (array[None], True) if array.ndim == 1 else (array, False)
+    if (axes := _axes_of(memory)) not in (None, len(batch)):
+        raise ConfigurationError(f"state: is that of {axes} axes, and the observations are those of {len(batch)}")
+    return batch, single
+
+
+def _axes_of(memory: Any) -> int | None:
+    """Number of axes of a memory; ``None`` if it holds no array."""
+    if isinstance(memory, tuple):
+        return next((axes for part in memory if (axes := _axes_of(part)) is not None), None)
+    return len(memory) if isinstance(memory, np.ndarray) and memory.ndim else None
 
 
 def surely_zero(array: Any) -> bool:
@@ -203,7 +217,7 @@ class ClassicalController:
     ) -> tuple[NDArray[np.float32], Any]:
         """Commands for the observations; see :class:`Controller`."""
         del deterministic
-        batch, single = as_batch(observation)
+        batch, single = as_batch(observation, state)
         command, state = self.act(batch, state, episode_start)
         command = np.clip(command, -1.0, 1.0)
         action = command.astype(np.float32)[:, None]

@@ -230,7 +230,7 @@ class LeakageHead:
         times per window. The arguments are those of a controller (:class:`~hydro_agents.controllers.base.Controller`).
         """
         del deterministic
-        batch, single = as_batch(observation)
+        batch, single = as_batch(observation, state)
         if state is None:
             nothing = np.full((len(batch), len(LeakageEstimate._fields)), np.nan)
             state = HeadState((), np.zeros(len(batch), dtype=np.int64), nothing)

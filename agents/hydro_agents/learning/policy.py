@@ -176,7 +176,7 @@ class PolicyController:
     ) -> tuple[NDArray[np.float32], FeatureState]:
         """Commands for the observations, and the memory for the next call."""
         del deterministic
-        batch, single = as_batch(observation)
+        batch, single = as_batch(observation, state)
         inputs, state = self.features(batch, state, episode_start)
         values = np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
         if self.lstm is not None:

@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS
@@ -88,3 +89,12 @@ def test_one_axis_alone_gets_the_same_answers(name):
         answer, state = controller.predict(OBSERVATIONS[step, 1], state)
         assert np.shape(answer) == np.shape(together)[2:]
         np.testing.assert_allclose(answer, together[step, 1], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", EVERYTHING)
+@pytest.mark.parametrize(("before", "now"), [(AXES, 2), (1, AXES)])
+def test_a_memory_of_another_number_of_axes_is_refused(name, before, now):
+    controller = EVERYTHING[name]
+    _, state = controller.predict(OBSERVATIONS[0, :before])
+    with refused(f"state: is that of {before} axes, and the observations are those of {now}"):
+        controller.predict(OBSERVATIONS[1, :now], state)
