@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from hydro_agents.controllers.pid import PID, PIDGains
+from hydro_agents.controllers.pid import PIDGains
+from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.opponents import usual_gains
 from hydro_agents.learning.stable_gain import stable_start
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -81,7 +82,7 @@ def hidden_rig(folder: Path, seed: int, number: int, duration: float) -> HiddenR
     if not kept.exists():
         texts, config = _drawn(folder / f"{seed}-true.yaml", seed, kind, duration)
         moving = stable_start(config, PIDGains.model_validate(read_yaml(usual_gains("pid"))))
-        record_axis(recording, config, PID(moving, config), seed)
+        record_axis(recording, config, make_controller("pid", config, moving.model_dump()), seed)
         given = dict(texts)
         if kind in CLIPPED:
             given["position_range"] = f"{_clip(recording):.7g} mm"

@@ -50,7 +50,8 @@ SEARCH_CASES = 42  # of each of these candidates
 TRIALS = (1, 2, 3, 4)  # seeds of the other cases that decide in the end
 TRIAL_CASES = 84  # of each seed: many, because few plants swing
 RESTS = 96  # standstills
-PER_LIMIT_CYCLE = 1.5  # what a limit cycle at all of them adds to the logarithm of the error
+PER_LIMIT_CYCLE = {"pid": 15.0, "flow_linearising": 1.5}
+"""What a limit cycle at all of them adds to the logarithm of the error; that of a PID is millimetres large."""
 
 
 class Space:
@@ -237,7 +238,7 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
         errors = np.log([[score.equal for score in trial] for trial in trials]).mean(axis=0)
         controllers = [CONTROLLERS[kind][0](gains, config) for gains in leaders]
         rests = [counted_at_rest(controller, config, STANDSTILLS, RESTS) for controller in controllers]
-        errors += PER_LIMIT_CYCLE * np.array([counts["limit_cycles"] for counts in rests]) / RESTS
+        errors += PER_LIMIT_CYCLE[kind] * np.array([counts["limit_cycles"] for counts in rests]) / RESTS
         _SEARCHED[key] = leaders[int(np.argmin(errors))]
     return _SEARCHED[key]
 

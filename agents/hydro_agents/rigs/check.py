@@ -216,20 +216,20 @@ def _loop(task: TaskConfig, place: float) -> list[Row]:
         quiet = quiet_gains(task)
     except HydroError:
         return [*rows, *sampled]
-    gain, simulated = quiet.recommended, "simulated with friction"
-    sampled.append(Row(group, "recommended gain", simulated, gain, "1/m", "recommended gain"))
-    for which, largest, weak in (
+    recommended, simulated = quiet.recommended, "simulated with friction"
+    sampled.append(Row(group, "recommended gain", simulated, recommended, "1/m", "recommended gain"))
+    for which, quietest, weak in (
         ("own values", quiet.own, over_reach[HEALTHY_LEAK]),
         ("worst in the ranges", quiet.worst, worst),
     ):
-        at, margin = f"recommended gain, {which}", 20.0 * math.log10(largest / gain)
-        sampled.append(Row(group, "largest quiet gain", f"{which}, {simulated}", largest, "1/m", f"quiet, {which}"))
+        at, margin = f"recommended gain, {which}", 20.0 * math.log10(quietest / recommended)
+        sampled.append(Row(group, "largest quiet gain", f"{which}, {simulated}", quietest, "1/m", f"quiet, {which}"))
         sampled.append(Row(group, "gain margin", f"{at}, {simulated}", margin, "dB", f"gain margin, {which}"))
         if weak is not None:
-            phase = _text(weak.loop.phase_margin(gain))
+            phase = _text(weak.loop.phase_margin(recommended))
             sampled.append(Row(group, "phase margin", f"{at}, without friction", phase, "°", f"phase margin, {which}"))
     for leak, plant in leaky.items():
-        stiffness = _figure(partial(_static_stiffness, gain), plant, place)
+        stiffness = _figure(partial(_static_stiffness, recommended), plant, place)
         sampled.append(Row(group, "static stiffness", f"recommended gain, {here[leak]}", stiffness, "kN/mm"))
     return [*rows, *sampled]
 
