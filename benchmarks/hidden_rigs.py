@@ -101,7 +101,7 @@ def hidden_rig(folder: Path, seed: int, number: int, duration: float) -> HiddenR
 def identified_task(rig: Path) -> TaskConfig:
     """The task of ``hydro identify`` on a rig: only the ranges of its file are open."""
     ranges = read_rig(rig).randomisation
-    return task_config(None, rig=rig, randomisation={path: each.model_dump() for path, each in ranges.items()})
+    return task_config("as_given", rig=rig, randomisation={path: each.model_dump() for path, each in ranges.items()})
 
 
 def _drawn(file: Path, seed: int, kind: int, duration: float) -> tuple[dict[str, str], TaskConfig]:

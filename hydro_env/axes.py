@@ -208,7 +208,7 @@ class Axes:
 
     def steps(self) -> Floats | float:
         """Control periods in the present episode of each axis, (N,), or of all axes."""
-        return self._task["steps"][self.rigs()] if len(self.tasks) > 1 else float(self.config.steps)
+        return self._task["steps"][self.rigs()] if len(self.tasks) > 1 else float(self.tasks[0].steps)
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("record", "state", "coefficient", "peaks", "reference", "observation", "numbers", "_fixed_arguments")

@@ -99,13 +99,19 @@ class ResetOptions:
             self.fixed = self.fixed._replace(user_reference=everyone)
         self.fixed.user_reference[axes] = rows
 
-    def set(self, options: Mapping[str, Any] | None, axes: Indices) -> None:
-        """Fix parts of the next episode of some axes; see ``ServoHydraulicEnv.reset``.
+    def set(self, options: Mapping[str, Any] | list[Any] | None, axes: Indices) -> None:
+        """Fix parts of the next episode of some axes; see ``ServoHydraulicEnv.reset``. A list has one entry per axis.
 
         Raises:
             ConfigurationError: an option is unknown, a shape is wrong, or a value is impossible; then nothing is
                 changed.
         """
+        if isinstance(options, list):
+            if len(options) != len(axes):
+                raise _wrong(f"{len(options)} entries for {len(axes)} axes")
+            for axis, own in zip(axes, options, strict=True):
+                self.set(options_given(own), np.array([axis]))
+            return
         given = options_given(options)
         for name in given:
             if name not in OPTION_NAMES:

@@ -106,19 +106,21 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | Sequence[int | None] | None = None, options: Any = None
     ) -> tuple[Observations, dict[str, Any]]:
         """Begin an episode on every axis, or on those of ``options["reset_mask"]``.
 
         Args:
             seed: axis i gets ``seed + i``; or one seed (or ``None``) per axis.
-            options: as for the single environment, values per axis or for all.
+            options: as for the single environment, values per axis or for all; or a list of options, one per axis.
 
         Raises:
             ConfigurationError: an option is unknown or impossible.
         """
-        options = options_given(options)
-        axes = self._chosen(options.pop("reset_mask", None))
+        axes = self._everyone
+        if not isinstance(options, list):
+            options = options_given(options)
+            axes = self._chosen(options.pop("reset_mask", None))
         if not self._begun and len(axes) < self.num_envs:
             raise ConfigurationError("reset options: reset_mask: the first reset must begin every axis")
         self._axes.options.set(options, axes)

@@ -10,19 +10,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_serializer, field_validator, model_validator
 
 from hydro_env.errors import ConfigurationError, UnknownKeyError
 from hydro_env.files import Group, read_yaml, write_yaml
 from hydro_env.folders import config_file
 from hydro_env.mistakes import known_name
-from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters
 from hydro_env.plant.parts.leakage import LeakLaw
 from hydro_env.task.faults import Faults
 from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.task.law import RigLaw
-from hydro_env.task.randomisation import Randomisation, check_draws, default_randomisation
-from hydro_env.task.record import OPTION_NAMES
+from hydro_env.task.randomisation import Distribution, Randomisation, check_draws, default_randomisation
+from hydro_env.task.record import MOST_LATE, OPTION_NAMES
 from hydro_env.task.reference_signals import MOVING_FAMILIES, REFERENCE_FAMILIES
 from hydro_env.task.rig import task_from
 from hydro_env.task.sensors import Sensors
@@ -173,7 +173,7 @@ class TaskConfig(TaskGroup):
     """
 
     control_period: Number = quantity(5e-3, "s", "of the controller", 0.5e-3, 20e-3)
-    command_latency: Number = quantity(1e-3, "s", "from sampling to the new command; at most one period", 0.0, 20e-3)
+    command_latency: Number = quantity(1e-3, "s", "from sampling to the new command; at most five periods", 0.0, 0.1)
     command_latency_range: tuple[Number, Number] | None = Field(
         None,
         description="s; each episode draws its latency from it; command_latency is then the value of the data sheet",
@@ -187,7 +187,10 @@ class TaskConfig(TaskGroup):
         default_factory=PlantParameters, description="the nominal rig, which randomisation varies"
     )
     law: RigLaw | None = Field(None, description="each episode draws its rig from it; none: the plant above")
-    randomisation: Randomisation = Field(default_factory=default_randomisation)
+    randomisation: Randomisation = Field(
+        default_factory=default_randomisation,
+        description="files and keywords change single distributions; null: not drawn; an empty group: nothing is",
+    )
     leakage: LeakageDraw = Field(default_factory=LeakageDraw)
     references: References = Field(default_factory=References)
     initial_position_range: Range = interval(
@@ -204,18 +207,33 @@ class TaskConfig(TaskGroup):
     disturbance: Disturbance = Field(default_factory=Disturbance)
     faults: Faults = Field(default_factory=Faults)
 
+    @field_validator("randomisation", mode="before")
+    @classmethod
+    def _drawn(cls, given: Any) -> Any:
+        """Leave out parameters whose distribution is ``null``: they are not drawn."""
+        if not isinstance(given, Mapping):
+            return given
+        return {path: draw for path, draw in given.items() if draw is not None or path not in PARAMETER_PATHS}
+
+    @field_serializer("randomisation")
+    def _whole(self, drawn: dict[str, Distribution]) -> dict[str, Distribution | None]:
+        """Name also what is not drawn, so that the default does not come back when the values are merged again."""
+        absent = [path for path in default_randomisation() if path not in drawn] if drawn else []
+        return {**drawn, **dict.fromkeys(absent)}
+
     @model_validator(mode="after")
     def _consistent(self) -> TaskConfig:
-        if self.command_latency > self.control_period:
+        longest = MOST_LATE * self.control_period
+        if self.command_latency > longest:
             raise ValueError(
-                f"command_latency = {self.command_latency:g} s must not exceed "
+                f"command_latency = {self.command_latency:g} s must not exceed {MOST_LATE} times "
                 f"control_period = {self.control_period:g} s"
             )
         if self.command_latency_range is not None:
             low, high = self.command_latency_range
-            if not 0.0 <= low <= high <= self.control_period:
+            if not 0.0 <= low <= high <= longest:
                 raise ValueError(
-                    f"command_latency_range = [{low:g}, {high:g}]: must rise within 0 to "
+                    f"command_latency_range = [{low:g}, {high:g}]: must rise within 0 to {MOST_LATE} times "
                     f"control_period = {self.control_period:g} s"
                 )
         if self.episode_duration < self.control_period:
@@ -233,7 +251,7 @@ class TaskConfig(TaskGroup):
     @property
     def preview_samples(self) -> tuple[int, ...]:
         """Number of control periods by which each preview looks ahead."""
-        return tuple(max(round(time / self.control_period), 1) for time in self.references.preview_times)
+        return tuple(preview_count(time, self.control_period) for time in self.references.preview_times)
 
     @classmethod
     def from_yaml(cls, path: str | Path, **overrides: Any) -> TaskConfig:
@@ -250,6 +268,11 @@ class TaskConfig(TaskGroup):
     def to_yaml(self, path: str | Path) -> None:
         """Write the whole task as YAML."""
         write_yaml(path, self.model_dump(mode="json"))
+
+
+def preview_count(time: float, period: float) -> int:
+    """Control periods by which the preview for a nominal time, s, looks ahead: the nearest number, at least one."""
+    return max(round(time / period), 1)
 
 
 def task_config(

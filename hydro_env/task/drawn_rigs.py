@@ -11,11 +11,13 @@ import math
 import numpy as np
 
 from hydro_env.errors import ConfigurationError
+from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.law import FIRST_SEEDS, RigLaw
 from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_env.task.paces import pace
 from hydro_env.task.rig import Rig, merged, moved
+from hydro_env.task.sensors import Sensors
 
 BULK_MODULUS, DEAD = 1.2e9, 0.1  # Pa, and of the swept volume, as nameplates assumes
 HASTE = 2.0
@@ -93,6 +95,14 @@ def drawn_answers(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, s
     return texts, {"control_period": 1e-3 * period, "command_latency": 1e-3 * round(latency, 2)}
 
 
+def with_steps_of_the_supply(rig: Rig) -> Rig:
+    """A drawn rig whose pressure readings have steps by its supply, not by their range, as in training."""
+    sizes = rig.plant.supply.pressure / PlantParameters().supply.pressure
+    sensors = Sensors()
+    steps = {name: sizes * getattr(sensors, name).resolution for name in ("pressure_a", "pressure_b")}
+    return rig._replace(sensors={f"sensors.{name}.resolution": step for name, step in steps.items()} | rig.sensors)
+
+
 def drawn_rig(law: RigLaw, seed: int) -> tuple[str, Rig, dict[str, float]]:
     """The text of a rig's file, the rig, and the timing of its task; a rig that cannot work is drawn again.
 
@@ -103,7 +113,8 @@ def drawn_rig(law: RigLaw, seed: int) -> tuple[str, Rig, dict[str, float]]:
     for attempt in range(TRIES):
         texts, timing = drawn_answers(law, seed, attempt)
         try:
-            return *new_rig(answers_from(texts), texts, f"rig {seed} of the law"), timing
+            text, rig = new_rig(answers_from(texts), texts, f"rig {seed} of the law")
+            return text, with_steps_of_the_supply(rig), timing
         except ConfigurationError as error:
             fault = error
     raise ConfigurationError(f"law: none of {TRIES} drawn rigs can work; the last one: {' '.join(str(fault).split())}")

@@ -24,6 +24,7 @@ from hydro_env.plant.kernel import (
 )
 from hydro_env.plant.states import first_outside, valid_range
 from hydro_env.task.fault_effects import draw_faults, driven, read_truly
+from hydro_env.task.paces import periods_late
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     FAULT,
@@ -70,7 +71,8 @@ MOST_DRAWS = 200
 """Largest number of draws of plant, leak and initial position until an episode can begin."""
 
 PREVIOUS, NEW = range(COMMANDS)
-"""Columns of the voltage: the previous command acts during the latency, the new one during the rest of the period."""
+"""Columns of the voltage: the previous command acts during the latency, the new one during the rest of the period; of a
+latency above a period its part within a period counts, and both commands are older by the whole periods."""
 
 _FAMILY_NUMBER = 1_000_000
 """Index of the reference key's number for the family, beyond the numbers that shape a reference."""
@@ -136,6 +138,20 @@ def _failure(s, peaks, c, settings):
     if peaks[STEPS] > MOST_STEPS_PER_PERIOD:
         failure = OVER_BUDGET
     return failure
+
+
+@inline
+def _late(row, before, now):
+    """Drives that act now, the older one first: as many periods old as the command is late; ``before`` came last."""
+    if row.late > 0.0:
+        late = np.int64(row.late)
+        now = before if late == 1 else row.sent[late - 2]
+        older = row.sent[late - 1]
+        for place in range(row.sent.shape[0] - 1, 0, -1):
+            row.sent[place] = row.sent[place - 1]
+        row.sent[0] = before
+        before = older
+    return before, now
 
 
 def _build(sources):
@@ -218,8 +234,12 @@ def _build(sources):
                 attempt += 1
 
             draw_changing_force(row, coefficient[axis], force_key, settings)
-            plant[axis, FIRST_DURATION + PREVIOUS] = row.latency
-            plant[axis, FIRST_DURATION + NEW] = settings.control_period - row.latency
+            row.late = periods_late(row.latency, settings.control_period)
+            for place in range(row.sent.shape[0]):
+                row.sent[place] = row.drive
+            within = min(row.latency - row.late * settings.control_period, settings.control_period)
+            plant[axis, FIRST_DURATION + PREVIOUS] = within
+            plant[axis, FIRST_DURATION + NEW] = settings.control_period - within
             s = read_state(states[axis])
             row.true_a = row.sensed_a = s.pressure_a
             row.true_b = row.sensed_b = s.pressure_b
@@ -242,9 +262,11 @@ def _build(sources):
             row.change = command - row.command
             row.command = command
             follow_schedules(row, coefficient[axis], settings)
-            voltage[axis, PREVIOUS] = FULL_VOLTAGE * row.drive
-            row.drive = driven(command, row.drive, row)
-            voltage[axis, NEW] = FULL_VOLTAGE * row.drive
+            before = row.drive
+            row.drive = driven(command, before, row)
+            older, newer = _late(row, before, row.drive)
+            voltage[axis, PREVIOUS] = FULL_VOLTAGE * older
+            voltage[axis, NEW] = FULL_VOLTAGE * newer
 
         integrate_part(
             Plants(states, coefficient, voltage, durations, peaks),

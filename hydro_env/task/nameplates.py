@@ -64,7 +64,7 @@ def new_rig(answers: Answers, texts: Mapping[str, str], source: str) -> tuple[st
         for group, comment, lines in plate.groups()
     )
     if sensors := plate.sensors():
-        text += "sensors:  # as given; the rest follows from stroke and supply pressure\n"
+        text += "sensors:  # as given; check-rig shows the rest\n"
         for name, fields in sensors.items():
             text += f"  {name}: {{{', '.join(f'{field}: {value}' for field, value in fields.items())}}}\n"
     how = "given" if "position_accuracy" in texts else "assumed"
@@ -134,14 +134,17 @@ class _Plate:
         else:
             usual = "assumed: 0.2 times the natural frequency in rad/s; 1/s"
             yield "slew_limit", f"{0.2 * si.get('bandwidth', 2.0 * math.pi * 80.0):.3g}", usual
-        if "overlap" in texts:
-            yield "underlap", "0.2 %", "assumed: edges of an overlapped spool are nearly sharp"
-        elif "null_flow" in texts:
+        overlap = si.get("overlap", 0.0)
+        if "null_flow" in texts:
             drop = math.sqrt(si.get("rated_drop", 70.0 * BAR) / si["supply_pressure"])
             share = si["null_flow"] / si["rated_flow"] * drop
+            if overlap:  # rounder edges let this flow pass over their overlap
+                share = math.sqrt(share * (share + 2.0 * overlap / (1.0 - overlap)))
             yield "underlap", f"{100 * share:.3g} %", f"computed from a null flow of {texts['null_flow']}"
+        elif overlap:
+            yield "underlap", "0.2 %", "assumed: edges of an overlapped spool are nearly sharp"
         else:
-            yield "underlap", "1 %", "assumed: a servo valve's lap; zero with a measured overlap"
+            yield "underlap", "1 %", "assumed: a servo valve's lap"
         yield self._given("overlap", "overlap", "0 %", "assumed: none, as in servo valves")
         yield "null_shift", "0 %", "assumed: adjusted"
         yield self._given("edge_ratio", "spool_ratio", "1", "assumed: equal edges")
@@ -222,11 +225,12 @@ class _Plate:
         yield "valve.damping_ratio", "{uniform: [0.5, 1.1]}", "published valves"
         if "step_time" not in texts:
             yield "valve.slew_limit", "{log_factor: [0.5, 2.0]}", "step times of data sheets"
-        if "overlap" in texts:
+        overlapped = self.si.get("overlap", 0.0) > 0.0
+        if overlapped:
             yield "valve.overlap", "{factor: [0.8, 1.2]}", "tolerance of the edges"
-        elif "null_flow" in texts:
+        if "null_flow" in texts:
             yield "valve.underlap", "{factor: [0.3, 1.2]}", "a pilot stage takes part of the null flow"
-        else:
+        elif not overlapped:
             yield "valve.underlap", "{uniform: [0 %, 3 %]}", "critical lap to worn edges"
         yield "valve.null_shift", "{uniform: [-1 %, 1 %]}", "temperature and supply"
         if self.hose:

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from hydro_env.compiling import inline
+from hydro_env.errors import ConfigurationError
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.law import RigLaw
@@ -20,6 +22,25 @@ def delay(config: TaskConfig) -> float:
     lag = {"ideal": 0.0, "spool": 1.0, "drive": 1.0}[valve.model] * 2.0 * valve.damping_ratio / valve.natural_frequency
     coil = valve.coil_inductance / valve.coil_resistance if valve.model == "drive" else 0.0
     return config.command_latency + 0.5 * config.control_period + lag + coil
+
+
+@inline
+def periods_late(latency: float, period: float) -> int:
+    """Whole control periods by which a command acts later than in its own one; 0 for a latency of up to one period."""
+    return max(math.ceil(latency / period - 1e-9) - 1, 0)
+
+
+def within_a_period(latency: float, config: TaskConfig, reader: str) -> None:
+    """Check that commands act within a control period, as a reader's model has it; ``latency`` in s.
+
+    Raises:
+        ConfigurationError: the latency is longer.
+    """
+    if latency > config.control_period:
+        raise ConfigurationError(
+            f"command_latency = {latency:g} s: {reader} takes at most one control period, {config.control_period:g} s; "
+            "flow linearisation, PID, policies and the estimator take up to five"
+        )
 
 
 def pace(config: TaskConfig) -> float:

@@ -15,6 +15,9 @@ from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.types import Floats
 
+MOST_LATE = 5
+"""Largest latency of a command in control periods."""
+
 RECORD = np.dtype(
     [
         ("step", "f8"),  # control periods since the start of the episode
@@ -57,6 +60,8 @@ RECORD = np.dtype(
         ("fault_schedule", "f8", (len(FAULT_KINDS),)),  # index of the schedule
         ("fault_start", "f8", (len(FAULT_KINDS),)),  # s
         ("sound", "f8", (5,)),  # coefficients of the plant without faults
+        ("late", "f8"),  # whole control periods by which a command is late
+        ("sent", "f8", (MOST_LATE - 1,)),  # drives of earlier periods that may still have to act, newest first
     ]
 )
 """State of an axis during its episode, except the state of its plant."""

@@ -11,8 +11,18 @@ from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, ModelType, read_yaml, validate
 from hydro_env.folders import config_file, config_folder
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.task.randomisation import Distribution, Randomisation, check_draws, default_randomisation, own_value
+from hydro_env.task.randomisation import (
+    LEAKAGE_OF_THE_TASK,
+    Distribution,
+    Randomisation,
+    check_draws,
+    default_randomisation,
+    own_value,
+)
 from hydro_env.task.sensors import SCALED_FIELDS, Sensors
+
+USUAL_RANGES = (100e5, 160e5, 250e5, 400e5, 600e5, 1000e5)
+"""Pa; upper ends of the ranges of pressure sensors on sale."""
 
 SHARE_OF_ACCELERATION = 0.25
 """Largest acceleration of smooth references, as a share of the acceleration that the supply can give."""
@@ -136,6 +146,10 @@ def task_from(
     if isinstance(own, str | Path):
         rest = {key: value for key, value in values.items() if key != "plant"}
         values = merged(moved(defaults, defaults, read_rig(own, folder)), rest)
+    else:
+        values = merged({"randomisation": defaults["randomisation"]}, values)
+    for plant in (own, overrides.get("plant")):
+        _refuse_drawn_leak(plant, source)
     if isinstance(overrides.get("plant"), str | Path):
         if rig is not None:
             raise ConfigurationError(
@@ -159,6 +173,23 @@ def task_from(
     return validate(model, values, source, within)
 
 
+def _refuse_drawn_leak(plant: Any, source: str) -> None:
+    """Refuse a leak among changes of a rig; a whole rig may state its own, with which nothing but the axis is computed.
+
+    Raises:
+        ConfigurationError: the changes hold a leak that each episode draws.
+    """
+    if not isinstance(plant, Mapping) or plant.keys() >= PlantParameters.model_fields.keys():
+        return
+    leak = plant.get("leakage")
+    for path in LEAKAGE_OF_THE_TASK:
+        if isinstance(leak, Mapping) and path.split(".")[1] in leak:
+            raise ConfigurationError(
+                f"{source}: plant.{path}: has no effect, because each episode draws its leak; give the task's group "
+                "leakage (healthy_share, healthy_range, faulty_range), or reset(options={'leakage_flow_lpm': …})"
+            )
+
+
 def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
     """A task on another rig: settings that followed from the old rig follow from the new one; the user's settings stay.
 
@@ -175,17 +206,33 @@ def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dic
     old = PlantParameters.from_dict(task["plant"])
     result = deepcopy(dict(task))
     result["plant"] = rig.plant.model_dump()
-    before, after = _following(old, defaults), _following(rig.plant, defaults) | rig.sensors
+    before, after = _following(old, defaults, {}), _following(rig.plant, defaults, rig.sensors) | rig.sensors
     for path, value in after.items():
         group, name = path.rsplit(".", 1)
-        if _at(result, path) == before.get(path, _at(defaults, path)):
+        if _at(result, path) in (before.get(path), _at(defaults, path)):
             _at(result, group)[name] = value
     result["randomisation"] = _moved_ranges(task["randomisation"], old, rig)
     return result
 
 
-def _following(plant: PlantParameters, defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that follow from a rig, by path; for the paper's rig they are the defaults, bit for bit."""
+def pressure_ranges(plant: PlantParameters) -> dict[str, float]:
+    """Upper end in Pa of each pressure sensor's range: the next usual one above what the valve can bring about.
+
+    The chamber behind the larger area reaches the supply pressure, the other one as much more as its area is smaller.
+    """
+    from hydro_env.plant.arrays import plant_coefficients  # compiled code
+
+    c = plant_coefficients(plant)
+    ratio = float(c.area_a / c.area_b)
+    reached = {"pressure_a": max(1.0, 1.0 / ratio), "pressure_b": max(1.0, ratio)}
+    return {
+        name: next((end for end in USUAL_RANGES if end > times * plant.supply.pressure), times * plant.supply.pressure)
+        for name, times in reached.items()
+    }
+
+
+def _following(plant: PlantParameters, defaults: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that follow from a rig and its own sensors, by path; for the paper's rig the defaults, bit for bit."""
     from hydro_env.plant.analysis import (  # compiled code
         closed_port_natural_frequency,
         force_limits,
@@ -214,7 +261,12 @@ def _following(plant: PlantParameters, defaults: Mapping[str, Any]) -> dict[str,
         "failure.pressure_rating": max(pressure, 1.0),  # a weak supply makes no weak cylinder
         "disturbance.force_range": force,
     }
-    for sensor, factor in {"position": reach, "pressure_a": pressure, "pressure_b": pressure}.items():
+    ends = {} if plant == paper else pressure_ranges(plant)
+    sizes = {"position": reach}
+    for name in ("pressure_a", "pressure_b"):
+        usual = _at(defaults, f"sensors.{name}.high")
+        sizes[name] = own.get(f"sensors.{name}.high", ends.get(name, usual)) / usual
+    for sensor, factor in sizes.items():
         factors |= {f"sensors.{sensor}.{name}": factor for name in SCALED_FIELDS}
     values = {}
     for path, factor in factors.items():
@@ -225,7 +277,8 @@ def _following(plant: PlantParameters, defaults: Mapping[str, Any]) -> dict[str,
 
 def _moved_ranges(ranges: Mapping[str, Any], old: PlantParameters, rig: Rig) -> dict[str, Any]:
     """Randomisation of a task on another rig; a user's range must contain the new rig's value."""
-    given = validate(_OfTheTask, {"randomisation": ranges}, "task").randomisation
+    drawn = {path: draw for path, draw in ranges.items() if draw is not None}
+    given = validate(_OfTheTask, {"randomisation": drawn}, "task").randomisation
     before = default_randomisation(old)
     after = default_randomisation(rig.plant) | rig.randomisation
     own = {path: draw for path, draw in given.items() if draw != before.get(path)}
@@ -245,13 +298,18 @@ def _moved_ranges(ranges: Mapping[str, Any], old: PlantParameters, rig: Rig) -> 
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` updated by ``changes``, group by group.
+    """``base`` updated by ``changes``, group by group, each distribution of ``randomisation`` as a whole.
 
-    ``references.weights`` and ``randomisation`` are replaced as a whole.
+    ``references.weights`` is replaced as a whole, and so is ``randomisation`` by an empty group, which draws nothing,
+    or by one that names every parameter of the base: draws depend on their order.
     """
     result = dict(base)
     for key, value in changes.items():
         old = result.get(key)
-        deeper = isinstance(old, Mapping) and isinstance(value, Mapping) and key not in ("weights", "randomisation")
-        result[key] = merged(old, value) if deeper and isinstance(old, Mapping) else value
+        if not isinstance(old, Mapping) or not isinstance(value, Mapping) or key == "weights":
+            result[key] = value
+        elif key == "randomisation":
+            result[key] = {**old, **value} if value and old.keys() - value.keys() else value
+        else:
+            result[key] = merged(old, value)
     return result

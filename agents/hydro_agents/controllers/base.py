@@ -14,6 +14,7 @@ from pydantic import Field
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
+from hydro_env.task.configuration import preview_count
 from hydro_env.task.signals import observation_layout
 
 Observation = NDArray[np.floating[Any]]
@@ -127,11 +128,10 @@ class ObservationLayout:
 
     @property
     def preview_times(self) -> tuple[float, ...]:
-        """Times in s by which the previews look ahead."""
-        prefix = "reference_preview_"
-        return tuple(
-            1e-3 * float(name.removeprefix(prefix).removesuffix("ms")) for name in self.names if name.startswith(prefix)
-        )
+        """Times in s by which the previews look ahead: whole control periods, which their names may not be."""
+        prefix, period = "reference_preview_", self.control_period
+        named = [1e-3 * float(name[len(prefix) : -len("ms")]) for name in self.names if name.startswith(prefix)]
+        return tuple(shown_time(time, period) for time in named)
 
     def previews(self, observation: Observation) -> NDArray[np.float64]:
         """Future reference minus present reference, m, shape (N, previews)."""
@@ -139,6 +139,12 @@ class ObservationLayout:
         scale = np.array([self.scale[i] for i in columns], dtype=np.float64)
         values: NDArray[np.float64] = observation[:, columns].astype(np.float64) * scale
         return values
+
+
+def shown_time(time: float, period: float) -> float:
+    """Time ahead, s, of the sample that an observation shows for a nominal time: the nearest whole period."""
+    shown = preview_count(time, period) * period
+    return time if abs(shown - time) < 1e-9 else shown
 
 
 def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:

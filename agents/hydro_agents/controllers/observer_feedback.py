@@ -21,6 +21,7 @@ from hydro_env.files import Group
 from hydro_env.plant.analysis import reachable_range, speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.states import STATE_NAMES
+from hydro_env.task.paces import within_a_period
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 
@@ -79,7 +80,7 @@ class SampledModel(NamedTuple):
 
 
 def sampled(a: Floats, b: Floats, outputs: Floats, config: TaskConfig) -> SampledModel:
-    """Sample dx/dt = a x + b u exactly; the command changes one latency after the sample.
+    """Sample dx/dt = a x + b u exactly; the command changes one latency after the sample, within a control period.
 
     Åström & Wittenmark, *Computer-Controlled Systems* (1997), section 2.3.
 
@@ -117,6 +118,7 @@ class ObserverFeedback(ClassicalController):
 
     def __init__(self, gains: Any, config: TaskConfig) -> None:
         super().__init__(gains, config)
+        within_a_period(config.command_latency, config, type(self).__name__)
         self.layout.needs(("pressure_a", "pressure_b", "spool_position"), type(self).__name__)
         plant, period, c = config.plant, config.control_period, plant_coefficients(config.plant)
         self.flow = FlowModel(plant)

@@ -14,6 +14,7 @@ from hydro_env.plant.analysis import reachable_range
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import STATE_NAMES, TYPICAL_SIZE
+from hydro_env.task.paces import periods_late
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 
@@ -36,7 +37,8 @@ class SampledLoop:
     """Linearised axis and valve, sampled; the control law is command = −gain · (position − set point).
 
     In each period the previous command is held during the latency and the new one during the rest. Hence
-    x[n+1] = Φ x[n] + Γ_old u[n−1] + Γ_new u[n] is exact for the linear plant. States are scaled by their typical size.
+    x[n+1] = Φ x[n] + Γ_old u[n−1−late] + Γ_new u[n−late] is exact for the linear plant; ``late`` counts the whole
+    periods of a latency above one. States are scaled by their typical size.
     """
 
     transition: Floats  # Φ, (n, n)
@@ -47,17 +49,24 @@ class SampledLoop:
     force: Floats  # (n,), per newton of external force
     position_size: float  # m
     control_period: float  # s
+    late: int = 0  # whole periods
 
     def closed(self, gain: complex | NDArray[Any]) -> NDArray[Any]:
-        """Transition matrix of one period with the loop closed, states and last command, (..., n + 1, n + 1).
+        """Transition matrix of one period with the loop closed, (..., n + 1 + late, n + 1 + late).
 
-        A complex gain turns the phase of the loop at every frequency alike.
+        It holds the states and the last commands, newest first. A complex gain turns the phase of the loop at every
+        frequency alike.
         """
         n, feedback = len(self.input_new), -np.asarray(gain) * self.position_size
-        matrix = np.zeros((*feedback.shape, n + 1, n + 1), dtype=feedback.dtype)
+        size = n + 1 + self.late
+        matrix = np.zeros((*feedback.shape, size, size), dtype=feedback.dtype)
         matrix[..., :n, :n] = self.transition
-        matrix[..., :n, n] = self.input_old
-        matrix[..., :n, 0] += self.input_new * feedback[..., None]
+        matrix[..., :n, -1] = self.input_old
+        if self.late:
+            matrix[..., :n, -2] = self.input_new
+            matrix[..., range(n + 1, size), range(n, size - 1)] = 1.0
+        else:
+            matrix[..., :n, 0] += self.input_new * feedback[..., None]
         matrix[..., n, 0] = feedback
         return matrix
 
@@ -102,22 +111,26 @@ class SampledLoop:
     def response(self, gain: float, frequencies: Floats) -> NDArray[np.complex128]:
         """Reference to position of the closed loop at frequencies in Hz, shape (n,), complex, m per m.
 
-        Exact at the sampling instants, up to half the sampling frequency: T = g P(z) / (1 + g P(z)) with
-        P(z) = c (z − Φ)⁻¹ (Γ_new + Γ_old / z), z = exp(j 2π f · period) (Åström & Wittenmark 1997, section 2.6).
+        Exact at the sampling instants, up to half the sampling frequency: T = g P(z) / (1 + g P(z)),
+        P(z) = c (z − Φ)⁻¹ (Γ_new + Γ_old / z) z^(−late) and z = exp(j 2π f · period) (Åström & Wittenmark 1997,
+        section 2.6).
         """
         n = len(self.input_new)
         z = np.exp(2j * np.pi * np.asarray(frequencies, dtype=np.float64) * self.control_period)[:, None]
         matrices = z[:, :, None] * np.eye(n) - self.transition
         states = np.linalg.solve(matrices, (self.input_new + self.input_old / z)[:, :, None])
-        opened = gain * self.position_size * states[:, 0, 0]
+        opened = gain * self.position_size * states[:, 0, 0] / z[:, 0] ** self.late
         closed = opened / (1.0 + opened)
         return np.asarray(closed, dtype=np.complex128)
 
     def final_value(self, gain: float) -> float:
         """Final position of a stable closed loop in m per m of reference; below 1 with a leak."""
         matrix, n = self.closed(gain), len(self.input_new)
-        drive = np.append(self.input_new * gain, gain)
-        return float(np.linalg.solve(np.eye(n + 1) - matrix, drive)[0] * self.position_size)
+        drive = np.zeros(len(matrix))
+        drive[n] = gain
+        if not self.late:
+            drive[:n] = self.input_new * gain
+        return float(np.linalg.solve(np.eye(len(matrix)) - matrix, drive)[0] * self.position_size)
 
     def static_stiffness(self, gain: float) -> float:
         """Constant external force per steady-state position error, N/m, with the loop closed; inf without an error."""
@@ -143,15 +156,15 @@ def sampled_loop(
         parameters: the plant.
         position: m, position at rest.
         control_period: s.
-        latency: s, 0 to one period, from sampling to the new command.
+        latency: s, from sampling to the new command.
 
     Raises:
         HydroError: the position cannot be held, or period and latency do not fit.
     """
     if not 0.0 < control_period < np.inf:
         raise HydroError(f"control_period = {control_period} s: must be positive")
-    if not 0.0 <= latency <= control_period:
-        raise HydroError(f"latency = {latency} s: must be within 0 to control_period = {control_period} s")
+    if not 0.0 <= latency < np.inf:
+        raise HydroError(f"latency = {latency} s: must not be negative")
     moving = parameters.replace(friction={"model": "none"})
     plant = linearise(moving, position=position)
     rows = [STATE_NAMES.index(name) for name in plant.active_states]  # any other state would add a pole at z = 1
@@ -159,7 +172,9 @@ def sampled_loop(
     a = plant.a[np.ix_(rows, rows)] * size / size[:, None]
     b = FULL_VOLTAGE * plant.b[rows] / size
     force = plant.force[rows] / size
-    return SampledLoop(*held_inputs(a, b, control_period, latency), a, b, force, float(size[0]), control_period)
+    late = periods_late(latency, control_period)
+    held = held_inputs(a, b, control_period, min(latency - late * control_period, control_period))
+    return SampledLoop(*held, a, b, force, float(size[0]), control_period, late)
 
 
 def places_in_reach(parameters: PlantParameters) -> list[float]:

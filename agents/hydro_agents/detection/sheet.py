@@ -14,7 +14,7 @@ from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import Physical, PlantParameters, to_vector
 from hydro_env.plant.parts.leakage import LEAK_LAWS
 from hydro_env.plant.parts.supply import gas_volume_at
-from hydro_env.task.paces import full_speed
+from hydro_env.task.paces import full_speed, within_a_period
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
@@ -105,7 +105,11 @@ def sheet_of(config: TaskConfig) -> Sheet:
     """The data sheet of a task's axis, with priors that include worn axes.
 
     The width of a prior is the task's range of the parameter; it is larger if faults change the parameter.
+
+    Raises:
+        ConfigurationError: a command acts later than in its own control period.
     """
+    within_a_period(config.command_latency, config, "a leakage head")
     plant, sensors = config.plant, config.sensors
     c = plant_coefficients(plant)
     numbers = settings_of(config)[0]

@@ -22,6 +22,7 @@ from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.states import N_STATES, STATE_NAMES, TYPICAL_SIZE
+from hydro_env.task.paces import within_a_period
 from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import POSITION
@@ -68,6 +69,7 @@ class BestFound:
         """Prepare for the episodes of the axes, which have just been reset."""
         config = self.config
         plants, latency = axes.coefficient.copy(), axes.column("latency").copy()
+        within_a_period(float(latency.max()), config, "best found")
         self._axes = axes
         self._prediction = Prediction(config, plants, latency, true_schedule(config, axes, config.steps + HORIZON))
         # A measured state is in the frame of the sensor already.

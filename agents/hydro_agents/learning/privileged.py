@@ -12,7 +12,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import MlpExtractor
 
 from hydro_agents.running.seeds import LEARNING
-from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.equations import Coefficients
@@ -33,10 +33,12 @@ class Privileged:
             draw; states in parts of the rig's own full scale.
 
     Raises:
-        ConfigurationError: a plant of the task cannot hold its initial position.
+        ConfigurationError: a plant of the task cannot hold its initial position, or the task draws its rigs.
     """
 
     def __init__(self, config: TaskConfig, any_axis: bool = False) -> None:
+        if config.law is not None:
+            raise ConfigurationError("law: a told critic knows one rig; rig_tasks(config) lists those of the law")
         env = ServoHydraulicVectorEnv(PLANTS, config, info=False)
         env.reset(seed=list(LEARNING.take(PLANTS)))
         drawn = env.axes.physical

@@ -61,17 +61,12 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | 
 def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:
     """The axes of a training; ``practice`` may change their episodes, but not the observations.
 
-    Its ``randomisation`` changes single parameters; the task's ranges of the others stay.
-
     Raises:
         ConfigurationError: ``practice`` has no valid fields of a task, or changes the observations or the control
             period.
     """
-    practice = dict(settings.practice)
-    if isinstance(ranges := practice.get("randomisation"), Mapping):
-        practice["randomisation"] = config.model_dump()["randomisation"] | dict(ranges)
     try:
-        practised = task_config(config, **practice)
+        practised = task_config(config, **settings.practice)
     except ConfigurationError as error:
         raise ConfigurationError(f"practice: {error}") from None
     if ObservationLayout.of(practised) != ObservationLayout.of(config):

@@ -141,12 +141,14 @@ class AxisVecEnv(_SharedVecEnv):
     def reset(self) -> VecEnvObs:
         """Begin an episode on every axis; returns the policy's inputs (N, size)."""
         seeds: Any = None if self._seeds[0] is None else self._seeds * (self._total // self.num_envs)
-        observation, _ = self.env.reset(seed=seeds, options=self._options[0])
+        options: Any = self._options * (self._total // self.num_envs) if any(self._options) else None
+        observation, _ = self.env.reset(seed=seeds, options=options)
         self._reset_seeds()
+        self._reset_options()
         if self._stagger:
             state = self.env.get_state()
             shares = np.arange(self._total) % self.num_envs
-            state.arrays["record"]["step"] = shares * self.env.config.steps // self.num_envs
+            state.arrays["record"]["step"] = shares * self.env.axes.steps() // self.num_envs
             self.env.set_state(state)
         self._returns[:] = 0.0
         self._lengths[:] = 0
@@ -241,7 +243,7 @@ class AxisVecEnv(_SharedVecEnv):
             ConfigurationError: the arrays describe no possible state of an axis.
         """
         arrays = {name.removeprefix(ENV): array for name, array in state.items() if name.startswith(ENV)}
-        record, steps = arrays["record"], self.env.config.steps
+        record, steps = arrays["record"], max(task.steps for task in self.env.rigs)
         finite = all(np.isfinite(record[name]).all() for name in record.dtype.names or ())
         if not finite or not np.isin(record["step"], np.arange(steps + 1)).all():
             raise ConfigurationError("env.record: holds no possible state of an axis")

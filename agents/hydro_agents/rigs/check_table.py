@@ -120,7 +120,7 @@ def check_to_console(
     """
     given = read_rig(rig) if rig is not None else Rig(PlantParameters(), {}, {}, "rig")
     task = timed_task(None, rig, period, latency, "check-rig")
-    rows = [*check_rig(given.plant, given.source, task), position_accuracy(given, task)]
+    rows = [*check_rig(given.plant, given.source, task), position_accuracy(given, task), *pressure_sensors(given, task)]
     warnings = [*implausible(given.plant), *_short_sensors(task)]
     title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(given)}"
     files = []
@@ -239,6 +239,18 @@ def position_accuracy(rig: Rig, task: TaskConfig) -> Row:
     origin = "from the file" if "sensors.position.bias" in rig.sensors else "assumed"
     share = f"{100.0 * bias / rig.plant.cylinder.stroke:.2g} % of stroke"
     return Row("sensors", "largest constant error, position", f"{origin}: {share}", bias / MILLIMETRE, "mm")
+
+
+def pressure_sensors(rig: Rig, task: TaskConfig) -> list[Row]:
+    """Range, noise and constant error of each pressure sensor, and whether they are assumptions."""
+    figures = {"high": "range", "noise": "noise", "bias": "constant error"}
+    rows = []
+    for name in ("pressure_a", "pressure_b"):
+        sensor = getattr(task.sensors, name)
+        for field, what in figures.items() if sensor.fitted else ():
+            origin = "from the file" if f"sensors.{name}.{field}" in rig.sensors else "assumed"
+            rows.append(Row("sensors", f"{what}, {name}", origin, getattr(sensor, field) / BAR, "bar"))
+    return rows
 
 
 def implausible(parameters: PlantParameters) -> list[str]:

@@ -135,6 +135,7 @@ def run_cases(
         chunk: number of cases that run together; does not change results.
 
     Raises:
+        ConfigurationError: the task draws its rigs.
         ControllerError: the controller has no ``predict``, raised an exception, or did not return finite commands (N,
             1) with a state; the message names the case.
 
@@ -149,6 +150,8 @@ def run_cases(
         ((4, 100), [-1, -1, -1, -1])
     """
     check_predict(controller)
+    if config.law is not None:
+        raise ConfigurationError("law: a run is on one rig; rig_tasks(config) lists those of the law")
     parts = [_run_chunk(config, controller, part, signal_columns, states) for part in cases.chunks(chunk)]
     joined: dict[str, Any] = {}
     for name in Rollout.__dataclass_fields__:

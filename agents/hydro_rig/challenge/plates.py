@@ -17,7 +17,7 @@ from hydro_agents.detection.sheet import leak_scale
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
-from hydro_env.task.drawn_rigs import TRIES, drawn_answers
+from hydro_env.task.drawn_rigs import TRIES, drawn_answers, with_steps_of_the_supply
 from hydro_env.task.law import FIRST_SEEDS, RigLaw
 from hydro_env.task.nameplates import QUESTIONS, answers_from, new_rig
 from hydro_env.task.paces import full_speed
@@ -73,7 +73,7 @@ def task_of(config: TaskConfig, plate: Plate) -> TaskConfig:
         ConfigurationError: the figures contradict each other, or the axis cannot work.
     """
     _, rig = new_rig(answers_from(plate.texts), plate.texts, "nameplate")
-    values = moved(config.model_dump(), TaskConfig().model_dump(), rig) | plate.timing
+    values = moved(config.model_dump(), TaskConfig().model_dump(), with_steps_of_the_supply(rig)) | plate.timing
     task = TaskConfig.model_validate(values | {"law": None, "command_latency_range": None})
     scale = leak_scale(task)
     sizes = {

@@ -198,7 +198,8 @@ class Model:
             elif name == EXTERNAL_LEAKAGE:
                 physical[:, _EXTERNAL] = ROD_SEAL.value(value)
             elif name == LATENCY:
-                reach = MOST_LATE * self.config.control_period
+                period = self.config.control_period
+                reach = max(MOST_LATE * period, self.config.command_latency + period)
                 latency = np.clip(value, -reach, reach)
             elif name == RISE_TIME:
                 lag = np.maximum(value, 0.0) / RISE

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.controllers.base import Controller, ObservationLayout, shown_time
 from hydro_agents.controllers.flow_model import FlowModel
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
@@ -94,7 +94,8 @@ class MeasuredSignals:
             needed |= {"position"}
         if needed & {"tracking_error", "error_integral", *self.previews}:
             needed |= {"reference"}
-        self.signals = tuple(self._signal(name) for name in self.layout.names if name in needed - set(COMPUTED))
+        rows = [self._signal(name) for name in self.layout.names if name in needed - set(COMPUTED)]
+        self.signals = tuple(dict.fromkeys(rows))  # two previews may show one sample
         self.places = {signal.name: place for place, signal in enumerate(self.signals)}
         spans = np.array([(signal.low, signal.high) for signal in self.signals]).T
         self.lowest, self.highest = spans + OUTSIDE * (spans[1] - spans[0]) * np.array([[-1.0], [1.0]])
@@ -105,7 +106,8 @@ class MeasuredSignals:
         reach = self.config.plant.cylinder.stroke / 2.0
         if name.startswith(_PREVIEW):
             ahead = self.ahead[name]
-            return Signal(ahead_name(name), "m", -reach, reach, limit, f"reference {ahead} control periods ahead")
+            own = ahead_name(name, self.config.control_period)
+            return Signal(own, "m", -reach, reach, limit, f"reference {ahead} control periods ahead")
         if name == "reference":
             return Signal(name, "m", -reach, reach, limit, "desired position now, from the middle of the stroke")
         if name == "previous_command":
@@ -122,13 +124,15 @@ class MeasuredSignals:
         row = np.arange(axes.count)
         si = {name: axes.column("measured")[:, place] for place, name in enumerate(CHANNELS)}
         si |= {"reference": axes.reference[row, now], "previous_voltage": FULL_VOLTAGE * axes.column("command")}
-        si |= {ahead_name(name): axes.reference[row, now + count] for name, count in self.ahead.items()}
+        period = self.config.control_period
+        si |= {ahead_name(name, period): axes.reference[row, now + count] for name, count in self.ahead.items()}
         return np.stack([si[signal.name] for signal in self.signals], axis=1)
 
 
-def ahead_name(name: str) -> str:
-    """Name of the reference ahead that a preview of the observation shows."""
-    return f"reference_in_{name.removeprefix(_PREVIEW).replace('.', '_')}"
+def ahead_name(name: str, period: float) -> str:
+    """Name of the reference ahead that a preview of the observation shows, with its true time; period in s."""
+    time = shown_time(1e-3 * float(name.removeprefix(_PREVIEW).removesuffix("ms")), period)
+    return f"reference_in_{1e3 * time:g}ms".replace(".", "_")
 
 
 class MeasuredMemory(NamedTuple):
@@ -225,7 +229,7 @@ class MeasuredController:
             computed["error_integral"] = named("error_integral_sample", np.where(goes_on, integral, 0.0))
         value["previous_command"] = named("previous_command_sample", value["previous_voltage"] / FULL_VOLTAGE)
         for name in s.previews:
-            preview = value[ahead_name(name)] - value["reference"]
+            preview = value[ahead_name(name, self._period)] - value["reference"]
             value[name] = named(f"{name}_sample", preview)
         value |= computed
 

@@ -23,6 +23,7 @@ from hydro_env.plant.parts.chambers import chamber_volumes
 from hydro_env.plant.parts.valve import edge_flows
 from hydro_env.plant.simulate import LONGEST_PERIOD
 from hydro_env.plant.states import State
+from hydro_env.task.paces import periods_late
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
@@ -137,7 +138,7 @@ def row_of_command(samples: Sampled, config: TaskConfig) -> int:
     expected = _response_at_next_sample(config)
     if signals is None or expected <= LEAST_RESPONSE or not _commanded(signals, config):
         return 0
-    weights, slope, rest = _spool_after_commands(signals)
+    weights, slope, rest = _spool_after_commands(signals, config)
     if rest > 0.5 or not _plausible(slope):
         return 0
     later, now = weights[:2] / slope
@@ -299,7 +300,7 @@ def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
     """Check sign and scale of the command against the spool."""
     if not _commanded(signals, config):
         return []
-    _, slope, rest = _spool_after_commands(signals)
+    _, slope, rest = _spool_after_commands(signals, config)
     if rest > 0.5:
         return [Finding("spool_position", "does not follow the command", Weight.NOTE)]
     if slope < 0.0:
@@ -316,12 +317,15 @@ def _commanded(signals: Floats, config: TaskConfig) -> bool:
     return bool(np.ptp(command) >= 0.02 and command.std() >= 2.0 * config.sensors.spool_position.noise)
 
 
-def _spool_after_commands(signals: Floats) -> tuple[Floats, float, float]:
+def _spool_after_commands(signals: Floats, config: TaskConfig) -> tuple[Floats, float, float]:
     """Weights of the command one row later, in this row, one and two rows before and of 1 in the spool's readings.
+
+    Rows count from that of the command that acts by the data sheet.
 
     Returns also the slope of spool against command, and the unexplained share of the standard deviation.
     """
-    spool, command = signals[SPOOL], signals[COMMAND]
+    late = periods_late(config.command_latency, config.control_period)
+    spool, command = signals[SPOOL][late:], signals[COMMAND][: signals.shape[1] - late]
     rows = np.column_stack([command[3:], command[2:-1], command[1:-2], command[:-3], np.ones(len(command) - 3)])
     wanted = spool[2:-1]
     weights, *_ = np.linalg.lstsq(rows, wanted, rcond=None)

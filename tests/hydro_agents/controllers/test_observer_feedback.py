@@ -11,6 +11,8 @@ from hydro_agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
 from hydro_agents.controllers.observer_feedback import SampledModel
 from hydro_agents.controllers.preview import braked
 from hydro_agents.controllers.registry import make_controller
+from hydro_agents.detection.sheet import sheet_of
+from hydro_agents.evaluation.best_found import BestFound
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 
@@ -181,3 +183,17 @@ def test_the_start_is_bumpless(kind, name):
         np.testing.assert_allclose(action[:, 0], held, atol=2e-3)
         observation, *_ = env.step(action)
     env.close()
+
+
+def test_models_within_a_control_period_refuse_a_longer_latency():
+    late = TaskConfig(control_period=2e-3, command_latency=5e-3)
+    for kind in ("adrc", "lqg"):
+        with refused("command_latency = 0.005 s: .* takes at most one control period, 0.002 s"):
+            make_controller(kind, late)
+    with refused("command_latency = 0.005 s: a leakage head takes at most one control period"):
+        sheet_of(late)
+    env, best = ServoHydraulicVectorEnv(2, late), BestFound(late)
+    env.reset(seed=0)
+    with refused("command_latency = 0.005 s: best found takes at most one control period"):
+        best.begin(env.axes)
+    make_controller("flow_linearising", late)

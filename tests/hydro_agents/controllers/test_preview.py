@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.controllers.preview import Preview, path_weights
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.reference_signals import MOVING_FAMILIES
@@ -52,3 +53,10 @@ def test_way_to_a_time():
     for periods, way in ways.items():
         assert steps @ path_weights(0.005 * periods, 3, 0.005) == pytest.approx(way)
     assert steps[:1] @ path_weights(0.01, 0, 0.005) == pytest.approx(1.0)  # without a preview: at the last speed
+
+
+def test_a_preview_tells_the_time_of_the_sample_that_it_shows():
+    times = [ObservationLayout.of(TaskConfig(control_period=period)).preview_times for period in (2e-3, 5e-3, 10e-3)]
+    assert times[0] == pytest.approx((0.004, 0.01, 0.02, 0.04))
+    assert times[1] == (0.005, 0.01, 0.02, 0.04)
+    assert times[2] == (0.01, 0.01, 0.02, 0.04)

@@ -91,8 +91,8 @@ def test_static_stiffness_is_what_the_plant_shows():
 
 
 def test_impossible_loops_are_refused():
-    with pytest.raises(HydroError, match=r"latency = 0\.006 s: must be within 0 to control_period"):
-        sampled_loop(PlantParameters(), latency=6e-3)
+    with pytest.raises(HydroError, match=r"latency = -0\.001 s: must not be negative"):
+        sampled_loop(PlantParameters(), latency=-1e-3)
     with pytest.raises(HydroError, match="control_period = 0"):
         sampled_loop(PlantParameters(), control_period=0.0)
     with pytest.raises(HydroError, match="cannot be held"):
@@ -103,3 +103,20 @@ def test_impossible_loops_are_refused():
 def test_timing_is_that_of_the_task():
     task = TaskConfig()
     assert (task.control_period, task.command_latency) == (CONTROL_PERIOD, COMMAND_LATENCY)
+
+
+def test_whole_periods_of_latency_only_turn_the_phase_and_cost_gain():
+    frequencies = np.array([1.0, 5.0, 20.0, 60.0])
+    loops = [sampled_loop(leaking(1.0), 0.0, 2e-3, latency) for latency in (1e-3, 3e-3, 5e-3)]
+    opened = [answer / (1.0 - answer) for answer in (loop.response(20.0, frequencies) for loop in loops)]
+    turn = np.exp(-2j * np.pi * frequencies * 2e-3)
+    np.testing.assert_allclose(opened[1], opened[0] * turn)
+    np.testing.assert_allclose(opened[2], opened[0] * turn**2)
+    largest = [loop.largest_stable_gain() for loop in loops]
+    assert largest == sorted(largest, reverse=True)
+    for loop, gain in zip(loops, largest, strict=True):  # at the limit the open loop passes through −1
+        values = np.linalg.eigvals(loop.closed(gain))
+        frequency = np.abs(np.angle(values[np.argmax(np.abs(values))])) / (2.0 * np.pi * 2e-3)
+        answer = loop.response(gain * (1.0 - 1e-6), np.array([frequency]))
+        assert abs((answer / (1.0 - answer))[0] + 1.0) < 1e-3
+        assert loop.final_value(0.5 * gain) == pytest.approx(loops[0].final_value(0.5 * gain))

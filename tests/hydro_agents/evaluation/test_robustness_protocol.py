@@ -153,7 +153,7 @@ def test_a_sweep_makes_one_condition_per_parameter_and_factor(tmp_path):
         ),
         ({"conditions": {"a": {"parameters": {"leakage.internal_resistance": 1e12}}}}, "not a parameter"),
         ({"conditions": {"a": {"task": {"latency": 0.0}}}}, r"conditions\.a: task: latency.*unknown key"),
-        ({"conditions": {"a": {"task": {"command_latency": 0.1}}}}, r"conditions\.a: task.*0\.02"),
+        ({"conditions": {"a": {"task": {"command_latency": 0.2}}}}, r"conditions\.a: task.*0\.1"),
         ({"conditions": {"all": {}}}, "'all' is the name"),
         ({"conditions": {}}, "conditions"),
         ({"conditions": {"a b": {}}}, "conditions"),

@@ -8,7 +8,7 @@ from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.vec_env import AxisVecEnv
-from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.paces import pace
 from hydro_env.task.rewards import REWARD_TERMS
@@ -152,6 +152,8 @@ def test_attributes_methods_and_indices():
     env.set_options({"leakage_flow_lpm": 2.0})
     env.reset()
     np.testing.assert_allclose(env.env.axes.column("leak_flow"), 2.0)
+    env.reset()  # options hold for one reset
+    assert not np.isclose(env.env.axes.column("leak_flow"), 2.0).any()
     assert [state.count for state in env.env_method("get_state", [1, 3, 5], indices=[0, 2])] == [3, 3]
     assert env.env_method("get_state", axes=[1])[0].count == 1
 
@@ -224,3 +226,29 @@ def test_state_goes_back_and_into_another_adaptor(kind):
             np.testing.assert_array_equal(reward, reward2)
             np.testing.assert_array_equal(done, done2)
             assert [info.get("episode") for info in infos] == [info.get("episode") for info in infos2]
+
+
+@pytest.mark.parametrize("paired", [False, True])
+def test_each_axis_has_its_own_options(paired):
+    env = make(3, paired=paired)
+    env.set_options([{"leakage_flow_lpm": 0.1}, {"reference": "sine"}, {"leakage_flow_lpm": 3.0, "reference": "step"}])
+    env.reset()
+    times = 2 if paired else 1  # a twin has the options of its axis
+    leak, family = (env.env.axes.column(name).tolist() for name in ("leak_flow", "reference_family"))
+    assert leak[::3] == pytest.approx([0.1] * times)
+    assert leak[2::3] == pytest.approx([3.0] * times)
+    assert not {0.1, 3.0} & {*leak[1::3]}
+    assert [REFERENCE_FAMILIES[int(one)] for one in family[1:3]] == ["sine", "step"]
+    with refused("reset options: 1 entries for 3 axes"):
+        make(3).env.reset(options=[{"leakage_flow_lpm": 1.0}])
+
+
+def test_a_drawn_rig_staggers_by_its_own_steps_and_its_late_state_can_be_set():
+    """It has 2000 steps; the default task has 400."""
+    law = {"split": "test", "count": 1, "first": 300}
+    env = AxisVecEnv(task_config(rig="drawn", law=law), 4, stagger=True)
+    env.reset()
+    assert env.env.axes.column("step").tolist() == [0.0, 500.0, 1000.0, 1500.0]
+    env.set_state(env.get_state())
+    with refused("law: a told critic knows one rig"):
+        AxisVecEnv(task_config(rig="drawn", law=law), 4, told_critic=True)

@@ -85,9 +85,12 @@ def test_all_that_is_not_given_has_a_range():
         assert path in rig.randomisation
 
 
-def test_the_null_flow_gives_the_underlap():
+@pytest.mark.parametrize("overlap", [{}, {"overlap": "0 %"}, {"overlap": "10 %"}])
+def test_the_null_flow_gives_the_underlap(overlap):
     """The valve then passes this flow at rest: both edges of each chamber in series, two chambers side by side."""
-    _, rig = made(null_flow="1 l/min")
+    text, rig = made(null_flow="1 l/min", **overlap)
+    assert "computed from a null flow of 1 l/min" in text
+    assert rig.randomisation["valve.underlap"].factor == (0.3, 1.2)
     plant = rig.plant.replace(leakage={"internal_resistance": np.inf}, valve={"transition_pressure": 1.0})
     balanced = plant.replace(
         cylinder={"rod_diameter_a": plant.cylinder.rod_diameter}, supply={"tank_pressure": 0.0}
@@ -125,6 +128,19 @@ def test_sensors_are_those_that_were_given(tmp_path):
     assert (sensors.pressure_a.high, sensors.pressure_b.high, sensors.position.noise) == (250e5, 250e5, 2e-5)
     assert (sensors.spool_position.fitted, sensors.pressure_b.fitted) == (False, True)
     assert (sensors.pressure_a.bias, sensors.pressure_b.bias) == pytest.approx((1.25e5, 1.25e5))
+    assert sensors.pressure_a.noise == sensors.pressure_b.noise == pytest.approx(0.125e5)
+
+
+@pytest.mark.parametrize(("supply", "rod_a", "ends"), [("210 bar", "36 mm", (250, 250)), ("200 bar", None, (250, 400))])
+def test_pressure_sensors_have_a_usual_range_and_check_rig_shows_it(supply, rod_a, ends, tmp_path):
+    text, _ = made(supply_pressure=supply, **({"rod_a": rod_a} if rod_a else {}))
+    (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
+    sensors = task_config(rig=tmp_path / "rig.yaml").sensors
+    assert (sensors.pressure_a.high / 1e5, sensors.pressure_b.high / 1e5) == ends
+    printed = " ".join(hydro("check-rig", "--rig", tmp_path / "rig.yaml").stdout.split())
+    for name, end in zip(("pressure_a", "pressure_b"), ends, strict=True):
+        assert f" range, {name} assumed {end} bar" in printed
+        assert f"constant error, {name} assumed {0.0025 * end:.4g} bar" in printed
 
 
 @pytest.mark.parametrize("given", ["0.05 %", None])

@@ -234,8 +234,8 @@ def test_the_timing_is_that_of_the_options(tmp_path):
     [
         (("--period", "1 bar"), "check-rig: --period = '1 bar': unit 'bar': must be one of s, ms"),
         (("--period", "1,5 ms"), "check-rig: --period = '1,5 ms': must be a number within 0.0005 to 0.02"),
-        (("--latency", "-1 ms"), "check-rig: --latency = '-1 ms': must be a number within 0 to 0.02"),
-        (("--period", "0.5 ms"), "check-rig: --latency = 0.001 s must not exceed --period = 0.0005 s"),
+        (("--latency", "-1 ms"), "check-rig: --latency = '-1 ms': must be a number within 0 to 0.1"),
+        (("--latency", "26 ms"), "check-rig: --latency = 0.026 s must not exceed 5 times --period = 0.005 s"),
     ],
 )
 def test_an_impossible_timing_gets_one_line(options, message):

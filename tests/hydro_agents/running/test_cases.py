@@ -4,10 +4,13 @@ import sys
 
 import numpy as np
 import pytest
+from refusal import refused
 
+from hydro_agents.controllers.registry import make_controller
 from hydro_agents.running.cases import Cases, ControllerError, run_cases
 from hydro_agents.running.tasks import own_reference
 from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.configuration import task_config
 
 CONFIG = TaskConfig(episode_duration=0.3)
 LONG = TaskConfig(
@@ -238,3 +241,9 @@ def _now(env):
     axes = env.axes
     force = [axes.external_force(axis) for axis in range(3)]
     return axes.column("leak_flow").copy(), axes.column("fault").copy(), np.array(force)
+
+
+def test_a_run_is_on_one_rig():
+    drawn = task_config(rig="drawn", law={"count": 2})
+    with refused("law: a run is on one rig"):
+        run_cases(drawn, make_controller("pid", TaskConfig()), Cases(np.arange(2)))

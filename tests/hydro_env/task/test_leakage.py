@@ -7,7 +7,7 @@ import pytest
 from refusal import refused
 from scipy import stats
 
-from hydro_env import LEAKAGE_CLASSES, ServoHydraulicEnv, ServoHydraulicVectorEnv
+from hydro_env import LEAKAGE_CLASSES, PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.units import LITRE_PER_MINUTE
 
 COUNT = 4000
@@ -66,7 +66,8 @@ def test_labels_at_the_bounds_belong_to_the_lower_class(factor):
 
 def test_the_leak_of_the_task_replaces_that_of_the_plant():
     """Else the labels would not tell the leak that acts."""
-    env = ServoHydraulicEnv(plant={"leakage": {"internal_resistance": 1e11, "orifice_gain": 1e-7}})
+    plant = PlantParameters().replace(leakage={"internal_resistance": 1e11, "orifice_gain": 1e-7})
+    env = ServoHydraulicEnv(TaskConfig(plant=plant))
     env.reset(seed=0, options={"leakage_flow_lpm": 0.02})
     assert env.parameters.leakage.orifice_gain == 0.0
     assert env.parameters.leakage.internal_resistance == pytest.approx(3e13)

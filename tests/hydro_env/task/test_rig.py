@@ -72,10 +72,12 @@ def test_settings_follow_from_stroke_speed_and_pressure(small):
     position = config.sensors.position
     assert (position.low, position.high) == pytest.approx((-0.05, 0.05))
     assert position.noise / position.high == pytest.approx(default.sensors.position.noise / 0.2)
-    for channel in ("pressure_a", "pressure_b"):
-        for name, value in getattr(default.sensors, channel):
-            if name != "fitted":
-                assert getattr(getattr(config.sensors, channel), name) == pytest.approx(2.0 * value)
+    # 140 bar, and 70 bar times the ratio of the areas behind the rod: the next usual ranges.
+    for channel, range_end in {"pressure_a": 160e5, "pressure_b": 400e5}.items():
+        usual, own = getattr(default.sensors, channel), getattr(config.sensors, channel)
+        assert own.high == range_end
+        for name in ("noise", "bias", "resolution"):
+            assert getattr(own, name) / own.high == pytest.approx(getattr(usual, name) / usual.high)
     assert config.failure.pressure_rating == pytest.approx(500e5)
     # Twice the pressure gives √2 of the speed, but for the pressure of the tank.
     assert config.failure.end_stop_speed / default.failure.end_stop_speed == pytest.approx(math.sqrt(2.0), rel=0.01)
@@ -114,7 +116,7 @@ def test_what_the_user_set_stays(small):
     assert config.sensors.position.noise == 1e-4
     assert config.sensors.position.high == pytest.approx(0.05)
     assert (config.reward.effort, config.control_period, config.references.preview_times) == (0.2, 0.002, ())
-    assert list(config.randomisation) == ["load.mass"]
+    assert config.randomisation["load.mass"].factor == (0.9, 1.1)
     assert task_config(None, rig=small, randomisation={}).randomisation == {}
     assert task_config({"randomisation": {}}, rig=small).randomisation == {}
     # A keyword comes after the rig.
@@ -177,10 +179,18 @@ def test_a_rig_says_which_sensors_it_has(small):
     assert (config.sensors.pressure_a.high, config.sensors.pressure_a.noise) == (250e5, 0.1e5)
     assert not config.sensors.spool_position.fitted
     assert "spool_position" not in ServoHydraulicEnv(config).observation_names
-    # What the file leaves out follows from stroke and supply pressure.
-    assert config.sensors.pressure_a.bias == pytest.approx(2.0 * without.sensors.pressure_a.bias)
+    # What the file leaves out follows from stroke and range.
+    assert config.sensors.pressure_a.bias == pytest.approx(2.5 * without.sensors.pressure_a.bias)
     assert config.sensors.position.high == pytest.approx(0.05)
     # A number that the task sets counts more; a sensor that is absent stays absent.
     mine = task_config({"sensors": {"pressure_a": {"noise": 3e4}}}, rig=small)
     assert (mine.sensors.pressure_a.noise, mine.sensors.pressure_a.high) == (3e4, 250e5)
     assert not mine.sensors.spool_position.fitted
+
+
+def test_a_range_that_was_given_sets_noise_and_bias_of_its_sensor(small):
+    with small.open("a") as file:
+        file.write("sensors:\n  pressure_a: {high: 250 bar}\n  pressure_b: {high: 250 bar, noise: 0.2 bar}\n")
+    sensors = task_config(rig=small).sensors
+    assert (sensors.pressure_a.noise, sensors.pressure_a.bias) == pytest.approx((0.125e5, 0.625e5))
+    assert (sensors.pressure_b.noise, sensors.pressure_b.bias) == pytest.approx((0.2e5, 0.625e5))

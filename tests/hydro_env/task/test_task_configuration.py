@@ -10,6 +10,7 @@ from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.task.configuration import task_config
+from hydro_env.task.randomisation import Distribution
 from hydro_env.units import Number
 
 CHANGES = {
@@ -60,13 +61,43 @@ def test_keywords_lay_themselves_over_a_file(tmp_path):
     assert config.references == TaskConfig().references
 
 
-def test_weights_and_randomisation_are_replaced_as_a_whole():
+def test_weights_are_replaced_as_a_whole_and_an_empty_group_draws_nothing():
     for base in (None, {}, TaskConfig(), TaskConfig().model_dump()):
         config = task_config(base, randomisation={}, references={"weights": {"ramp": 1.0}})
         assert config.randomisation == {}
         assert config.references.weights == {"ramp": 1.0}
-        config = task_config(base, randomisation={"load.mass": {"log_uniform": [50.0, 60.0]}})
-        assert list(config.randomisation) == ["load.mass"]
+
+
+def test_one_distribution_leaves_the_others_whether_it_stands_in_a_file_or_is_a_keyword(tmp_path):
+    mass, file = {"load.mass": {"log_uniform": [50.0, 60.0]}}, tmp_path / "task.yaml"
+    file.write_text("randomisation:\n  load.mass: {log_uniform: [50.0, 60.0]}\n")
+    expected = {**TaskConfig().randomisation, "load.mass": Distribution(log_uniform=(50.0, 60.0))}
+    tasks = [task_config(base, randomisation=mass) for base in (None, {}, TaskConfig(), TaskConfig().model_dump())]
+    for task in (*tasks, task_config(file), task_config({"randomisation": mass}), TaskConfig.from_yaml(file)):
+        assert list(task.randomisation.items()) == list(expected.items())
+    assert list(task_config("as_given", randomisation=mass).randomisation) == ["load.mass"]  # it draws nothing else
+
+
+def test_what_is_not_drawn_stays_so_in_every_copy_of_a_task(tmp_path):
+    task = task_config(None, randomisation={"supply.pressure": None})
+    assert TaskConfig().randomisation.keys() - task.randomisation.keys() == {"supply.pressure"}
+    few = task_config("as_given", randomisation={"load.mass": {"factor": [0.9, 1.1]}})
+    for config in (task, few):
+        config.to_yaml(tmp_path / "task.yaml")
+        assert task_config(tmp_path / "task.yaml") == task_config(config.model_dump(mode="json")) == config
+    with refused("supply.presure.* is not a number of the plant; did you mean supply.pressure"):
+        task_config(None, randomisation={"supply.presure": None})
+
+
+def test_a_leak_of_the_plant_is_refused_because_each_episode_draws_it(tmp_path):
+    (tmp_path / "task.yaml").write_text("plant:\n  leakage: {orifice_gain: 1.0e-8}\n")
+    with refused("plant.leakage.internal_resistance: .*leakage_flow_lpm"):
+        task_config(None, plant={"leakage": {"internal_resistance": 1e11}})
+    with refused("task.yaml: plant.leakage.orifice_gain: has no effect"):
+        task_config(tmp_path / "task.yaml")
+    config = task_config(None, plant={"leakage": {"external_resistance": 1e12}})
+    assert config.plant.leakage.external_resistance == 1e12
+    assert task_config(config.model_dump()) == config  # a whole rig states its own leak
 
 
 def test_steps_and_preview_count_control_periods():
@@ -92,7 +123,7 @@ def test_a_draw_may_multiply_a_parameter_that_is_drawn_itself():
         assert 1.5 <= ratio.min() < 1.51
         assert 1.99 < ratio.max() <= 2.0
         assert abs(np.corrcoef(ratio, values["friction.coulomb_force"])[0, 1]) < 0.1
-    fixed = drawn(breakaway, plant={"friction": {"coulomb_force": 100.0}})
+    fixed = drawn({**breakaway, "friction.coulomb_force": None}, plant={"friction": {"coulomb_force": 100.0}})
     assert 150.0 <= fixed["friction.breakaway_force"].min() < 152.0
 
 
@@ -168,7 +199,10 @@ WRONG = [
     (mass(factor=[1.0, 2.0], times="supply.pressure"), "load.mass: factor already multiplies the rig's own value"),
     (ranges(supply__pressure={"uniform": ["50 bar", "2000 bar"]}), "pressure = 2000 bar is above its limit 1000 bar"),
     (ranges(supply__pressure={"low": "50 bar"}), "supply.pressure.low = '50 bar': unknown key; known here: uniform"),
-    (ranges(friction__coulomb_force={"uniform": [100, 300]}), "randomisation: .*breakaway_force = 180 N must not be"),
+    (
+        ranges(friction__coulomb_force={"uniform": [100, 300]}, friction__breakaway_force=None),
+        "randomisation: .*breakaway_force = 180 N must not be",
+    ),
     (ranges(leakage__external_resistance={"factor": [0.5, 2.0]}), "external_resistance: the rig's own value is infin"),
     (ranges(**CIRCLE), "'times' runs in a circle"),
     ({"initial_position_range": [-2.0, 1.0]}, r"initial_position_range = \[-2, 1\]: must rise within -1 to 1"),
@@ -192,10 +226,10 @@ WRONG = [
     (position(fitted=False), "position.fitted = false"),
     ({"sensors": {"pressure_a": {"high": "40000 bar"}}}, "= '40000 bar': must be a number within"),
     # Time.
-    ({"command_latency": 6e-3}, "command_latency = 0.006 s must not exceed control_period = 0.005 s"),
+    ({"command_latency": 26e-3}, "command_latency = 0.026 s must not exceed 5 times control_period = 0.005 s"),
     *(
-        ({"command_latency_range": bad}, "command_latency_range.*must rise within 0 to control_period")
-        for bad in ((2e-3, 1e-3), (0.0, 6e-3), (-1e-3, 1e-3))
+        ({"command_latency_range": bad}, "command_latency_range.*must rise within 0 to 5 times control_period")
+        for bad in ((2e-3, 1e-3), (0.0, 26e-3), (-1e-3, 1e-3))
     ),
     ({"control_period": 5.0}, "control_period = 5.0: .*unit: s"),
     ({"control_period": 20e-3, "episode_duration": 0.015}, "episode_duration must be at least one control_period"),

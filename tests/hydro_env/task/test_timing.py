@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from hydro_env import ServoHydraulicEnv, equilibrium, simulate
+from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, equilibrium, simulate
 from hydro_env.plant.states import STATE_NAMES
+from hydro_env.task.sensors import SPOOL
 
 PERIOD = 5e-3
 CLEAN = {"sensors": {"enabled": False}}
@@ -50,3 +51,31 @@ def test_an_episode_is_the_plants_answer_to_the_held_commands(latency, period, l
         assert info["velocity"] == pytest.approx(expected[number + 1, 1], abs=1e-9)
         seen = (observation * env.observation_scale)[places]
         np.testing.assert_allclose(seen, expected[number + 1][[0, 2, 3, 4]], rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("late", [1, 2, 3, 4])
+def test_a_latency_of_whole_periods_more_moves_the_commands_by_as_many(late):
+    period, steps = 2.0**-8, 40  # whose parts are exact
+    common = {"control_period": period, "episode_duration": 2.0, "faults": {"valve_hysteresis": {"probability": 1.0}}}
+    usual, slow = (
+        ServoHydraulicVectorEnv(3, command_latency=latency, info=False, **common)
+        for latency in (0.5 * period, (late + 0.5) * period)
+    )
+    for env in (usual, slow):
+        env.reset(seed=0)
+    held = usual.axes.column("command").copy()
+    commands = np.random.default_rng(0).uniform(-0.4, 0.4, (steps, 3, 1))
+    for step in range(steps):
+        usual.step(commands[step - late] if step >= late else held[:, None])
+        slow.step(commands[step])
+        np.testing.assert_array_equal(slow.axes.state, usual.axes.state)
+
+
+def test_a_latency_of_five_periods_acts_in_the_sixth():
+    env = ServoHydraulicEnv(command_latency=0.025, sensors={"enabled": False})
+    env.reset(seed=0)
+    spool = []
+    for _ in range(8):
+        env.step([1.0])
+        spool.append(env.axes.column("measured")[0, SPOOL])
+    assert max(spool[:5]) - min(spool[:5]) < 1e-3 < 0.5 < spool[6]

@@ -51,8 +51,9 @@ def exact(config=CONFIG):
     return task_config(config, sensors={"enabled": False})
 
 
-def test_the_replay_is_what_the_environment_does():
-    config = exact(TaskConfig(episode_duration=1.0, command_latency_range=(0.0, 4e-3)))
+@pytest.mark.parametrize("latencies", [(0.0, 4e-3), (6e-3, 24e-3)], ids=["within a period", "up to five periods"])
+def test_the_replay_is_what_the_environment_does(latencies):
+    config = exact(TaskConfig(episode_duration=1.0, command_latency_range=latencies))
     random, latency = np.random.default_rng(0), []
 
     def command(axes, time):

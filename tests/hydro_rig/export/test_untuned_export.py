@@ -117,7 +117,7 @@ def test_in_c_it_takes_over_an_axis_in_motion(task, in_c):
     ("arguments", "what"),
     [
         (("flow_linearising", "--period", "2 bar"), "export flow_linearising: --period = '2 bar': unit 'bar'"),
-        (("flow_linearising", "--period", "0.5ms"), "--latency = 0.001 s must not exceed --period = 0.0005 s"),
+        (("flow_linearising", "--latency", "26ms"), "--latency = 0.026 s must not exceed 5 times --period = 0.005 s"),
         (("playground", "--latency", "1ms"), "export playground: takes no --period and no --latency"),
     ],
 )

@@ -155,7 +155,7 @@ def test_the_intervals_of_unknowns_on_a_curve_hold_their_whole_valley(tmp_path):
         "fluid.bulk_modulus": {"log_factor": [0.7, 1.3]},
     }
     plant = {"lines": {"volume_a": 5e-5, "volume_b": 5e-5, "wall_bulk_modulus": 4e8}}
-    config = task_config(None, plant=plant, randomisation=ranges, episode_duration=4.0)
+    config = task_config("as_given", plant=plant, randomisation=ranges, episode_duration=4.0)
     fit = fit_of(tmp_path / "a.csv", config, (2, 100))
     true = true_values(config, SEED, 0.3)
     place = fit.names.index("lines.wall_bulk_modulus")
@@ -179,7 +179,7 @@ def test_intervals_end_at_physical_bounds_and_values_not_at_an_open_edge():
 
 def test_a_rise_time_that_the_task_does_not_say_is_found(tmp_path):
     """With transducers of 4 ms in the task instead of 1.5 ms the model explains no window; then it finds their time."""
-    config = task_config(None, randomisation={"load.mass": {"factor": [0.8, 1.2]}}, episode_duration=4.0)
+    config = task_config("as_given", randomisation={"load.mass": {"factor": [0.8, 1.2]}}, episode_duration=4.0)
     wrong = task_config(config, sensors={"pressure_rise_time": 4e-3})
     fit = fit_of(tmp_path / "a.csv", config, (4, 200), wrong)
     assert fit.explained.all()
@@ -192,7 +192,7 @@ def test_a_rise_time_that_the_task_does_not_say_is_found(tmp_path):
 def test_a_slew_limit_above_the_spools_speed_is_bounded_from_below(tmp_path):
     """In slow moves the spool stays far below its limit: only 'at least' is true, and the file keeps its value."""
     ranges = {"valve.slew_limit": {"log_factor": [0.05, 2.0]}}
-    config = task_config(None, randomisation=ranges, episode_duration=5.0)
+    config = task_config("as_given", randomisation=ranges, episode_duration=5.0)
     fit = fit_of(tmp_path / "a.csv", config, (4, 200))
     limit = fit.unknowns[fit.names.index("valve.slew_limit")]
     assert limit.side == 1

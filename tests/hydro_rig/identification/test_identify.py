@@ -42,7 +42,7 @@ def folder(tmp_path_factory):
 
 def hidden(folder):
     """The task of the hidden rig: what the rig file gives no range is known."""
-    return task_config(None, rig=folder / "rig.yaml", randomisation=RANGES, episode_duration=DURATION)
+    return task_config("as_given", rig=folder / "rig.yaml", randomisation=RANGES, episode_duration=DURATION)
 
 
 def identified(folder, name, recording, *options):
