@@ -163,14 +163,14 @@ def judge(
     if fault:  # rule 5
         return Verdict(Kind.OTHER, fault, leak, leader)
     if leak.high >= limits.fault:  # rule 7
-        advice = lacking or "record more motion, or run the leak test (hydro leak-test)"
+        advice = f"the {lacking}" if lacking else "record more motion, or run the leak test (hydro leak-test)"
         why = f"{size}, which may be healthy or faulty; {advice}"
         return Verdict(Kind.UNKNOWN, why, leak, leader)
     if blind:
         why = f"{size}, but without pressures a faulty seal can look healthy; record one pressure at least"
         return Verdict(Kind.UNKNOWN, why, leak, leader)
     if lacking:
-        why = f"{size}, but what the model lacks may hide a faulty one: {lacking}"
+        why = f"{size}, but the {lacking}"
         return Verdict(Kind.UNKNOWN, why, leak, leader)
     return Verdict(Kind.HEALTHY, "", leak, leader)  # rule 6
 

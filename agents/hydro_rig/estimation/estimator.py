@@ -222,7 +222,9 @@ def _reading(
         high_lpm=value + HALF_WIDTH * deviation,
         fault=_in_words(worn, excess > 0.0),
         why=np.select(
-            [~fits, known, still, worn.differs], [Why.MISFIT, Why.ANSWERED, Why.AT_REST, Why.DIFFERS], Why.UNDETERMINED
+            [~fits, known, still, worn.errors.of_model],
+            [Why.MISFIT, Why.ANSWERED, Why.AT_REST, Why.DIFFERS],
+            Why.UNDETERMINED,
         ),
     )
 

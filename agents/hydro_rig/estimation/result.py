@@ -11,10 +11,9 @@ from scipy.special import ndtri
 
 from hydro_env import ConfigurationError
 from hydro_env.types import Floats
+from hydro_rig.estimation.errors import Errors
 
 Indices = NDArray[np.int64]
-
-SLOW = 1.0  # slow error that the data sheet does not explain, in standard deviations of its noise
 
 
 @dataclass(frozen=True)
@@ -58,9 +57,9 @@ class Estimate:
         return self.deviations[:, self._place(name)]
 
     @property
-    def differs(self) -> NDArray[np.bool_]:
-        """Windows in which more than one signal differs slowly, (B,): not one sensor is wrong, but the model."""
-        return np.asarray((self.slow > SLOW).sum(axis=1) > 1)
+    def errors(self) -> Errors:
+        """Those of the readings."""
+        return Errors(self.white, self.slow, self.memory)
 
     def interval(self, name: str, coverage: float = 0.9) -> tuple[Floats, Floats]:
         """Lower and upper end, (B,) each, of the interval that covers the true value with probability ``coverage``."""

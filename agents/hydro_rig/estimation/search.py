@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SPOOL
 from hydro_env.types import Floats
@@ -168,16 +169,21 @@ def assess(problem: Problem, scaled: Floats, directions: Floats, searches: int |
     """Uncertainty and goodness of fit at some values, (B, P) scaled.
 
     A slow error may be one of the model, of which an unknown has taken up a part that no residual shows. That part is
-    taken to be as large as the one that they show, and to point where it moves the unknown most: the uncertainty is
-    that with white noise of the norm of a channel's slow error in place of the slow error.
+    taken to be as large as the one that they show, and to point where it moves the unknown most. A channel that differs
+    alone hardly counts then (:meth:`Errors.as_white`). Where several do, the end of a 90 % interval is as far as the
+    norm of all their slow errors moves an unknown by the data sheet (Cauchy and Schwarz).
     """
     model, linear = problem.model, problem.linearised(scaled, directions)
     errors = problem.errors or Errors.of_data_sheet(*linear.known.shape[:2])
     covariance = doubtful = linear.covariance(problem.belief)
     if problem.errors is not None:
-        hidden = np.hypot(errors.white, errors.slow * np.sqrt(linear.known.sum(axis=2)))
-        wide = problem._replace(errors=Errors(hidden, np.zeros_like(hidden), errors.memory))
-        doubtful = wide.linearised(scaled, directions).covariance(problem.belief)
+        count = linear.known.sum(axis=2)
+        alone, by_data_sheet = (
+            problem._replace(errors=one).linearised(scaled, directions).covariance(problem.belief)
+            for one in (errors.as_white(count), None)
+        )
+        square = errors.of_model * (count * errors.slow**2).sum(axis=1)
+        doubtful = alone + (square / HALF_WIDTH**2)[:, None, None] * by_data_sheet
     values = model.values(scaled)
     timing: dict[str, Any] = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
     timing |= {name: values[:, model.names.index(name)] for name in timing if name in model.names}

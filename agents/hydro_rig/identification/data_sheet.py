@@ -15,8 +15,9 @@ import yaml
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SENSORS
+from hydro_rig.estimation.errors import SLOW
 from hydro_rig.estimation.model import noise_of
-from hydro_rig.estimation.result import SLOW, Estimate
+from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
 from hydro_rig.identification.found_rig import shown
 from hydro_rig.recordings.findings import Finding, Weight
@@ -24,6 +25,7 @@ from hydro_rig.recordings.findings import Finding, Weight
 MORE, LESS = 1.1, 0.7  # white noise over that of the data sheet that is worth a line
 LATENCY_CHANGE = 0.1  # difference of the latency that is worth a line, in control periods
 RISE_TIME_CHANGE = 1e-3  # s
+MOST_DIFFER = 0.5  # share of the windows with an answer from which on the model counts as wrong
 SPIKES = 0.002  # share of spikes that is worth a line
 
 
@@ -60,9 +62,8 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
         task: as the estimate assumed it.
     """
     end = "used" if found.holds.any() else "the model still does not hold"
-    odd, findings = _odd(found, task), []
-    doubt = Weight.DOUBT if [one.kind for one in odd].count("slow") > 1 else Weight.NOTE  # of the model, or of a sensor
-    for signal, kind, size in odd:
+    findings = []
+    for signal, kind, size in _odd(found, task):
         if kind == LATENCY:
             what = f"acts {_ms(size)} after its row, and not {_ms(task.command_latency)} ({kind}): {end}"
         elif kind == RISE_TIME:
@@ -73,8 +74,9 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
             what = f"differs slowly from the model, by {_size(signal, size, task)}: {end}"
         else:
             what = "has spikes: left out"
-        weight = doubt if kind == "slow" else Weight.NOTE
-        findings.append(Finding(signal, what, weight, share=size if kind == "spikes" else math.nan))
+        findings.append(Finding(signal, what, Weight.NOTE, share=size if kind == "spikes" else math.nan))
+    if found.holds.any() and found.errors.of_model[found.holds].mean() >= MOST_DIFFER:
+        findings.append(Finding("model", "differs slowly from several signals, which can hide a leak", Weight.DOUBT))
     return findings
 
 

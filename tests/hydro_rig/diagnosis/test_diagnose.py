@@ -1,6 +1,7 @@
 """From a recorded file to verdict, page, picture and tables."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,11 +13,15 @@ from published import assert_published_page
 from recorded import CONFIG, recorded_file
 
 from hydro_agents.detection.detector import Why
+from hydro_agents.detection.monitor import load_head
 from hydro_agents.detection.operations import MOTIONS
+from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SPOOL
+from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.recordings.recording import read_recording
 
+SHARP_LAP = Path(__file__).parents[2] / "recorded_elsewhere" / "sharp_lap.csv"
 FILES = {".hydro.json", "diagnosis.html", "findings.csv", "leak.csv", "figures"}
 
 
@@ -160,3 +165,12 @@ def test_other_sampling_is_told_and_still_drawn(tmp_path):
     assert verdict.startswith("cannot tell: time has one row every 15 ms")
     assert (tmp_path / "out" / "figures" / "diagnosis.svg").exists()
     assert np.genfromtxt(tmp_path / "out" / "leak.csv", delimiter=",").size <= 2
+
+
+def test_a_leak_beside_a_valve_that_the_model_lacks_is_not_called_healthy_and_no_other_fault_is_named():
+    """1 s of an axis with a leak of 1 l/min in Hopsan, whose valve has sharp edges."""
+    config = task_config({"control_period": 2e-3, "command_latency": 6e-4}, rig=SHARP_LAP.with_suffix(".yaml"))
+    found = diagnose(SHARP_LAP, config, load_head(None, CONFIG), window=1.0)
+    assert found.verdict.kind in (Kind.LEAK, Kind.UNKNOWN)
+    assert found.read.estimator.high_lpm[0] > 1.0
+    assert not found.read.estimator.fault.any()
