@@ -160,7 +160,7 @@ def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:
         )
 
 
-def as_batch(observation: Observation, memory: Any) -> tuple[Observation, bool]:
+def as_batch(observation: Observation, memory: Any = None) -> tuple[Observation, bool]:
     """The observation as a batch (N, n), and whether it was a single one.
 
     Raises:

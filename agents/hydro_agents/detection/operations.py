@@ -78,7 +78,7 @@ class _Operator:
     ) -> tuple[NDArray[np.float32], tuple[Floats, Any]]:
         """Commands (N, 1) of one control period; the arguments are those of a controller."""
         del episode_start, deterministic
-        batch, _ = as_batch(observation, None)
+        batch, _ = as_batch(observation)
         error = self.layout.si(batch, "tracking_error") / self.stroke
         holding, memory = state or (self.layout.si(batch, "previous_command"), self.at_start(error))
         command, memory = self.act(error, holding, memory)
