@@ -109,8 +109,8 @@ class Linearised(NamedTuple):
 
     def covariance(self, belief: Belief) -> Floats:
         """Covariance of the unknowns, (B, P, P), given these readings and the belief."""
-        inverse: Floats = np.linalg.inv(self.jacobian @ self.jacobian.transpose(0, 2, 1) + belief.precision)
-        return inverse
+        information = self.jacobian @ self.jacobian.transpose(0, 2, 1) + belief.precision
+        return np.asarray(np.linalg.inv(information), dtype=np.float64)
 
     def equations(self, scaled: Floats, belief: Belief, shared: Indices) -> Equations:
         """Normal equations of each window, and those of the shared unknowns after its others are eliminated.
