@@ -41,7 +41,7 @@ SCALED = "_scaled"
 KINDS = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.int64, np.bool_))
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)  # a graph in words would be as long as all its paths
 class Node:
     """One operation and its result, a flat array."""
 
