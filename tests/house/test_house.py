@@ -40,10 +40,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 59_350,
-    "hydro_agents": 141_450,
-    "hydro_rig": 132_600,
-    "tests": 231_000,
+    "hydro_env": 60_500,
+    "hydro_agents": 143_100,
+    "hydro_rig": 137_550,
+    "tests": 243_900,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 
