@@ -249,7 +249,8 @@ class MeasuredController:
             command, new = self.controller.predict(observation, before)
             wanted_voltage = FULL_VOLTAGE * np.clip(command.astype(np.float64), -1.0, 1.0)[0, 0]
             # The valve keeps its voltage before the first complete sample, and if the command is not a number.
-            usable = reduce(np.logical_and, (*ready, *sound, np.absolute(wanted_voltage) <= FULL_VOLTAGE))
+            known = reduce(np.logical_and, (*ready, np.absolute(wanted_voltage) <= FULL_VOLTAGE))
+            usable = reduce(np.logical_and, (*sound, known))
             wanted_voltage = np.where(usable, wanted_voltage, kept)
             lost_samples = np.where(np.logical_and(complete, usable), 0, memory.lost_samples + one_more)
             lost_travel = (lost_samples - 1) * (self._period * self._speed_per_volt) * np.absolute(wanted_voltage)
@@ -259,7 +260,7 @@ class MeasuredController:
             largest_step = FULL_VOLTAGE * min(self._period / STOPPING_TIME, 1.0)
             stopping_voltage = memory.last_voltage + np.clip(rest - memory.last_voltage, -largest_step, largest_step)
             voltage = np.where(holding, stopping_voltage, wanted_voltage)
-            running = np.logical_and(usable, np.logical_not(holding))
+            running = np.logical_and(known, np.logical_not(holding))
             own = {"lost_samples": lost_samples, "holding": holding, "last_voltage": voltage}
             return {"voltage": voltage, "running": running, **own, "controller": new}
 

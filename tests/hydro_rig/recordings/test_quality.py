@@ -13,7 +13,7 @@ from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import bridged, cut, on_grid, sampled
 
 BAR = 1e5
-NOTE, FAULT, SEVERE = Weight
+NOTE, FAULT, SEVERE = Weight.NOTE, Weight.FAULT, Weight.SEVERE
 
 
 @pytest.fixture(scope="module")
