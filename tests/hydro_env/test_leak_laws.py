@@ -108,7 +108,8 @@ def test_model_of_the_estimator(law):
     commands = np.linspace(-0.2, 0.2, 40)[None]
     unknown = Model(config, priors_of(config, (LEAKAGE, EXTERNAL_LEAKAGE)), commands)
     leakage = {**leak_past_piston(FLOW, law), ROD_SEAL.parameter: ROD_SEAL.value(0.5)}
-    known = Model(task_config(config, plant={"leakage": leakage}), {}, commands)
+    whole = config.plant.replace(leakage=leakage).model_dump()
+    known = Model(task_config(config, plant=whole), {}, commands)
     read = unknown.readings(unknown.scaled(np.array([[FLOW, 0.5]])))
     np.testing.assert_allclose(read, known.readings(np.empty((1, 0))), rtol=1e-9)
 

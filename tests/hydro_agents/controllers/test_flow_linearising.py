@@ -10,8 +10,8 @@ from hydro_agents.controllers.registry import make_controller
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import config_folder
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig, simulate
-from hydro_env.files import read_yaml
 from hydro_env.plant.states import STATE_NAMES
+from hydro_env.task.rig import read_rig
 
 PLAIN = PlantParameters().replace(
     friction={"model": "none"},
@@ -139,7 +139,7 @@ def test_it_sets_off_before_a_jump_by_about_half_the_time_that_the_jump_takes():
         {"control_period": 2e-3},
         {"control_period": 0.01},
         {"command_latency": 5e-3},
-        *({"plant": read_yaml(rig), "randomisation": {}} for rig in RIGS),
+        *({"plant": read_rig(rig).plant, "randomisation": {}} for rig in RIGS),
     ],
 )
 def test_untuned_it_controls_every_rig_without_preview_at_other_periods_and_latencies(options):
