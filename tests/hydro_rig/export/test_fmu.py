@@ -84,7 +84,8 @@ def test_the_checker_has_no_complaint(file):
 def test_it_moves_as_the_kernel_does(law, file, tmp_path):
     if law != TaskConfig().leakage.law:
         file = tmp_path / "axis.fmu"
-        file.write_bytes(make_fmu(task_config(plant={"leakage": leak_past_piston(0.03, law)}, leakage={"law": law})))
+        rig = PlantParameters().replace(leakage=leak_past_piston(0.03, law)).model_dump()
+        file.write_bytes(make_fmu(task_config(plant=rig, leakage={"law": law})))
     plant = PlantParameters().replace(leakage=leak_past_piston(2.0, law), valve={"null_shift": 0.01})
     rest, voltage = equilibrium(plant, PLACE)
     expected = simulate(plant, VOLTAGE, PERIOD, rest)
