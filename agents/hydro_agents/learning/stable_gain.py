@@ -180,15 +180,14 @@ def proportional(task: TaskConfig, gain: float) -> PIDGains:
 
 
 def pids_from_figures(task: TaskConfig) -> list[PIDGains]:
-    """PIDs of a rig that nobody tuned: with the recommended gain, with 3 dB more, and that of :func:`pid_from_figures`.
+    """PIDs of a rig that nobody tuned: with the recommended gain, and that of :func:`pid_from_figures`.
 
     Raises:
         ConfigurationError: neither exists.
     """
     found: list[PIDGains | None] = [pid_from_figures(task)]
     try:
-        gain = quiet_gains(task).recommended
-        found = [pid_with_gain(task, gain), pid_with_gain(task, math.sqrt(2.0) * gain), *found]
+        found.insert(0, pid_with_gain(task, quiet_gains(task).recommended))
     except HydroError as error:
         if found == [None]:
             raise ConfigurationError(f"pid: no gains for this rig: {error}; give a file of gains") from None

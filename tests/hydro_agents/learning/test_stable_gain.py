@@ -63,7 +63,7 @@ def test_a_pid_on_a_rig_that_nobody_tuned_takes_its_gains_from_the_rig(task, mon
     assert not rests(PID(paper, task), task, 6)
     own = shipped("pid", task)
     assert own.gains in gain_sets("pid", task)
-    assert rests(own, task, 6)
+    assert rests(own, task, 24)
     found = pid_from_figures(task)
     monkeypatch.setattr(opponents, "searched_gains", lambda kind, _: found)
     assert opponent("pid", task, "mine").gains == found  # a command searches

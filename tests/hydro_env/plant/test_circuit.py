@@ -112,7 +112,7 @@ CIRCUITS = {
 def test_every_circuit_meets_the_reference_solver(changes):
     plant = PlantParameters().replace(**changes)
     assert from_vector(to_vector(plant)) == plant
-    env = ServoHydraulicEnv(plant=changes, episode_duration=0.2)
+    env = ServoHydraulicEnv(plant=plant.model_dump(), episode_duration=0.2)
     env.reset(seed=1)
     steps = [env.step(np.array([0.2 * math.sin(0.3 * step)])) for step in range(40)]
     assert not any(terminated for _, _, terminated, _, _ in steps)
