@@ -58,7 +58,7 @@ def prepare(base: Path) -> None:
         (base / f"{name}.yaml").write_text(text.replace("../", f"{config_folder()}/"))
     shutil.copytree(ROOT / "agents/hydro_agents/pretrained", base / "weights")
     table = pd.read_csv(base / "rec.csv", comment="#")
-    for ending in ("parquet", "mat", "tdms", "mf4"):
+    for ending in ("parquet", "mat"):
         write_table(table, base / f"rec.{ending}")
     columns = {name.split(" ")[0]: {"column": name, "unit": name.split("[")[1][:-1], "gain": 1.0} for name in table}
     columns["time"] = {"column": "time [s]", "unit": "s", "equidistant": False}

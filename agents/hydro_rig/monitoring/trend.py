@@ -25,7 +25,7 @@ from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, Verdict, combined
 from hydro_rig.diagnosis.volume_balance import Blocks, VolumeLeak, leak_of_blocks
 from hydro_rig.monitoring.oil import Oil, referred
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.files import read_columns, started
+from hydro_rig.recordings.files import read_columns
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.liveliest import Lively, liveliest, sampled_windows
 from hydro_rig.recordings.quality import check_samples
@@ -92,11 +92,10 @@ def row_of_file(path: Path, axis: str, config: TaskConfig, columns: ColumnMap | 
 
 
 def _clock(path: Path, first: float) -> float:
-    """What is added to the stamps of a file to give s since 1970: dates in it, its header, its name, or its age."""
+    """What is added to the stamps of a file to give s since 1970: dates in it, its name, or its age."""
     if FIRST_DATE <= first <= LAST_DATE:
         return 0.0
-    begin = started(path)
-    found = _DATE.search(path.name) if begin is None else None
+    begin, found = None, _DATE.search(path.name)
     if found is not None:
         try:
             begin = datetime(*(int(part or 0) for part in found.groups()), tzinfo=UTC).timestamp()  # type: ignore[arg-type,misc]

@@ -30,7 +30,7 @@ COLUMNS = (*NEEDED, *SIZES, "oil", "reason", "bytes", "clock_back", "repaired")
 ``temperature`` in °C; ``bytes`` of the file: a file that has grown is read again; ``clock_back``: by how much the clock
 ran back, s; ``repaired``: any mark."""
 
-SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mf4", ".mdf", ".tdms", ".mat")
+SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mat")
 DECIMALS = 5
 
 _DATE_FOLDERS = re.compile(r"(?:^|/)20\d\d(?:[-_./ ]?W?\d\d?){0,2}(?=/|$)")  # 2026-10-03, 2026/10/03

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
@@ -73,12 +72,14 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     """
     for samples, source in zip(recordings, sources, strict=True):
         _refuse_useless(samples, source)
-    together = sources[0] if len(sources) == 1 else f"{len(sources)} recordings"
     length = _window_length(recordings, sources)
     filled = [bridged(samples) for samples in recordings]
-    cut_up = [cut(samples, length) for samples, _ in filled]
-    commanded = [windows.part(windows.commanded) for windows in cut_up]
-    cuts = [windows.part(_shows_position(windows)) for windows in commanded]
+    commanded, cuts = [], []
+    for samples, _ in filled:
+        windows = cut(samples, length)
+        commanded.append(windows.part(windows.commanded))
+        cuts.append(commanded[-1].part(_shows_position(commanded[-1])))
+    together = sources[0] if len(sources) == 1 else f"{len(sources)} recordings"
     count = sum(map(len, cuts))
     if count < FEWEST_WINDOWS - 1:
         raise ConfigurationError(
@@ -86,19 +87,19 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
             f"position; at least {FEWEST_WINDOWS - 1} are needed"
         )
     apart, reason = _apart(cuts, whole)
-    for number in apart:
-        if not len(cuts[number]):
+    used: dict[int, Windows] = {}
+    held_back: list[Stretch] = []
+    for number, windows in enumerate(cuts):
+        if number not in apart:
+            held = np.zeros(len(windows), dtype=np.bool_) if apart else _with_motion(windows)
+            if held.any():
+                held_back.append(_as_stretch(number, windows.part(held), LONGEST_HELD_BACK))
+            if not held.all():
+                used[number] = windows.part(~held)
+        elif len(windows):
+            held_back.append(_as_stretch(number, commanded[number], LONGEST_WHOLE))
+        else:
             raise ConfigurationError(f"{sources[number]}: has no window with all commands and a position to hold back")
-    stretches = [_as_stretch(number, commanded[number], LONGEST_WHOLE) for number in sorted(apart)]
-    used = {number: windows for number, windows in enumerate(cuts) if number not in apart}
-    if not apart:
-        reason = "the last part of each recording with its share of the motion"
-        for number, windows in used.items():
-            chosen = _with_motion(windows)
-            used[number] = windows.part(~chosen)
-            if chosen.any():
-                stretches.append(_as_stretch(number, windows.part(chosen), LONGEST_HELD_BACK))
-    used = {number: windows for number, windows in used.items() if len(windows)}
     if not used:
         raise ConfigurationError(f"{together}: nothing is left for the fit; hold back fewer recordings")
     most = max(MOST_WINDOWS // len(used), FEWEST_OF_EACH)
@@ -108,7 +109,7 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
         fitted=Windows.joined(list(fitted.values())),
         recording=np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),
         amplitudes=len(_by_amplitude(used)),
-        held_back=stretches,
+        held_back=held_back,
         reason=reason,
         findings=[findings for _, findings in filled],
     )
@@ -147,24 +148,24 @@ def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], s
     """Numbers of the recordings that are held back as a whole, and why; none if parts of each are held back."""
     if whole:
         return set(whole), "as asked for"
-    known = [number for number, windows in enumerate(cuts) if len(windows)]
-    if len(known) < 2:
-        return set(), ""
-    amplitudes = _by_amplitude({number: cuts[number] for number in known})
+    known = {number: windows for number, windows in enumerate(cuts) if len(windows)}
+    amplitudes = _by_amplitude(known)
     if len(amplitudes) > 2:
         return set(amplitudes[len(amplitudes) // 2]), "another amplitude of the command than those of the fit"
-    sensors = {number: np.isfinite(cuts[number].signals).any(axis=(0, 2)).tobytes() for number in known}
-    times, last = Counter(sensors.values()), {kind: number for number, kind in sensors.items()}
-    apart = {number for kind, number in last.items() if times[kind] > 1}
-    return apart, "other recordings than those of the fit"
+    alike: dict[bytes, list[int]] = {}  # numbers of the recordings by the sensors that they have
+    for number, windows in known.items():
+        alike.setdefault(np.isfinite(windows.signals).any(axis=(0, 2)).tobytes(), []).append(number)
+    apart = {numbers[-1] for numbers in alike.values() if len(numbers) > 1}
+    if apart:
+        return apart, "other recordings than those of the fit"
+    return apart, "the last part of each recording with its share of the motion"
 
 
 def _by_amplitude(cuts: Mapping[int, Windows]) -> list[list[int]]:
     """Numbers of the recordings in groups of the same largest command, the smallest first."""
     largest = {number: float(np.nanmax(np.abs(windows.signals[:, COMMAND]))) for number, windows in cuts.items()}
-    ordered = sorted(cuts, key=lambda number: largest[number])
     amplitudes: list[list[int]] = []
-    for number in ordered:
+    for number in sorted(cuts, key=largest.__getitem__):
         if not amplitudes or largest[number] > SAME_AMPLITUDE * largest[amplitudes[-1][0]]:
             amplitudes.append([])
         amplitudes[-1].append(number)

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from hydro_env import ConfigurationError, TaskConfig, simulate
+from hydro_env.compiling import SOURCES, compiled, tuple_replacer
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parts.chambers import chamber_volumes
 from hydro_env.plant.parts.valve import edge_flows
@@ -27,7 +28,6 @@ from hydro_env.task.paces import periods_late
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
-from hydro_rig.estimation.first_guess import two_pressures
 from hydro_rig.recordings.channels import OVERRANGE, check_channels, check_driving, check_set_point
 from hydro_rig.recordings.files import interpolated
 from hydro_rig.recordings.findings import Finding, Weight, finding_of
@@ -224,11 +224,15 @@ def _without_gaps(samples: Sampled, config: TaskConfig) -> Sampled:
 
 def _completed(signals: Floats, config: TaskConfig) -> Floats:
     """Signals (5, T) with a spool that follows its command, and pressures of half the supply, if they are absent."""
-    whole = two_pressures(signals[None], config)[0] if config.sensors.differential_pressure else signals.copy()
-    half = np.full(whole.shape[1], 0.5 * config.plant.supply.pressure)
-    for row, usual in ((PRESSURE_A, half), (PRESSURE_B, half), (SPOOL, whole[COMMAND])):
+    whole, supply = signals.copy(), config.plant.supply
+    if config.sensors.differential_pressure:  # with equal edges the pressures add up to those of supply and tank
+        total, load = supply.pressure + supply.tank_pressure, signals[PRESSURE_A]
+        whole[PRESSURE_A], whole[PRESSURE_B] = 0.5 * (total + load), 0.5 * (total - load)
+    for row in (PRESSURE_A, PRESSURE_B):
         if not np.isfinite(whole[row]).any():
-            whole[row] = usual
+            whole[row] = 0.5 * supply.pressure
+    if not np.isfinite(whole[SPOOL]).any():
+        whole[SPOOL] = whole[COMMAND]
     return whole
 
 
@@ -250,7 +254,7 @@ def balance(signals: Floats, config: TaskConfig) -> Balance:
     both = np.ptp(signals[[PRESSURE_A, PRESSURE_B]], axis=1).all()
     force_rest = float(rest**2 / max(float(wanted @ wanted), 1e-300)) if both else 0.0
 
-    flow = _means(_flow_into_a(signals, config, c), step)[1:-1]
+    flow = _means(flow_into_a(signals, config), step)[1:-1]
     volume = chamber_volumes(position[1:-1], c)[0]
     stored = volume / c.bulk_modulus * (pressure_a[2:] - pressure_a[:-2]) / (2.0 * time)
     needed = c.area_a * speed + stored
@@ -264,14 +268,27 @@ def balance(signals: Floats, config: TaskConfig) -> Balance:
     return Balance(force_rest, slope, travel, expected)
 
 
-def _flow_into_a(signals: Floats, config: TaskConfig, c: Any) -> Floats:
-    """Flow of the nominal valve into chamber a, m³/s, (T,)."""
+def flow_into_a(signals: Floats, config: TaskConfig) -> Floats:
+    """Flow of the nominal valve into chamber a, m³/s, (T,), at signals (5, T)."""
     flow = np.empty(signals.shape[1])
     rest = State(*[0.0] * len(State._fields))._replace(supply_pressure=config.plant.supply.pressure)
-    for k, (pressure_a, pressure_b, spool) in enumerate(signals[PRESSURE_A : SPOOL + 1].T.tolist()):
-        edges = edge_flows(rest._replace(pressure_a=pressure_a, pressure_b=pressure_b, spool_position=spool), c)
-        flow[k] = edges.supply_to_a - edges.a_to_tank
+    _fill_flow(np.ascontiguousarray(signals), rest, plant_coefficients(config.plant), flow)
     return flow
+
+
+def _build(sources: int) -> Any:
+    at_readings = tuple_replacer(State, "pressure_a", "pressure_b", "spool_position")
+
+    def fill_flow(signals: Floats, rest: Any, c: Any, flow: Floats) -> None:
+        assert sources >= 0  # keys numba's cache
+        for k in range(len(flow)):
+            edges = edge_flows(at_readings(rest, signals[PRESSURE_A, k], signals[PRESSURE_B, k], signals[SPOOL, k]), c)
+            flow[k] = edges.supply_to_a - edges.a_to_tank
+
+    return compiled(fill_flow)
+
+
+_fill_flow = _build(SOURCES)
 
 
 def _change_that_helps(signals: Floats, config: TaskConfig) -> str:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import csv
 import re
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,13 +38,24 @@ def text_table(path: Path) -> tuple[pd.DataFrame, int]:
         ConfigurationError: the file cannot be read, or is not a table.
     """
     encoding, text = _beginning(path)
-    with _csv_errors(path), open(path, encoding=encoding, errors="replace", newline="\n") as file:
+    try:
         layout = layout_of(text)
-        if layout is None:
-            raise ConfigurationError(f"{path}: holds no table")
+        table = pd.DataFrame() if layout is None else _rows(path, encoding, layout)
+    except pd.errors.ParserWarning:
+        raise ConfigurationError(f"{path}: rows have more columns than the line of headings") from None
+    except (csv.Error, ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
+        raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None
+    if layout is None:
+        raise ConfigurationError(f"{path}: holds no table")
+    return table.set_axis(layout.headings, axis=1), layout.first_line
+
+
+def _rows(path: Path, encoding: str, layout: Layout) -> pd.DataFrame:
+    with open(path, encoding=encoding, errors="replace", newline="\n") as file, warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)
         for _ in range(layout.first_line - 1):
             file.readline()
-        table = pd.read_csv(
+        return pd.read_csv(
             file,
             sep=layout.separator,
             decimal=layout.decimal,
@@ -55,7 +65,6 @@ def text_table(path: Path) -> tuple[pd.DataFrame, int]:
             skipinitialspace=True,
             low_memory=False,
         )
-    return table.set_axis(layout.headings, axis=1), layout.first_line
 
 
 def layout_of(text: str) -> Layout | None:
@@ -70,37 +79,70 @@ def layout_of(text: str) -> Layout | None:
         csv.Error: a line is too long for a table.
         ValueError: the line above the numbers has another number of cells.
     """
-    whole = text.split("\n")
-    numbers = [k for k, line in enumerate(whole) if line.strip() and not _is_comment(line)][:MOST_LINES]
-    if not numbers:
+    lines = text.split("\n")
+    used = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)][:MOST_LINES]
+    if not used:
         return None
-    lines = [whole[k].strip("\r") for k in numbers]
-    separator = next((mark for mark in ";\t," if 2 * sum(mark in line for line in lines) > len(lines)), SPACES)
-    if separator == SPACES and not all(_NUMBER.fullmatch(cell) for cell in lines[-1].split()):
-        separator = ","
-    rows = [_cells(line, separator) for line in lines]
+    separator = _separator_of([lines[k] for k in used])
+    rows = [_cells(lines[k].strip("\r"), separator) for k in used]
     widths = [len(row) for row in rows]
     usual = max(set(widths), key=widths.count)
-    place = next((k for k, row in enumerate(rows) if len(row) == usual and _are_headings(row)), None)
+    place = _headings_among(rows, usual)
     if place is None:
-        comments = [line.strip().lstrip("#% ") for line in whole[: numbers[0]] if _is_comment(line)]
-        comment = comments[-1] if comments else ""
-        above = _cells(comment, "," if separator == SPACES and "," in comment else separator)
-        if len(above) == usual and _are_headings(above):
-            return _layout(above, separator, numbers[0] + 1, text)
-        first = next((k for k, row in enumerate(rows) if len(row) == usual and any(map(_NUMBER.fullmatch, row))), 0)
-        place = max(first - 1, 0)
-        count = len(rows[place])
-        named = [rows[place], *rows[first:]]  # a separator at the end of lines makes no column
-        if first and count != usual and any(any(row[min(count, usual) :]) for row in named):
-            raise ValueError(
-                f"line {numbers[place] + 1} with the headings has {count} cells, the rows below it {usual}"
-            )
+        comment = _last_comment(lines[: used[0]], separator)
+        if len(comment) == usual and _are_headings(comment):
+            return _layout(comment, separator, used[0] + 1, text)
+        place = _line_above_numbers(rows, usual, used)
     headings = rows[place]
-    if place + 1 < len(rows) and len(rows[place + 1]) == len(headings) and _are_units(rows[place + 1]):
+    below = rows[place + 1] if place + 1 < len(rows) else []
+    if len(below) == len(headings) and _are_units(below):
         place += 1
-        headings = [_with_unit(name, unit) for name, unit in zip(headings, rows[place], strict=True)]
-    return _layout(headings, separator, numbers[place] + 2, text)
+        headings = [_with_unit(name, unit) for name, unit in zip(headings, below, strict=True)]
+    return _layout(headings, separator, used[place] + 2, text)
+
+
+def _separator_of(lines: Sequence[str]) -> str:
+    """A mark that stands in most lines; else spaces, if the last line holds numbers alone."""
+    for mark in ";\t,":
+        if 2 * sum(mark in line for line in lines) > len(lines):
+            return mark
+    return SPACES if all(_NUMBER.fullmatch(cell) for cell in lines[-1].split()) else ","
+
+
+def _headings_among(rows: Sequence[list[str]], usual: int) -> int | None:
+    for place, row in enumerate(rows):
+        if len(row) == usual and _are_headings(row):
+            return place
+    return None
+
+
+def _last_comment(lines: Sequence[str], separator: str) -> list[str]:
+    """Cells of the last comment among the lines above a table."""
+    comments = [line.strip().lstrip("#% ") for line in lines if _is_comment(line)]
+    if not comments:
+        return []
+    return _cells(comments[-1], "," if separator == SPACES and "," in comments[-1] else separator)
+
+
+def _line_above_numbers(rows: Sequence[list[str]], usual: int, lines: Sequence[int]) -> int:
+    """Place of the row above the first with numbers; ``lines``: number of the line of each row, from 0.
+
+    A separator at the end of lines makes no column.
+    """
+    first = 0
+    for place, row in enumerate(rows):
+        if len(row) == usual and any(map(_NUMBER.fullmatch, row)):
+            first = place
+            break
+    if first == 0:
+        return 0
+    above = rows[first - 1]
+    shorter = min(len(above), usual)
+    if len(above) != usual and any(any(row[shorter:]) for row in [above, *rows[first:]]):
+        raise ValueError(
+            f"line {lines[first - 1] + 1} with the headings has {len(above)} cells, the rows below it {usual}"
+        )
+    return first - 1
 
 
 def _layout(headings: list[str], separator: str, first_line: int, text: str) -> Layout:
@@ -149,22 +191,3 @@ def _are_units(cells: list[str]) -> bool:
 def _with_unit(name: str, unit: str) -> str:
     unit = unit.strip("[]()")
     return f"{name} [{unit}]" if unit and split_heading(name)[1] is None else name
-
-
-@contextmanager
-def _csv_errors(path: Path) -> Iterator[None]:
-    """Errors of ``pandas.read_csv`` in one line each.
-
-    Raises:
-        ConfigurationError: for any of them.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            yield
-    except ConfigurationError:
-        raise
-    except pd.errors.ParserWarning:
-        raise ConfigurationError(f"{path}: rows have more columns than the line of headings") from None
-    except (csv.Error, ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
-        raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None

@@ -8,7 +8,7 @@ from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
 from hydro_rig.recordings.channels import check_driving
 from hydro_rig.recordings.findings import Weight
-from hydro_rig.recordings.quality import _flow_into_a, balance, check_recording
+from hydro_rig.recordings.quality import balance, check_recording, flow_into_a
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import bridged, cut, on_grid, sampled
 
@@ -360,6 +360,6 @@ def test_motion_at_one_speed_is_judged_by_its_mean(sign):
     signals = np.tile(np.array([[0.0], [40.0 * BAR], [60.0 * BAR], [0.2], [2.0]]), 1000)
     time, c = CONFIG.control_period * np.arange(1000), plant_coefficients(CONFIG.plant)
     signals[3] -= 1e-3 * np.cos(3.0 * time)
-    speed = _flow_into_a(signals, CONFIG, c).mean() / c.area_a
+    speed = flow_into_a(signals, CONFIG).mean() / c.area_a
     signals[0] = sign * (speed * (time - 1.0) + 2e-3 * np.sin(3.0 * time))
     assert balance(signals, CONFIG).slope == pytest.approx(sign, rel=0.05)
