@@ -57,6 +57,12 @@ def _study(table: pd.DataFrame) -> pd.DataFrame:
     return table[(table["against"] == "PID") & (table["group"] == "all")]
 
 
+def _errors(table: pd.DataFrame) -> pd.DataFrame:
+    """One row per controller: mean errors in both frames; every leak has the same number of cases."""
+    kept = table[table["metric"].isin(("mean_error_mm", "mean_error_sensor_mm"))]
+    return kept.pivot_table("mean", "controller", "metric", sort=False).reset_index()
+
+
 def _detectors(table: pd.DataFrame) -> pd.DataFrame:
     kept = table[(table["condition"] == "ordinary") & table["level"].isin((0.05, 0.1, 0.2, 0.3, 1.0))]
     return kept[["detector", "level", "at_1_percent", "at_1_percent_low", "at_1_percent_high", "windows"]]
@@ -88,14 +94,14 @@ def _by_condition(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _seeds(table: pd.DataFrame) -> pd.DataFrame:
-    """Of what was trained: score, mean errors, time; the head without the ranges of large leaks: "≥ 0.3 l/min"."""
+    """Of what was trained: mean errors, time; the head without the ranges of large leaks: "≥ 0.3 l/min"."""
     trained = table["of"].isin(table.loc[table["figure"] == "training, s", "of"])
-    shown = table["group"].isin(("score", "all", "equal_weight", "head")) | (table["figure"] == "training, s")
+    shown = table["group"].isin(("all", "equal_weight", "head")) | (table["figure"] == "training, s")
     large = table["figure"].str.contains("leaks of (?:0.3–|0.5–|1–|2–)", regex=True)
     return table[trained & shown & ~large].drop(columns=["group", "sd"])
 
 
-SEED_DECIMALS = {"score": 1, "%": 2, "curve": 4, "s": 0}
+SEED_DECIMALS = {"%": 2, "curve": 4, "s": 0}
 """Decimals of a figure over the seeds, by the last word of its name; all others have three."""
 
 
@@ -151,13 +157,13 @@ def _trained(table: pd.DataFrame) -> pd.DataFrame:
 
 SOURCES = {
     "score": Source(
-        "study/tables/score.csv",
+        "study/tables/levels.csv",
         {
             "controller": "{controller}",
-            "score": _interval("score", 0, "low", "high"),
             "accuracy, mm": "{mean_error_mm:.4f}",
             "repeatability, mm": "{mean_error_sensor_mm:.4f}",
         },
+        keep=_errors,
     ),
     "study": Source(
         "study/tables/ratios.csv",
@@ -183,7 +189,6 @@ SOURCES = {
         "robustness/tables/ranking.csv",
         {
             "controller": "{controller}",
-            "score": _interval("score", 0),
             "accuracy ÷ PID's": _interval("equal_weight"),
             "repeatability ÷ PID's": _interval("equal_weight_sensor"),
             "worst case": "{worst_ratio:.1f}",

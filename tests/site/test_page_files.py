@@ -89,7 +89,7 @@ def test_the_condition_belongs_into_a_protocol(with_lines):
 
     def change(shipped):
         assert condition["controllers"].items() <= shipped["conditions"][name]["controllers"].items()
-        return {"conditions": {name: condition}, "bound_conditions": []}
+        return {"conditions": {name: condition}}
 
     protocol = RobustnessProtocol.from_yaml(with_lines("robustness", change))
     assert protocol.conditions[name].task == condition["task"]

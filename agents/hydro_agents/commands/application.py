@@ -48,7 +48,6 @@ GROUPS = {
         "study": "hydro_agents.commands.study:study",
         "train": "hydro_agents.commands.study:train",
         "evaluate": "hydro_agents.commands.evaluate:evaluate",
-        "bound": "hydro_agents.commands.bound:bound",
     },
     "A rig": {
         "new-rig": "hydro_agents.commands.rig:new_rig",

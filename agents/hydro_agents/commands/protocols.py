@@ -150,13 +150,12 @@ def _participants(protocol: RobustnessProtocol, agents: Mapping[str, str], study
 
 
 def _ranking(results: Results) -> Table:
-    """Score; error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
+    """Error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
     title = f"Ratios to {results.grid.controllers[0]}; conditions and families weighted equally"
-    header = ("controller", "score", "error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles")
+    header = ("controller", "error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles")
     rows = [
         (
             str(row["controller"]),
-            number(row["score"], 0),
             f"{row['equal_weight']:.3f}",
             f"{row['equal_weight_low']:.2f}–{row['equal_weight_high']:.2f}",
             *(f"{row[name]:.2f}" for name in ("worst_ratio", "travel_ratio", "reversals_ratio")),

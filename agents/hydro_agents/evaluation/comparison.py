@@ -1,9 +1,9 @@
-"""Compares controllers on the same cases: ratios, shares, probabilities and gaps, each with its interval."""
+"""Compares controllers on the same cases: ratios, shares and probabilities, each with its interval."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -27,9 +27,6 @@ Mask = NDArray[np.bool_]
 
 ALL = "all"
 """Name of what is over all conditions."""
-
-LEAST_ROOM = 0.02
-"""Below this share of the baseline's error between baseline and best found there is no score: it would be noise."""
 
 
 class Sample(NamedTuple):
@@ -80,11 +77,9 @@ class Grid:
 
     Args:
         cases: rows of the part ``tracking`` of :class:`~hydro_agents.evaluation.runner.Results`.
-        bound: cases of the best found, with ``condition``, ``family``, ``leakage_flow_lpm``, ``plant`` and the error;
-            ``None`` without one.
     """
 
-    def __init__(self, cases: pd.DataFrame, bound: pd.DataFrame | None = None) -> None:
+    def __init__(self, cases: pd.DataFrame) -> None:
         missing = {name: 0 for name in ("condition", "training_seed") if name not in cases}
         cases = cases.assign(**missing) if missing else cases
         self.controllers = [str(name) for name in cases["controller"].unique()]
@@ -100,7 +95,6 @@ class Grid:
         self._rows = {name: cases[cases["controller"] == name] for name in self.controllers}
         self._plant_weights = plant_weights(self.family)
         self._made: dict[tuple[str, str], Floats] = {}
-        self._bound = None if bound is None else bound.assign(training_seed=0)
 
     def _array(self, rows: pd.DataFrame, metric: str) -> Floats:
         seeds = {seed: index for index, seed in enumerate(sorted(rows["training_seed"].unique()))}
@@ -165,8 +159,6 @@ class Grid:
         row: dict[str, float] = {}
         for name, resampled in statistics.items():
             row |= interval(resampled, mine.plants).named(name)
-        row |= self._to_the_best(mine, theirs, ERROR, plants, situations, _gap).named("gap")
-        row |= self._to_the_best(sensed, their_sensed, ERROR_SENSOR, plants, situations, _score, kinds).named("score")
         row["worst_ratio"] = float(np.nanmax(ratios, initial=-np.inf)) if mine.plants else np.nan
         for name, metric in COMPARED.items():
             row[name] = _ratio(*self.pair(controller, against, metric.name, plants, situations))
@@ -197,41 +189,6 @@ class Grid:
         for condition in dict.fromkeys(conditions.tolist()):
             for family in dict.fromkeys(families.tolist()):
                 yield families == family, conditions == condition
-
-    def _to_the_best(
-        self, mine: Sample, theirs: Sample, metric: str, plants: Mask, situations: Mask, statistic: Any, *more: Any
-    ) -> Interval:
-        """A statistic of a controller, the baseline and the best found, on the cases that all of them have.
-
-        There is an interval if every family that has a best found has it on enough plants.
-        """
-        if self._bound is None:
-            return Interval(np.nan, np.nan, np.nan)
-        rows, columns = np.ix_(plants, situations)
-        one_seed = mine.weights._replace(seeds=np.ones((len(mine.weights.plants), 1)))
-        best = Sample(self._array(self._bound, metric)[:, rows, columns], one_seed)
-        searched = self.family[plants][best.present.any(axis=1)]
-        _, counts = np.unique(searched, return_counts=True)
-        mine, theirs = mine.where(best.present), theirs.where(best.present)
-        best = best.where(theirs.present)
-        return interval(statistic(mine, theirs, best, *more), int(min(counts, default=0)))
-
-
-def _gap(mine: Sample, theirs: Sample, best: Sample) -> Floats:
-    """(baseline − x) / (baseline − best found) of the mean true errors."""
-    return np.asarray((theirs.mean - mine.mean) / (theirs.mean - best.mean))
-
-
-def _score(mine: Sample, theirs: Sample, best: Sample, kinds: list[tuple[Mask, Mask]]) -> Floats:
-    """0 for the baseline, 100 for the best found: Σ (1 − ratio) / Σ (1 − ratio of the best found) over the kinds.
-
-    The sums run over kinds of reference and conditions; a ratio is that of the mean errors in the frame of the sensor,
-    to the baseline's. Each kind thus counts as much as it can be improved: one at which the baseline is near the best
-    found has little weight, while a mean of scores per kind would divide by almost nothing. A geometric mean would let
-    one kind with an error near zero, such as slow sines, decide the score.
-    """
-    closed, room = (np.mean(1.0 - _ratios(each, theirs, kinds), axis=0) for each in (mine, best))
-    return np.asarray(100.0 * closed / np.where(room > LEAST_ROOM, room, np.nan))
 
 
 def _ratios(mine: Sample, theirs: Sample, kinds: list[tuple[Mask, Mask]]) -> Floats:

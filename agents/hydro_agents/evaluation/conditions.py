@@ -78,7 +78,6 @@ PARTS = {
     "tracking": Part("cases", "tracking:tracking", ("robustness", "study")),
     "episodes": Part("detection", "detection:episodes", ("study",)),
     "standstill": Part("limit_cycles", "tracking:standstill", ("robustness", "study")),
-    "best_found": Part("bound", "tracking:best", ("robustness", "study")),
     "force_step": Part("force_step", "experiments:force_step"),
     "hold": Part("standstill", "experiments:hold"),
     "windows": Part("windows", "leak_protocol:windows", ("leakage",)),

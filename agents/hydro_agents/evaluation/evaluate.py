@@ -19,9 +19,8 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import check_head
 from hydro_agents.evaluation.comparison import Grid
-from hydro_agents.evaluation.conditions import Name
 from hydro_agents.evaluation.detection import LeakBounds, detection_rates, detection_summary
-from hydro_agents.evaluation.metrics import ERROR, FRAMES, METRICS
+from hydro_agents.evaluation.metrics import ERROR, METRICS
 from hydro_agents.evaluation.participants import participants, split_name
 from hydro_agents.evaluation.robustness_protocol import (
     PairedCases,
@@ -66,13 +65,6 @@ class ProtocolSettings(PairedCases):
         le=SEEDS_PER_FAMILY,
         description="plants of the search for limit cycles, each at the smallest and the largest leak; 0: no search",
     )
-    bound_plants: int = Field(
-        0,
-        ge=0,
-        le=SEEDS_PER_FAMILY,
-        description="plants of the best found per family, each at the smallest and the largest leak, for the score; "
-        "0: no score. It takes about 0.3 s per case",
-    )
     detection_episodes: int = Field(4000, ge=100, le=200_000, description="per controller, half of them healthy")
 
 
@@ -82,17 +74,10 @@ class StudyProtocol(ProtocolSettings, PairedProtocol):
     kind: Literal["study"] = "study"
     title: str = "Evaluation"
     plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
-    bound_conditions: tuple[Name, ...] = ("task",)
 
     def asked(self) -> tuple[str, ...]:
-        """Tracking, standstills and the best found; detection needs a head, which the participants have."""
-        wanted = {"standstill": self.standstill_plants, "best_found": self.bound_plants}
-        return ("tracking", *(name for name, plants in wanted.items() if plants), "episodes")
-
-    def bound_cases_in(self, name: str) -> pd.DataFrame:
-        """The cases for the best found: of the smallest and the largest leak."""
-        cases = super().bound_cases_in(name)
-        return cases[cases["leakage_flow_lpm"].isin(self.standstill_levels(name))]
+        """Tracking and standstills; detection needs a head, which the participants have."""
+        return ("tracking", "standstill", "episodes") if self.standstill_plants else ("tracking", "episodes")
 
     def standstill_levels(self, name: str) -> Sequence[float]:
         """The smallest and the largest leak."""
@@ -108,8 +93,6 @@ class Evaluation:
     families: pd.DataFrame  # the same per controller and family
     ratios: pd.DataFrame  # per controller against the first: overall, per level, per family
     growth: pd.DataFrame  # per controller and family: error at the largest leak over that at the smallest
-    score: pd.DataFrame  # per controller: 0 is the first, 100 the best found; with mean errors over all cases
-    bound: pd.DataFrame  # one row per case of the best found
     limit_cycles: pd.DataFrame  # one row per controller, training seed, level, plant: an axis at rest without noise
     limit_cycle_summary: pd.DataFrame  # per controller: standstills with a limit cycle, and the largest amplitude
     detection: pd.DataFrame  # one row per episode for the head
@@ -239,29 +222,6 @@ def growth_of(cases: pd.DataFrame) -> pd.DataFrame:
             ratio = ratio_interval(errors[:, -1], errors[:, 0])
             rows.append({"controller": name, "family": family, **ratio.columns("ratio")})
     return pd.DataFrame(rows)
-
-
-@table("score")
-def score(results: Results) -> pd.DataFrame:
-    """Score of every controller (0: the first, 100: the best found) on ``cases`` cases; errors over all its cases."""
-    bound, grid = results.part("best_found"), results.grid
-    if bound.empty:
-        return bound
-    rows = []
-    for name, own in results.part("tracking").groupby("controller", sort=False):
-        row = {"score": 0.0, "score_low": np.nan, "score_high": np.nan}
-        if name != grid.controllers[0]:
-            row = grid.compare(str(name), grid.controllers[0], grid.all_plants, grid.all_situations)
-        figures = {"score": row["score"], "low": row["score_low"], "high": row["score_high"]}
-        rows.append({"controller": name, **figures, **own[list(FRAMES)].mean(), "cases": len(bound)})
-    return pd.DataFrame(rows)
-
-
-@table("bound")
-def bound(results: Results) -> pd.DataFrame:
-    """One row per case of the best found."""
-    rows = results.part("best_found")
-    return rows if rows.empty else rows.drop(columns=["condition", "group"])
 
 
 @table("limit_cycles")

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
-from hydro_agents.evaluation.conditions import Condition, Name, Protocol, refuse_unknown
+from hydro_agents.evaluation.conditions import Condition, Protocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
@@ -105,8 +105,6 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
 
     seeds: PlantSeeds = Field("ROBUSTNESS", description="of the plants: a range of the ledger of seeds, by its name")
     chunk: int = Field(2048, ge=1, description="cases of a job")
-    bound_conditions: tuple[Name, ...] = Field((), description="conditions under which the best found is computed")
-    bound_plants: int = Field(2, ge=0, le=SEEDS_PER_FAMILY, description="of them, per level and family: it is slow")
     standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per level; 0: no search")
 
     def changed_task(self, name: str) -> TaskConfig:
@@ -134,10 +132,6 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
     def standstill_cases_in(self, name: str) -> pd.DataFrame:
         """The cases of the search for limit cycles under a condition."""
         return paired(self.standstill_levels(name), ("user",), self.standstill_plants, LEDGER[self.seeds])
-
-    def bound_cases_in(self, name: str) -> pd.DataFrame:
-        """The cases of a condition for the best found: all of its leak levels."""
-        return self.cases_in(name).query(f"plant < {self.bound_plants}")
 
     def cases_of(self, name: str, table: pd.DataFrame) -> Cases:
         """The cases of a table of :func:`paired` under a condition."""
@@ -191,7 +185,6 @@ class RobustnessProtocol(PairedProtocol):
     @model_validator(mode="after")
     def _possible(self) -> RobustnessProtocol:
         check_grid(self.standstill_leak_levels, ())
-        refuse_unknown("bound_conditions", self.bound_conditions, self.conditions, "condition")
         if "all" in self.conditions:
             raise ValueError("conditions: 'all' is the name of their mean")
         return self
@@ -201,8 +194,6 @@ class RobustnessProtocol(PairedProtocol):
         parts = ["tracking"]
         if self.standstill_plants:
             parts.append("standstill")
-        if self.bound_conditions and self.bound_plants:
-            parts.append("best_found")
         return (*parts, *(EXPERIMENTS if self.experiments else ()))
 
     @classmethod

@@ -12,7 +12,6 @@ from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.statistics import interval
 
 LEAK_GROUP = "leak"
-CLOSED = ("gap", "score", "score_low", "score_high")  # 0 for the baseline; all other figures of the ranking are ratios
 
 
 @table("protocol")
@@ -95,8 +94,8 @@ def ranking(results: Results) -> pd.DataFrame:
     statuses = results.status[results.status["condition"].isin(list(results.protocol.conditions))]
     best = cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack().idxmin(axis=1)
     equal = [f"equal_weight{frame}{end}" for frame in ("", "_sensor") for end in ("", "_low", "_high")]
-    copied = {name: name for name in (*equal, "worst_ratio", *COMPARED, *CLOSED)} | {"mean_ratio": "ratio"}
-    figures = {baseline: {name: 0.0 if name in CLOSED else 1.0 for name in copied.values()}}
+    copied = {name: name for name in (*equal, "worst_ratio", *COMPARED)} | {"mean_ratio": "ratio"}
+    figures = {baseline: dict.fromkeys(copied.values(), 1.0)}
     if len(compared):
         figures |= compared[compared["condition"] == ALL].set_index("controller").to_dict("index")
     rows = []

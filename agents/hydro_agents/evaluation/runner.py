@@ -48,9 +48,8 @@ class Results:
 
     @cached_property
     def grid(self) -> Grid:
-        """The cases of the controllers as arrays, with those of the best found."""
-        bound = self.part("best_found")
-        return Grid(self.part("tracking"), None if bound.empty else bound)
+        """The cases of the controllers as arrays."""
+        return Grid(self.part("tracking"))
 
     def table(self, name: str) -> pd.DataFrame:
         """A table by the name of its CSV file; it is made once."""

@@ -1,4 +1,4 @@
-"""Parts of a protocol on paired cases: controllers in motion and at rest, and the search for the best commands."""
+"""Parts of a protocol on paired cases: controllers in motion and at rest."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.best_found import BestFound
 from hydro_agents.evaluation.conditions import Cell, beginning
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.participants import Participants, split_name
@@ -18,9 +17,6 @@ from hydro_agents.running.cases import Cases, ControllerError, Rollout, run_case
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.limit_cycles import standstill_metrics, standstill_task
 from hydro_env import TaskConfig
-
-BEST_FOUND = "best found"
-SEARCHES: Mapping[str, Callable[[TaskConfig], Controller]] = {BEST_FOUND: BestFound}
 
 
 def tracking(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
@@ -35,14 +31,6 @@ def standstill(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]
     for condition in protocol.conditions:
         task, cases = standstill_task(protocol.task_in(condition)), protocol.standstill_cases_in(condition)
         yield from _of_controllers(protocol, chosen, condition, at_rest, task, cases)
-
-
-def best(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
-    """Searches for the best commands, on some cases of the conditions that the protocol names."""
-    for condition in protocol.bound_conditions:
-        task, cases = protocol.task_in(condition), protocol.bound_cases_in(condition)
-        for name, search in (chosen.searches or SEARCHES).items():
-            yield _cell(protocol, name, condition, search(task), tracked, task, cases)
 
 
 def _of_controllers(protocol: PairedProtocol, chosen: Participants, condition: str, *measured: Any) -> Iterator[Cell]:

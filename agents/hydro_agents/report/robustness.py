@@ -13,7 +13,7 @@ from hydro_agents.report.canvas import Plot, curve_plot
 from hydro_agents.report.content import ALL, Content, interval, interval_text, shown, verdict
 from hydro_agents.report.palette import STRONGEST
 from hydro_agents.report.sections import Block, Fold, Points, Text, section
-from hydro_agents.report.shared import COSTS, findings_of, problems, score_plot, score_text
+from hydro_agents.report.shared import COSTS, findings_of, problems
 from hydro_agents.running.text import Cell, Table, number, setting
 
 PAGE_FILE = "robustness.html"
@@ -86,8 +86,7 @@ def comparison(content: Content) -> list[Block]:
 @section("Errors and costs", needs=("summary",))
 def costs(content: Content) -> list[Block]:
     """Ranking, errors and costs of every controller."""
-    compared = content.rows("comparison", condition=ALL)
-    return [*ranking_table(content), absolute_table(content), *score_plot(content, compared)]
+    return [*ranking_table(content), absolute_table(content)]
 
 
 @section("How it was measured", needs=("summary",))
@@ -101,7 +100,6 @@ def method(content: Content) -> list[Block]:
                 "Intervals: 95 %, bootstrap over plants and training seeds.",
                 "Equal weights: geometric mean of the ratios of all kinds of reference.",
                 FRAMES_TEXT,
-                score_text(content.baseline),
             ]
         )
     ]
@@ -170,16 +168,15 @@ def ranking_table(content: Content) -> list[Table]:
                 *(shown(own, column, 2) if own else "1.00" for column in RATIOS),
                 number(own.get("worst_ratio", 1.0), 2),
                 number(100.0 * own.get("share_better", np.nan), 0),
-                shown(row, "score", 0),
                 *(number(own.get(column, 1.0), 2) for column in COSTS),
                 *(str(int(row[key])) if key in row else "–" for key in ("best_in", "failures", "limit_cycles")),
             )
         )
     prices = (metric.ratio for metric in COSTS.values())
     counts = ("best in", "failed", "limit cycles")
-    header = ("Controller", *RATIOS.values(), "worst case", "better in, %", "score", *prices, *counts)
+    header = ("Controller", *RATIOS.values(), "worst case", "better in, %", *prices, *counts)
     errors, costs = (f"error ÷ error of {content.baseline}", 4), ("cost ÷ baseline’s", len(COSTS))
-    return [Table("All conditions", header, rows, (errors, ("", 2), costs, ("count", 3)), "dense")]
+    return [Table("All conditions", header, rows, (errors, ("", 1), costs, ("count", 3)), "dense")]
 
 
 def absolute_table(content: Content) -> Table:

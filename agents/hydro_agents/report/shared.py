@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import pandas as pd
-from matplotlib.axes import Axes
-
 from hydro_agents.evaluation.metrics import COMPARED
-from hydro_agents.report.canvas import INK, Plot, curve_plot
-from hydro_agents.report.content import Content, interval, intervals, shown, verdict
-from hydro_agents.report.palette import looks_of
+from hydro_agents.report.content import Content, interval, shown, verdict
 from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section, words_table
 from hydro_agents.running.limit_cycles import comes_to_rest
 from hydro_agents.running.text import Table, duration, number
@@ -29,34 +24,6 @@ def introduction(content: Content) -> list[Block]:
         "noise. Everything here is simulated; no real rig was measured."
     )
     return [Text(text, "soft")]
-
-
-def score_text(baseline: str) -> str:
-    """What the score means."""
-    return (
-        f"Score: 0 is {baseline}, 100 the best found, a search that knows plant, state and leak. It is Σ (1 − ratio) ÷ "
-        f"Σ (1 − ratio of the best found) over the kinds of reference; a ratio is the mean error, in the frame of the "
-        f"sensor, over that of {baseline} on the same cases."
-    )
-
-
-def score_plot(content: Content, table: pd.DataFrame) -> list[Plot]:
-    """The scores in a table; nothing without a best found."""
-    if "score" not in table:
-        return []
-    rows = intervals(table, "score", "controller").reindex(content.controllers[1:]).dropna(subset=["value"])
-    if rows.empty:
-        return []
-
-    def finish(axes: Axes) -> None:
-        for end in (0.0, 100.0):
-            axes.axvline(end, color=INK, linewidth=0.8)
-
-    note = f"{score_text(content.baseline)} Bars: 95 % interval."
-    label = f"0 = {content.baseline}, 100 = best found"
-    return [
-        curve_plot("score", "Score", note, {"": rows}, looks_of([""]), " of 100", finish, drawn="rows", xlabel=label)
-    ]
 
 
 def problems(content: Content) -> list[Block]:

@@ -16,7 +16,7 @@ from hydro_agents.report.content import Content, shown
 from hydro_agents.report.palette import Look
 from hydro_agents.report.recorded import Line, Signal, course_plot
 from hydro_agents.report.sections import Block, Fold, Points, Text, section
-from hydro_agents.report.shared import findings_of, problems, score_plot, score_text
+from hydro_agents.report.shared import findings_of, problems
 from hydro_agents.report.study_plots import tracking_plots
 from hydro_agents.running.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.running.seeds import TEST_SEEDS
@@ -122,7 +122,6 @@ def positioning(content: Content) -> list[Block]:
         Text(terms),
         overview(content),
         *growth_table(content),
-        *score_plot(content, content.table("score")),
         *tracking_plots(content),
     ]
 
@@ -170,7 +169,6 @@ def study_method(content: Content) -> list[Block]:
     sentences = [
         "Every controller runs on the same plants, references and sensor noise: all comparisons are paired. A seed "
         "fixes plant, reference and noise.",
-        *([score_text(content.baseline)] if content.has("score") else []),
         f"Intervals of means and ratios: 95 %, bootstrap over plants ({RESAMPLES} resamplings) and training seeds; of "
         "shares: 95 %, Wilson. About one in twenty of many such intervals misses its true value.",
     ]
@@ -213,12 +211,11 @@ def _leaks(table: pd.DataFrame) -> str:
 
 
 def overview(content: Content) -> Table:
-    """One row per controller over all runs: score, errors, ratios to the first one, worst cases, and costs."""
-    rows, scored, still = [], content.has("score"), content.has("limit_cycle_summary")
+    """One row per controller over all runs: errors, ratios to the first one, worst cases, and costs."""
+    rows, still = [], content.has("limit_cycle_summary")
     for name in content.controllers:
         own, ratio = content.rows("cases", controller=name), content.row("ratios", controller=name, group="all")
         accuracy, repeatability, *costs = _means(own)
-        score = [shown(content.row("score", controller=name), "score", 0)] * scored
         errors = (
             accuracy,
             shown(ratio, "ratio", 3),
@@ -226,11 +223,11 @@ def overview(content: Content) -> Table:
             repeatability,
             shown(ratio, "ratio_sensor", 3),
         )
-        rows.append((name, *score, *errors, *costs, *([_limit_cycles(content, name)] * still)))
+        rows.append((name, *errors, *costs, *([_limit_cycles(content, name)] * still)))
     accuracy, repeatability, *others = _overview_header()
     divided = f"÷ {content.baseline}'s"
     errors = (accuracy, divided, "worst run, mm", repeatability, divided)
-    header = ("Controller", *["score"] * scored, *errors, *others, *["limit cycles at rest"] * still)
+    header = ("Controller", *errors, *others, *["limit cycles at rest"] * still)
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")
 
 

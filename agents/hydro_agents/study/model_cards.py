@@ -120,9 +120,6 @@ def card_file(name: str) -> str:
 def _tracking(evaluation: Evaluation, name: str, against: str, corrects: str | None) -> Iterator[Figure]:
     """Errors against the first and the corrected controller, and what they cost."""
     cases = evaluation.cases
-    for row in evaluation.score.to_dict("records"):
-        if row["controller"] == name:
-            yield f"score (0: {against}, 100: best found)", Interval(row["score"], row["low"], row["high"])
     ratios = [evaluation.ratios[evaluation.ratios["controller"] == name]]
     if corrects not in (None, against) and corrects in evaluation.controllers:
         further = ratio_table(cases, [corrects, name])

@@ -34,7 +34,7 @@ JOB = "study --seeds"
 FIRST_ERROR = "first_mean_error_mm"
 """Column of the learning curves: error of the first controller on the same validation plants."""
 
-MAIN = ("score", "all", "equal_weight", "training", "head")
+MAIN = ("all", "equal_weight", "training", "head")
 """Groups of figures that the console shows; the table holds all."""
 
 
@@ -176,13 +176,9 @@ def _figures(study: StudySettings, folder: Path) -> Iterator[Figure]:
     """The figures of one study: of every controller relative to the first, of every training, and of the head."""
     seconds = Phases(folder).seconds
     ratios, cases = (pd.read_csv(folder / "tables" / f"{name}.csv") for name in ("ratios", "cases"))
-    scores = folder / "tables" / "score.csv"
-    score = pd.read_csv(scores).set_index("controller")["score"] if scores.exists() else {}
     first, *others = study.controllers
     of_controller = {str(name): own.reset_index(drop=True) for name, own in cases.groupby("controller", sort=False)}
     for name in others:
-        if name in score:
-            yield Figure(name, "score", "score", float(score[name]))
         yield from _ratios(name, first, study.controllers[name].corrects, ratios)
         yield from _costs(name, first, of_controller[name], of_controller[first])
     for name in study.trained:

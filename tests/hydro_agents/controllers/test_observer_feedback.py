@@ -5,6 +5,7 @@ import pytest
 from refusal import refused
 from scipy.linalg import solve_discrete_are
 
+from benchmarks.best_found import BestFound
 from hydro_agents.controllers.adrc import ADRC, ADRCGains
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
@@ -12,7 +13,6 @@ from hydro_agents.controllers.observer_feedback import SampledModel
 from hydro_agents.controllers.preview import braked
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.detection.sheet import sheet_of
-from hydro_agents.evaluation.best_found import BestFound
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 

@@ -11,7 +11,7 @@ from small_protocol import Broken, Proportional, small
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.participants import Participants, participants, split_name
 from hydro_agents.evaluation.runner import DONE, FAILED, NOT_APPLICABLE, run
-from hydro_agents.evaluation.tracking import BEST_FOUND, replay
+from hydro_agents.evaluation.tracking import replay
 from hydro_agents.running.cases import ControllerError, run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER, fingerprint
 
@@ -99,25 +99,6 @@ def test_conditions_that_change_nothing_at_standstill_share_their_search(tmp_pat
     assert by_condition[0] == by_condition[1]
     files = list((tmp_path / JOBS_FOLDER).iterdir())
     assert len(files) == 2 * 2 + 1  # two jobs for each condition, one search
-
-
-def test_the_best_found_runs_on_some_cases_and_gives_the_gap():
-    protocol = small(bound_conditions=["late"], bound_plants=2)
-    both = {"P": Proportional(), "Q": Proportional(45.0)}
-    results = run(protocol, Participants(both, searches={BEST_FOUND: lambda _: Proportional(60.0)}), jobs=1)
-    assert set(results.part("best_found")["condition"]) == {"late"}
-    assert len(results.part("best_found")) == 2 * 2 * 2
-    row = results.table("comparison").set_index("condition").loc["late"]
-    means = (
-        results.part("tracking")
-        .query("condition == 'late' and plant < 2")
-        .groupby("controller")["mean_error_mm"]
-        .mean()
-    )
-    best = results.part("best_found")["mean_error_mm"].mean()
-    assert row["gap"] == pytest.approx((means["P"] - means["Q"]) / (means["P"] - best))
-    assert "best found" not in set(results.table("ranking")["controller"])
-    assert len(results.table("bound")) == 8
 
 
 # Failures ----------------------------------------------------------------------------------------------------------

@@ -33,15 +33,13 @@ from hydro_agents.study.results import write_tables
 from hydro_env import TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)
-SETTINGS = ProtocolSettings(
-    plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=120, bound_plants=1
-)
+SETTINGS = ProtocolSettings(plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=120)
 ODD_NAME = 'PPO <b>&"quoted"'
 FACTS = {"command": "hydro study --seed 3", "seed": 3, "machine": "a box with 2 cores", "numpy": "9.9.9"}
 KEYS = (
     "level-mean_error_mm-mean", "level-valve_travel_per_s-mean", "level-reversals_per_s-mean", "family",
     "ratio", "level-mean_error_mm-worst", "run-0", "level-supply_energy_j-mean",
-    "rates", "learning", "score",
+    "rates", "learning",
 )  # fmt: skip
 DRAWING = re.compile(r'<svg[^>]*role="img".*?</svg>', flags=re.DOTALL)
 ERROR, BASE_ERROR = "validation/mean_error_mm", "validation/base_mean_error_mm"
@@ -181,7 +179,7 @@ def test_the_same_numbers_give_the_same_bytes(evaluation, page, tmp_path):
 
 
 def test_one_controller_without_a_head(tmp_path):
-    alone = {"leak_levels": (0.3,), "families": ("step",), "plants": 2, "bound_plants": 0}
+    alone = {"leak_levels": (0.3,), "families": ("step",), "plants": 2}
     settings = SETTINGS.model_copy(update=alone)
     lonely = evaluate(CONFIG, {"PID": PID(PIDGains(), CONFIG)}, None, settings)
     text = Page(rendered(lonely, curve=False, timings={}).html).text
@@ -212,14 +210,11 @@ def sentences(evaluation, **others):
     return [block.text for block in findings_of(content_of(evaluation, **others)) if isinstance(block, Text)]
 
 
-def test_scores_and_errors_in_both_frames_stand_in_the_overview(evaluation):
-    scores = evaluation.score.copy()
-    scores.loc[scores["controller"] == ODD_NAME, ["score", "low", "high"]] = (64.4, 61.0, 67.0)
+def test_errors_in_both_frames_stand_in_the_overview(evaluation):
     cases = evaluation.cases.assign(mean_error_mm=0.25, mean_error_sensor_mm=0.125)
-    table = overview(content_of(replace(evaluation, score=scores, cases=cases)))
+    table = overview(content_of(replace(evaluation, cases=cases)))
     cells = dict(zip(table.header, table.rows[1], strict=True))
-    assert (cells["score"], cells["accuracy, mm"], cells["repeatability, mm"]) == ("64 (61 to 67)", "0.250", "0.125")
-    assert "score" not in overview(content_of(replace(evaluation, score=evaluation.score.iloc[:0]))).header
+    assert (cells["accuracy, mm"], cells["repeatability, mm"]) == ("0.250", "0.125")
 
 
 def test_the_growth_of_the_error_with_the_leak_is_that_on_the_same_plants(evaluation):
@@ -356,7 +351,7 @@ def test_bounds_come_from_the_task():
     """With other classes the report speaks of other leaks, and of none of the usual ones."""
     leakage = {"class_bounds": (0.05, 0.6, 2.0), "healthy_range": (0.003, 0.05), "faulty_range": (0.2, 6.0)}
     config = TaskConfig(episode_duration=0.4, leakage=leakage)
-    settings = SETTINGS.model_copy(update={"leak_levels": (0.04, 5.0), "families": ("step",), "bound_plants": 0})
+    settings = SETTINGS.model_copy(update={"leak_levels": (0.04, 5.0), "families": ("step",)})
     evaluation = evaluate(config, {"PID": PID(PIDGains(), CONFIG)}, untrained_head(CONFIG), settings)
     found = Page(rendered(evaluation, curve=False).html)
     text = found.text + " ".join(svg.get("aria-label", "") for svg in found.all("svg"))

@@ -73,7 +73,6 @@ VALUES = {
     "leakage_head": {"episodes": 100, "validation_episodes": 100, "epochs": 1, "width": 4, "batch": 64},
     "evaluation": {"plants": 3, "detection_episodes": 100, "leak_levels": [0.01, 4.0], "families": ["step"]},
 }
-VALUES["evaluation"]["bound_plants"] = 1
 
 
 @pytest.fixture(autouse=True)

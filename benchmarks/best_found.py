@@ -1,13 +1,26 @@
-"""Predicts the positions of many axes for many sequences of commands, with the integrator of the simulator."""
+"""The best found: a predictive search on the simulator itself that knows plant, leak, state and future forces.
+
+It estimates how much better than a given controller any controller could be. It is no controller of a rig, which cannot
+measure the true plant; it takes part in any comparison by its name: ``hydro evaluate --agent
+"best found=benchmarks.best_found:BestFound"``. This script compares it with the shipped controllers.
+
+Run: python -m benchmarks.best_found [--task NAME|FILE] [--plants 3] [--leak 0.01 0.3 1 4]; some minutes.
+"""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hydro_env import TaskConfig
+from hydro_agents.evaluation.evaluate import evaluate
+from hydro_agents.evaluation.metrics import ERROR, ERROR_SENSOR
+from hydro_agents.evaluation.participants import shipped_controllers
+from hydro_agents.running.text import frame_markdown
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.compiling import SOURCES, compiled
 from hydro_env.plant.equations import Coefficients
@@ -20,12 +33,26 @@ from hydro_env.plant.kernel import (
     Plants,
     integrate,
 )
-from hydro_env.plant.states import N_STATES, TYPICAL_SIZE, State
+from hydro_env.plant.states import N_STATES, State
+from hydro_env.task.configuration import task_config
 from hydro_env.task.fault_effects import FAULT_COLUMNS
+from hydro_env.task.paces import within_a_period
 from hydro_env.task.schedules import LEAK_COLUMNS, follow_schedules
 from hydro_env.task.settings import settings_of
+from hydro_env.task.signals import POSITION as SENSOR_POSITION
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
+
+HORIZON = 20  # control periods that are planned ahead
+ITERATIONS = 2  # improvements of the plan in each control period
+SAMPLES = 8  # random changes of the plan that are tried in each iteration
+EFFORT = 2e-7  # m; cost of a change of the command by 1, squared
+EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)
+"""m; one Gauss–Newton step for each of these limits: its cost is quadratic below the limit, linear above."""
+
+STEP_LENGTHS = (1.0, 0.4)  # fractions of each Gauss–Newton step that are tried
+CHANGE_SIZES = (2.0, 0.5, 0.1, 0.02)  # largest random changes of the plan, as a fraction of 10 V
+
 
 SCHEDULED = (*LEAK_COLUMNS, Coefficients._fields.index("external_force"), *FAULT_COLUMNS)
 """Coefficients that change during an episode."""
@@ -34,7 +61,67 @@ POSITION = State._fields.index("position")
 PERTURBATION = 0.01
 """Change of a command, as a fraction of 10 V, for the sensitivities; its effect is far above the integrator's error."""
 
-STATE_CHANGE = 1e-4 * TYPICAL_SIZE  # of each state, for derivatives
+
+class BestFound:
+    """Plans the commands of N axes in each control period; :func:`~hydro_agents.running.cases.run_cases` runs it.
+
+    The search knows the true state, the plant of the episode, its leak and its forces, present and future, and the
+    reference within the task's preview. The position that the biased sensor reads follows the reference.
+
+    Args:
+        config: the task.
+    """
+
+    def __init__(self, config: TaskConfig) -> None:
+        self.config = config
+        self._axes: Axes | None = None
+
+    def begin(self, axes: Axes) -> None:
+        """Prepare for the episodes of the axes, which have just been reset."""
+        config = self.config
+        plants, latency = axes.coefficient.copy(), axes.column("latency").copy()
+        within_a_period(float(latency.max()), config, "best found")
+        self._axes = axes
+        self._prediction = Prediction(config, plants, latency, true_schedule(config, axes, config.steps + HORIZON))
+        offset = axes.column("bias")[:, SENSOR_POSITION] if config.sensors.enabled else 0.0
+        self._target = axes.reference - np.reshape(offset, (-1, 1))
+        self._plan = np.repeat(axes.column("command")[:, None], HORIZON, axis=1)
+        self._generator = np.random.default_rng(0)
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], None]:
+        """The first command of the plan, (N, 1); it reads the axes themselves, not the observation."""
+        del observation, state, episode_start, deterministic
+        axes = self._axes
+        if axes is None:
+            raise ConfigurationError("best found: reads the true states of the axes; run it with run_cases")
+        step = int(axes.column("step").max())
+        now, before = axes.state.copy(), axes.column("command").copy()
+        target = continued(self._target, step, max(self.config.preview_samples, default=0), HORIZON)
+        plan = np.concatenate([self._plan[:, 1:], self._plan[:, -1:]], axis=1)
+        for _ in range(ITERATIONS):
+            tried = self._candidates(now, before, plan, target, step)
+            positions = self._prediction.positions(now, before, tried, step)
+            cost = np.abs(target[:, None, :] - positions).mean(axis=2)
+            changes = np.diff(tried, axis=2, prepend=np.broadcast_to(before[:, None, None], (*tried.shape[:2], 1)))
+            cost += EFFORT * (changes**2).mean(axis=2)
+            plan = tried[np.arange(len(tried)), np.argmin(cost, axis=1)]
+        self._plan = plan
+        return plan[:, :1].astype(np.float32), None
+
+    def _candidates(self, now: Floats, before: Floats, plan: Floats, target: Floats, step: int) -> Floats:
+        """Candidate sequences of commands, (N, M, H); the first is the present plan."""
+        tried = [plan]
+        positions, jacobian = self._prediction.sensitivities(now, before, plan, step)
+        error = target - positions
+        for even in EVEN_ERRORS:
+            weight = 1.0 / np.maximum(np.abs(error), even)
+            found = bounded_least_squares(jacobian, error, weight, plan, before, EFFORT)
+            tried += [plan + length * (found - plan) for length in STEP_LENGTHS]
+        changes = random_changes(self._generator, SAMPLES, HORIZON, CHANGE_SIZES)
+        random = np.clip(plan[:, None, :] + changes, -1.0, 1.0)
+        return np.concatenate([np.stack(tried, axis=1), random], axis=1)
 
 
 class Prediction:
@@ -113,19 +200,6 @@ class Prediction:
             positions[period, last:] = positions[period, 0]
         differences = (positions[:, 1:] - positions[:, :1]) / changes.T
         return np.ascontiguousarray(positions[:, 0].T), np.ascontiguousarray(differences.transpose(2, 0, 1))
-
-    def next_state(self, state: Floats, before: Floats, command: Floats, step: int) -> tuple[Floats, Floats]:
-        """State (N, states) after one period with one command (N,) per axis, and its derivative.
-
-        The derivative (N, states, states) has the change of each state (second index) per change of each first state.
-        """
-        states = np.tile(state, (N_STATES + 1, 1, 1))
-        changed = np.arange(N_STATES)
-        states[changed + 1, :, changed] += STATE_CHANGE[:, None]
-        voltage = np.tile(FULL_VOLTAGE * np.stack([before, command], axis=1), (N_STATES + 1, 1, 1))
-        self._advance(states, voltage, np.zeros((N_STATES + 1, self.count, N_PEAKS)), step)
-        change = (states[1:] - states[0]) / STATE_CHANGE[:, None, None]
-        return states[0], np.ascontiguousarray(change.transpose(1, 2, 0))
 
     def _advance(self, states: Floats, voltage: Floats, peaks: Floats, step: int) -> None:
         """Advance copies of the plants, (copies, N, …) each, by one control period, in place."""
@@ -254,3 +328,25 @@ def continued(reference: Floats, step: int, known: int, horizon: int) -> Floats:
 def _agreed(a: Floats, b: Floats) -> Floats:
     """The smaller of two numbers of the same sign, else 0."""
     return np.where(a * b > 0.0, np.where(np.abs(a) < np.abs(b), a, b), 0.0)
+
+
+def main() -> None:
+    """Compare the shipped controllers with the best found, and print mean errors by family and by leak."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--task")
+    parser.add_argument("--plants", type=int, default=3)
+    parser.add_argument("--leak", type=float, nargs="+", default=[0.01, 0.3, 1.0, 4.0], help="l/min at 100 bar")
+    given = parser.parse_args()
+    task = task_config(given.task)
+    size = {"plants": given.plants, "leak_levels": given.leak, "standstill_plants": 0}
+    controllers = {**shipped_controllers(task), "best found": BestFound(task)}
+    cases = evaluate(task, controllers, settings=size).cases
+    for column in (ERROR_SENSOR, ERROR, "valve_travel_per_s"):
+        for by in ("family", "leakage_flow_lpm"):
+            means = cases.pivot_table(column, by, "controller", sort=False)
+            means.loc["mean"] = means.mean()
+            print(f"{column}:\n\n{frame_markdown(means)}\n")
+
+
+if __name__ == "__main__":
+    main()
