@@ -123,7 +123,6 @@ def _run_protocol(
 
 def _compare(study: StudySettings, agents: dict[str, str], head: Path | None, output: Path, overwrite: bool) -> None:
     """Evaluate the controllers of a study and ``agents``, by name, and write the report."""
-    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
@@ -134,9 +133,6 @@ def _compare(study: StudySettings, agents: dict[str, str], head: Path | None, ou
         print(f"hydro: left out: {reason}", file=sys.stderr)
     tell_rigs(study, controllers)
     watching = None if head == NO_HEAD else _watching(head, study.task)
-    weights = {name: what for name, what in agents.items() if what not in SHIPPED_WEIGHTS}
-    if head not in (None, NO_HEAD):
-        weights["leakage_head"] = str(head)
     with output_folder(output, "evaluate", [SETTINGS_FILE, *REPORT_FILES], overwrite=overwrite):
         write_yaml(output / SETTINGS_FILE, study.model_dump(mode="json"))
         with ProgressDisplay() as display:
@@ -148,7 +144,6 @@ def _compare(study: StudySettings, agents: dict[str, str], head: Path | None, ou
                 display,
                 configuration=read_text(output / SETTINGS_FILE),
                 command=command_line(),
-                weights=weights,
             )
         print_summary(evaluation, display)
         display.say(f"report: {(output / REPORT_FILE).resolve()}")

@@ -18,7 +18,6 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 from hydro_agents.evaluation.participants import split_name
-from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, shipped_weights
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.sections import render_page
 from hydro_agents.report.study import STUDY, Example, content_of, overview, tables_of
@@ -29,14 +28,12 @@ from hydro_agents.running.limit_cycles import rest_warning
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.text import Table
-from hydro_agents.study.model_cards import card_file, controller_card, head_card
 from hydro_agents.study.settings import StudySettings
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import read_json, write_text, write_whole
+from hydro_env.files import read_json, write_whole
 
 REPORT_FILE = "report.html"
-CARDS = "model_cards"
-REPORT_FILES = (REPORT_FILE, "tables/*.csv", FIGURE_FILES, f"{CARDS}/*.md")
+REPORT_FILES = (REPORT_FILE, "tables/*.csv", FIGURE_FILES)
 MOST_COLUMNS = 4
 """Largest number of controllers side by side on the console; more stand below each other."""
 
@@ -97,12 +94,10 @@ def evaluate_study(
     seed: int = 0,
     phases: Phases | None = None,
     training_curve: pd.DataFrame | None = None,
-    weights: Mapping[str, str] | None = None,
 ) -> Evaluation:
-    """Evaluate controllers; write tables, report and model cards into the folder.
+    """Evaluate controllers; write tables and report into the folder.
 
-    If a controller fails, a message on standard error names it; the results of the others are written. The code on the
-    cards loads ``weights``, paths by name of the controller or ``leakage_head``; default: the shipped ones.
+    If a controller fails, a message on standard error names it; the results of the others are written.
     """
 
     def work() -> Evaluation:
@@ -131,19 +126,6 @@ def evaluate_study(
         validation_error_mm=validation_errors(study.task, next(iter(working.values())))[0] if len(curve) else np.nan,
     )
     render_page(study.title, STUDY, content).write(folder / REPORT_FILE)
-    paths, ships = weights or {}, shipped_weights(SHIPPED_WEIGHTS["ppo"], study.task).name
-    cards = {
-        name: controller_card(name, controller, evaluation, command, corrects.get(name), paths.get(name), ships)
-        for name, controller in working.items()
-        if name in controllers  # a card is about the weights of one training
-    }
-    if head is not None:
-        cards["leakage_head"] = head_card(
-            head, evaluation, command, paths.get("leakage_head"), shipped_weights("leakage_head", study.task).name
-        )
-    for name, card in cards.items():
-        if card is not None:
-            write_text(folder / CARDS / card_file(name), card)
     display.update("report", 1, 1)
     for error in evaluation.errors.values():
         print(f"hydro: {error}; the others were evaluated without it", file=sys.stderr)

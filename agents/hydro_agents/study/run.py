@@ -98,7 +98,6 @@ def run_study(
             seed=seed,
             phases=phases,
             training_curve=pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(),
-            weights={name: f"controllers/{name}/{WEIGHTS}" for name in study.trained} | {"leakage_head": HEAD_WEIGHTS},
         )
         shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
     print_summary(evaluation, display)
