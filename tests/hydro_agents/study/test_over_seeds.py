@@ -43,7 +43,6 @@ def made(folder, seed):
             "mean_error_mm": [1.0, 2.0, 0.5, 1.0, 0.4, 1.0 + seed],
             "failed": [0.0, 0.0, 0.0, 1.0, 0.0, 0.0],
         } | {metric.name: [1.0, 1.0, 0.6, 0.6, 1.5, 2.5] for metric in METRICS.values() if metric.ratio},
-        "tables/score": {"controller": ["PID", "PPO"], "score": [0.0, 60.0 + seed]},
         "tables/detection_rates": {
             "controller": ["PID", "PPO"], "group": "range", "value": "0.1–0.2",
             "flagged_share": [0.9 + 0.05 * seed, 0.5],
@@ -88,7 +87,6 @@ def test_the_table_holds_every_seed_with_the_interval_of_student(runs, tmp_path)
     equal = table.loc["PPO", "mean error, kinds of reference weigh the same ÷ that of Flow linearisation"]
     np.testing.assert_allclose(equal[["mean", "low", "high"]].astype(float), 0.9)
     assert table.loc["PPO", "training, s"]["mean"] == 101.0
-    assert table.loc["PPO", "score"]["mean"] == 61.0
     assert table.loc["PPO", "mean error, leak of 0.3 l/min ÷ PID's"]["mean"] == pytest.approx(0.5)
     assert table.loc["PPO", "mean error, step ÷ PID's"]["mean"] == pytest.approx(0.8)
     worst = table.loc["PPO", "largest ratio of a case, error ÷ PID's"]
