@@ -51,9 +51,9 @@ Jobs = Annotated[
 Backend = Annotated[
     str,
     typer.Option(
-        metavar="loky|dask[=HOST:PORT]|ray[=HOST:PORT]",
-        help="Where the jobs run: processes of this machine (loky), Dask or Ray; with an address on a running cluster, "
-        "such as dask=scheduler:8786 or ray=ray://head:10001.",
+        metavar="loky|dask",
+        help="Where joblib runs the jobs: processes of this machine (loky), or the Dask cluster whose scheduler the "
+        "variable DASK_SCHEDULER_ADDRESS names.",
     ),
 ]
 
@@ -117,10 +117,9 @@ def side_by_side(command: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(command)
     def run(*arguments: Any, jobs: int | None = None, backend: str = "loky", **given: Any) -> None:
-        from hydro_agents.running.workers import workers
+        from hydro_agents.running.jobs import workers
 
-        kind, _, address = backend.partition("=")
-        with workers(jobs, kind, address or None):
+        with workers(jobs, backend):
             command(*arguments, **given)
 
     signature = inspect.signature(command, eval_str=True)

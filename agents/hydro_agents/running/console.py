@@ -71,8 +71,7 @@ def discard_output() -> None:
 class ProgressDisplay:
     """Progress of one or more phases, each with its remaining time; use as a context manager.
 
-    On a terminal each phase is a bar. Elsewhere (a log, CI, a terminal that cannot move its cursor) a line appears at
-    most every ten seconds while work is reported.
+    On a terminal each phase is a bar. Elsewhere (a log, CI) a line appears at most every ten seconds.
 
     Args:
         console: where to show it; default: standard output.
@@ -82,7 +81,16 @@ class ProgressDisplay:
     def __init__(self, console: PlainConsole | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self.console = console or PlainConsole()
         self._clock = clock
-        self._progress = _progress(self.console, clock)
+        self._progress = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(bar_width=20),
+            TextColumn("{task.percentage:3.0f} %", markup=False),
+            TimeRemainingColumn(compact=True),
+            TextColumn("{task.fields[note]}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis")),
+            console=self.console,
+            get_time=clock,
+            speed_estimate_period=ESTIMATED_FROM,
+        )
         self._tasks: dict[str, TaskID] = {}
         self._printed: dict[str, float] = {}  # time of the latest line about a phase
         # FORCE_COLOR makes Rich believe in a terminal at the other end of a pipe.
@@ -102,40 +110,17 @@ class ProgressDisplay:
             self._tasks[phase] = self._progress.add_task(phase, completed=done, total=total, note=note)
         self._progress.update(self._tasks[phase], completed=done, total=total, note=note)
         silence = self._clock() - self._printed.get(phase, -math.inf)
-        if not self._live and (done >= total or silence >= SECONDS_BETWEEN_LINES):
-            self._show_line(phase)
+        if self._live or (done < total and silence < SECONDS_BETWEEN_LINES):
+            return
+        self._printed[phase] = self._clock()
+        task = self._progress.tasks[self._tasks[phase]]
+        parts = [f"{phase}: {task.percentage:3.0f} %, {done:,} of {total:,}"]
+        if task.time_remaining:
+            parts.append(f"{duration(task.time_remaining)} left")
+        if note:
+            parts.append(note)
+        self.say(", ".join(parts))
 
     def say(self, text: str) -> None:
         """Print a separate line."""
         self.console.lines(text, soft_wrap=True)
-
-    def _show_line(self, phase: str) -> None:
-        """Print how far a phase is."""
-        self._printed[phase] = self._clock()
-        task = self._progress.tasks[self._tasks[phase]]
-        done, total = int(task.completed), int(task.total or 0)
-        if total <= 1:
-            line = f"{phase}: {'done' if done else 'begun'}"
-        else:
-            line = f"{phase}: {task.percentage:3.0f} %, {done:,} of {total:,}"
-        if task.time_remaining:
-            line += f", {duration(task.time_remaining)} left"
-        self.say(f"{line}, {task.fields['note']}" if task.fields["note"] else line)
-
-
-def _progress(console: PlainConsole, clock: Callable[[], float]) -> Progress:
-    """Bars that fit into the terminal: a narrow one cuts the note first, then the name."""
-    whole = Column(no_wrap=True)
-    name = Column(no_wrap=True, overflow="ellipsis", max_width=max(console.width - 44, 8))
-    note = Column(ratio=1, no_wrap=True, overflow="ellipsis")
-    return Progress(
-        TextColumn("{task.description}", markup=False, table_column=name),
-        BarColumn(bar_width=20),
-        TextColumn("{task.percentage:3.0f} %", markup=False, table_column=whole),
-        TimeRemainingColumn(compact=True, table_column=whole),
-        TextColumn("{task.fields[note]}", markup=False, table_column=note),
-        console=console,
-        expand=True,
-        get_time=clock,
-        speed_estimate_period=ESTIMATED_FROM,
-    )

@@ -1,8 +1,8 @@
 """Independent jobs: they run side by side through joblib, and each finished result is one file.
 
 A job is a function of its arguments: neither the order of the jobs nor the place where they run changes a bit of the
-results. The active ``joblib.parallel_config`` says where they run, and how many (:mod:`hydro_agents.running.workers`);
-without one they run one after another in this process.
+results. The active ``joblib.parallel_config`` says where they run, and how many (:func:`workers`); without one they run
+one after another in this process.
 """
 
 from __future__ import annotations
@@ -10,17 +10,21 @@ from __future__ import annotations
 import hashlib
 import inspect
 import io
+import os
 import random
 import sys
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
+from importlib import import_module
 from pathlib import Path
-from socket import gethostname
+from signal import SIG_IGN, SIGINT, signal
+from threading import Thread
+from time import sleep
 from typing import Any
 
 import joblib
@@ -41,16 +45,49 @@ _RIG = ("estimation", "recordings", "export", "identification", "diagnosis", "mo
 ROOMS = (*_AGENTS, *(f"hydro_rig/{room}" for room in _RIG))
 """Rooms whose code may change the result of a job; each uses only those before it."""
 
-_JOBS_PER_ROUND = 4
-MOST_KILLED = 3
-"""A pool whose workers are killed (for their memory, say) begins again so often."""
-
-_KILLED = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker", "RayActorError", "WorkerCrashedError")
-"""Names of the errors with which the pools of loky, Dask and Ray answer: only one of them is installed always."""
+_KILLED = ("TerminatedWorkerError", "BrokenProcessPool", "KilledWorker")  # the errors of loky and of Dask, by name
 
 Columns = dict[str, NDArray[Any]]  # numbers by name, arrays of any shape
 Report = Callable[[str, int, int], None]
 """Called with the name of the phase, the number of finished jobs, and their total."""
+
+
+@contextmanager
+def workers(jobs: int | None = None, backend: str = "loky") -> Iterator[None]:
+    """Run all jobs of a block on some workers.
+
+    Args:
+        jobs: number of jobs side by side; ``None``: one per core of this machine, or of the cluster.
+        backend: a name that joblib knows: ``loky``, processes of this machine; ``dask``, the cluster whose scheduler
+            the variable ``DASK_SCHEDULER_ADDRESS`` names, or else one that begins here and ends with the block.
+
+    Raises:
+        ConfigurationError: joblib does not know the backend, it is not installed, or its cluster does not answer.
+    """
+    options: dict[str, Any] = {"n_jobs": jobs or cpu_count()}
+    with ExitStack() as stack:
+        try:
+            if backend == "loky":
+                options |= {"initializer": _begin, "initargs": (os.getpid(),)}
+            if backend == "dask":
+                client = import_module("distributed").Client
+                options = {"n_jobs": jobs or -1, "client": stack.enter_context(client())}
+            stack.enter_context(parallel_config(backend, **options))
+        except (ImportError, OSError, ValueError) as error:
+            raise ConfigurationError(f"--backend {backend}: {error}") from None
+        yield
+
+
+def _begin(command: int) -> None:
+    """Leave Ctrl-C to the process that started this worker, and end with it: one that was killed says nothing."""
+
+    def watch() -> None:
+        while os.getppid() == command:
+            sleep(1.0)
+        os._exit(1)
+
+    signal(SIGINT, SIG_IGN)
+    Thread(target=watch, daemon=True).start()
 
 
 @dataclass(frozen=True)
@@ -90,8 +127,9 @@ class Job:
 
         Work of another place may use every room of the agents.
         """
-        makers = (self.participant, *type(self.participant).__mro__)
-        highest = max(_room(self.work, len(_AGENTS) - 1), *(_room(maker, 0) for maker in makers))
+        highest = _room(self.work, len(_AGENTS) - 1)
+        for maker in (self.participant, *type(self.participant).__mro__):
+            highest = max(highest, _room(maker, 0))
         return digest_of_code(*ROOMS[: highest + 1])
 
     @cached_property
@@ -112,6 +150,16 @@ class Job:
 def _room(maker: Any, otherwise: int) -> int:
     room = "/".join(str(getattr(maker, "__module__", "")).split(".")[:2])
     return ROOMS.index(room) if room in ROOMS else otherwise
+
+
+@cache
+def digest_of_code(*rooms: str) -> str:
+    """Digest of the compiled plant and of some rooms, such as ``hydro_agents/running``: results depend on them."""
+    digest = hashlib.sha256(str(SOURCES).encode())
+    for room in rooms:
+        for file in sorted((Path(__file__).resolve().parents[2] / room).glob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def fingerprint(*participants: Any) -> str:
@@ -154,27 +202,73 @@ def run_jobs(
         The results by the same keys, and the number of results that were read.
 
     Raises:
-        ConfigurationError: a file cannot be written, or the workers were killed again and again.
+        ConfigurationError: a file cannot be written, or a worker was killed.
     """
-    files = {key: folder / JOBS_FOLDER / job.file for key, job in listed.items() if folder is not None and job.digest}
-    stored = {key: load_result(file) for key, file in files.items()}
-    results = {key: result for key, result in stored.items() if result is not None}
+    results: dict[str, JobResult] = {}
+    waiting: dict[str, Job] = {}
+    for key, job in listed.items():
+        stored = None
+        if folder is not None and job.digest:
+            stored = load_result(folder / JOBS_FOLDER / job.file)
+        if stored is None:
+            waiting[key] = job
+        else:
+            results[key] = stored
     reused = len(results)
+    mixed = list(waiting)
+    random.Random(0).shuffle(mixed)
 
-    def report() -> None:
-        if progress is not None:
-            progress("jobs", len(results), len(listed))
-
-    report()
-    waiting = [key for key in listed if key not in results]
-    random.Random(0).shuffle(waiting)
-    with closing(answers_of({key: listed[key] for key in waiting}, jobs, at_once)) as answers:
+    if progress is not None:
+        progress("jobs", reused, len(listed))
+    with _closed_at_end(answers_of({key: waiting[key] for key in mixed}, jobs, at_once)) as answers:
         for key, result in answers:
             results[key] = result
-            if key in files and not result.error:
-                save_result(files[key], result)
-            report()
+            if folder is not None and listed[key].digest and not result.error:
+                save_result(folder / JOBS_FOLDER / listed[key].file, result)
+            if progress is not None:
+                progress("jobs", len(results), len(listed))
     return results, reused
+
+
+def answers_of(
+    waiting: Mapping[str, Job], jobs: int | None, at_once: bool = False
+) -> Generator[tuple[str, JobResult], None, None]:
+    """Results of jobs in the order of completion, each with its key; those of closed ones are lost.
+
+    A participant that has no :func:`fingerprint` stays in this process.
+
+    Args:
+        waiting: the jobs.
+        jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
+        at_once: give all of them to the workers. Otherwise the first one runs in this process, and the others read the
+            code that it compiled from the disk: better for many short jobs.
+
+    Raises:
+        ConfigurationError: a worker was killed, or has another version of the code.
+    """
+    left = dict(waiting)
+    here = [key for key, job in left.items() if job.participant is not None and not job.digest]
+    if not at_once and len(here) < len(left):
+        here.insert(0, next(key for key in left if key not in here))
+    for key in here:
+        yield _run_alone(key, left.pop(key))
+    if not left:
+        return
+    # Dask has as many jobs under way as the cluster has cores; what is sent to it can be fewer.
+    limit = jobs or get_active_backend()[1]
+    sent = {"pre_dispatch": limit} if limit and limit > 0 else {}
+    pool: Any = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered", **sent)
+    try:
+        with _closed_at_end(pool(delayed(_in_worker)(key, job, job.code) for key, job in left.items())) as answers:
+            for answer in answers:  # noqa: UP028 (`yield from` would close the answers before the warning is off)
+                yield answer
+    except Exception as error:
+        if type(error).__name__ not in _KILLED:
+            raise
+        raise ConfigurationError(
+            "a worker process was killed (for its memory?); the finished results are kept: "
+            "go on with --resume and a smaller --jobs"
+        ) from None
 
 
 @contextmanager
@@ -184,18 +278,46 @@ def beside(listed: Iterable[Job], folder: Path) -> Iterator[None]:
     The end of the block ends the rest. Without another core, or on a cluster, nothing runs beside.
     """
     backend, count = get_active_backend()
+    others = min(effective_n_jobs(count), cpu_count()) - 1
     files = {folder / JOBS_FOLDER / job.file: job for job in listed if job.digest}
     calls = [delayed(_kept)(file, job, job.code) for file, job in files.items() if not file.exists()]
-    others = min(effective_n_jobs(count), cpu_count()) - 1
     if not calls or others < 1 or type(backend).__name__ != "LokyBackend":
         yield
         return
     pool: Any = Parallel(n_jobs=others + 1, batch_size=1, pre_dispatch=others, return_as="generator_unordered")
-    answers = pool(calls)
-    try:
+    with _closed_at_end(pool(calls)):
         yield
+
+
+@contextmanager
+def _closed_at_end(answers: Generator[Any, None, None]) -> Iterator[Generator[Any, None, None]]:
+    """Cancel what is still under way when the block ends, without the warning in which joblib counts it."""
+    try:
+        yield answers
     finally:
-        _cancel(answers)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            answers.close()
+
+
+def _run_alone(key: str, job: Job) -> tuple[str, JobResult]:
+    """Run a job on one core."""
+    torch = sys.modules.get("torch")
+    threads = torch.get_num_threads() if torch is not None else 1
+    if torch is not None:
+        torch.set_num_threads(1)  # as many jobs as cores run side by side
+    try:
+        with parallel_config("sequential"):  # jobs of a job do not go to the pool that waits for it
+            return key, job.run()
+    finally:
+        if torch is not None:
+            torch.set_num_threads(threads)
+
+
+def _in_worker(key: str, job: Job, code: str) -> tuple[str, JobResult]:
+    if job.code != code:
+        raise ConfigurationError("a worker has another version of hydro_env: install the same")
+    return _run_alone(key, job)
 
 
 def _kept(file: Path, job: Job, code: str) -> None:
@@ -222,110 +344,3 @@ def load_result(path: Path) -> JobResult | None:
             return JobResult({name: stored[name] for name in stored.files})
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
-
-
-@cache
-def digest_of_code(*rooms: str) -> str:
-    """Digest of the compiled plant and of some rooms, such as ``hydro_agents/running``: results depend on them."""
-    digest = hashlib.sha256(str(SOURCES).encode())
-    for room in rooms:
-        files = sorted((Path(__file__).resolve().parents[2] / room).glob("*.py"))
-        assert files, f"{room}: has no code"
-        for file in files:
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
-
-
-def side_by_side(pool: Any, calls: Sequence[Any]) -> Generator[Any, None, None]:
-    """Answers of a pool of joblib that gives them one by one; closed early, it cancels the others without a warning."""
-    answers = pool(calls)
-    try:
-        for answer in answers:  # noqa: UP028 (`yield from` would close the answers before the warning is off)
-            yield answer
-    finally:
-        _cancel(answers)
-
-
-def _cancel(answers: Any) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # joblib counts the calls that it cancels
-        answers.close()
-
-
-def _named(key: str, job: Job) -> tuple[str, JobResult]:
-    torch = sys.modules.get("torch")
-    threads = torch.get_num_threads() if torch is not None else 1
-    if torch is not None:
-        torch.set_num_threads(1)  # as many jobs as cores run side by side
-    try:
-        with parallel_config("sequential"):  # jobs of a job do not go to the pool that waits for it
-            return key, job.run()
-    finally:
-        if torch is not None:
-            torch.set_num_threads(threads)
-
-
-def _in_worker(key: str, job: Job, code: str) -> tuple[str, JobResult]:
-    """Run a job in a process of the pool.
-
-    Raises:
-        ConfigurationError: the worker has another version of the code.
-    """
-    if job.code != code:
-        raise ConfigurationError(f"the worker on {gethostname()} has another version of hydro_env: install the same")
-    return _named(key, job)
-
-
-def answers_of(
-    waiting: Mapping[str, Job], jobs: int | None, at_once: bool = False
-) -> Generator[tuple[str, JobResult], None, None]:
-    """Results of jobs in the order of completion, each with its key; those of closed ones are lost.
-
-    Jobs whose worker is killed run again. A participant that has no :func:`fingerprint` stays in this process.
-
-    Args:
-        waiting: the jobs.
-        jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
-        at_once: give all of them to the workers. Otherwise the first one runs in this process, and the others read the
-            code that it compiled from the disk: better for many short jobs.
-
-    Raises:
-        ConfigurationError: the workers were killed again and again, or have another version of the code.
-    """
-    left = dict(waiting)
-    here = [key for key, job in left.items() if job.participant is not None and not job.digest]
-    if not at_once and len(here) < len(left):
-        here = [next(key for key in left if key not in here), *here]
-    for key in here:
-        yield _named(key, left.pop(key))
-    killed = 0
-    while left:
-        calls = [delayed(_in_worker)(key, job, job.code) for key, job in left.items()]
-        try:
-            for key, result in _pooled(calls, jobs):
-                del left[key]
-                yield key, result
-        except Exception as error:
-            if not any(kind.__name__ in _KILLED for kind in type(error).__mro__):
-                raise
-            killed += 1
-            if killed > MOST_KILLED:
-                why = f"worker processes were killed {killed} times (for their memory?); give a smaller --jobs"
-                raise ConfigurationError(f"{why}; the finished results are kept") from None
-
-
-def _pooled(calls: Sequence[Any], jobs: int | None) -> Generator[tuple[str, JobResult], None, None]:
-    """Answers of the pool of the active ``parallel_config``, as they come."""
-    limit = jobs if jobs is not None else get_active_backend()[1]
-    # Dask has as many jobs under way as the cluster has cores; what is sent to it can be fewer.
-    sent = {"pre_dispatch": limit} if limit and limit > 0 else {}
-    pool: Any
-    try:
-        pool = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered", **sent)
-    except ValueError:  # a backend that returns all results together
-        pool = Parallel(n_jobs=jobs, batch_size=1)
-        size = _JOBS_PER_ROUND * effective_n_jobs(jobs)
-        for start in range(0, len(calls), size):
-            yield from pool(calls[start : start + size])
-        return
-    yield from side_by_side(pool, calls)

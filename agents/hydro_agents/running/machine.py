@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import functools
 import os
@@ -60,18 +61,19 @@ def commit() -> str:
 
 def package_versions() -> dict[str, str]:
     """Commit of the sources, if there is one, and versions of the packages that the results depend on."""
-    names = ("gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
-    own = {"python": platform.python_version(), "hydro_env": __version__}
-    own |= {"commit": commit()} if commit() else {}
-    return {**own, **{name: version(name) for name in names}}
+    versions = {"python": platform.python_version(), "hydro_env": __version__}
+    if commit():
+        versions["commit"] = commit()
+    for name in ("gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch"):
+        versions[name] = version(name)
+    return versions
 
 
 def machine_description() -> str:
     """Processor, cores and system in one line."""
     model = platform.processor() or platform.machine()
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), model)
-    except OSError:
-        pass
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                model = line.split(":", 1)[1].strip()
     return f"{model}, {os.cpu_count()} cores, {platform.system()}"

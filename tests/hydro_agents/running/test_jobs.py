@@ -1,49 +1,99 @@
-"""A pool that is left early cancels what is under way, and says nothing of its own; a job knows its code."""
+"""Jobs give the same bits wherever they run; finished ones stay when others are killed; a job knows its code."""
 
+import os
+import signal
 import warnings
+from pathlib import Path
 
-from joblib import Parallel, delayed
+import numpy as np
+import pytest
+from command_line import assert_one_clear_line, hydro
+from joblib import effective_n_jobs
+from refusal import refused
 
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.evaluation.experiments import measured
 from hydro_agents.learning.tuning import cost_candidates
 from hydro_agents.running import jobs
-from hydro_agents.running.jobs import Job, side_by_side
+from hydro_agents.running.jobs import JOBS_FOLDER, Job, answers_of, run_jobs, workers
 from hydro_env import TaskConfig
-from hydro_rig.estimation.estimator import EstimatorDetector
-from hydro_rig.estimation.information import bound_of_windows
-from hydro_rig.monitoring import alarm_simulation
-
-CALLS = [delayed(abs)(-number) for number in range(50)]
 
 
-def pool(calls):
-    """Joblib's, as it is when calls are under way."""
-    try:
-        for function, arguments, _ in calls:
-            yield function(*arguments)
-    except GeneratorExit:
-        warnings.warn("2 tasks which were still being processed by the workers have been cancelled.", stacklevel=2)
-        raise
+def root(_, number, fatal):
+    """The root of a number, and how many jobs this one may start; the worker of the number 3 can die."""
+    if number == 3 and fatal:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"root": np.array([np.sqrt(number)]), "jobs": np.array([effective_n_jobs(None)])}
 
 
-def left_early(answers):
-    """Warnings of a generator that is closed after its first answer."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        assert next(answers) == 0
+def roots(fatal=False):
+    return {str(number): Job(root, None, (number, fatal), digest="a root") for number in range(8)}
+
+
+def bits(results):
+    return {key: result.metrics["root"].tobytes() for key, result in sorted(results.items())}
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return run_jobs(roots(), None, None, None)[0]
+
+
+@pytest.mark.parametrize("backend", ["loky", "dask"])
+def test_every_backend_gives_the_same_bits_and_a_job_starts_no_others(backend, expected, monkeypatch):
+    pytest.importorskip("distributed" if backend == "dask" else "joblib")
+    here = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    monkeypatch.setenv("PYTHONPATH", here)
+    with workers(2, backend):
+        assert effective_n_jobs(None) == 2
+        found, _ = run_jobs(roots(), None, None, None)
+    assert bits(found) == bits(expected)
+    assert {result.metrics["jobs"].item() for result in found.values()} == {1}
+
+
+def test_a_running_cluster_is_used_and_stays(expected, monkeypatch):
+    dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        with dask.config.set({"scheduler-address": cluster.scheduler_address}), workers(None, "dask"):
+            assert effective_n_jobs(None) == 2
+            found, _ = run_jobs(roots(), None, None, None, at_once=True)
+        assert client.submit(abs, -2).result() == 2
+    assert bits(found) == bits(expected)
+
+
+def test_after_a_killed_worker_finished_results_are_not_computed_again(tmp_path, expected):
+    with workers(2), refused("a worker process was killed .*--resume and a smaller --jobs"):
+        run_jobs({**roots(), "3": roots(fatal=True)["3"]}, tmp_path, None, None)
+    kept = {file: file.stat().st_mtime_ns for file in (tmp_path / JOBS_FOLDER).iterdir()}
+    assert kept
+    found, reused = run_jobs(roots(), tmp_path, None, None)
+    assert reused == len(kept)
+    assert {file: file.stat().st_mtime_ns for file in kept} == kept
+    assert bits(found) == bits(expected)
+
+
+def test_a_damaged_result_is_computed_again(tmp_path, expected):
+    run_jobs(roots(), tmp_path, None, None)
+    for file in (tmp_path / JOBS_FOLDER).iterdir():
+        file.write_bytes(file.read_bytes()[:60])
+    found, reused = run_jobs(roots(), tmp_path, None, None)
+    assert reused == 0
+    assert bits(found) == bits(expected)
+
+
+def test_jobs_that_are_left_early_end_without_a_word():
+    with workers(2), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        answers = answers_of(roots(), None, at_once=True)
+        next(answers)
         answers.close()
-    return len(caught)
 
 
-def test_what_a_stop_cancels_is_no_warning():
-    assert left_early(pool(CALLS)) == 1
-    assert left_early(side_by_side(pool, CALLS)) == 0
-
-
-def test_all_answers_come():
-    parallel = Parallel(n_jobs=2, backend="threading", return_as="generator_unordered")
-    assert sorted(side_by_side(parallel, CALLS)) == list(range(50))
+def test_a_worker_with_other_code_is_refused(monkeypatch):
+    monkeypatch.setattr(jobs, "digest_of_code", lambda *rooms: "another")
+    with workers(2), refused("has another version of hydro_env"):
+        run_jobs(roots(), None, None, None)
 
 
 def test_a_job_follows_the_code_that_it_uses(monkeypatch):
@@ -52,9 +102,17 @@ def test_a_job_follows_the_code_that_it_uses(monkeypatch):
         (Job(cost_candidates), "hydro_agents/learning"),
         (Job(measured), "hydro_agents/evaluation"),
         (Job(measured, make_controller("pid", TaskConfig())), "hydro_agents/evaluation"),
-        (Job(measured, EstimatorDetector({})), "hydro_rig/estimation"),
-        (Job(bound_of_windows), "hydro_rig/estimation"),
-        (Job(alarm_simulation.simulated), "hydro_rig/monitoring"),
-        (Job(pool), "hydro_agents/evaluation"),  # of a user
+        (Job(root), "hydro_agents/evaluation"),  # of a user
     ):
         assert job.code == jobs.ROOMS[: jobs.ROOMS.index(highest) + 1], job
+
+
+def test_a_job_of_the_rig_package_follows_its_rooms(monkeypatch):
+    estimator = pytest.importorskip("hydro_rig.estimation.estimator").EstimatorDetector({})
+    monkeypatch.setattr(jobs, "digest_of_code", lambda *rooms: rooms)
+    assert Job(measured, estimator).code[-1] == "hydro_rig/estimation"
+
+
+def test_a_backend_that_cannot_begin_is_told_in_one_line():
+    assert_one_clear_line(hydro("evaluate", "--backend", "slurm"), "--backend slurm: ", "loky")
+    assert_one_clear_line(hydro("evaluate", "--jobs", "0"), "--jobs")
