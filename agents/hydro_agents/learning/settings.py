@@ -79,9 +79,6 @@ class PPOSettings(Group):
     )
     validation_every: int = Field(1_000_000, ge=0, description="steps between validations; 0: none")
     torch_threads: int = Field(1, ge=1, le=256)
-    told_critic: bool = Field(
-        False, description="the critic, not the actor, sees leak, plant, true state and sensor biases"
-    )
     steps_per_rollout: int = Field(64, ge=2, le=1_000_000, description="control periods per axis between updates")
     minibatches: int = Field(4, ge=1)
     epochs: int = Field(4, ge=1, le=1000)
@@ -98,8 +95,6 @@ class PPOSettings(Group):
         for name in ("family_units", "see_correction", "see_estimates"):
             if getattr(self, name) and not self.residual:
                 raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
-        if self.told_critic and self.lstm_cells:
-            raise ValueError("lstm_cells: needs told_critic: false")
         if self.law is not None:
             if not self.residual or not self.normalise:
                 raise ValueError("law: needs residual: true and normalise: true")

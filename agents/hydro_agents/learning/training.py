@@ -21,7 +21,6 @@ from hydro_agents.learning.any_axis import AnyAxisFeatures
 from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, restore
 from hydro_agents.learning.features import PolicyFeatures, periods_per_step
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.privileged import ACTIVATIONS, AsymmetricPolicy
 from hydro_agents.learning.progress import Progress, TrainingCallback, training_logger
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.vec_env import AxisVecEnv, RigsVecEnv
@@ -85,7 +84,6 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
         settings.reward_scale,
         paired=settings.residual and settings.paired,
         stagger=True,
-        told_critic=settings.told_critic,
         reversal_price=settings.prices.reversal,
     )
 
@@ -129,16 +127,14 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -
     assert env.features is not None
     hidden: Any = list(settings.hidden_sizes)
     network: dict[str, Any] = {
-        "activation_fn": ACTIVATIONS[settings.activation],
+        "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[settings.activation],
         "net_arch": {"pi": hidden, "vf": hidden},
         "log_std_init": settings.initial_log_standard_deviation,
     }
     algorithm: Any = PPO
-    policy: Any = AsymmetricPolicy
+    policy = "MlpPolicy"
     if settings.lstm_cells:
         algorithm, policy, network["lstm_hidden_size"] = RecurrentPPO, "MlpLstmPolicy", settings.lstm_cells
-    else:
-        network["actor_inputs"] = env.features.size
     model = algorithm(
         policy,
         env,

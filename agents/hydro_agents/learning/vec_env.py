@@ -20,7 +20,6 @@ from hydro_agents.learning.features import (
     PolicyFeatures,
     periods_per_step,
 )
-from hydro_agents.learning.privileged import Privileged
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import AxesState
 from hydro_env.task.rewards import REWARD_TERMS
@@ -85,8 +84,6 @@ class AxisVecEnv(_SharedVecEnv):
         paired: reward relative to a twin under the corrected controller; needs features in the residual form.
         stagger: advance the clock of axis i by i/N of an episode at the first reset; the axes then restart at
             different times. The references jump at that moment; later episodes are whole.
-        told_critic: append hidden quantities to the inputs, for the critic
-            (:class:`~hydro_agents.learning.privileged.Privileged`).
         reversal_price: additional cost, per part of 10 V of the smaller swing at each reversal of the command.
         overrides: single fields of the task.
 
@@ -111,7 +108,6 @@ class AxisVecEnv(_SharedVecEnv):
         reward_scale: float = 1.0,
         paired: bool = False,
         stagger: bool = False,
-        told_critic: bool = False,
         reversal_price: float = 0.0,
         **overrides: Any,
     ) -> None:
@@ -129,12 +125,9 @@ class AxisVecEnv(_SharedVecEnv):
         self._lengths = np.zeros(count, dtype=np.int64)
         self._parts = np.zeros(len(REWARD_PARTS))
         self._periods = 0
-        any_axis = features is not None and features.for_any_axis
-        self._privileged = Privileged(self.env.config, any_axis) if told_critic else None
         observed: spaces.Space[Any] = self.env.single_observation_space
         if features is not None:
-            told = self._privileged.size if self._privileged is not None else 0
-            observed = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size + told,), np.float32)
+            observed = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size,), np.float32)
         super().__init__(count, observed, self.env.single_action_space)
         self.seed(seed)
 
@@ -165,12 +158,6 @@ class AxisVecEnv(_SharedVecEnv):
             commands, self._corrected = self.features.base.predict(observation, self._corrected, both)
             self._twin_commands, answer = commands[self.num_envs :], (commands[own], rows(self._corrected, own))
         inputs, self._state = self.features(observation[own], self._state, restarted, answer)
-        return self._with_privileged(inputs, own)
-
-    def _with_privileged(self, inputs: NDArray[np.float32], axes: slice | NDArray[np.int64]) -> NDArray[np.float32]:
-        """The policy's inputs of some axes, within their limits, with the hidden quantities for the critic."""
-        if self._privileged is not None:
-            inputs = np.concatenate([inputs, self._privileged(self.env.axes, axes)], axis=1)
         return np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -218,7 +205,7 @@ class AxisVecEnv(_SharedVecEnv):
         inputs = last[ended]
         if self.features is not None:
             inputs, _ = self.features(inputs, rows(self._state, ended), None)
-            inputs = self._with_privileged(inputs, ended)
+            inputs = np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
         for row, axis in enumerate(ended):
             infos[axis] = {
                 "terminal_observation": inputs[row],

@@ -221,19 +221,6 @@ def test_each_rig_has_its_axes_rewards_and_discount():
     env.close()
 
 
-def test_a_critic_is_told_the_same_quantities_of_every_rig(tmp_path):
-    told = SETTINGS.model_copy(update={"told_critic": True})
-    features = make_features(TASK, told, untuned(TASK))
-    env = make_axes(TASK, told, features, 0)
-    hidden = env.reset()[:, features.size :]
-    env.close()
-    assert hidden.shape[1] > len(HISTORY_SIGNALS)
-    assert np.abs(hidden).max() < 20.0
-    assert len(np.unique(hidden[::4], axis=0)) == 3
-    trained = train_policy(TASK, told, untuned(TASK), seed=1, folder=tmp_path)
-    assert trained.layers[0][0].shape[1] == features.size
-
-
 def test_a_recurrent_policy_sees_one_sample_of_history_on_every_rig(tmp_path):
     settings = SETTINGS.model_copy(update={"lstm_cells": 4})
     trained = train_policy(TASK, settings, untuned(TASK), seed=1)

@@ -81,12 +81,10 @@ def test_an_interrupted_training_ends_as_an_uninterrupted_one_bit_for_bit(tmp_pa
 
 
 @pytest.mark.parametrize("missing", ["lstm.inputs", "lstm.recurrent"])
-def test_damaged_weights_and_a_told_critic_are_refused(missing, tmp_path):
+def test_damaged_weights_are_refused(missing, tmp_path):
     file = train(tmp_path, total_steps=96).save(tmp_path / "policy")
     tensors = load_file(file)
     save_file({name: value for name, value in tensors.items() if name != missing}, file)
     redigested(file)
     with refused(missing):
         PolicyController.load(file)
-    with pytest.raises(ValueError, match="needs told_critic: false"):
-        PPOSettings(told_critic=True, lstm_cells=5)

@@ -47,7 +47,6 @@ def interrupt_at(steps):
 
 
 ALL = {
-    "told_critic": True,
     "see_correction": True,
     "full_preview": True,
     "family_units": True,

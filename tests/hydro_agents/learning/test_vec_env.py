@@ -250,5 +250,3 @@ def test_a_drawn_rig_staggers_by_its_own_steps_and_its_late_state_can_be_set():
     env.reset()
     assert env.env.axes.column("step").tolist() == [0.0, 500.0, 1000.0, 1500.0]
     env.set_state(env.get_state())
-    with refused("law: a told critic knows one rig"):
-        AxisVecEnv(task_config(rig="drawn", law=law), 4, told_critic=True)

@@ -157,14 +157,14 @@ def test_an_entry_takes_over_what_it_does_not_change(tmp_path):
         PLAIN.replace("controllers:", "training: {total_steps: 64, axes: 8}\ncontrollers:")
         + "  alone: {kind: ppo, settings: {residual: false, paired: false, axes: 16}}\n"
         "  correction: {kind: ppo, corrects: PID, settings: {prices: {reversal: 2.0}}}\n"
-        "  told: {after: correction, settings: {told_critic: true, paired: false}}\n",
+        "  wide: {after: correction, settings: {activation: tanh, paired: false}}\n",
     )
-    alone, correction, told = (found.training_settings(name) for name in ("alone", "correction", "told"))
+    alone, correction, wide = (found.training_settings(name) for name in ("alone", "correction", "wide"))
     assert found.controllers["PID"].settings == {}
-    assert (alone.total_steps, alone.axes, correction.axes, told.axes) == (64, 16, 8, 8)
-    assert (found.controllers["alone"].corrects, found.controllers["told"].corrects) == (None, "PID")
-    assert (told.told_critic, told.prices.reversal, told.paired) == (True, 2.0, False)
-    assert (correction.told_critic, correction.paired) == (False, True)
+    assert (alone.total_steps, alone.axes, correction.axes, wide.axes) == (64, 16, 8, 8)
+    assert (found.controllers["alone"].corrects, found.controllers["wide"].corrects) == (None, "PID")
+    assert (wide.activation, wide.prices.reversal, wide.paired) == ("tanh", 2.0, False)
+    assert (correction.activation, correction.paired) == ("relu", True)
     assert StudySettings(**found.model_dump(mode="json")) == found
 
 

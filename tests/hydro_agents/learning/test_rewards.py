@@ -1,81 +1,26 @@
-"""The critic may be told what is hidden; the actor, its weights and its reward's units stay those of a rig."""
+"""What a policy learns from: prices, units of the families, and its own correction among its inputs."""
 
 import numpy as np
 import pytest
-import torch
 from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.features import LASTING_TIME, PolicyFeatures
-from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.training import in_family_units, make_env, make_features, make_model
+from hydro_agents.learning.training import in_family_units, make_env
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import family_errors
-from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import REFERENCE_FAMILIES, TaskConfig
 from hydro_env.files import validate
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 CONFIG = TaskConfig(episode_duration=0.1)
 BASE = PID(PIDGains(), CONFIG)
-SMALL = PPOSettings(
-    total_steps=512, axes=16, steps_per_rollout=16, minibatches=2, epochs=2, hidden_sizes=(8,), told_critic=True
-)
 
 
 def axes(count=6, **options):
     return AxisVecEnv(CONFIG, count, PolicyFeatures(CONFIG, BASE, 0.5, see_correction=True), seed=3, **options)
-
-
-def test_only_the_critic_reads_what_it_is_told():
-    features = make_features(CONFIG, SMALL, BASE)
-    env = make_env(CONFIG, SMALL, features, 0)
-    model = make_model(env, SMALL, 0)
-    inputs = env.reset()
-    assert inputs.shape[1] > features.size
-    other = inputs.copy()
-    other[:, features.size :] += 1.0
-    outputs, values = [], []
-    for given in (inputs, other):
-        outputs.append(model.predict(given, deterministic=True)[0])
-        values.append(model.policy.predict_values(model.policy.obs_to_tensor(given)[0]).detach().numpy())
-    np.testing.assert_array_equal(*outputs)
-    assert np.all(np.abs(values[0] - values[1]) > 1e-6)
-    observation, _ = ServoHydraulicVectorEnv(16, env.env.config).reset(seed=0)
-    first = PolicyController.from_sb3(model)
-    assert first.layers[0][0].shape[1] == features.size
-    command, _ = first.predict(observation[:1])
-    assert command.shape == (1, 1)
-
-
-def test_actor_and_critic_on_two_threads_get_the_gradients_of_one():
-    policy = make_model(make_env(CONFIG, SMALL, make_features(CONFIG, SMALL, BASE), 0), SMALL, 0).policy
-    extractor, inputs = policy.mlp_extractor, torch.randn(7, policy.features_dim)
-    weights = list(extractor.parameters())
-    one_thread = extractor.forward_actor(inputs), extractor.forward_critic(inputs)
-    losses = [actor.square().sum() + critic.sin().sum() for actor, critic in (extractor(inputs), one_thread)]
-    for ours, theirs in zip(*(torch.autograd.grad(loss, weights) for loss in losses), strict=True):
-        assert torch.equal(ours, theirs)
-        assert ours.abs().max() > 0.0
-
-
-def test_told_are_leak_plant_state_bias_family_and_time():
-    env = axes(told_critic=True)
-    env.set_options({"leakage_flow_lpm": [0.01, 0.1, 1.0, 1.0, 1.0, 1.0], "reference": "sine"})
-    told = env.reset()[:, env.features.size :]
-    np.testing.assert_allclose(told[:3, 0], [-2.0, -1.0, 0.0], atol=1e-6)
-    family = told[:, -1 - len(REFERENCE_FAMILIES) : -1]
-    assert np.all(family == np.eye(len(REFERENCE_FAMILIES))[REFERENCE_FAMILIES.index("sine")])
-    assert np.all(told[:, -1] == 1.0)
-    assert np.abs(told).max() < 20.0
-    for step in range(1, 21):
-        inputs, _, done, infos = env.step(np.zeros((6, 1)))
-        np.testing.assert_allclose(inputs[:, -1], 1.0 - 0.05 * (step % 20), atol=1e-6)
-    assert done.all()
-    last = np.stack([info["terminal_observation"] for info in infos])  # with the last hidden state
-    assert last.shape == inputs.shape
-    assert np.all(last[:, -1] == 0.0)
 
 
 def test_the_policy_sees_what_it_did():
