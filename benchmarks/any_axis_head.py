@@ -64,7 +64,7 @@ def rig_rows(number: int, task: TaskConfig, weights: str, own: bool, plants: See
     heads = {ANY: LeakageHead.load(weights).moved_to(task)}
     if own and task.sensors.spool_position.fitted:
         acting = [FlowLinearising(FlowLinearisingGains(), task)]
-        settings = HeadTrainingSettings(episodes=RUNS, validation_episodes=RUNS // 2, torch_threads=1)
+        settings = HeadTrainingSettings(episodes=RUNS, validation_episodes=RUNS // 2)
         heads[OWN] = train_head(task, acting, settings)
     rows = []
     for still in (False, True):

@@ -6,7 +6,6 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from typing import Any
 from unittest import mock
 
@@ -25,15 +24,14 @@ PARTS = ("environment", "policy inputs and controllers", "inference", "update", 
 """Parts of a training: steps and restarts of the axes; work of the adaptor; networks; stable-baselines3."""
 
 
-def native_model(threads: int | None = None) -> tuple[OnPolicyAlgorithm, AxisVecEnv, PPOSettings]:
-    """PPO as ``make study`` trains it, on the native vector environment, with some threads of torch; its settings."""
+def native_model() -> tuple[OnPolicyAlgorithm, AxisVecEnv, PPOSettings]:
+    """PPO as ``make study`` trains it, on the native vector environment; its settings."""
     study = default_study()
     name = study.trained[0]
     base: Any = study.make(study.controllers[name].corrects or "")
     ppo = study.training_settings(name)
     assert isinstance(ppo, PPOSettings)
-    ppo = ppo.model_copy(update={"torch_threads": threads or ppo.torch_threads})
-    torch.set_num_threads(ppo.torch_threads)
+    torch.set_num_threads(1)
     env = make_env(study.task, ppo, make_features(study.task, ppo, base), 0)
     return make_model(env, ppo, 0), env, ppo
 
@@ -42,25 +40,15 @@ def training_cases(extent: Extent) -> list[Case]:
     """Speed of PPO on the native vector environment, and the shares of its time."""
     _, env, ppo = native_model()
     env.close()
-    other = 2 if ppo.torch_threads == 1 else 1
 
-    def measure(threads: int, steps: int, run: int) -> Sequence[float]:
-        model, env, _ = native_model(threads)
+    def measure(run: int) -> Sequence[float]:
+        model, env, _ = native_model()
         model.learn(ppo.axes * ppo.steps_per_rollout)  # warm
-        return _speed_and_shares(model, env, steps)
+        return _speed_and_shares(model, env, extent.training_steps)
 
-    def case(name: str, against: str, note: str, threads: int, steps: int) -> Case:
-        rows = [Row(name, "steps/s", against, note)] + [Row(f"{name}: {part}", "% of time") for part in PARTS]
-        return Case(rows, partial(measure, threads, steps), TRAININGS)
-
-    paired = ", each with its twin under the corrected controller" if ppo.residual and ppo.paired else ""
-    size = f"{ppo.axes} axes{paired}, torch threads: {ppo.torch_threads}"
-    waiting = "fewer steps: if another process uses a core, torch's threads wait for each other"
-    more = f"{NATIVE_ROW}, torch threads: {other}"
-    return [
-        case(NATIVE_ROW, "", size, ppo.torch_threads, extent.training_steps),
-        case(more, NATIVE_ROW, waiting, other, extent.training_steps // 8),
-    ]
+    note = f"{ppo.axes} axes, each with its twin under the corrected controller; one thread of torch"
+    rows = [Row(NATIVE_ROW, "steps/s", "", note)] + [Row(f"{NATIVE_ROW}: {part}", "% of time") for part in PARTS]
+    return [Case(rows, measure, TRAININGS)]
 
 
 def _speed_and_shares(model: OnPolicyAlgorithm, env: AxisVecEnv, steps: int) -> Sequence[float]:

@@ -58,7 +58,7 @@ def study(
     With `--seeds 5` the whole study runs five times, with training seeds 0 to 4, each in a folder `seed 0`, `seed 1`,
     … on the same test plants. `tables/over_seeds.csv` then holds every figure by seed, with mean and 95 % interval over
     the seeds, and `learning_curve.svg` the error while learning. `--resume` keeps the studies that are finished.
-    With `--config training_choices` it tells what each choice of a training is worth.
+    With `--config alone` it tells what each choice of a training is worth.
 
     With `--rig` the task is adapted to another rig: references, sensors and reward follow from its stroke, speed and
     pressure. Gains belong to a rig; the command therefore tunes the classical controllers first.

@@ -98,7 +98,7 @@ def train_head(
         KeyboardInterrupt: Ctrl-C; the folder keeps everything except the unfinished chunks or epoch.
     """
     settings.check(config)
-    torch.set_num_threads(settings.torch_threads)
+    torch.set_num_threads(1)  # more threads cost more than this small network gains
     torch.manual_seed(seed)
     began = time.monotonic()
     job = _Job(config, controllers, settings, seed, Path(folder) if folder else None, progress or (lambda *_: None))

@@ -43,12 +43,12 @@ class AnyAxisFeatures(PolicyFeatures):
         config: the task on a rig.
         base: the controller that the policy corrects, with its gains for any rig.
         correction: command per 1 of the policy's output where that error is :data:`USUAL_ERROR`.
-        sheet: whether the policy sees the data sheet.
         error: the error, as a part of the travel at full speed in a pace; :meth:`normalised` simulates it.
         samples: number of samples of the history, the newest; default: all. A policy with a memory needs one.
     """
 
     for_any_axis = True
+    see_correction = True
     normalising_seeds = SCALES.take(60)
 
     def __init__(
@@ -56,15 +56,14 @@ class AnyAxisFeatures(PolicyFeatures):
         config: TaskConfig,
         base: ClassicalController,
         correction: float = 0.2,
-        sheet: bool = True,
         error: float = USUAL_ERROR,
         samples: int | None = None,
     ) -> None:
         periods = periods_per_step(config)
         lags = tuple(max(round(lag * periods), place) for place, lag in enumerate(HISTORY_LAGS[:samples], 1))
         factor = float(np.clip(error / USUAL_ERROR, *CORRECTION_RANGE))
-        super().__init__(config, base, correction * factor, True, True, True, lags=lags)
-        self.correction, self.sheet, self.error = correction, sheet, error
+        super().__init__(config, base, correction * factor, full_preview=True, see_estimates=True, lags=lags)
+        self.correction, self.error = correction, error
         own, horizon = pace(config), self._preview.horizon
         ahead = np.minimum(np.array(PREVIEW_PACES) * own / config.control_period, horizon)
         columns = np.arange(horizon + 2)[:, None] - 1.0  # −1: the sample before now
@@ -77,7 +76,7 @@ class AnyAxisFeatures(PolicyFeatures):
         more = [min(reach, 8.0) / 4.0, math.log(error / USUAL_ERROR)]
         self._sheet = np.array([*data_sheet(config).values(), *more], np.float32)
         self.moving = len(HISTORY_SIGNALS) * (1 + len(lags)) + self._weights.shape[1] + 3 + len(base.estimate_names)
-        self.size = self.moving + (len(self._sheet) if sheet else 0)
+        self.size = self.moving + len(self._sheet)
 
     def _columns_of(self, names: tuple[str, ...]) -> NDArray[np.int64]:
         present = ["previous_command" if name not in self.layout.names else name for name in HISTORY_SIGNALS]
@@ -91,13 +90,13 @@ class AnyAxisFeatures(PolicyFeatures):
 
     def _normalised(self, parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
         moving = super()._normalised(parts)
-        if not self.sheet or self.normalisation is None:
+        if self.normalisation is None:
             return moving
         return np.concatenate([moving, np.tile(self._sheet, (len(moving), 1))], axis=1, dtype=np.float32)
 
     def describe(self) -> dict[str, Any]:
         """All data to build this object again (JSON)."""
-        own = {"any_axis": True, "sheet": self.sheet, "correction": self.correction, "error": self.error}
+        own = {"any_axis": True, "correction": self.correction, "error": self.error}
         return super().describe() | own | {"history_signals": list(HISTORY_SIGNALS)}
 
     def normalised(self) -> AnyAxisFeatures:
@@ -105,7 +104,7 @@ class AnyAxisFeatures(PolicyFeatures):
         base: Any = self.base
         errors = family_errors(self.config, base, ERROR_PLANTS, sensor_frame=True)
         error = math.exp(np.mean(np.log(list(errors.values())))) / (full_speed(self.config.plant) * pace(self.config))
-        features = AnyAxisFeatures(self.config, base, self.correction, self.sheet, error, len(self.lags))
+        features = AnyAxisFeatures(self.config, base, self.correction, error, len(self.lags))
         return PolicyFeatures.normalised(features)
 
     def moved_to(self, config: TaskConfig, gains: GainsFor = chosen_gains) -> AnyAxisFeatures:
@@ -118,6 +117,6 @@ class AnyAxisFeatures(PolicyFeatures):
         type(base)(base.gains, config)  # names a missing sensor
         usual = task_config(config, episode_duration=TaskConfig().episode_duration)  # longer ones find other gains
         own = type(base)(gains(kind_of(base), usual), usual)
-        moved = AnyAxisFeatures(usual, own, self.correction, self.sheet, samples=len(self.lags)).normalised()
+        moved = AnyAxisFeatures(usual, own, self.correction, samples=len(self.lags)).normalised()
         moved.config = config
         return moved

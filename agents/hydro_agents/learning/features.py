@@ -95,7 +95,6 @@ class PolicyFeatures:
         config: the task.
         base: the controller that the policy corrects (residual form), or ``None`` (the policy acts on its own).
         residual_scale: command per 1 of the policy's output in the residual form.
-        see_correction: whether the policy sees its last correction and the slow average of its corrections.
         full_preview: whether the policy sees every sample of the preview; those between the shown ones come from
             memory.
         see_estimates: whether the policy sees the estimates of the corrected controller.
@@ -109,6 +108,9 @@ class PolicyFeatures:
     for_any_axis = False
     """Whether the inputs mean the same on every rig."""
 
+    see_correction = False
+    """Whether the policy sees its last correction and the slow average of its corrections."""
+
     correction = 1.0
 
     normalising_seeds = SCALES.take(240)
@@ -119,7 +121,6 @@ class PolicyFeatures:
         config: TaskConfig,
         base: ClassicalController | None = None,
         residual_scale: float = 0.2,
-        see_correction: bool = False,
         full_preview: bool = False,
         see_estimates: bool = False,
         normalisation: Normalisation | None = None,
@@ -128,7 +129,6 @@ class PolicyFeatures:
         self.config, self.base, self.normalisation = config, base, normalisation
         self.layout = ObservationLayout.of(config)
         self.residual_scale = residual_scale if base is not None else 1.0
-        self.see_correction = see_correction and base is not None
         self.see_estimates = see_estimates and base is not None
         self.full_preview = full_preview
         if self.see_estimates and base is not None and not base.estimate_names:
@@ -256,7 +256,6 @@ class PolicyFeatures:
             "task": self.config.model_dump(mode="json"),
             "base": base,
             "residual_scale": self.residual_scale,
-            "see_correction": self.see_correction,
             "full_preview": self.full_preview,
             "see_estimates": self.see_estimates,
             "normalised": self.normalisation is not None,

@@ -62,13 +62,10 @@ def shipped(kind: str, config: TaskConfig, gains: GainsFor = chosen_gains) -> Co
 
 
 def shipped_weights(name: str, config: TaskConfig) -> Path:
-    """The shipped weights of a name: those for the task's rig if they exist, else those for any axis."""
+    """The shipped weights of a name: those for the paper's rig at its control period, else those for any axis."""
     ObservationLayout.of(config)  # refuses a law
-    usual = pretrained_folder() / name
-    if _usual_period(config) and config.plant == PlantParameters():
-        return usual
-    own = usual.with_name(f"{name}_{shipped_rig(config)}")
-    return own if weight_files(own)[0].is_file() else usual.with_name(f"{name}_{ANY_AXIS}")
+    at_home = _usual_period(config) and config.plant == PlantParameters()
+    return pretrained_folder() / (name if at_home else f"{name}_{ANY_AXIS}")
 
 
 def _usual_period(config: TaskConfig) -> bool:

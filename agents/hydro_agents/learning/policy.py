@@ -42,14 +42,12 @@ class _StoredFeatures(Group):
     task: TaskConfig
     base: _StoredBase | None
     residual_scale: float = Field(gt=0.0, le=2.0)
-    see_correction: bool = False
     full_preview: bool = False
     see_estimates: bool = False
     normalised: bool = False
     history_signals: tuple[str, ...]
     history_lags: tuple[Annotated[int, Field(ge=1, le=LONGEST_LAG)], ...] = Field(min_length=1, max_length=100)
     any_axis: bool = False
-    sheet: bool = True
     correction: float = Field(0.2, gt=0.0, le=2.0)
     error: float = Field(1.0, gt=0.0, le=1e6)
 
@@ -65,8 +63,8 @@ class _StoredFeatures(Group):
                 raise ConfigurationError(f"features.base.kind = '{self.base.kind}': unknown to this version")
             base = make_controller(self.base.kind, self.task, self.base.settings)
         if self.any_axis:
-            return AnyAxisFeatures(self.task, base, self.correction, self.sheet, self.error, len(self.history_lags))
-        seen = {name: getattr(self, name) for name in ("see_correction", "full_preview", "see_estimates")}
+            return AnyAxisFeatures(self.task, base, self.correction, self.error, len(self.history_lags))
+        seen = {"full_preview": self.full_preview, "see_estimates": self.see_estimates}
         features = PolicyFeatures(self.task, base, self.residual_scale, **seen, lags=self.history_lags)
         if self.history_signals != features.history:
             raise ConfigurationError("was trained on another history of signals than this version computes")

@@ -14,16 +14,11 @@ from hydro_env.units import Whole
 LARGEST_ROLLOUT = 10_000_000  # largest number of samples of a rollout; it takes some gigabytes of memory
 
 
-class Prices(Group):
-    """Costs of a control period in addition to the task's reward, relative to the twin's, if there is one."""
-
-    reversal: float = Field(
-        0.0, ge=0.0, le=1e6, description="on the smaller swing, in parts of 10 V, at a reversal of the command"
-    )
-
-
 class PPOSettings(Group):
-    """Settings of PPO; ``configs/agents/ppo.yaml`` holds those of the studies."""
+    """Settings of PPO; ``configs/agents/ppo.yaml`` holds those of the studies.
+
+    In the residual form the reward of an axis is that above its twin's under the corrected controller.
+    """
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -32,9 +27,6 @@ class PPOSettings(Group):
     applied_share: float = Field(
         1.0, gt=0.0, le=1.0, description="share of the correction that acts after the training; less leaves more margin"
     )
-    see_correction: bool = Field(
-        False, description="the policy sees its last correction and their slow average (residual form only)"
-    )
     full_preview: bool = Field(
         False, description="the policy sees every sample of the preview; those between the shown ones come from memory"
     )
@@ -42,22 +34,20 @@ class PPOSettings(Group):
         False, description="the policy sees the estimates of the corrected controller (residual form only)"
     )
     normalise: bool = Field(False, description="divide inputs by their typical sizes on training plants")
-    paired: bool = Field(
-        True, description="reward relative to a twin under the corrected controller (residual form only)"
-    )
     family_units: Literal[False, True, "sensor"] = Field(
         False,
         description="reward relative to the corrected controller's mean error in the family of the reference: true: of "
         "the true position; sensor: of the position with its sensor's bias",
     )
-    prices: Prices = Field(default_factory=Prices)
+    reversal_price: float = Field(
+        0.0, ge=0.0, le=1e6, description="on the smaller swing, in parts of 10 V, at a reversal of the command"
+    )
     practice: dict[str, Any] = Field(
         default_factory=dict, description="fields of the task with other values in training, such as the share of leaks"
     )
     law: RigLaw | None = Field(
         None, description="rigs of the training, for a policy that serves any axis; none: the task's own rig"
     )
-    sheet: bool = Field(True, description="whether a policy for any axis sees the data sheet")
     reward_scale: float = Field(0.2, gt=0.0, le=1e6)
     total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
     axes: int = Field(256, ge=1, le=65_536)
@@ -78,7 +68,6 @@ class PPOSettings(Group):
         description="per step of the rig, 1/1.54 of its pace: a control period in the default task",
     )
     validation_every: int = Field(1_000_000, ge=0, description="steps between validations; 0: none")
-    torch_threads: int = Field(1, ge=1, le=256)
     steps_per_rollout: int = Field(64, ge=2, le=1_000_000, description="control periods per axis between updates")
     minibatches: int = Field(4, ge=1)
     epochs: int = Field(4, ge=1, le=1000)
@@ -92,7 +81,7 @@ class PPOSettings(Group):
 
     @model_validator(mode="after")
     def _of_a_correction(self) -> Self:
-        for name in ("family_units", "see_correction", "see_estimates"):
+        for name in ("family_units", "see_estimates"):
             if getattr(self, name) and not self.residual:
                 raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
         if self.law is not None:

@@ -44,12 +44,11 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | 
         kind_of(corrected)  # the weights' file must be able to name it
     samples = 1 if settings.lstm_cells else None  # a memory keeps what it needs
     if settings.law:
-        return AnyAxisFeatures(config, corrected, settings.residual_scale, settings.sheet, samples=samples).normalised()
+        return AnyAxisFeatures(config, corrected, settings.residual_scale, samples=samples).normalised()
     features = PolicyFeatures(
         config,
         corrected,
         settings.residual_scale,
-        settings.see_correction,
         settings.full_preview,
         settings.see_estimates,
         lags=(1,) if samples else None,
@@ -82,9 +81,9 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
         features,
         seed,
         settings.reward_scale,
-        paired=settings.residual and settings.paired,
+        paired=settings.residual,
         stagger=True,
-        reversal_price=settings.prices.reversal,
+        reversal_price=settings.reversal_price,
     )
 
 
@@ -190,7 +189,7 @@ def train_policy(
     """
     if resume and folder is None:
         raise ConfigurationError("resume: a folder with a checkpoint is needed")
-    torch.set_num_threads(settings.torch_threads)
+    torch.set_num_threads(1)  # more threads cost more than these small networks gain
     features = make_features(config, settings, base)
     made_with = {
         "seed": seed,

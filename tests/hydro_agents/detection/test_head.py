@@ -33,7 +33,7 @@ from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)
 CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)
-SETTINGS = HeadTrainingSettings(episodes=400, validation_episodes=200, epochs=15, batch=64, width=32, torch_threads=1)
+SETTINGS = HeadTrainingSettings(episodes=400, validation_episodes=200, epochs=15, batch=64, width=32)
 SMALL = SETTINGS.model_copy(update={"episodes": 40, "validation_episodes": 30, "epochs": 3, "width": 8})
 
 

@@ -25,7 +25,7 @@ def train(folder, resume=False, progress=None, **changes):
 
 
 def test_the_weights_act_as_the_model_does_over_starts_of_episodes():
-    settings = PPOSettings(**SMALL, residual=False, paired=False)
+    settings = PPOSettings(**SMALL, residual=False)
     features = make_features(CONFIG, settings, None)
     assert features.lags == (1,)
     env = make_env(CONFIG, settings, features, 0)

@@ -7,7 +7,7 @@ from refusal import refused
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.checkpoint import CHECKPOINT_FILE
 from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
-from hydro_agents.learning.settings import PPOSettings, Prices
+from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_policy
 from hydro_agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import TaskConfig
@@ -47,14 +47,13 @@ def interrupt_at(steps):
 
 
 ALL = {
-    "see_correction": True,
     "full_preview": True,
     "family_units": True,
-    "prices": Prices(reversal=1.0),
+    "reversal_price": 1.0,
 }
 
 
-@pytest.mark.parametrize("changes", [{}, {"paired": False, "residual": False}, ALL], ids=["plain", "alone", "all"])
+@pytest.mark.parametrize("changes", [{}, {"residual": False}, ALL], ids=["plain", "alone", "all"])
 def test_interrupted_training_ends_as_an_uninterrupted_one(tmp_path, changes):
     settings = SETTINGS.model_copy(update=changes)
     expected = result(train(tmp_path / "whole", settings=settings), tmp_path / "whole" / PROGRESS_FILE)

@@ -6,7 +6,8 @@ from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.learning.features import LASTING_TIME, PolicyFeatures
+from hydro_agents.learning.any_axis import PREVIEW_PACES, AnyAxisFeatures
+from hydro_agents.learning.features import HISTORY_SIGNALS, LASTING_TIME, PolicyFeatures
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import in_family_units, make_env
 from hydro_agents.learning.vec_env import AxisVecEnv
@@ -20,13 +21,14 @@ BASE = PID(PIDGains(), CONFIG)
 
 
 def axes(count=6, **options):
-    return AxisVecEnv(CONFIG, count, PolicyFeatures(CONFIG, BASE, 0.5, see_correction=True), seed=3, **options)
+    return AxisVecEnv(CONFIG, count, PolicyFeatures(CONFIG, BASE, 0.5), seed=3, **options)
 
 
 def test_the_policy_sees_what_it_did():
-    env = axes()
+    features = AnyAxisFeatures(CONFIG, make_controller("flow_linearising", CONFIG), correction=0.5)
+    env = AxisVecEnv(CONFIG, 6, features, seed=3)
     env.reset()
-    place = len(env.features.layout.names) + 1
+    place = len(HISTORY_SIGNALS) + len(PREVIEW_PACES) + 2  # after the reference ahead and the corrected command
     slow, blend = 0.0, CONFIG.control_period / (CONFIG.control_period + LASTING_TIME)
     for step in range(1, 15):
         inputs, _, _, _ = env.step(np.full((6, 1), 0.2))
@@ -96,7 +98,7 @@ def test_units_of_the_family_in_the_frame_of_the_sensor():
 
 @pytest.mark.parametrize(
     "change",
-    [{"family_units": True}, {"see_correction": True}, {"see_estimates": True}],
+    [{"family_units": True}, {"see_estimates": True}],
 )
 def test_what_only_a_correction_has_is_refused_for_a_policy_on_its_own(change):
     with refused("needs residual: true"):

@@ -19,9 +19,7 @@ from hydro_env.task.paces import pace
 
 CONFIG = TaskConfig(episode_duration=0.1)
 BASE = PID(PIDGains(), CONFIG)
-SETTINGS = PPOSettings(
-    total_steps=1024, axes=16, steps_per_rollout=16, minibatches=2, epochs=2, hidden_sizes=(8,), torch_threads=1
-)
+SETTINGS = PPOSettings(total_steps=1024, axes=16, steps_per_rollout=16, minibatches=2, epochs=2, hidden_sizes=(8,))
 
 
 def weights_of(policy):
@@ -40,7 +38,7 @@ def test_same_seed_gives_the_same_weights_whatever_is_logged_and_another_does_no
 
 @pytest.mark.parametrize("residual", [True, False])
 def test_weights_round_trip(tmp_path, residual):
-    seen = {"see_correction": residual, "full_preview": True, "activation": "tanh"}
+    seen = {"full_preview": True, "activation": "tanh"}
     policy = train_policy(CONFIG, SETTINGS.model_copy(update={"residual": residual, "total_steps": 256, **seen}), BASE)
     policy.save(tmp_path / "policy")
     again = PolicyController.load(tmp_path / "policy.safetensors")

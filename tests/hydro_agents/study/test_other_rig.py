@@ -81,9 +81,7 @@ def test_flow_linearisation_takes_the_command_for_the_spool():
 
 def test_a_policy_without_pressures_is_trained_saved_and_read_again(tmp_path):
     base = make_controller("pid", POSITION_ALONE)
-    settings = PPOSettings(
-        total_steps=512, axes=16, steps_per_rollout=16, minibatches=2, epochs=1, hidden_sizes=(8,), torch_threads=1
-    )
+    settings = PPOSettings(total_steps=512, axes=16, steps_per_rollout=16, minibatches=2, epochs=1, hidden_sizes=(8,))
     trained = train_policy(POSITION_ALONE, settings, base, seed=1)
     features = PolicyFeatures(POSITION_ALONE, base)
     assert features.history == ("position", "velocity_estimate", "previous_command", "tracking_error")
