@@ -28,8 +28,8 @@ from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinea
 from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.rig_gains import gain_sets, searched_gains
 from hydro_agents.learning.stable_gain import proportional
-from hydro_agents.learning.tuning import gain_sets, searched_gains
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.limit_cycles import counted_at_rest

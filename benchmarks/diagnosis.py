@@ -30,7 +30,7 @@ from hydro_agents.detection.disturbances import Disturbed, drawn
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.detection.operations import ACTING, MOTIONS, at_rest
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import DIAGNOSIS
 from hydro_env import TaskConfig

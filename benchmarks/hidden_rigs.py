@@ -16,7 +16,7 @@ import pandas as pd
 
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.learning.opponents import usual_gains
+from hydro_agents.learning.loading import usual_gains
 from hydro_agents.learning.stable_gain import stable_start
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import read_yaml, write_text

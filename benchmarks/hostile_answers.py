@@ -23,7 +23,7 @@ import yaml
 from benchmarks.hostile_changes import Mangling
 from benchmarks.hostile_recordings import manglings
 from hydro_agents.detection.monitor import load_head
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_env import HydroError, TaskConfig
 from hydro_rig.diagnosis.diagnose import Companion, Diagnosis, diagnose
 from hydro_rig.diagnosis.verdict import Kind, Leak, Limits

@@ -18,8 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
-from hydro_agents.learning.opponents import usual_gains
-from hydro_agents.learning.tuning import Tuned, rig_scores, tune
+from hydro_agents.learning.loading import usual_gains
+from hydro_agents.learning.rig_gains import costs_on_rig
+from hydro_agents.learning.tuning import Search, Tuned, tune
 from hydro_agents.running.seeds import RIGS
 from hydro_env import TaskConfig
 from hydro_env.files import read_yaml, write_yaml
@@ -42,10 +43,10 @@ def tune_for_any_rig(folder: Path, evaluations: int) -> None:
     def progress(best: Tuned) -> None:
         write_yaml(folder / "gains.yaml", best.gains.model_dump(mode="json"))
         took = time.perf_counter() - began
-        print(f"{best.evaluations} candidates: {1e3 * best.score.equal:.5f} mm, {took:.0f} s", flush=True)
+        print(f"{best.evaluations} candidates: {1e3 * best.cost.equal:.5f} mm, {took:.0f} s", flush=True)
 
-    resume = log.exists()
-    tune(KIND, tasks, evaluations=evaluations, cases=CASES, start=start, log=log, resume=resume, progress=progress)
+    search = Search(evaluations=evaluations, cases=CASES, start=start)
+    tune(KIND, tasks, search, log, resume=log.exists(), progress=progress)
 
 
 def sets_for_any_rig(folder: Path, rigs: int, evaluations: int) -> None:
@@ -59,8 +60,8 @@ def sets_for_any_rig(folder: Path, rigs: int, evaluations: int) -> None:
     for number, task in enumerate(training(SET_RIGS, rigs)):
         sets.append(tuned_for(task, folder / f"set_{number:02}", evaluations, CASES))
         print(f"set {number + 1} of {rigs}", flush=True)
-    scores = [rig_scores(KIND, sets, task) for task in training(JUDGING_RIGS, 2 * rigs)]
-    errors = np.log([[score.equal for score in of_rig] for of_rig in scores])
+    costs = [costs_on_rig(KIND, sets, task) for task in training(JUDGING_RIGS, 2 * rigs)]
+    errors = np.log([[cost.equal for cost in of_rig] for of_rig in costs])
     chosen = [0]
     while len(chosen) <= min(SETS, rigs):
         left = [number for number in range(len(sets)) if number not in chosen]
@@ -76,7 +77,7 @@ def tuned_for(task: TaskConfig, folder: Path, evaluations: int, cases: int = 42)
     file = folder / "gains.yaml"
     if not file.exists():
         log = folder / "tuning.csv"
-        best = tune(KIND, task, evaluations=evaluations, cases=cases, log=log, resume=log.exists())
+        best = tune(KIND, task, Search(evaluations=evaluations, cases=cases), log, resume=log.exists())
         write_yaml(file, best.gains.model_dump(mode="json"))
     return FlowLinearisingGains(**read_yaml(file))
 

@@ -22,7 +22,7 @@ import pandas as pd
 from benchmarks.kept_rows import kept_rows
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import measured_run
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import TREND_CALIBRATION, TRENDS
 from hydro_agents.running.statistics import share_interval

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.report.canvas import GREY, WIDE, WIDTH, bars, dodge, level_axis, render, row_axis, ticks
 from hydro_agents.report.content import intervals
 from hydro_agents.report.palette import looks_of

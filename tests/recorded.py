@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config

@@ -6,7 +6,7 @@ from refusal import refused
 from scipy.optimize import lsq_linear
 
 from benchmarks.best_found import BestFound, Prediction, bounded_least_squares, continued, true_schedule
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 

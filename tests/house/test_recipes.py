@@ -146,14 +146,14 @@ FITTED = {"supply_pressure": {"fitted": True}}
 def watched_axis(folder: Path, sensors: dict) -> None:
     """Recordings of the shipped policy and of a PID on an axis with further sensors, and a diagnosis of the latter."""
     from hydro_agents.detection.monitor import load_head
-    from hydro_agents.learning.opponents import opponent
+    from hydro_agents.learning.loading import load_controller
     from hydro_rig.diagnosis.diagnose import diagnose, leak_table
     from hydro_rig.recordings.simulated import record_axis
 
     folder.mkdir()
     fitted = task_config(episode_duration=5.0, sensors=sensors)
     for kind in ("ppo", "pid"):
-        record_axis(folder / f"{kind}.csv", fitted, opponent(kind, fitted, kind), 3, 1.0, "sine")
+        record_axis(folder / f"{kind}.csv", fitted, load_controller(kind, fitted, kind), 3, 1.0, "sine")
     found = diagnose(folder / "pid.csv", fitted, load_head(None, fitted))
     assert found.read.estimator is not None
     assert found.read.companion is not None

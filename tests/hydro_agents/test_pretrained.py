@@ -8,7 +8,7 @@ from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.evaluation.detection import area_under_roc, detection_rate
 from hydro_agents.evaluation.evaluate import ProtocolSettings
-from hydro_agents.learning.opponents import opponent
+from hydro_agents.learning.loading import load_controller
 from hydro_agents.running.cases import Cases, family_errors, run_cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_agents.study.settings import default_study
@@ -20,7 +20,7 @@ STUDY = default_study()
 
 @pytest.fixture(scope="module")
 def policy():
-    return opponent("ppo", STUDY.task, "PPO")
+    return load_controller("ppo", STUDY.task, "PPO")
 
 
 def test_policy_beats_the_tuned_pid_at_every_leak(policy):
@@ -32,7 +32,7 @@ def test_policy_beats_the_tuned_pid_at_every_leak(policy):
     families = np.array([row[1] for row in rows])
     cases = Cases(np.array([VALIDATION_SEEDS.start + 700_000 + row[2] for row in rows]), leak, families)
     error = {}
-    for name, controller in (("PID", opponent("pid", STUDY.task, "PID")), ("PPO", policy)):
+    for name, controller in (("PID", load_controller("pid", STUDY.task, "PID")), ("PPO", policy)):
         run = run_cases(STUDY.task, controller, cases)
         assert (run.failed_at < 0).all()
         error[name] = np.abs(run.position - run.reference).mean(axis=1)
@@ -45,7 +45,7 @@ def test_the_policy_for_any_axis_beats_what_it_corrects_on_rigs_that_it_never_sa
     tasks = rig_tasks(task_config(law={"split": "validation", "count": 1, "first": 50, "preview_paces": []}))
     for task in (*tasks, task_config(rig="symmetric_eha", control_period=0.004)):
         corrected = FlowLinearising(FlowLinearisingGains(), task)
-        both = opponent("ppo", task, "PPO"), corrected
+        both = load_controller("ppo", task, "PPO"), corrected
         errors = [family_errors(task, each, 24, sensor_frame=True) for each in both]
         ratios = [errors[0][family] / errors[1][family] for family in errors[0]]
         assert np.exp(np.mean(np.log(ratios))) < 0.99
@@ -57,7 +57,7 @@ def test_head_flags_leaks_under_either_controller(policy, controller):
     count = 600
     flow = np.where(np.arange(count) % 2 == 0, 0.02, np.geomspace(0.3, 4.0, count))
     seeds = np.arange(count) + VALIDATION_SEEDS.start + 800_000
-    acting = policy if controller == "PPO" else opponent("pid", STUDY.task, "PID")
+    acting = policy if controller == "PPO" else load_controller("pid", STUDY.task, "PID")
     found = head.estimate_windows(measured_run(STUDY.task, acting, Cases(seeds, flow))[0])
     leaking = flow >= 0.3
     assert area_under_roc(found.probability, leaking) > 0.99

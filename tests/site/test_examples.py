@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 FURTHER = (
     "hydro_agents.controllers.pid.PID",
     "hydro_agents.controllers.pid.PIDGains",
-    "hydro_agents.learning.opponents.shipped",
+    "hydro_agents.learning.loading.shipped",
     "hydro_rig.recordings.recording.read_recording",
     "hydro_rig.recordings.simulated.record_axis",
     "hydro_agents.rigs.check.check_rig",

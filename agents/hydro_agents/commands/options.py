@@ -230,7 +230,7 @@ def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
 
 def tell_rigs(study: StudySettings, controllers: Mapping[str, Controller]) -> None:
     """Name on standard error, in one line, the controllers that were made for another rig than the study's."""
-    from hydro_agents.learning.opponents import outside_training, trained_for
+    from hydro_agents.learning.loading import outside_training, trained_for
 
     untuned = [name for name in study.tuned if name in controllers]
     foreign = [

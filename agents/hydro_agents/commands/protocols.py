@@ -65,7 +65,7 @@ def evaluate_protocol(file: Path, agents: Mapping[str, str], study_file: Path | 
 
     Args:
         file: of the protocol.
-        agents: more controllers, by NAME or NAME#SEED, as texts of ``opponent``.
+        agents: more controllers, by NAME or NAME#SEED, as texts of ``load_controller``.
         study_file: a study whose controllers take part; default: all shipped controllers.
         options: how it runs.
 

@@ -19,7 +19,7 @@ from hydro_agents.detection.features import FEATURES, LABELS, features_of
 from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation
 from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
 from hydro_agents.detection.training_settings import HeadTrainingSettings
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_env import TaskConfig

@@ -171,7 +171,7 @@ class LeakageHead:
         >>> import numpy as np
         >>> from hydro_agents.detection.detector import measured_run
         >>> from hydro_agents.detection.head import LeakageHead
-        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_agents.learning.loading import shipped
         >>> from hydro_agents.running.cases import Cases
         >>> from hydro_agents.running.folders import pretrained_folder
         >>> head = LeakageHead.load(pretrained_folder() / "leakage_head")

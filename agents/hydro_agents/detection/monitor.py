@@ -11,7 +11,7 @@ from hydro_agents.controllers.base import check_layout
 from hydro_agents.detection.detector import Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageHead
-from hydro_agents.learning.opponents import ANY_AXIS, shipped_weights
+from hydro_agents.learning.loading import shipped_weights
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
 
@@ -48,7 +48,7 @@ class HeadDetector:
         if path is not None:
             return cls(LeakageHead.load(path))
         usual = pretrained_folder() / HEAD_FILE
-        return cls(LeakageHead.load(usual), usual.with_name(f"{HEAD_FILE}_{ANY_AXIS}"))
+        return cls(LeakageHead.load(usual), usual.with_name(f"{HEAD_FILE}_any_axis"))
 
     @property
     def window(self) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Observation, ObservationLayout, as_batch
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.types import Floats

@@ -123,8 +123,9 @@ def evaluate(
     Args:
         task: ``"default"``, a YAML file, a mapping, or a TaskConfig.
         controllers: by name, objects with stable-baselines3's ``predict``, or texts for
-            :func:`~hydro_agents.learning.opponents.opponent`. The first one is the baseline of the ratios. ``NAME#0``,
-            ``NAME#1``, … are training seeds of one controller: they share its rows, whose intervals include the seeds.
+            :func:`~hydro_agents.learning.loading.load_controller`. The first one is the baseline of the ratios.
+            ``NAME#0``, ``NAME#1``, … are training seeds of one controller: they share its rows,
+            whose intervals include the seeds.
         head: leakage head, run under every controller; ``None`` leaves detection out.
         settings: size of the evaluation, :class:`ProtocolSettings` or its fields.
         progress: called with the name of the phase, the number of jobs done, and their total.

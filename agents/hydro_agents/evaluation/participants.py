@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.evaluation.robustness_protocol import ControllerChoice, PairedProtocol
-from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, Origin, opponent, origin_of_gains
+from hydro_agents.learning.loading import SHIPPED_WEIGHTS, GainsOrigin, load_controller, origin_of_gains
 from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import SEED_MARK
@@ -30,10 +30,10 @@ def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:
 
     The MPC takes part where it is named: docs/learning.md compares it with flow linearisation.
     """
-    kinds = [kind for kind in CONTROLLERS if kind != "mpc" and origin_of_gains(kind, task) != Origin.NOWHERE]
+    kinds = [kind for kind in CONTROLLERS if kind != "mpc" and origin_of_gains(kind, task) != GainsOrigin.NOWHERE]
     named: dict[str, Controller | str] = {_name(kind): kind for kind in (*kinds, *SHIPPED_WEIGHTS)}
     if task.plant != PlantParameters():
-        gone = ", ".join(_name(kind) for kind in CONTROLLERS if origin_of_gains(kind, task) == Origin.NOWHERE)
+        gone = ", ".join(_name(kind) for kind in CONTROLLERS if origin_of_gains(kind, task) == GainsOrigin.NOWHERE)
         print(f"hydro: left out: {gone}: no gains for this rig; hydro study --rig tunes some", file=sys.stderr)
         return named
     mended = make_controller("pid", task, read_yaml(config_folder() / "agents" / "pid_mended.yaml"))
@@ -93,8 +93,9 @@ def participants(
     """Make the controllers of a protocol.
 
     Args:
-        controllers: by name, objects with ``predict`` or texts of :func:`~hydro_agents.learning.opponents.opponent`.
-            The first one is the baseline. ``NAME#0``, ``NAME#1``, … are training seeds of one controller.
+        controllers: by name, objects with ``predict`` or texts of
+            :func:`~hydro_agents.learning.loading.load_controller`. The first one is the baseline. ``NAME#0``,
+            ``NAME#1``, … are training seeds of one controller.
         protocol: the protocol, which may name controllers for single conditions.
 
     Raises:
@@ -107,7 +108,7 @@ def participants(
         same = known.setdefault(split_name(name), name)
         if same != name:
             raise ConfigurationError(f"controllers '{same}' and '{name}': name the same training seed of a controller")
-    ready = {name: opponent(what, protocol.task, name) for name, what in controllers.items()}
+    ready = {name: load_controller(what, protocol.task, name) for name, what in controllers.items()}
     made: dict[tuple[str, str], Controller] = {}
     for condition, entry in protocol.conditions.items():
         for name, choice in entry.controllers.items():
@@ -122,8 +123,8 @@ def _chosen(choice: ControllerChoice, task: TaskConfig, where: str) -> Controlle
         if choice.weights is not None:
             if choice.kind not in TRAINERS:
                 raise ConfigurationError(f"kind '{choice.kind}': must be {', '.join(TRAINERS)} with weights")
-            return opponent(choice.weights, task, where, TRAINERS[choice.kind])
-        return opponent(make_controller(choice.kind, task, choice.settings), task, where)
+            return load_controller(choice.weights, task, where, TRAINERS[choice.kind])
+        return load_controller(make_controller(choice.kind, task, choice.settings), task, where)
     except ConfigurationError as error:
         raise ConfigurationError(f"{where}: {error}" if where not in str(error) else str(error)) from error
 

@@ -17,7 +17,7 @@ from hydro_agents.learning.features import (
     PolicyFeatures,
     periods_per_step,
 )
-from hydro_agents.learning.tuning import GainsFor, chosen_gains
+from hydro_agents.learning.rig_gains import GainsFor, chosen_gains
 from hydro_agents.running.cases import family_errors
 from hydro_agents.running.seeds import SCALES
 from hydro_env import TaskConfig

@@ -20,7 +20,7 @@ from hydro_agents.learning.features import (
     Normalisation,
     PolicyFeatures,
 )
-from hydro_agents.learning.tuning import GainsFor, searched_gains
+from hydro_agents.learning.rig_gains import GainsFor, searched_gains
 from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate

@@ -57,7 +57,7 @@ def resting_cases(seed: int = 0) -> Cases:
     return Cases(np.array(LEARNING.training(seed, len(leaks))), leaks, families)
 
 
-class Score(NamedTuple):
+class Cost(NamedTuple):
     """Costs of a candidate on the training cases, in m; each includes the cost of command changes."""
 
     mean: float  # mean over the cases of the task of the mean absolute error
@@ -119,19 +119,19 @@ def costs_of(
     return result
 
 
-def scored(costs: Sequence[Floats], cases: Sequence[Cases]) -> list[Score]:
-    """:class:`Score` of each candidate from :func:`costs_of`; the sums depend on the number of candidates."""
-    parts = [
-        rows[:, np.array(own.options["reference"]) == family].mean(axis=1)
-        for own, rows in zip(cases, costs, strict=True)
-        for family in dict.fromkeys(own.options["reference"])
-    ]
-    equal = np.exp(np.mean(np.log(parts), axis=0))
-    return [Score(*pair) for pair in np.stack([costs[0].mean(axis=1), equal], axis=1).tolist()]
+def summed_up(costs: Sequence[Floats], cases: Sequence[Cases]) -> list[Cost]:
+    """:class:`Cost` of each candidate from :func:`costs_of`; the sums depend on the number of candidates."""
+    parts = []
+    for own, rows in zip(cases, costs, strict=True):
+        families = np.array(own.options["reference"])
+        for family in dict.fromkeys(own.options["reference"]):
+            parts.append(rows[:, families == family].mean(axis=1))
+    means, equal = costs[0].mean(axis=1), np.exp(np.mean(np.log(parts), axis=0))
+    return [Cost(*pair) for pair in np.stack([means, equal], axis=1).tolist()]
 
 
-def over_tasks(costed: Sequence[Sequence[Score]]) -> list[Score]:
-    """The scores of each candidate on one task, or their geometric means over several."""
-    if len(costed) == 1:
-        return list(costed[0])
-    return [Score(*pair) for pair in np.exp(np.log(costed).mean(axis=0)).tolist()]
+def over_tasks(costs: Sequence[Sequence[Cost]]) -> list[Cost]:
+    """The costs of each candidate on one task, or their geometric means over several."""
+    if len(costs) == 1:
+        return list(costs[0])
+    return [Cost(*pair) for pair in np.exp(np.log(costs).mean(axis=0)).tolist()]

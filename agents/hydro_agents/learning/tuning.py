@@ -7,9 +7,7 @@ Source: Hansen & Ostermeier, *Completely derandomized self-adaptation in evoluti
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
-import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -21,37 +19,26 @@ from cmaes import CMA, SepCMA
 from joblib import effective_n_jobs
 
 from hydro_agents.controllers.base import Controller, search_space
-from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.learning.stable_gain import pids_from_figures
-from hydro_agents.learning.trials import JUDGED, REST, Score, costs_of, over_tasks, resting_cases, scored, tuning_cases
+from hydro_agents.learning.trials import (
+    JUDGED,
+    REST,
+    Cost,
+    costs_of,
+    over_tasks,
+    resting_cases,
+    summed_up,
+    tuning_cases,
+)
 from hydro_agents.running.cases import Cases
-from hydro_agents.running.folders import config_folder
 from hydro_agents.running.jobs import Columns, Job, run_jobs
-from hydro_agents.running.limit_cycles import counted_at_rest
-from hydro_agents.running.seeds import STANDSTILLS
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
-from hydro_env.files import Group, read_text, read_yaml, validate, write_text
+from hydro_env.files import Group, read_text, validate, write_text
 from hydro_env.mistakes import unknown
 from hydro_env.task.configuration import task_config
 from hydro_env.types import Floats
 
-Objective = Literal["mean", "equal"]
-GainsFor = Callable[[str, TaskConfig], Group]  # of a kind and a task
-
-POPULATION = 14  # number of candidates per generation
 EVALUATIONS = 2800
-_SIGMA = 0.2
-CLEARLY = 0.9  # of the first set's error, for another set to be chosen; few cases favour some set by chance
-CHOICE_CASES = 14  # of each set in :func:`chosen_gains`, beside the resting ones
-NEARBY = 56  # candidates of :func:`searched_gains`
-NEAR = {"pid": 0.05, "flow_linearising": 0.1}  # their first spread in parts of the search ranges
-SEARCH_CASES = 42  # of each of these candidates
-TRIALS = (1, 2, 3, 4)  # seeds of the other cases that decide in the end
-TRIAL_CASES = 84  # of each seed: many, because few plants swing
-RESTS = 96  # standstills
-PER_LIMIT_CYCLE = {"pid": 15.0, "flow_linearising": 1.5}
-"""What a limit cycle at all of them adds to the logarithm of the error; that of a PID is millimetres large."""
 
 
 class Space:
@@ -87,43 +74,53 @@ class Tuned(NamedTuple):
     """The best candidate so far."""
 
     gains: Group
-    score: Score
+    cost: Cost
     evaluations: int
+
+
+class Search(NamedTuple):
+    """How a search goes."""
+
+    objective: Literal["mean", "equal"] = "equal"
+    """Mean absolute error, or geometric mean over the families; see :class:`~hydro_agents.learning.trials.Cost`."""
+
+    evaluations: int = EVALUATIONS  # number of candidates, rounded up to whole generations
+    seed: int = 0  # of the optimiser and of the training cases
+
+    cases: int = 42
+    """Training cases of each candidate; a multiple of leak levels × families gives each the same number."""
+
+    start: Group | None = None
+    """Where it starts; default: the defaults of the class. Fields that are not searched keep these values."""
+
+    population: int = 14  # candidates per generation
+    spread: float = 0.2  # of the first generation, in parts of the search ranges
+
+    separable: bool = False
+    """Learn no correlations. Then the search is the same on every processor, because it needs no eigenvectors, whose
+    last digits differ; gains have six digits."""
+
+
+USUAL = Search()
 
 
 def tune(
     kind: str,
     config: TaskConfig | Sequence[TaskConfig],
-    objective: Objective = "equal",
-    evaluations: int = EVALUATIONS,
-    seed: int = 0,
-    cases: int = 42,
-    start: Group | None = None,
+    search: Search = USUAL,
     log: Path | None = None,
     resume: bool = False,
     progress: Callable[[Tuned], None] | None = None,
-    population: int = POPULATION,
-    spread: float = _SIGMA,
-    separable: bool = False,
 ) -> Tuned:
     """Tune the gains of a kind of :data:`~hydro_agents.controllers.registry.CONTROLLERS`.
 
     Args:
         kind: the controller.
-        config: the task; of several tasks the geometric mean of the scores counts.
-        objective: ``mean`` (mean absolute error) or ``equal`` (geometric mean over the families); see :class:`Score`.
-        evaluations: total number of candidates, rounded up to whole generations.
-        seed: of the optimiser and of the training cases.
-        cases: training cases of each candidate; a multiple of leak levels × families gives each the same number.
-        start: gains from which the search starts; their class's defaults by default. Fields that are not searched keep
-            these values.
+        config: the task; of several tasks the geometric mean of the costs counts.
+        search: how the search goes.
         log: CSV file with the costs of every generation. It is also the checkpoint.
         resume: continue from ``log``; the result is bit-equal to that of an uninterrupted run.
         progress: called after every generation with the best candidate so far.
-        population: candidates per generation.
-        spread: of the first generation, in parts of the search ranges.
-        separable: learn no correlations. Then the search is the same on every processor, because it needs no
-            eigenvectors, whose last digits differ; gains have six digits.
 
     Raises:
         ConfigurationError: the kind is unknown, or the log is damaged or was written with other settings.
@@ -131,148 +128,108 @@ def tune(
     if kind not in CONTROLLERS:
         raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}")
     group = CONTROLLERS[kind][1]
+    start = search.start or group()
     tasks = [config] if isinstance(config, TaskConfig) else list(config)
-    space, base = Space(group, tasks[0].plant), start or group()
-    described = [task.model_dump(mode="json") for task in tasks]
-    settings = {
-        "kind": kind,
-        "objective": objective,
-        "seed": seed,
-        "cases": cases,
-        "population": population,
-        "start": base.model_dump(mode="json"),
-        "task": described[0] if len(tasks) == 1 else hashlib.sha256(json.dumps(described).encode()).hexdigest(),
-    }
+    settings = _settings(kind, search, start, tasks)
     rows = _read(log, settings) if log is not None and resume else []
     resumed = len(rows)
-    bounds = np.tile([0.0, 1.0], (len(space.names), 1))
-    strategy = SepCMA if separable else CMA
-    optimiser = strategy(space.point(base), spread, bounds=bounds, seed=seed, population_size=population)
+    space = Space(group, tasks[0].plant)
+    optimiser = _optimiser(space, start, search)
     best: Tuned | None = None
-    generations = -(-evaluations // population)
-    for generation in range(generations):
-        points = [optimiser.ask() for _ in range(population)]
-        found = [space.values(point) for point in points]
-        if separable:
-            found = [{name: float(f"{value:.6g}") for name, value in values.items()} for values in found]
-        gains = [_gains(group, {**base.model_dump(), **values}) for values in found]
-        known = generation < len(rows)
-        if not known:
-            rows.append(_costed(kind, gains, tasks, cases, seed, generation > resumed))
-        scores = rows[generation]
-        costs = [getattr(score, objective) for score in scores]
+    for generation in range(-(-search.evaluations // search.population)):
+        points = [optimiser.ask() for _ in range(search.population)]
+        gains = [_gains(start, space.values(point), search.separable) for point in points]
+        new = generation >= len(rows)
+        if new:
+            rows.append(costs_of_sets(kind, gains, tasks, search.cases, search.seed, generation > resumed))
+        costs = [getattr(cost, search.objective) for cost in rows[generation]]
+        optimiser.tell(list(zip(points, costs, strict=True)))
+        evaluations = (generation + 1) * search.population
         leader = int(np.argmin(costs))
         leading = gains[leader]
-        if leading is not None and (best is None or costs[leader] < getattr(best.score, objective)):
-            best = Tuned(leading, scores[leader], 0)
-        optimiser.tell(list(zip(points, costs, strict=True)))
-        if log is not None and not known:
+        if leading is not None and (best is None or costs[leader] < getattr(best.cost, search.objective)):
+            best = Tuned(leading, rows[generation][leader], evaluations)
+        if best is not None:
+            best = best._replace(evaluations=evaluations)
+        if new and log is not None:
             _write(log, settings, rows)
-        if best is not None and progress is not None and not known:
-            progress(best._replace(evaluations=(generation + 1) * population))
+        if new and best is not None and progress is not None:
+            progress(best)
     if best is None:
-        raise ConfigurationError(f"{kind}: none of {generations * population} candidates could control the axis")
-    return best._replace(evaluations=generations * population)
+        raise ConfigurationError(f"{kind}: none of {search.evaluations} candidates could control the axis")
+    return best
 
 
-def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
-    """Sets of gains that may serve the rig of a task; the first is preferred.
-
-    Those of a PID follow from the figures of the rig. Of another kind they serve different rigs: the default of the
-    class, and what ships beside it.
-
-    Raises:
-        ConfigurationError: no PID follows from the figures.
-    """
-    if kind == "pid":
-        if (key := repr(config)) not in _PIDS:
-            _PIDS[key] = pids_from_figures(config)
-        return [*_PIDS[key]]
-    group = CONTROLLERS[kind][1]
-    file = config_folder() / "agents" / f"{kind}_sets.yaml"
-    others = read_yaml(file)["sets"] if file.is_file() else []
-    return [group(), *(validate(group, values, str(file)) for values in others)]
-
-
-def chosen_gains(kind: str, config: TaskConfig) -> Group:
-    """The set of :func:`gain_sets` that controls the simulated rig of the task best, if clearly so; it takes seconds.
-
-    The simulation knows the rig's file alone: its plants, leaks and references are those of a training.
-    """
-    key = kind, repr(config)
-    if key not in _CHOSEN:
-        sets = gain_sets(kind, config)
-        errors = [score.equal for score in rig_scores(kind, sets, config)] if len(sets) > 1 else [1.0]
-        clearly = min(errors) < CLEARLY * errors[0]
-        _CHOSEN[key] = sets[int(np.argmin(errors)) if clearly else 0]
-    return _CHOSEN[key]
-
-
-def searched_gains(kind: str, config: TaskConfig) -> Group:
-    """Gains from a short search around :func:`chosen_gains`; it takes about a minute.
-
-    Fresh cases decide between the best candidate of each generation, the choice and the first set: a search favours
-    what some cases happen to like. Limit cycles at rest count against each. Like the choice it knows the rig's file
-    alone.
-    """
-    key = kind, repr(config)
-    if key not in _SEARCHED:
-        print(f"hydro: {kind}: a simulation of the rig searches gains; about a minute", file=sys.stderr)
-        found = [gain_sets(kind, config)[0], chosen := chosen_gains(kind, config)]
-
-        def progress(best: Tuned) -> None:
-            found.append(best.gains)
-
-        tune(
-            kind,
-            config,
-            evaluations=NEARBY,
-            cases=SEARCH_CASES,
-            start=chosen,
-            spread=NEAR[kind],
-            separable=True,
-            progress=progress,
-        )
-        leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
-        trials = [_costed(kind, leaders, [config], TRIAL_CASES, seed, False) for seed in TRIALS]
-        errors = np.log([[score.equal for score in trial] for trial in trials]).mean(axis=0)
-        controllers = [CONTROLLERS[kind][0](gains, config) for gains in leaders]
-        rests = [counted_at_rest(controller, config, STANDSTILLS, RESTS) for controller in controllers]
-        errors += PER_LIMIT_CYCLE[kind] * np.array([counts["limit_cycles"] for counts in rests]) / RESTS
-        _SEARCHED[key] = leaders[int(np.argmin(errors))]
-    return _SEARCHED[key]
-
-
-def rig_scores(kind: str, sets: Sequence[Group], config: TaskConfig) -> list[Score]:
-    """Scores of some sets of gains on the rig of a task."""
-    return _costed(kind, sets, [config], CHOICE_CASES, 0, False)
-
-
-_PIDS: dict[str, list[PIDGains]] = {}
-_CHOSEN: dict[tuple[str, str], Group] = {}
-_SEARCHED: dict[tuple[str, str], Group] = {}
-
-
-def _costed(
-    kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int, at_once: bool
-) -> list[Score]:
-    """The scores of a generation; each job costs a part of the candidates."""
-    count = min(effective_n_jobs(None), len(gains))
-    bounds = [len(gains) * part // count for part in range(count + 1)]
-    jobs = {
-        str(begin): Job(cost_candidates, None, (kind, list(gains[begin:end]), list(tasks), cases, seed))
-        for begin, end in itertools.pairwise(bounds)
+def _settings(kind: str, search: Search, start: Group, tasks: Sequence[TaskConfig]) -> dict[str, Any]:
+    """What a log must have in common with the search that continues it."""
+    described: Any = [task.model_dump(mode="json") for task in tasks]
+    if len(tasks) == 1:
+        described = described[0]
+    else:
+        described = hashlib.sha256(json.dumps(described).encode()).hexdigest()
+    return {
+        "kind": kind,
+        "objective": search.objective,
+        "seed": search.seed,
+        "cases": search.cases,
+        "population": search.population,
+        "start": start.model_dump(mode="json"),
+        "task": described,
     }
+
+
+def _optimiser(space: Space, start: Group, search: Search) -> CMA | SepCMA:
+    strategy = SepCMA if search.separable else CMA
+    bounds = np.tile([0.0, 1.0], (len(space.names), 1))
+    point = space.point(start)
+    return strategy(point, search.spread, bounds=bounds, seed=search.seed, population_size=search.population)
+
+
+def _gains(start: Group, values: Mapping[str, float], rounded: bool) -> Group | None:
+    """The gains of a candidate, ``rounded`` to six digits; ``None`` if they are invalid."""
+    if rounded:
+        values = {name: float(f"{value:.6g}") for name, value in values.items()}
+    with suppress(ConfigurationError):
+        return validate(type(start), {**start.model_dump(), **values}, "candidate")
+    return None
+
+
+# The costs of candidates ---------------------------------------------------------------------------------------------
+
+
+def costs_of_sets(
+    kind: str,
+    gains: Sequence[Group | None],
+    tasks: Sequence[TaskConfig],
+    cases: int,
+    seed: int,
+    at_once: bool = False,
+) -> list[Cost]:
+    """The costs of some sets of gains, of several tasks the geometric means; each job costs a part of the sets.
+
+    Args:
+        kind: the controller.
+        gains: the sets; ``None`` is refused.
+        tasks: the tasks.
+        cases: of each set, beside the resting ones.
+        seed: of the cases.
+        at_once: start the jobs in parallel without a first one alone.
+    """
+    count = min(effective_n_jobs(None), len(gains))
+    jobs = {}
+    for part in range(count):
+        begin, end = len(gains) * part // count, len(gains) * (part + 1) // count
+        jobs[str(begin)] = Job(cost_candidates, None, (kind, list(gains[begin:end]), list(tasks), cases, seed))
     results, _ = run_jobs(jobs, None, None, None, at_once and count > 1)
     for result in results.values():
         if result.error:
             raise ConfigurationError(result.error)
     # Sums come after all parts are joined: their last bit depends on the number of candidates.
     costs = {name: np.concatenate([results[key].metrics[name] for key in jobs]) for name in results["0"].metrics}
-    scores = []
+    found = []
     for number, task in enumerate(tasks):
-        scores.append(scored([costs[f"{number}"], costs[f"{number} rest"]], _cases(task, cases, seed + number)))
-    return over_tasks(scores)
+        found.append(summed_up([costs[f"{number}"], costs[f"{number} rest"]], _cases(task, cases, seed + number)))
+    return over_tasks(found)
 
 
 def _cases(task: TaskConfig, count: int, seed: int) -> tuple[Cases, Cases]:
@@ -295,13 +252,6 @@ def cost_candidates(
     return costs
 
 
-def _gains(group: type[Group], values: Mapping[str, Any]) -> Group | None:
-    """The gains of a candidate; ``None`` if they are invalid."""
-    with suppress(ConfigurationError):
-        return validate(group, values, "candidate")
-    return None
-
-
 def _controller(kind: str, gains: Group | None, config: TaskConfig) -> Controller | None:
     """The controller of a candidate; ``None`` if it cannot be made (an unsolvable Riccati equation, say)."""
     with warnings.catch_warnings(action="ignore"), suppress(Exception):
@@ -312,14 +262,14 @@ def _controller(kind: str, gains: Group | None, config: TaskConfig) -> Controlle
 # The log ------------------------------------------------------------------------------------------------------------
 
 
-def _write(log: Path, settings: Mapping[str, Any], rows: Sequence[Sequence[Score]]) -> None:
+def _write(log: Path, settings: Mapping[str, Any], rows: Sequence[Sequence[Cost]]) -> None:
     lines = [f"# {json.dumps(settings)}", "generation,candidate,mean,equal"]
     for generation, costed in enumerate(rows):
-        lines += [f"{generation},{number},{score.mean!r},{score.equal!r}" for number, score in enumerate(costed)]
+        lines += [f"{generation},{number},{cost.mean!r},{cost.equal!r}" for number, cost in enumerate(costed)]
     write_text(log, "\n".join([*lines, ""]))
 
 
-def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
+def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Cost]]:
     """The generations of a log.
 
     Raises:
@@ -340,4 +290,4 @@ def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
         raise
     except ValueError as error:
         raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
-    return [[Score(*pair) for pair in generation] for generation in rows[..., 2:].tolist()]
+    return [[Cost(*pair) for pair in generation] for generation in rows[..., 2:].tolist()]

@@ -23,7 +23,7 @@ from hydro_agents.detection.head_training import simulations
 from hydro_agents.evaluation.evaluate import Evaluation, study_protocol
 from hydro_agents.evaluation.participants import participants
 from hydro_agents.evaluation.runner import plan
-from hydro_agents.learning.opponents import opponent
+from hydro_agents.learning.loading import load_controller
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
@@ -204,7 +204,7 @@ def _trained(
     assert entry.trainer is not None
     if f"train {name}" in phases.done:
         display.say(f"{name}: already trained")
-        return opponent(entry.trainer.load(own / WEIGHTS), study.task, name)
+        return load_controller(entry.trainer.load(own / WEIGHTS), study.task, name)
     base = controllers[entry.corrects] if entry.corrects is not None else None
     return phases.run(f"train {name}", lambda: train_controller(study, name, own, seed, base, display))
 

@@ -17,16 +17,16 @@ from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name
-from hydro_agents.learning.opponents import (
+from hydro_agents.learning.loading import (
     ANY_RIG,
     SHIPPED_WEIGHTS,
     gains_file,
-    opponent,
+    load_controller,
     shipped,
     ships,
     usual_gains,
 )
-from hydro_agents.learning.tuning import searched_gains
+from hydro_agents.learning.rig_gains import searched_gains
 from hydro_agents.running.tasks import read_settings, read_task
 from hydro_agents.running.text import correction_name
 from hydro_agents.study.entries import ControllerEntry, Name, TuningSettings, following, refuse_later
@@ -142,7 +142,7 @@ class StudySettings(Group):
             if entry.kind in CONTROLLERS:
                 validate(CONTROLLERS[entry.kind][1], entry.settings, *settings_at)
             try:
-                opponent(make_controller(entry.kind, self.task, entry.settings), self.task, name)
+                load_controller(make_controller(entry.kind, self.task, entry.settings), self.task, name)
             except ConfigurationError as error:
                 raise ConfigurationError(f"{file or here}: {error}") from error
             if entry.corrects is not None:
@@ -191,8 +191,9 @@ class StudySettings(Group):
 
         Args:
             agents: additional controllers, or replacements of those of the study, as texts for
-                :func:`~hydro_agents.learning.opponents.opponent`. ``NAME#0``, ``NAME#1``, … are training seeds, which
-                replace a controller NAME of the study. Any other trained controller takes the shipped weights.
+                :func:`~hydro_agents.learning.loading.load_controller`. ``NAME#0``, ``NAME#1``, … are training
+                seeds, which replace a controller NAME of the study. Any other trained controller takes the shipped
+                weights.
 
         Raises:
             ConfigurationError: a controller cannot be made or has no weights.
@@ -200,14 +201,14 @@ class StudySettings(Group):
         controllers: dict[str, Controller] = {}
         for name, entry in self.controllers.items():
             if seeds := [agent for agent in agents if split_name(agent)[0] == name]:
-                controllers |= {seed: opponent(agents[seed], self.task, seed, entry.trainer) for seed in seeds}
+                controllers |= {seed: load_controller(agents[seed], self.task, seed, entry.trainer) for seed in seeds}
             elif entry.trainer is None:
-                controllers[name] = opponent(self.make(name), self.task, name)
+                controllers[name] = load_controller(self.make(name), self.task, name)
             else:
                 controllers[name] = self._shipped(name)
         for name, what in agents.items():
             if name not in controllers:
-                controllers[name] = opponent(what, self.task, name)
+                controllers[name] = load_controller(what, self.task, name)
         return controllers
 
     def _shipped(self, name: str) -> Controller:
@@ -216,7 +217,7 @@ class StudySettings(Group):
         if entry.kind in SHIPPED_WEIGHTS and entry.corrects and self.controllers[entry.corrects].kind in ANY_RIG:
             settings: Any = self.training_settings(name)
             if settings.law or not settings.lstm_cells:
-                return opponent(entry.kind, self.task, name)
+                return load_controller(entry.kind, self.task, name)
         raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
 
     def with_gains_of_rig(self) -> StudySettings:

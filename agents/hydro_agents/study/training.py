@@ -15,7 +15,7 @@ from hydro_agents.detection.head_training import train_head
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from hydro_agents.learning.stable_gain import stable_start
-from hydro_agents.learning.tuning import Tuned, tune
+from hydro_agents.learning.tuning import Search, Tuned, tune
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest, rest_text
@@ -141,23 +141,13 @@ def tune_gains(
     phase, log = f"tune {name}", file.with_name(TUNING_LOG)
 
     def report(best: Tuned) -> None:
-        note = f"mean {1e3 * best.score.mean:.4f} mm, equal weights {1e3 * best.score.equal:.4f} mm"
+        note = f"mean {1e3 * best.cost.mean:.4f} mm, equal weights {1e3 * best.cost.equal:.4f} mm"
         display.update(phase, min(best.evaluations, budget.evaluations), budget.evaluations, note)
         write_text(file, gains_text(best.gains))
 
     display.update(phase, 0, budget.evaluations)
-    tuned = tune(
-        kind,
-        task,
-        budget.objective,
-        budget.evaluations,
-        seed,
-        budget.cases,
-        start=start,
-        log=log,
-        resume=log.exists(),
-        progress=report,
-    )
+    search = Search(budget.objective, budget.evaluations, seed, budget.cases, start)
+    tuned = tune(kind, task, search, log, resume=log.exists(), progress=report)
     made = make_controller(kind, task, tuned.gains.model_dump())
     found = counted_at_rest(made, task, STANDSTILLS, STANDSTILL_CASES)
     note = f"{rest_text(found)} (drawn plants and leaks, without sensor noise)"

@@ -53,7 +53,7 @@ def alarms(
     from hydro_agents.detection.detectors import DetectorChoice, make_detector
     from hydro_agents.detection.looks import window_of
     from hydro_agents.detection.monitor import HEAD_FILE
-    from hydro_agents.learning.opponents import shipped
+    from hydro_agents.learning.loading import shipped
     from hydro_agents.running.jobs import RESULT_FILES
     from hydro_agents.running.text import frame_markdown
     from hydro_env import ConfigurationError

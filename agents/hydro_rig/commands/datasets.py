@@ -79,8 +79,8 @@ def record(
     With `--rig` alone the axis has the parameters of its file. With `--task`, for `--minari`, and without `--rig`, the
     task draws the parameters that are not known exactly.
     """
-    from hydro_agents.learning.opponents import Origin, opponent, origin_of_gains, shipped
-    from hydro_agents.learning.tuning import chosen_gains
+    from hydro_agents.learning.loading import GainsOrigin, load_controller, origin_of_gains, shipped
+    from hydro_agents.learning.rig_gains import chosen_gains
     from hydro_agents.running.tasks import named_faults
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
@@ -110,14 +110,14 @@ def record(
     if by_pid := controller == "pid":  # its gains need no episodes as long as the recording
         mover = shipped(controller, config, lambda kind, _: chosen_gains(kind, usual))
     else:
-        mover = opponent(controller, config, "--controller")
-    origin = origin_of_gains(controller, config) if by_pid else Origin.TUNED
+        mover = load_controller(controller, config, "--controller")
+    origin = origin_of_gains(controller, config) if by_pid else GainsOrigin.TUNED
     done = record_axis(output, config, mover, seed, leakage, family, faults, command_line())
     end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
     drawn = f"; parameters of the plant drawn by --seed {seed}" if config.randomisation else ""
     leak = f"leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"
     say(
-        *([f"{output}: gains of the PID: {origin}"] if origin != Origin.TUNED else []),
+        *([f"{output}: gains of the PID: {origin}"] if origin != GainsOrigin.TUNED else []),
         f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}",
     )
 
@@ -125,12 +125,12 @@ def record(
 def _record_dataset(
     name: str, config: TaskConfig, controller: str, episodes: int, seed: int, given: Mapping[str, Any]
 ) -> None:
-    from hydro_agents.learning.opponents import opponent
+    from hydro_agents.learning.loading import load_controller
     from hydro_agents.running.console import ProgressDisplay
     from hydro_rig.recordings.simulated import check_dataset, record_dataset
 
     check_dataset(name)
-    mover = opponent(controller, config, "--controller")
+    mover = load_controller(controller, config, "--controller")
     options = {option: value for option, value in given.items() if value is not None}
     with ProgressDisplay() as display:
         report = partial(display.update, "episodes", total=episodes)

@@ -131,7 +131,7 @@ def _plant(task: str | None, rig: Path | None) -> Job:
 
 def _head(what: str, request: _Request) -> Job:
     from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.learning.opponents import shipped_weights
+    from hydro_agents.learning.loading import shipped_weights
     from hydro_agents.running.tasks import timed_task
     from hydro_rig.export.leakage_head import FILES, exported_head
 
@@ -148,7 +148,7 @@ def _head(what: str, request: _Request) -> Job:
 
 
 def _tell_distance(what: str, trained: object, config: TaskConfig) -> None:
-    from hydro_agents.learning.opponents import outside_training
+    from hydro_agents.learning.loading import outside_training
 
     if far := outside_training(trained, config):
         print(f"hydro: {what}: outside the rigs of the training: {far}", file=sys.stderr)
@@ -172,7 +172,7 @@ def _playground() -> Job:
 
 def _controller(what: str, request: _Request) -> Job:
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.learning.opponents import Origin, origin_of_gains, trained_for
+    from hydro_agents.learning.loading import GainsOrigin, origin_of_gains, trained_for
     from hydro_rig.export.controller_folder import FILES, exported_files
     from hydro_rig.export.onnx_writer import onnx_package
 
@@ -183,7 +183,7 @@ def _controller(what: str, request: _Request) -> Job:
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
     _tell_distance(what, controller, config)
     origin = origin_of_gains(what, config) if what in CONTROLLERS else ""
-    if origin not in ("", Origin.TUNED):
+    if origin not in ("", GainsOrigin.TUNED):
         say(f"{what}: {origin}: {page('no_tuning.md')} says what they cost")
     return FILES, partial(exported_files, controller, config, command_line(), origin)
 
@@ -191,7 +191,7 @@ def _controller(what: str, request: _Request) -> Job:
 def _controller_and_task(what: str, request: _Request) -> tuple[Controller, TaskConfig]:
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped_weights
+    from hydro_agents.learning.loading import SHIPPED_WEIGHTS, found_in, load_controller, shipped_weights
     from hydro_agents.learning.policy import PolicyController
     from hydro_agents.running.tasks import timed_task
     from hydro_agents.running.weights import weight_files
@@ -215,7 +215,7 @@ def _controller_and_task(what: str, request: _Request) -> tuple[Controller, Task
             config = PolicyController.load(weights).features.config
         if path.suffix == ".yaml":
             config = _task_of_gains(path)
-    return opponent(what, config, what), config
+    return load_controller(what, config, what), config
 
 
 def _task_of_gains(gains: Path) -> TaskConfig:

@@ -117,7 +117,7 @@ def diagnose(
     Example:
         >>> from pathlib import Path
         >>> from hydro_agents.detection.monitor import load_head
-        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_agents.learning.loading import shipped
         >>> from hydro_rig.recordings.simulated import record_axis
         >>> from hydro_rig.diagnosis.diagnose import diagnose
         >>> from hydro_env import TaskConfig

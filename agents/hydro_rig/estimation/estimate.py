@@ -59,7 +59,7 @@ def estimate(
         >>> import numpy as np
         >>> from hydro_rig.estimation.estimate import estimate
         >>> from hydro_rig.estimation.known_windows import known_windows
-        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_agents.learning.loading import shipped
         >>> from hydro_agents.running.cases import Cases
         >>> from hydro_env import TaskConfig
         >>> task = TaskConfig()

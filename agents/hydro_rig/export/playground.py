@@ -20,7 +20,7 @@ from matplotlib.colors import to_rgb
 
 from hydro_agents.controllers.base import search_space
 from hydro_agents.detection.head import LeakageEstimate, LeakageHead
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.report.palette import LEAK_LOOKS, css_rules
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig, __version__

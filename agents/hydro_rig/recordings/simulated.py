@@ -71,7 +71,7 @@ def record_axis(
 
     Example:
         >>> from pathlib import Path
-        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_agents.learning.loading import shipped
         >>> from hydro_rig.recordings.simulated import record_axis
         >>> from hydro_env import TaskConfig
         >>> task = TaskConfig(episode_duration=1.0)

@@ -9,7 +9,7 @@ from refusal import refused
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS
 from hydro_agents.detection.monitor import load_head
-from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
+from hydro_agents.learning.loading import SHIPPED_WEIGHTS, load_controller
 from hydro_agents.learning.trainers import TRAINERS
 from hydro_env import TaskConfig
 
@@ -21,7 +21,7 @@ AXES, STEPS = 3, 45
 
 def everything():
     """One of every kind that can be had by name, and what watches one."""
-    found = {kind: opponent(kind, CONFIG, kind) for kind in [*CONTROLLERS, *SHIPPED_WEIGHTS]}
+    found = {kind: load_controller(kind, CONFIG, kind) for kind in [*CONTROLLERS, *SHIPPED_WEIGHTS]}
     return found | {"leakage head": load_head(None, CONFIG)}
 
 

@@ -7,7 +7,7 @@ from scipy.optimize import lsq_linear
 from hydro_agents.controllers.lqg import LQG, LQGGains
 from hydro_agents.controllers.mpc import MPC, MPCGains
 from hydro_agents.controllers.observer_feedback import ObserverState
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig

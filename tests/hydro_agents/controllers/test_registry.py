@@ -9,7 +9,7 @@ from refusal import refused
 from hydro_agents.controllers.adrc import ADRC, ADRCGains
 from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_agents.controllers.registry import controller_from_gains, gain_rows, gains_text, make_controller
-from hydro_agents.learning.opponents import found_in, opponent
+from hydro_agents.learning.loading import found_in, load_controller
 from hydro_env import TaskConfig
 from hydro_rig.commands.export import _task_of_gains
 
@@ -82,10 +82,10 @@ def test_what_is_wrong_is_told_in_one_line(kind, settings, message):
 
 def test_an_opponent_is_named_in_the_message():
     with refused("mine: 'my_controllers:Absent'"):
-        opponent("my_controllers:Absent", CONFIG, "mine")
+        load_controller("my_controllers:Absent", CONFIG, "mine")
     with refused("mine: 'ppoo': unknown"):
-        opponent("ppoo", CONFIG, "mine")
-    assert type(opponent("my_controllers:Simple", CONFIG, "mine")).__name__ == "Simple"
+        load_controller("ppoo", CONFIG, "mine")
+    assert type(load_controller("my_controllers:Simple", CONFIG, "mine")).__name__ == "Simple"
 
 
 def test_the_file_tells_each_gain_in_the_units_of_a_plc_and_reads_back_unchanged(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_the_file_tells_each_gain_in_the_units_of_a_plc_and_reads_back_unchanged
 def test_the_names_of_the_gains_tell_the_controller(tmp_path: Path) -> None:
     config, file = TaskConfig(), tmp_path / "mine.yaml"
     file.write_text("proportional: 12.0\n", encoding="utf-8")
-    controller = opponent(str(file), config, "mine")
+    controller = load_controller(str(file), config, "mine")
     assert isinstance(controller, PID)
     assert controller.gains == PIDGains(proportional=12.0)
     file.write_text(gains_text(ADRCGains()), encoding="utf-8")

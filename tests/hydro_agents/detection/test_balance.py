@@ -10,7 +10,7 @@ from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.features import CHANGE, FEATURES, features_of
 from hydro_agents.detection.operations import MANNERS, Operation
 from hydro_agents.detection.sheet import Unknowns, sheet_of
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import TaskConfig

@@ -6,7 +6,7 @@ import pytest
 from hydro_agents.detection.detector import MeasuredColumns
 from hydro_agents.detection.disturbances import KINDS, PRESSURE_A, SUPPLY, TANK, Disturbances, Disturbed, drawn
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import DETECTION

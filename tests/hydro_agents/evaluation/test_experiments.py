@@ -14,7 +14,7 @@ from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.robustness_protocol import EXPERIMENTS as PARTS
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import run
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_env import TaskConfig, resistance_from_flow
 from hydro_env.plant.analysis import force_limits
 

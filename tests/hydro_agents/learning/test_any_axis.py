@@ -8,15 +8,16 @@ from driven import commands
 from refusal import refused
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.learning import tuning
+from hydro_agents.learning import rig_gains, tuning
 from hydro_agents.learning.any_axis import PREVIEW_PACES, USUAL_ERROR, AnyAxisFeatures
 from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_SCALE
-from hydro_agents.learning.opponents import opponent
+from hydro_agents.learning.loading import load_controller
 from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.rig_gains import chosen_gains, costs_on_rig, gain_sets, searched_gains
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
-from hydro_agents.learning.trials import Score
-from hydro_agents.learning.tuning import Tuned, chosen_gains, gain_sets, rig_scores, searched_gains
+from hydro_agents.learning.trials import Cost
+from hydro_agents.learning.tuning import Tuned
 from hydro_agents.learning.vec_env import RigsVecEnv
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
@@ -51,8 +52,8 @@ def untuned(task):
 
 @pytest.fixture(autouse=True)
 def short_search(monkeypatch):
-    monkeypatch.setattr(tuning, "NEARBY", 14)
-    monkeypatch.setattr(tuning, "TRIALS", (1,))
+    monkeypatch.setattr(rig_gains, "NEARBY", 14)
+    monkeypatch.setattr(rig_gains, "TRIALS", (1,))
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -120,9 +121,9 @@ def test_a_simulation_chooses_the_gains_that_the_policy_corrects(policy):
     chosen = [chosen_gains("flow_linearising", task) for task in RIGS[:3]]
     assert all(gains in sets for gains in chosen)
     assert len({repr(gains) for gains in chosen}) > 1
-    scores = [score.equal for score in rig_scores("flow_linearising", sets, RIGS[0])]
-    clearly = min(scores) < 0.9 * scores[0]
-    assert sets.index(chosen[0]) == (int(np.argmin(scores)) if clearly else 0)
+    costs = [cost.equal for cost in costs_on_rig("flow_linearising", sets, RIGS[0])]
+    clearly = min(costs) < 0.9 * costs[0]
+    assert sets.index(chosen[0]) == (int(np.argmin(costs)) if clearly else 0)
     assert policy[1].moved_to(RIGS[0], chosen_gains).features.base.gains == chosen[0]
 
 
@@ -130,10 +131,10 @@ def test_a_search_counts_where_its_candidates_are_better_on_other_cases(monkeypa
     good, task = FlowLinearisingGains(), RIGS[1]
     slow = good.model_copy(update={"position_gain": 0.2 * good.position_gain})
     for known, found in ((slow, good), (good, slow)):
-        monkeypatch.setattr(tuning, "_SEARCHED", {})
-        monkeypatch.setattr(tuning, "gain_sets", lambda *_, known=known: [known, known])
-        monkeypatch.setattr(tuning, "chosen_gains", lambda *_, known=known: known)
-        monkeypatch.setattr(tuning, "tune", lambda *_, progress, found=found, **__: progress(Tuned(found, None, 0)))
+        monkeypatch.setattr(rig_gains, "_SEARCHED", {})
+        monkeypatch.setattr(rig_gains, "gain_sets", lambda *_, known=known: [known, known])
+        monkeypatch.setattr(rig_gains, "chosen_gains", lambda *_, known=known: known)
+        monkeypatch.setattr(rig_gains, "tune", lambda *_, progress, found=found, **__: progress(Tuned(found, None, 0)))
         assert searched_gains("flow_linearising", task) == good
 
 
@@ -141,11 +142,11 @@ def test_a_search_prefers_gains_that_come_to_rest_to_slightly_better_ones(monkey
     calm, task = FlowLinearisingGains(), RIGS[1]
     wild = calm.model_copy(update={"position_gain": 20.0 * calm.position_gain})
     for better, taken in ((0.95, calm), (0.1, wild)):
-        costs = {calm: Score(1.0, 1.0), wild: Score(1.0, better)}
-        monkeypatch.setattr(tuning, "_SEARCHED", {})
-        monkeypatch.setattr(tuning, "chosen_gains", lambda *_: calm)
-        monkeypatch.setattr(tuning, "tune", lambda *_, progress, **__: progress(Tuned(wild, None, 0)))
-        monkeypatch.setattr(tuning, "_costed", lambda _, leaders, *__, costs=costs: [costs[one] for one in leaders])
+        costs = {calm: Cost(1.0, 1.0), wild: Cost(1.0, better)}
+        monkeypatch.setattr(rig_gains, "_SEARCHED", {})
+        monkeypatch.setattr(rig_gains, "chosen_gains", lambda *_: calm)
+        monkeypatch.setattr(rig_gains, "tune", lambda *_, progress, **__: progress(Tuned(wild, None, 0)))
+        monkeypatch.setattr(rig_gains, "costs_of_sets", lambda _, sets, *__, costs=costs: [costs[one] for one in sets])
         assert searched_gains("flow_linearising", task) == taken
 
 
@@ -165,7 +166,9 @@ def test_stored_weights_serve_another_rig(policy, monkeypatch):
     np.testing.assert_array_equal(commands(stored, TASK), commands(trained, TASK))
     moved = trained.moved_to(task)
     assert not np.array_equal(commands(moved, task), commands(untuned(task), task))
-    np.testing.assert_array_equal(commands(opponent(folder / "policy", task, "mine"), task), commands(moved, task))
+    np.testing.assert_array_equal(
+        commands(load_controller(folder / "policy", task, "mine"), task), commands(moved, task)
+    )
     moved.save(folder / "own")
     np.testing.assert_array_equal(commands(PolicyController.load(folder / "own"), task), commands(moved, task))
 

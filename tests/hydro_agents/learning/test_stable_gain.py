@@ -4,8 +4,9 @@ import pytest
 
 from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.learning import opponents
-from hydro_agents.learning.opponents import opponent, shipped, usual_gains
+from hydro_agents.learning import rig_gains
+from hydro_agents.learning.loading import load_controller, shipped, usual_gains
+from hydro_agents.learning.rig_gains import gain_sets
 from hydro_agents.learning.stable_gain import (
     loops_within_ranges,
     pid_from_figures,
@@ -14,7 +15,6 @@ from hydro_agents.learning.stable_gain import (
     quiet_gains,
     weakest,
 )
-from hydro_agents.learning.tuning import gain_sets
 from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest
 from hydro_agents.running.seeds import ANY_AXIS
 from hydro_env import ConfigurationError
@@ -65,15 +65,15 @@ def test_a_pid_on_a_rig_that_nobody_tuned_takes_its_gains_from_the_rig(task, mon
     assert own.gains in gain_sets("pid", task)
     assert rests(own, task, 24)
     found = pid_from_figures(task)
-    monkeypatch.setattr(opponents, "searched_gains", lambda kind, _: found)
-    assert opponent("pid", task, "mine").gains == found  # a command searches
+    monkeypatch.setattr(rig_gains, "searched_gains", lambda kind, _: found)
+    assert load_controller("pid", task, "mine").gains == found  # a command searches
     assert shipped("pid", task_config(rig="symmetric_eha")).gains != paper  # its own ship
 
 
 @pytest.mark.parametrize("kind", ["adrc", "lqg", "mpc"])
 def test_gains_of_another_rig_are_refused_with_what_to_do(kind, task):
     with pytest.raises(ConfigurationError, match=rf"^mine: {kind}: no gains for this rig; hydro study --rig FILE"):
-        opponent(kind, task, "mine")
+        load_controller(kind, task, "mine")
     assert make_controller(kind, task)  # gains that somebody gives are taken
 
 

@@ -18,10 +18,10 @@ from hydro_agents.learning.trials import (
     REFUSED,
     costs_of,
     resting_cases,
-    scored,
+    summed_up,
     tuning_cases,
 )
-from hydro_agents.learning.tuning import Space, tune
+from hydro_agents.learning.tuning import Search, Space, tune
 from hydro_agents.running.cases import run_cases
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import PlantParameters, TaskConfig
@@ -31,7 +31,7 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 SHORT = TaskConfig(episode_duration=0.3)
-OPTIONS = {"cases": 14, "population": 6}
+SMALL = Search(evaluations=6, cases=14, population=6)
 
 
 @pytest.fixture(autouse=True)
@@ -42,34 +42,35 @@ def short_rest(monkeypatch):
 
 def test_the_search_improves_what_it_is_asked_for():
     seen = []
-    best = tune("pid", SHORT, evaluations=30, progress=seen.append, **OPTIONS)
+    best = tune("pid", SHORT, SMALL._replace(evaluations=30), progress=seen.append)
     assert [one.evaluations for one in seen] == [6, 12, 18, 24, 30]
-    assert seen[-1].score.equal < seen[0].score.equal
-    assert (seen[-1].gains, seen[-1].score) == (best.gains, best.score)
-    equal, mean = (tune("pid", SHORT, what, evaluations=36, seed=2, **OPTIONS).score for what in ("equal", "mean"))
+    assert seen[-1].cost.equal < seen[0].cost.equal
+    assert (seen[-1].gains, seen[-1].cost) == (best.gains, best.cost)
+    search = SMALL._replace(evaluations=36, seed=2)
+    equal, mean = (tune("pid", SHORT, search._replace(objective=what)).cost for what in ("equal", "mean"))
     assert mean.mean < equal.mean
     assert mean.equal > equal.equal
 
 
 def test_side_by_side_the_search_takes_the_same_way(tmp_path):
     alone, beside = tmp_path / "alone.csv", tmp_path / "beside.csv"
-    tune("pid", SHORT, evaluations=12, log=alone, **OPTIONS)
+    tune("pid", SHORT, SMALL._replace(evaluations=12), alone)
     for number in (2, 4):
         with parallel_config("threading", n_jobs=number):
-            tune("pid", SHORT, evaluations=12, log=beside, **OPTIONS)
+            tune("pid", SHORT, SMALL._replace(evaluations=12), beside)
         assert beside.read_bytes() == alone.read_bytes()
 
 
 def test_of_several_tasks_the_geometric_mean_counts():
     tasks = [SHORT, TaskConfig(episode_duration=0.3, control_period=0.01)]
-    best = tune("pid", tasks, evaluations=6, **OPTIONS)
+    best = tune("pid", tasks, SMALL)
     found = []
     for number, task in enumerate(tasks):
         still, pid = task_config(task, episode_duration=tuning.REST), [PID(best.gains, task)]
         cases = tuning_cases(task, 14, number), resting_cases(number)
-        found += scored([costs_of(task, cases[0], pid), costs_of(still, cases[1], pid, JUDGED)], cases)
-    assert best.score.equal == pytest.approx(np.sqrt(found[0].equal * found[1].equal))
-    assert best.score.mean == pytest.approx(np.sqrt(found[0].mean * found[1].mean))
+        found += summed_up([costs_of(task, cases[0], pid), costs_of(still, cases[1], pid, JUDGED)], cases)
+    assert best.cost.equal == pytest.approx(np.sqrt(found[0].equal * found[1].equal))
+    assert best.cost.mean == pytest.approx(np.sqrt(found[0].mean * found[1].mean))
 
 
 def test_cases_are_training_cases_with_all_leaks_and_families():
@@ -84,16 +85,16 @@ def test_cases_are_training_cases_with_all_leaks_and_families():
 
 
 def test_a_stopped_search_goes_on_bit_equal(tmp_path):
-    whole = tune("pid", SHORT, evaluations=24, log=tmp_path / "whole.csv", **OPTIONS)
+    whole = tune("pid", SHORT, SMALL._replace(evaluations=24), tmp_path / "whole.csv")
 
     def stop(best):
         if best.evaluations == 12:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        tune("pid", SHORT, evaluations=24, log=tmp_path / "parts.csv", progress=stop, **OPTIONS)
+        tune("pid", SHORT, SMALL._replace(evaluations=24), tmp_path / "parts.csv", progress=stop)
     done = []
-    parts = tune("pid", SHORT, evaluations=24, log=tmp_path / "parts.csv", resume=True, progress=done.append, **OPTIONS)
+    parts = tune("pid", SHORT, SMALL._replace(evaluations=24), tmp_path / "parts.csv", True, done.append)
     assert [one.evaluations for one in done] == [18, 24]
     assert parts == whole
     assert (tmp_path / "parts.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
@@ -101,12 +102,12 @@ def test_a_stopped_search_goes_on_bit_equal(tmp_path):
 
 def test_a_log_of_other_settings_or_a_damaged_one_is_refused(tmp_path):
     log = tmp_path / "tuning.csv"
-    tune("pid", SHORT, evaluations=6, log=log, **OPTIONS)
+    tune("pid", SHORT, SMALL, log)
     for other, what in (({"objective": "mean"}, "objective"), ({"seed": 1}, "seed"), ({"cases": 7}, "cases")):
         with refused(f"tuning.csv: was written with another {what}"):
-            tune("pid", SHORT, evaluations=6, log=log, resume=True, **{**OPTIONS, **other})
+            tune("pid", SHORT, SMALL._replace(**other), log, resume=True)
     with refused("was written with another task"):
-        tune("pid", TaskConfig(episode_duration=0.4), evaluations=6, log=log, resume=True, **OPTIONS)
+        tune("pid", TaskConfig(episode_duration=0.4), SMALL, log, resume=True)
     text = log.read_text()
     table = text.partition("\n")[2]
     for damaged in (
@@ -118,12 +119,12 @@ def test_a_log_of_other_settings_or_a_damaged_one_is_refused(tmp_path):
     ):
         log.write_text(damaged)
         with refused(r"tuning\.csv: is damaged"):
-            tune("pid", SHORT, evaluations=6, log=log, resume=True, **OPTIONS)
+            tune("pid", SHORT, SMALL, log, resume=True)
 
 
 def test_a_given_start_is_where_the_search_begins_and_keeps_what_is_not_searched():
     start = PIDGains(proportional=300.0, lead_in_integral=False)
-    best = tune("pid", SHORT, evaluations=6, start=start, **OPTIONS)
+    best = tune("pid", SHORT, SMALL._replace(start=start))
     assert best.gains.lead_in_integral is False
     space = Space(PIDGains, SHORT.plant)
     assert space.values(space.point(start))["proportional"] == pytest.approx(300.0)
@@ -145,9 +146,9 @@ def test_costs_are_error_and_price_of_the_same_cases_for_every_candidate():
     np.testing.assert_array_equal(costs[0], costs[2])
     assert (costs[0] >= error + price - 1e-8).all()  # the first change is not in the run
     np.testing.assert_allclose(costs[0], error + price, atol=2e-6)
-    score = scored([costs], [cases])[0]
+    cost = summed_up([costs], [cases])[0]
     means = [costs[0][cases.families == name].mean() for name in dict.fromkeys(cases.families)]
-    assert (score.mean, score.equal) == pytest.approx((costs[0].mean(), np.exp(np.mean(np.log(means)))))
+    assert (cost.mean, cost.equal) == pytest.approx((costs[0].mean(), np.exp(np.mean(np.log(means)))))
 
 
 def test_an_oscillation_at_rest_costs_although_it_hardly_shows_while_the_axis_moves():
@@ -221,7 +222,7 @@ class Picky(PID):
 def test_refused_gains_are_bad_candidates(monkeypatch, tmp_path):
     monkeypatch.setitem(CONTROLLERS, "picky", (Picky, Unwilling))
     log = tmp_path / "log.csv"
-    best = tune("picky", SHORT, evaluations=40, population=20, cases=7, log=log)
+    best = tune("picky", SHORT, Search(evaluations=40, population=20, cases=7), log)
     assert 50.0 <= best.gains.proportional <= 300.0
     assert str(REFUSED) in log.read_text()
     with refused("kind 'none': unknown; known: pid"):

@@ -15,7 +15,7 @@ from hydro_agents.controllers.registry import make_controller
 from hydro_agents.evaluation.participants import shipped_controllers
 from hydro_agents.learning import tuning
 from hydro_agents.learning.features import PolicyFeatures
-from hydro_agents.learning.opponents import gains_file, shipped, usual_gains
+from hydro_agents.learning.loading import gains_file, shipped, usual_gains
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_policy

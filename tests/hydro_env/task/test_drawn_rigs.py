@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from refusal import refused
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.seeds import RIGS, SeedRange
 from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import closed_port_natural_frequency, full_pressure_forces, speed_limits

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from hydro_agents.detection.detector import Windows
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig

@@ -6,7 +6,7 @@ from driven_axes import CONFIG, FEW, PLANT, driven
 from refusal import refused
 
 from hydro_agents.detection.operations import at_rest
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.plant.states import State

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config

@@ -8,7 +8,7 @@ from refusal import refused
 from hydro_agents.detection.detector import Windows, measured_run
 from hydro_agents.detection.disturbances import SUPPLY, Disturbances, Disturbed
 from hydro_agents.detection.monitor import load_head
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import DIAGNOSIS
 from hydro_env import TaskConfig

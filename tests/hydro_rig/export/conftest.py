@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pytest
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.learning.opponents import opponent
+from hydro_agents.learning.loading import load_controller
 from hydro_env import TaskConfig
 from hydro_rig.export.controller import ControllerGraph, controller_graph
 from hydro_rig.export.controller_folder import exported_files
@@ -31,7 +31,7 @@ def exported(tmp_path_factory):
 
     @functools.cache
     def export(kind):
-        controller = opponent(kind, TASK, kind)
+        controller = load_controller(kind, TASK, kind)
         files, report = exported_files(controller, TASK, "hydro export")
         folder = tmp_path_factory.mktemp(kind)
         for name, content in files.items():

@@ -13,7 +13,7 @@ from refusal import refused
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.learning.features import PolicyFeatures
-from hydro_agents.learning.opponents import opponent
+from hydro_agents.learning.loading import load_controller
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import VALIDATION_SEEDS
@@ -174,11 +174,11 @@ def test_after_a_command_that_is_no_number_it_keeps_the_voltage_and_starts_again
 
 def test_a_policy_of_another_period_and_a_rig_without_spool_sensor():
     fast = TaskConfig(control_period=0.002)
-    features = PolicyFeatures(fast, opponent("flow_linearising", fast, "base"), see_estimates=True)
+    features = PolicyFeatures(fast, load_controller("flow_linearising", fast, "base"), see_estimates=True)
     policy = PolicyController(features, [(np.full((1, features.size), 1e-3, np.float32), np.zeros(1, np.float32))])
     assert controller_graph(policy, fast).signals.config.control_period == 0.002
     blind = TaskConfig(sensors={"spool_position": {"fitted": False}}, references={"preview_times": ()})
-    names = [signal.name for signal in controller_graph(opponent("pid", blind, "pid"), blind).signals.signals]
+    names = [signal.name for signal in controller_graph(load_controller("pid", blind, "pid"), blind).signals.signals]
     assert names == ["reference", "position", "previous_voltage"]
 
 
@@ -190,7 +190,7 @@ def test_a_policy_of_another_period_and_a_rig_without_spool_sensor():
     ],
 )
 def test_every_form_of_a_policy_can_be_exported(task, base, more, activation, output):
-    features = PolicyFeatures(task, opponent(base, task, base) if base else None, 0.2, more, more)
+    features = PolicyFeatures(task, load_controller(base, task, base) if base else None, 0.2, more, more)
     generator, sizes = np.random.default_rng(0), [features.size, 24, 1]
     layers = [
         (0.1 * generator.normal(size=(after, before)).astype(np.float32), np.zeros(after, np.float32))

@@ -8,7 +8,7 @@ import pytest
 from browser import SCHEMES, SIZES, open_page, problems_of
 
 from hydro_agents.detection.head import LeakageEstimate, LeakageHead
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.states import STATE_NAMES

@@ -8,7 +8,7 @@ import pytest
 from exported_code import InC, InPython, assert_it_holds_until_start, at_rest, library
 
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.learning.opponents import shipped
+from hydro_agents.learning.loading import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig, equilibrium
 from hydro_env.task.configuration import task_config

@@ -1,0 +1,238 @@
+"""Controllers by name, file or object, checked against the task: what a command or an evaluation is asked to run.
+
+Weights and searched gains load what they need when they are asked for; gains in a file need neither.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
+from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, make_controller
+from hydro_agents.running.cases import check_predict
+from hydro_agents.running.folders import config_folder, pretrained_folder
+from hydro_agents.running.weights import weight_files
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env.files import Group, read_yaml
+from hydro_env.mistakes import unknown
+from hydro_env.task.law import RigLaw
+from hydro_env.task.paces import outside_law
+from hydro_env.task.rig import read_rig
+
+if TYPE_CHECKING:
+    from hydro_agents.learning.rig_gains import GainsFor
+    from hydro_agents.learning.trainers import Trainer
+
+_ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+SHIPPED_WEIGHTS = {"ppo": "policy"}
+"""File of the shipped weights by kind; the same with ``_any_axis`` holds those for any axis."""
+
+ANY_RIG = ("flow_linearising",)
+"""Kinds whose class has gains for any rig as its defaults; benchmarks/no_tuning.py tunes and judges them."""
+
+
+class GainsOrigin(StrEnum):
+    """Where the gains of a classical controller come from on a rig; in words for a person."""
+
+    TUNED = "tuned for this rig"
+    ANY_RIG = "gains for any rig, which nobody tuned for this one"
+    RIG = "from the figures of this rig, and a simulation of it"
+    NOWHERE = "none: those that ship belong to another rig"
+
+
+def _chosen(kind: str, config: TaskConfig) -> Group:
+    from hydro_agents.learning import rig_gains
+
+    return rig_gains.chosen_gains(kind, config)
+
+
+def _searched(kind: str, config: TaskConfig) -> Group:
+    from hydro_agents.learning import rig_gains
+
+    return rig_gains.searched_gains(kind, config)
+
+
+def shipped(kind: str, config: TaskConfig, gains: GainsFor = _chosen) -> Controller:
+    """The controller that comes with the project: with gains or weights of the task's rig, if such ones ship.
+
+    On a rig that has none of its own, flow linearisation takes its gains for any rig, the defaults of its class.
+    ``gains`` finds those of a PID there, and those that a policy for any axis corrects: one of a few sets by default,
+    in seconds; :func:`load_controller` searches for a minute.
+
+    Raises:
+        ConfigurationError: the kind is not shipped, or has no gains for the rig.
+
+    Example:
+        >>> from hydro_agents.learning.loading import shipped
+        >>> from hydro_env import TaskConfig
+        >>> pid, policy = (shipped(kind, TaskConfig()) for kind in ("pid", "ppo"))
+        >>> type(pid).__name__, type(policy).__name__
+        ('PID', 'PolicyController')
+    """
+    if kind in SHIPPED_WEIGHTS:
+        return load_policy(shipped_weights(SHIPPED_WEIGHTS[kind], config), config, gains)
+    match origin_of_gains(kind, config):
+        case GainsOrigin.TUNED:
+            return make_controller(kind, config, read_yaml(gains_file(kind, config) or usual_gains(kind)))
+        case GainsOrigin.ANY_RIG:
+            return make_controller(kind, config)
+        case GainsOrigin.RIG:
+            return make_controller(kind, config, gains(kind, config).model_dump())
+    raise ConfigurationError(
+        f"{kind}: no gains for this rig; hydro study --rig FILE tunes them, or give a file of your own"
+    )
+
+
+def load_policy(path: Path, config: TaskConfig, gains: GainsFor, trainer: Trainer | None = None) -> Controller:
+    """A policy from its weights; one for any axis moves to the rig of the task, ``gains`` as in :func:`shipped`.
+
+    Raises:
+        ConfigurationError: the weights cannot be read, or the rig lacks a sensor that the policy needs.
+    """
+    from hydro_agents.learning.trainers import TRAINERS
+
+    policy: Any = (trainer or TRAINERS["ppo"]).load(path)
+    features = getattr(policy, "features", None)
+    if not getattr(features, "for_any_axis", False) or features.config == config:
+        loaded: Controller = policy
+    else:
+        loaded = policy.moved_to(config, gains)
+    return loaded
+
+
+def load_controller(
+    what: Controller | str | Path, config: TaskConfig, name: str, trainer: Trainer | None = None
+) -> Controller:
+    """A controller for a task.
+
+    Args:
+        what: an object with ``predict``; or ``"pid"`` or ``"ppo"`` (as shipped), ``"module:attribute"`` (see
+            :func:`~hydro_agents.controllers.registry.make_controller`), the path of weights, a YAML file of tuned
+            gains, or a folder ``controllers/NAME`` of a study.
+        config: the task.
+        name: for messages.
+        trainer: trainer that loads weights; default PPO.
+
+    Raises:
+        ConfigurationError: the controller does not exist, or needs other observations; the message names it.
+
+    Example:
+        >>> from hydro_agents.learning.loading import load_controller
+        >>> from hydro_env import TaskConfig
+        >>> type(load_controller("flow_linearising", TaskConfig(), "mine")).__name__
+        'FlowLinearising'
+        >>> load_controller("pidd", TaskConfig(), "mine")
+        Traceback (most recent call last):
+            ...
+        hydro_env.errors.ConfigurationError: mine: 'pidd': unknown; did you mean pid? ...
+    """
+    try:
+        if isinstance(what, str | Path):
+            controller = _named(found_in(what), config, trainer)
+        else:
+            controller = what
+        check_predict(controller)
+        layout = getattr(getattr(controller, "features", controller), "layout", None)
+        if isinstance(layout, ObservationLayout):
+            check_layout(layout, config)
+    except ConfigurationError as error:
+        raise type(error)(f"{name}: {error}") from error
+    return controller
+
+
+def _named(what: str, config: TaskConfig, trainer: Trainer | None) -> Controller:
+    if what in CONTROLLERS or what in SHIPPED_WEIGHTS:
+        return shipped(what, config, _searched)
+    if what.endswith(".zip"):
+        raise ConfigurationError(
+            f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in your own module "
+            "and give module:attribute"
+        )
+    if what.endswith(".yaml"):
+        return controller_from_gains(what, config)
+    if _ATTRIBUTE.fullmatch(what):
+        return make_controller(what, config)
+    if trainer is None and "/" not in what and not any(file.is_file() for file in weight_files(what)):
+        names = unknown(what, (*CONTROLLERS, *SHIPPED_WEIGHTS))
+        raise ConfigurationError(f"'{what}': {names}; or give module:attribute, or a path of weights")
+    return load_policy(Path(what), config, _searched, trainer)
+
+
+def found_in(what: str | Path) -> str:
+    """The weights or gains in a controller's folder of a study; any other text as it is."""
+    for name in ("policy.json", GAINS_FILE):  # beside weights the gains are those of the controller that they correct
+        if (Path(what) / name).is_file():
+            return str(Path(what) / name).removesuffix(".json")
+    return str(what)
+
+
+# What ships, and for which rig ---------------------------------------------------------------------------------------
+
+
+def shipped_weights(name: str, config: TaskConfig) -> Path:
+    """The shipped weights of a name: those for the paper's rig at its control period, else those for any axis."""
+    ObservationLayout.of(config)  # refuses a law
+    at_home = config.plant == PlantParameters() and _usual_period(config)
+    return pretrained_folder() / (name if at_home else f"{name}_any_axis")
+
+
+def origin_of_gains(kind: str, config: TaskConfig) -> GainsOrigin:
+    """Where the gains of a shipped classical controller come from on a task's rig."""
+    if config.plant == PlantParameters() or gains_file(kind, config) is not None:
+        return GainsOrigin.TUNED
+    if kind in ANY_RIG:
+        return GainsOrigin.ANY_RIG
+    return GainsOrigin.RIG if kind == "pid" else GainsOrigin.NOWHERE
+
+
+def usual_gains(kind: str) -> Path:
+    """The file of a classical controller's gains for the paper's rig."""
+    return config_folder() / "agents" / f"{kind}.yaml"
+
+
+def gains_file(kind: str, config: TaskConfig) -> Path | None:
+    """The gains of a classical controller that were tuned for the task's rig, if they ship."""
+    file = config_folder() / "agents" / f"{kind}_{shipped_rig(config)}.yaml"
+    return file if file.is_file() else None
+
+
+def shipped_rig(config: TaskConfig) -> str:
+    """Name of the rig in ``configs/rigs`` that a task has, at the control period of the shipped gains; else empty."""
+    if config.plant == PlantParameters() or not _usual_period(config):
+        return ""
+    for file in (config_folder() / "rigs").glob("*.yaml"):
+        if read_rig(file).plant == config.plant:
+            return file.stem
+    return ""
+
+
+def _usual_period(config: TaskConfig) -> bool:
+    return config.control_period == TaskConfig().control_period
+
+
+def ships(kind: str, settings: Mapping[str, Any]) -> bool:
+    """Whether the settings of a classical controller are gains that ship, of whichever rig, or its defaults."""
+    if kind not in CONTROLLERS:
+        return False
+    known = [{}, CONTROLLERS[kind][1]().model_dump(mode="json")]
+    for file in (config_folder() / "agents").glob(f"{kind}*.yaml"):
+        if not file.stem.endswith("_sets"):
+            known.append(read_yaml(file))
+    return dict(settings) in known
+
+
+def outside_training(trained: Any, config: TaskConfig) -> str:
+    """Where a rig lies outside the drawn rigs of a training of policy or head, and how far; empty: nowhere."""
+    training = getattr(getattr(trained, "settings", trained), "training", None) or {}
+    law = training.get("settings", {}).get("law")
+    return outside_law(RigLaw.model_validate(law), config) if law else ""
+
+
+def trained_for(controller: Controller) -> PlantParameters | None:
+    """The nominal rig of the task of a policy's training; ``None`` for any other controller."""
+    features = getattr(controller, "features", None)
+    return None if features is None else features.config.plant

@@ -1,0 +1,106 @@
+"""Gains of a rig that nobody tuned, from its file alone: one of a few sets in seconds, or a search of a minute.
+
+A simulation of the rig judges them; its plants, leaks and references are those of a training.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from hydro_agents.controllers.pid import PIDGains
+from hydro_agents.controllers.registry import CONTROLLERS
+from hydro_agents.learning.stable_gain import pids_from_figures
+from hydro_agents.learning.trials import Cost
+from hydro_agents.learning.tuning import Search, costs_of_sets, tune
+from hydro_agents.running.folders import config_folder
+from hydro_agents.running.limit_cycles import counted_at_rest
+from hydro_agents.running.seeds import STANDSTILLS
+from hydro_env import TaskConfig
+from hydro_env.files import Group, read_yaml, validate
+
+GainsFor = Callable[[str, TaskConfig], Group]  # of a kind and a task
+
+CLEARLY = 0.9  # of the first set's error, for another set to be chosen; few cases favour some set by chance
+CHOICE_CASES = 14  # of each set in :func:`chosen_gains`, beside the resting ones
+
+NEARBY = 56  # candidates of :func:`searched_gains`
+NEAR = {"pid": 0.05, "flow_linearising": 0.1}  # their first spread in parts of the search ranges
+SEARCH_CASES = 42  # of each of these candidates
+TRIALS = (1, 2, 3, 4)  # seeds of the other cases that decide in the end
+TRIAL_CASES = 84  # of each seed: many, because few plants swing
+RESTS = 96  # standstills
+PER_LIMIT_CYCLE = {"pid": 15.0, "flow_linearising": 1.5}
+"""What a limit cycle at all of them adds to the logarithm of the error; that of a PID is millimetres large."""
+
+_PIDS: dict[str, list[PIDGains]] = {}
+_CHOSEN: dict[tuple[str, str], Group] = {}
+_SEARCHED: dict[tuple[str, str], Group] = {}
+
+
+def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
+    """Sets of gains that may serve the rig of a task; the first is preferred.
+
+    Those of a PID follow from the figures of the rig. Of another kind they serve different rigs: the default of the
+    class, and what ships beside it.
+
+    Raises:
+        ConfigurationError: no PID follows from the figures.
+    """
+    if kind == "pid":
+        key = repr(config)
+        if key not in _PIDS:
+            _PIDS[key] = pids_from_figures(config)
+        return [*_PIDS[key]]
+    group = CONTROLLERS[kind][1]
+    sets = [group()]
+    file = config_folder() / "agents" / f"{kind}_sets.yaml"
+    if file.is_file():
+        sets += [validate(group, values, str(file)) for values in read_yaml(file)["sets"]]
+    return sets
+
+
+def chosen_gains(kind: str, config: TaskConfig) -> Group:
+    """The set of :func:`gain_sets` that controls the simulated rig of the task best, if clearly so; in seconds."""
+    key = kind, repr(config)
+    if key not in _CHOSEN:
+        sets = gain_sets(kind, config)
+        chosen = 0
+        if len(sets) > 1:
+            errors = [cost.equal for cost in costs_on_rig(kind, sets, config)]
+            if min(errors) < CLEARLY * errors[0]:
+                chosen = int(np.argmin(errors))
+        _CHOSEN[key] = sets[chosen]
+    return _CHOSEN[key]
+
+
+def searched_gains(kind: str, config: TaskConfig) -> Group:
+    """Gains from a short search around :func:`chosen_gains`; it takes about a minute.
+
+    Fresh cases decide between the best candidate of each generation, the choice and the first set: a search favours
+    what some cases happen to like. Limit cycles at rest count against each.
+    """
+    key = kind, repr(config)
+    if key not in _SEARCHED:
+        print(f"hydro: {kind}: a simulation of the rig searches gains; about a minute", file=sys.stderr)
+        chosen = chosen_gains(kind, config)
+        found = [gain_sets(kind, config)[0], chosen]
+        search = Search(evaluations=NEARBY, cases=SEARCH_CASES, start=chosen, spread=NEAR[kind], separable=True)
+        tune(kind, config, search, progress=lambda best: found.append(best.gains))
+        leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
+        errors = np.zeros(len(leaders))
+        for seed in TRIALS:
+            costs = costs_of_sets(kind, leaders, [config], TRIAL_CASES, seed)
+            errors += np.log([cost.equal for cost in costs]) / len(TRIALS)
+        for number, gains in enumerate(leaders):
+            counts = counted_at_rest(CONTROLLERS[kind][0](gains, config), config, STANDSTILLS, RESTS)
+            errors[number] += PER_LIMIT_CYCLE[kind] * counts["limit_cycles"] / RESTS
+        _SEARCHED[key] = leaders[int(np.argmin(errors))]
+    return _SEARCHED[key]
+
+
+def costs_on_rig(kind: str, sets: Sequence[Group], config: TaskConfig) -> list[Cost]:
+    """Costs of some sets of gains on the rig of a task."""
+    return costs_of_sets(kind, sets, [config], CHOICE_CASES, 0)
