@@ -240,7 +240,7 @@ def _gains(
     with _training(folder, kind, [path.name, TUNING_LOG], [TUNING_LOG], resume, overwrite) as display:
         best = tune_gains(kind, study.task, budget, first, path, seed, display, kind)
         display.say(
-            f"{kind}: on training cases, cost of command changes included: mean {1e3 * best.score.mean:.4f} mm, "
-            f"geometric mean of the families {1e3 * best.score.equal:.4f} mm"
+            f"{kind}: on training cases, cost of command changes included: mean {1e3 * best.cost.mean:.4f} mm, "
+            f"geometric mean of the families {1e3 * best.cost.equal:.4f} mm"
         )
     return path

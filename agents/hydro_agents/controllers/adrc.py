@@ -43,20 +43,41 @@ class ADRC(ObserverFeedback):
 
     def __init__(self, gains: ADRCGains, config: TaskConfig) -> None:
         super().__init__(gains, config)
-        period, rate = config.control_period, 1.0 / (gains.speed_lag * self.lag)
-        a, b = np.array([[0.0, 1.0, 0.0], [0.0, -rate, rate], [0.0, 0.0, 0.0]]), np.array([0.0, rate, 0.0])
-        self.model = model = sampled(a, b, np.array([[1.0, 0.0, 0.0]]), config)
-        pole = np.exp(-period * gains.observer_bandwidth / self.lag)
+        rate = 1.0 / (gains.speed_lag * self.lag)
+        a = np.array([[0.0, 1.0, 0.0], [0.0, -rate, rate], [0.0, 0.0, 0.0]])
+        b = np.array([0.0, rate, 0.0])
+        position = np.array([[1.0, 0.0, 0.0]])
+        self.model = sampled(a, b, position, config)
+        self.correction = self._observer(gains.observer_bandwidth)
+        self.feedback = self._feedback(gains.controller_bandwidth)
+        lead = gains.lead * self.delay / config.control_period
+        self._reference_speeds = self._speeds_at((0.0, lead - 1.0, lead))
+
+    def _observer(self, bandwidth: float) -> Floats:
+        """Gain of the observer, (3, 1)."""
+        model, pole = self.model, self._pole(bandwidth)
         observed = (model.outputs @ model.transition)[0]
-        self.correction = placed(model.transition.T, observed, [pole] * 3)[:, None]
-        # The last command is a state, because it acts until the latency is over.
+        return placed(model.transition.T, observed, [pole] * 3)[:, None]
+
+    def _feedback(self, bandwidth: float) -> Floats:
+        """Gains of the feedback, (3,). The last command is a state, because it acts until the latency is over."""
+        model, pole = self.model, self._pole(bandwidth)
         transition = np.zeros((3, 3))
-        transition[:2, :2], transition[:2, 2] = model.transition[:2, :2], model.input_old[:2]
-        pole = np.exp(-period * gains.controller_bandwidth / self.lag)
-        self.feedback = placed(transition, np.append(model.input_new[:2], 1.0), [pole, pole, 0.0])
-        lead, middles = gains.lead * self.delay / period, np.arange(-0.5, self.preview.horizon)
-        shares = [[np.interp(at, middles, step) for step in np.eye(len(middles))] for at in (0.0, lead - 1.0, lead)]
-        self._reference_speeds = np.array(shares).T / period
+        transition[:2, :2] = model.transition[:2, :2]
+        transition[:2, 2] = model.input_old[:2]
+        return placed(transition, np.append(model.input_new[:2], 1.0), [pole, pole, 0.0])
+
+    def _pole(self, bandwidth: float) -> float:
+        """The pole of a bandwidth, which is per lag of the rig."""
+        return float(np.exp(-self.config.control_period * bandwidth / self.lag))
+
+    def _speeds_at(self, times: Sequence[float]) -> Floats:
+        """Matrix from the steps of the reference to its speeds at some times, in control periods from now."""
+        middles = np.arange(-0.5, self.preview.horizon)
+        shares = []
+        for time in times:
+            shares.append([np.interp(time, middles, step) for step in np.eye(len(middles))])
+        return np.array(shares).T / self.config.control_period
 
     def following(self, measured: Floats, command: Floats, speed: Floats) -> Floats:
         """See :meth:`ObserverFeedback.following`."""

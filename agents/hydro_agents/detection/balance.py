@@ -33,8 +33,6 @@ from hydro_agents.detection.balance_parts import (
     hold,
     spool_between,
     substitute,
-    tell,
-    trace,
     whiten,
 )
 from hydro_agents.detection.sheet import POINTS, Sheet, Unknowns
@@ -162,169 +160,29 @@ def _add_compression(travel, slope, chamber, sign, first, last, length, area, u,
     slope[chamber, DEAD] += sign * squeezed / area
 
 
-def _build(sources: int) -> Any:
-    def fit(signals, sheet, estimate, deviation, misfit, correlation, spool_error, part, part_deviation):
-        assert sources >= 0  # keys numba's cache
-        c = _read_coefficients(sheet.coefficients)
-        samples = signals.shape[2]
-        spool, p_a, p_b = np.empty((samples, POINTS)), np.empty(samples), np.empty(samples)
-        smooth, valve = np.empty(samples), np.empty(3)
-        theta, normal, right = np.empty(COUNT), np.empty((COUNT, COUNT)), np.empty(COUNT)
-        best_normal, best_right, mean_square = np.empty((COUNT, COUNT)), np.empty(COUNT), np.empty(2)
-        normals, rights = np.empty((2, COUNT, COUNT)), np.empty((2, COUNT))  # of each residual
-        travel, slope = np.empty(2), np.empty((2, COUNT))  # since the window began
-        filtered, whitened = np.empty((2, COUNT + 1)), np.empty(COUNT + 1)
-        variance, before, product = np.empty(2), np.empty(2), np.empty(2)
-        pull, weight = np.empty((2, TRACED, PARTS)), np.empty((2, TRACED, PARTS))  # of each residual in each part
-        spread = sheet.spread
-        for window in range(signals.shape[0]):
-            x, sensed_a, sensed_b, reading, command = signals[window]
-            _without_lag(sensed_a, sheet, p_a)
-            _without_lag(sensed_b, sheet, p_b)
-            answer = sheet.transition[best_valve(reading, command, sheet.transition, sheet.spool_noise, valve)]
-            spool_between(reading, command, answer, sheet.spool_noise, valve, spool, spool_error[window], smooth)
-            theta[:] = sheet.mean
-            damping, least = FIRST_DAMPING, math.inf
-            for _ in range(ITERATIONS):
-                u = _read_unknowns(theta)
-                mean_square[:] = 0.0
-                normals[:] = 0.0
-                rights[:] = 0.0
-                pull[:] = 0.0
-                weight[:] = 0.0
-                before[:] = 0.0
-                product[:] = 0.0
-                travel[:] = 0.0
-                slope[:] = 0.0
-                filtered[:] = 0.0
-                variance[0] = sheet.position_noise**2
-                variance[1] = (sheet.mean[OIL] * sheet.pressure_noise_b / c.bulk_modulus * c.volume_b0 / c.area_b) ** 2
-                supply, gas, excess_share = u.supply_pressure + u.supply_excess, sheet.gas_volume, 1.0
-                for k in range(samples - 1):
-                    drawn = 0.0
-                    for point in range(POINTS):
-                        share = (point + 0.5) / POINTS
-                        a = p_a[k] + share * (p_a[k + 1] - p_a[k]) - u.bias_a
-                        b = p_b[k] + share * (p_b[k + 1] - p_b[k]) - u.bias_b
-                        step = sheet.period / POINTS
-                        drawn += (
-                            _add_flows(
-                                travel, slope, a, b, spool[k, point], supply, excess_share, step, sheet.leak_unit, u, c
-                            )
-                            / POINTS
-                        )
-                    volume_a, volume_b = chamber_volumes(0.5 * (x[k] + x[k + 1]), c)
-                    length_a, length_b = (volume_a + u.dead_volume) / c.area_a, (volume_b + u.dead_volume) / c.area_b
-                    first, last = p_a[k] - u.bias_a, p_a[k + 1] - u.bias_a
-                    _add_compression(travel, slope, 0, -1.0, first, last, length_a, c.area_a, u, c)
-                    first, last = p_b[k] - u.bias_b, p_b[k + 1] - u.bias_b
-                    _add_compression(travel, slope, 1, 1.0, first, last, length_b, c.area_b, u, c)
+class _Course(NamedTuple):
+    """Both residuals along a window, and the filter that whitens them."""
 
-                    rate, gas_rate = supply_rates(_Supplied(supply, gas), drawn, _set_to(c, u.supply_pressure))
-                    stiffness = c.supply_dynamics * (supply + ATMOSPHERIC_PRESSURE) / gas
-                    excess_share *= math.exp(-sheet.period * stiffness * c.relief_slope)
-                    supply += sheet.period * rate
-                    gas = max(gas + sheet.period * gas_rate, 0.1 * sheet.gas_volume)
-
-                    sensed = (
-                        math.hypot(length_a * sheet.pressure_noise_a, length_b * sheet.pressure_noise_b)
-                        / c.bulk_modulus
-                    )
-                    noise = sheet.flow_noise**2 + (sheet.flow_error * (reading[k + 1] - reading[k])) ** 2
-                    if min(p_a[k], p_a[k + 1]) < sheet.lowest_a or min(p_b[k], p_b[k + 1]) < sheet.lowest_b:
-                        noise += CAVITATING**2
-                    for residual in range(2):
-                        other = residual == 1
-                        base = sheet.mean[OIL] * sensed if other else sheet.position_noise
-                        value = travel[1] - travel[0] if other else x[k + 1] - x[0] - travel[0]
-                        variance[residual] += noise
-                        total = variance[residual] + base * base
-                        blend, unit = variance[residual] / total, 1.0 / math.sqrt(total)
-                        variance[residual] *= 1.0 - blend
-                        square = whiten(value, slope, other, filtered[residual], whitened, spread, blend, unit)
-                        mean_square[residual] += square / (samples - 1)
-                        product[residual] += before[residual] * whitened[COUNT] / (samples - 1)
-                        before[residual] = whitened[COUNT]
-                        if other:  # subtract the noise of the pressures; less in the matrix, which must stay definite
-                            known = (unit * sensed) ** 2
-                            mean_square[1] += known * (sheet.mean[OIL] ** 2 - u.compressibility**2) / (samples - 1)
-                            rights[1, OIL] += known * u.compressibility * spread[OIL]
-                            normals[1, OIL, OIL] -= 0.8 * known * spread[OIL] ** 2
-                        for i in range(COUNT):
-                            for j in range(i + 1):
-                                normals[residual, i, j] += whitened[i] * whitened[j]
-                            rights[residual, i] -= whitened[i] * whitened[COUNT]
-                        now = PARTS * k // (samples - 1)
-                        for one in range(TRACED):
-                            at = _traced(one)
-                            trace(pull, weight, residual, one, now, whitened[at], whitened[COUNT])
-
-                # Misfit of the model counts as noise: a residual above 1 contributes its logarithm.
-                cost = 0.0
-                normal[:] = 0.0
-                for i in range(COUNT):
-                    off = (sheet.mean[i] - theta[i]) / spread[i]
-                    normal[i, i], right[i] = 1.0, off
-                    cost += off * off
-                for residual in range(2):
-                    above = max(mean_square[residual], 1.0)
-                    for one in range(TRACED):
-                        for now in range(PARTS):
-                            pull[residual, one, now] /= above
-                            weight[residual, one, now] /= above
-                    cost += (samples - 1) * (min(mean_square[residual], 1.0) + math.log(above))
-                    for i in range(COUNT):
-                        right[i] += rights[residual, i] / above
-                        for j in range(i + 1):
-                            normal[i, j] += normals[residual, i, j] / above
-                if cost < least:
-                    gained, least = least - cost, cost
-                    damping *= 0.2
-                    best_normal[:] = normal
-                    best_right[:] = right
-                    estimate[window] = theta
-                    misfit[window] = mean_square
-                    for residual in range(2):
-                        correlation[window, residual] = product[residual] / (mean_square[residual] + 1e-9)
-                    for now in range(PARTS):
-                        for one in range(TRACED):
-                            at = _traced(one)
-                            tell(pull, weight, one, now, theta[at], spread[at], window, part, part_deviation)
-                    if gained < ENOUGH:
-                        break
-                else:
-                    damping *= 10.0
-                for held in range(2):
-                    normal[:] = best_normal
-                    right[:] = best_right
-                    for i in range(COUNT):
-                        normal[i, i] *= 1.0 + damping
-                    none = -estimate[window, INTERNAL] / spread[INTERNAL]
-                    if held == 1:  # at zero: a leak cannot be negative
-                        hold(normal, right, INTERNAL, max(none, -LARGEST_MOVE))
-                    factor(normal)
-                    substitute(normal, right)
-                    if right[INTERNAL] >= none:
-                        break
-                for i in range(COUNT):
-                    theta[i] = estimate[window, i] + min(max(right[i], -LARGEST_MOVE), LARGEST_MOVE) * spread[i]
-                theta[GAIN] = max(theta[GAIN], SMALLEST_GAIN)
-                theta[UNDERLAP] = max(theta[UNDERLAP], SMALLEST_UNDERLAP)
-                theta[OIL] = max(theta[OIL], SMALLEST_COMPRESSIBILITY)
-            factor(best_normal)
-            for i in range(COUNT):  # diagonal of the inverse
-                right[:] = 0.0
-                right[i] = 1.0
-                substitute(best_normal, right)
-                deviation[window, i] = min(math.sqrt(right[i]), 1.0) * spread[i]  # at most the prior's
-
-    return compiled(fit)
+    travel: Any  # (2,), of the piston since the window began, by the balance of each chamber, m
+    slope: Any  # (2, COUNT), derivatives of the travels
+    filtered: Any  # (2, COUNT + 1), what the filter expects of derivatives and residual
+    variance: Any  # (2,), of the filter
+    whitened: Any  # (COUNT + 1,), derivatives and residual of the present sample
+    before: Any  # (2,), the whitened residuals of the last sample
 
 
-fit = _build(SOURCES)
+class _Sums(NamedTuple):
+    """Sums over the samples of a window, for each of the two residuals."""
+
+    normals: Any  # (2, COUNT, COUNT), products of the derivatives; lower halves
+    rights: Any  # (2, COUNT), products of derivatives and residual
+    mean_square: Any  # (2,)
+    product: Any  # (2,), mean product of successive residuals
+    pull: Any  # (2, TRACED, PARTS), as ``rights``, of each part alone
+    weight: Any  # (2, TRACED, PARTS), as ``normals``
 
 
-class Balance(NamedTuple):
+class BalanceFit(NamedTuple):
     """The fit of N windows of T samples."""
 
     estimate: NDArray[np.float64]  # (N, COUNT), of the unknowns
@@ -336,7 +194,218 @@ class Balance(NamedTuple):
     part_deviation: NDArray[np.float64]  # (N, TRACED, PARTS)
 
 
-def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
+@inline
+def _begin(sheet, c, course, sums):
+    """Set the course to the start of a window, and the sums to zero."""
+    course.travel[:] = 0.0
+    course.slope[:] = 0.0
+    course.filtered[:] = 0.0
+    course.before[:] = 0.0
+    course.variance[0] = sheet.position_noise**2
+    course.variance[1] = (sheet.mean[OIL] * sheet.pressure_noise_b / c.bulk_modulus * c.volume_b0 / c.area_b) ** 2
+    sums.normals[:] = 0.0
+    sums.rights[:] = 0.0
+    sums.mean_square[:] = 0.0
+    sums.product[:] = 0.0
+    sums.pull[:] = 0.0
+    sums.weight[:] = 0.0
+
+
+@inline
+def _add_residual(residual, value, base, noise, sensed, k, periods, compressibility, sheet, course, sums):
+    """Whiten a residual and its derivatives at sample ``k`` + 1, and add them to the sums.
+
+    ``base`` is the white noise of the residual, ``noise`` the variance that its random walk gains in the period.
+    """
+    other = residual == 1
+    course.variance[residual] += noise
+    total = course.variance[residual] + base * base
+    blend, unit = course.variance[residual] / total, 1.0 / math.sqrt(total)
+    course.variance[residual] *= 1.0 - blend
+    whitened = course.whitened
+    square = whiten(value, course.slope, other, course.filtered[residual], whitened, sheet.spread, blend, unit)
+    sums.mean_square[residual] += square / periods
+    sums.product[residual] += course.before[residual] * whitened[COUNT] / periods
+    course.before[residual] = whitened[COUNT]
+    if other:  # subtract the noise of the pressures; less in the matrix, which must stay definite
+        known = (unit * sensed) ** 2
+        sums.mean_square[1] += known * (sheet.mean[OIL] ** 2 - compressibility**2) / periods
+        sums.rights[1, OIL] += known * compressibility * sheet.spread[OIL]
+        sums.normals[1, OIL, OIL] -= 0.8 * known * sheet.spread[OIL] ** 2
+    for i in range(COUNT):
+        for j in range(i + 1):
+            sums.normals[residual, i, j] += whitened[i] * whitened[j]
+        sums.rights[residual, i] -= whitened[i] * whitened[COUNT]
+    now = PARTS * k // periods
+    for one in range(TRACED):
+        slope = whitened[_traced(one)]
+        sums.pull[residual, one, now] -= slope * whitened[COUNT]
+        sums.weight[residual, one, now] += slope * slope
+
+
+@inline
+def _follow(x, p_a, p_b, reading, spool, sheet, c, theta, course, sums):
+    """Write the sums of a window for the unknowns ``theta``."""
+    u = _read_unknowns(theta)
+    _begin(sheet, c, course, sums)
+    travel, slope = course.travel, course.slope
+    periods, step = x.shape[0] - 1, sheet.period / POINTS
+    supply, gas, excess_share = u.supply_pressure + u.supply_excess, sheet.gas_volume, 1.0
+    for k in range(periods):
+        drawn = 0.0
+        for point in range(POINTS):
+            share = (point + 0.5) / POINTS
+            a = p_a[k] + share * (p_a[k + 1] - p_a[k]) - u.bias_a
+            b = p_b[k] + share * (p_b[k + 1] - p_b[k]) - u.bias_b
+            at = spool[k, point]
+            drawn += _add_flows(travel, slope, a, b, at, supply, excess_share, step, sheet.leak_unit, u, c) / POINTS
+        volume_a, volume_b = chamber_volumes(0.5 * (x[k] + x[k + 1]), c)
+        length_a, length_b = (volume_a + u.dead_volume) / c.area_a, (volume_b + u.dead_volume) / c.area_b
+        first, last = p_a[k] - u.bias_a, p_a[k + 1] - u.bias_a
+        _add_compression(travel, slope, 0, -1.0, first, last, length_a, c.area_a, u, c)
+        first, last = p_b[k] - u.bias_b, p_b[k + 1] - u.bias_b
+        _add_compression(travel, slope, 1, 1.0, first, last, length_b, c.area_b, u, c)
+
+        rate, gas_rate = supply_rates(_Supplied(supply, gas), drawn, _set_to(c, u.supply_pressure))
+        stiffness = c.supply_dynamics * (supply + ATMOSPHERIC_PRESSURE) / gas
+        excess_share *= math.exp(-sheet.period * stiffness * c.relief_slope)
+        supply += sheet.period * rate
+        gas = max(gas + sheet.period * gas_rate, 0.1 * sheet.gas_volume)
+
+        sensed = math.hypot(length_a * sheet.pressure_noise_a, length_b * sheet.pressure_noise_b) / c.bulk_modulus
+        noise = sheet.flow_noise**2 + (sheet.flow_error * (reading[k + 1] - reading[k])) ** 2
+        if min(p_a[k], p_a[k + 1]) < sheet.lowest_a or min(p_b[k], p_b[k + 1]) < sheet.lowest_b:
+            noise += CAVITATING**2
+        for residual in range(2):
+            other = residual == 1
+            base = sheet.mean[OIL] * sensed if other else sheet.position_noise
+            value = travel[1] - travel[0] if other else x[k + 1] - x[0] - travel[0]
+            _add_residual(residual, value, base, noise, sensed, k, periods, u.compressibility, sheet, course, sums)
+
+
+@inline
+def _weigh(sums, sheet, theta, periods, normal, right):
+    """Write the normal equations; returns the cost (χ²).
+
+    Misfit of the model counts as noise: a residual above 1 contributes its logarithm.
+    """
+    cost = 0.0
+    normal[:] = 0.0
+    for i in range(COUNT):
+        off = (sheet.mean[i] - theta[i]) / sheet.spread[i]
+        normal[i, i], right[i] = 1.0, off
+        cost += off * off
+    for residual in range(2):
+        above = max(sums.mean_square[residual], 1.0)
+        for one in range(TRACED):
+            for now in range(PARTS):
+                sums.pull[residual, one, now] /= above
+                sums.weight[residual, one, now] /= above
+        cost += periods * (min(sums.mean_square[residual], 1.0) + math.log(above))
+        for i in range(COUNT):
+            right[i] += sums.rights[residual, i] / above
+            for j in range(i + 1):
+                normal[i, j] += sums.normals[residual, i, j] / above
+    return cost
+
+
+@inline
+def _keep(window, theta, sums, spread, balance):
+    """Write the estimates of a window, and of its parts alone."""
+    balance.estimate[window] = theta
+    balance.misfit[window] = sums.mean_square
+    for residual in range(2):
+        balance.correlation[window, residual] = sums.product[residual] / (sums.mean_square[residual] + 1e-9)
+    for now in range(PARTS):
+        for one in range(TRACED):
+            at = _traced(one)
+            told = 1.0 + sums.weight[0, one, now] + sums.weight[1, one, now]
+            pull = sums.pull[0, one, now] + sums.pull[1, one, now]
+            balance.part[window, one, now] = theta[at] + spread[at] * pull / told
+            balance.part_deviation[window, one, now] = spread[at] / math.sqrt(told)
+
+
+@inline
+def _move(best, best_normal, best_right, damping, spread, normal, right, theta):
+    """Write the next unknowns to ``theta``: a damped step from the best ones. A leak cannot be negative."""
+    none = -best[INTERNAL] / spread[INTERNAL]
+    for held in range(2):
+        normal[:] = best_normal
+        right[:] = best_right
+        for i in range(COUNT):
+            normal[i, i] *= 1.0 + damping
+        if held == 1:
+            hold(normal, right, INTERNAL, max(none, -LARGEST_MOVE))
+        factor(normal)
+        substitute(normal, right)
+        if right[INTERNAL] >= none:
+            break
+    for i in range(COUNT):
+        theta[i] = best[i] + min(max(right[i], -LARGEST_MOVE), LARGEST_MOVE) * spread[i]
+    theta[GAIN] = max(theta[GAIN], SMALLEST_GAIN)
+    theta[UNDERLAP] = max(theta[UNDERLAP], SMALLEST_UNDERLAP)
+    theta[OIL] = max(theta[OIL], SMALLEST_COMPRESSIBILITY)
+
+
+@inline
+def _tell_deviations(normal, right, spread, deviation):
+    """Write the standard deviations, at most the priors', from the diagonal of the inverse of ``normal``."""
+    factor(normal)
+    for i in range(COUNT):
+        right[:] = 0.0
+        right[i] = 1.0
+        substitute(normal, right)
+        deviation[i] = min(math.sqrt(right[i]), 1.0) * spread[i]
+
+
+def _build(sources: int) -> Any:
+    def fit(signals, sheet, balance):
+        assert sources >= 0  # keys numba's cache
+        c = _read_coefficients(sheet.coefficients)
+        samples = signals.shape[2]
+        spool, p_a, p_b = np.empty((samples, POINTS)), np.empty(samples), np.empty(samples)
+        smooth, valve = np.empty(samples), np.empty(3)
+        theta, normal, right = np.empty(COUNT), np.empty((COUNT, COUNT)), np.empty(COUNT)
+        best_normal, best_right = np.empty((COUNT, COUNT)), np.empty(COUNT)
+        travel, slope, filtered = np.empty(2), np.empty((2, COUNT)), np.empty((2, COUNT + 1))
+        variance, whitened, before = np.empty(2), np.empty(COUNT + 1), np.empty(2)
+        course = _Course(travel, slope, filtered, variance, whitened, before)
+        normals, rights, mean_square = np.empty((2, COUNT, COUNT)), np.empty((2, COUNT)), np.empty(2)
+        product, pull, weight = np.empty(2), np.empty((2, TRACED, PARTS)), np.empty((2, TRACED, PARTS))
+        sums = _Sums(normals, rights, mean_square, product, pull, weight)
+        for window in range(signals.shape[0]):
+            x, sensed_a, sensed_b, reading, command = signals[window]
+            _without_lag(sensed_a, sheet, p_a)
+            _without_lag(sensed_b, sheet, p_b)
+            answer = sheet.transition[best_valve(reading, command, sheet.transition, sheet.spool_noise, valve)]
+            error = balance.spool_error[window]
+            spool_between(reading, command, answer, sheet.spool_noise, valve, spool, error, smooth)
+            theta[:] = sheet.mean
+            damping, least = FIRST_DAMPING, math.inf
+            for _ in range(ITERATIONS):
+                _follow(x, p_a, p_b, reading, spool, sheet, c, theta, course, sums)
+                cost = _weigh(sums, sheet, theta, samples - 1, normal, right)
+                if cost < least:
+                    gained, least = least - cost, cost
+                    damping *= 0.2
+                    best_normal[:] = normal
+                    best_right[:] = right
+                    _keep(window, theta, sums, sheet.spread, balance)
+                    if gained < ENOUGH:
+                        break
+                else:
+                    damping *= 10.0
+                best = balance.estimate[window]
+                _move(best, best_normal, best_right, damping, sheet.spread, normal, right, theta)
+            _tell_deviations(best_normal, right, sheet.spread, balance.deviation[window])
+
+    return compiled(fit)
+
+
+fit = _build(SOURCES)
+
+
+def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> BalanceFit:
     """Fit the flow balance of windows.
 
     Args:
@@ -345,6 +414,6 @@ def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
     """
     count, _, samples = signals.shape
     shapes = ((COUNT,), (COUNT,), (2,), (2,), (samples,), (TRACED, PARTS), (TRACED, PARTS))
-    balance = Balance(*(np.empty((count, *shape)) for shape in shapes))
-    fit(np.ascontiguousarray(signals), sheet, *balance)
+    balance = BalanceFit(*(np.empty((count, *shape)) for shape in shapes))
+    fit(np.ascontiguousarray(signals), sheet, balance)
     return balance

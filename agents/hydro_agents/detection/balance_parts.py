@@ -141,18 +141,3 @@ def substitute(lower, right):
         for k in range(i + 1, count):
             right[i] -= lower[k, i] * right[k]
         right[i] /= lower[i, i]
-
-
-@inline
-def trace(pull, weight, residual, one, now, slope, value):
-    """Add a sample of a whitened residual to the normal equation of an unknown in a part of the window."""
-    pull[residual, one, now] -= slope * value
-    weight[residual, one, now] += slope * slope
-
-
-@inline
-def tell(pull, weight, one, now, estimate, spread, window, part, part_deviation):
-    """Solve the normal equation of an unknown in a part of the window."""
-    told = 1.0 + weight[0, one, now] + weight[1, one, now]
-    part[window, one, now] = estimate + spread * (pull[0, one, now] + pull[1, one, now]) / told
-    part_deviation[window, one, now] = spread / math.sqrt(told)

@@ -1,11 +1,10 @@
-"""Windows of the leakage head's training: simulated axes in many kinds of operation, with faults."""
+"""LabelledWindows of the leakage head's training: simulated axes in many kinds of operation, with faults."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,8 +12,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, MeasuredColumns
-from hydro_agents.detection.disturbances import KINDS as DISTURBANCES
-from hydro_agents.detection.disturbances import Disturbed, drawn
+from hydro_agents.detection.disturbances import DISTURBANCES, Disturbed, drawn
 from hydro_agents.detection.features import FEATURES, LABELS, features_of
 from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation
 from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
@@ -28,7 +26,7 @@ from hydro_env.task.drawn_rigs import rig_tasks
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, SIGNED_KINDS, fault_limits, faults_of
 from hydro_env.task.sensors import SENSORS
 
-EXTERNAL = "external_leak"
+EXTERNAL_LEAK = "external_leak"
 UNSEEN = ("position_offset",)  # faults that are invisible in the measured signals; they get no label
 
 LABEL_OF_FAULT = {
@@ -36,10 +34,10 @@ LABEL_OF_FAULT = {
 }
 """Index of the label of each fault."""
 
-KINDS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")
+TRAINED_FAULTS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")
 """Faults of the training; a stuck sensor is found without the network."""
 
-LEAKS = ("constant", "onset", "growth", "orifice")
+LEAK_COURSES = ("constant", "onset", "growth", "orifice")
 """Leaks of the training: constant laminar gap, beginning or growing within the window, constant orifice."""
 
 CHANGING = ("onset", "growth")
@@ -47,8 +45,8 @@ CHANGING = ("onset", "growth")
 CHUNK, CHUNK_OF_RIG = 256, 24  # largest number of axes that are simulated together; the same for each drawn rig
 CHUNK_OF_POLICY = 96  # the same under a policy for any axis: it takes a quarter of a minute to choose its gains
 
-ANY_AXIS = ("flow_linearising", "ppo")  # kinds of controllers that serve drawn rigs
-POLICY = ANY_AXIS.index("ppo")
+KINDS_FOR_ANY_AXIS = ("flow_linearising", "ppo")  # kinds of controllers that serve drawn rigs
+POLICY = KINDS_FOR_ANY_AXIS.index("ppo")
 
 SECOND_FAULT, AT_START, SMALL = 0.1, 0.2, 0.35
 """Shares: of faulty axes with a second fault, of windows at the start of a run, of leaks that are drawn from the
@@ -60,23 +58,23 @@ NOISY, LEAST_NOISE, MOST_NOISE = 0.3, 0.7, 1.6
 LATEST = 0.9  # latest onset of a leak, as a fraction of the window
 
 
-class Windows(NamedTuple):
+class LabelledWindows(NamedTuple):
     """N labelled windows."""
 
     features: NDArray[np.float32]  # (N, F); with a law those of the rig at the end
     labels: NDArray[np.float32]  # (N, labels), 0 or 1
     size: NDArray[np.float64]  # (N,), internal leak, in the rig's unit of leaks
     fault: NDArray[np.int64]  # (N,), index into FAULTS of the first fault, −1 for none
-    leak: NDArray[np.int64]  # (N,), index into LEAKS
+    leak: NDArray[np.int64]  # (N,), index into LEAK_COURSES
     noise: NDArray[np.float64]  # (N,), of the sensors, as a factor on the task's
     disturbance: NDArray[np.float64]  # (N,), its range in the window over the noticeable one; 0: none
 
-    def part(self, chosen: NDArray[Any]) -> Windows:
+    def part(self, chosen: NDArray[Any]) -> LabelledWindows:
         """Some of the windows."""
-        return Windows(*(values[chosen] for values in self))
+        return LabelledWindows(*(values[chosen] for values in self))
 
     @classmethod
-    def joined(cls, parts: Sequence[Windows]) -> Windows:
+    def joined(cls, parts: Sequence[LabelledWindows]) -> LabelledWindows:
         """Several sets as one."""
         return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
@@ -86,13 +84,13 @@ class Chunk(NamedTuple):
 
     row: int  # of OPERATIONS
     controller: int  # index of the controller, −1: none
-    leak: str  # one of LEAKS
+    leak: str  # one of LEAK_COURSES
     axes: int
     disturbed: bool = False
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrainingPlan:
     """Sources of the windows.
 
     With a law, each chunk has the next of its rigs, and controllers for any axis instead of those given. The leaks are
@@ -114,26 +112,41 @@ class Plan:
 
     def chunks(self, episodes: int) -> list[Chunk]:
         """Groups of runs that are simulated together."""
-        parts = []
-        total = sum(row.share for row in OPERATIONS)
-        settings, one_rig = self.settings, self.settings.law is None
+        settings = self.settings
         changing, orifice, disturbed = 0.5 * settings.changing_share, settings.orifice_share, settings.disturbed_share
-        constant = 1.0 - 2.0 * changing - orifice - disturbed
-        shares = [*zip(LEAKS, (constant, changing, changing, orifice), repeat(False)), ("constant", disturbed, True)]
+        shares = [
+            ("constant", 1.0 - 2.0 * changing - orifice - disturbed, False),
+            ("onset", changing, False),
+            ("growth", changing, False),
+            ("orifice", orifice, False),
+            ("constant", disturbed, True),
+        ]
+        total = sum(row.share for row in OPERATIONS)
+        controllers = len(self.controllers) if settings.law is None else len(KINDS_FOR_ANY_AXIS)
+        chunks = []
         for number, row in enumerate(OPERATIONS):
-            acting = [-1] if row.manner else range(len(self.controllers if one_rig else ANY_AXIS))
+            acting = [-1] if row.manner else range(controllers)
             for controller in acting:
                 for leak, share, moves in shares:
                     count = round(episodes * share * row.share / total / len(acting))
-                    most = CHUNK if one_rig else CHUNK_OF_POLICY if controller == POLICY else CHUNK_OF_RIG
-                    most = min(most, CHUNK // 4) if leak in CHANGING else most  # more lengths of windows
-                    pieces = -(-count // most)
-                    sizes = [count * (p + 1) // pieces - count * p // pieces for p in range(pieces)]
-                    parts += [Chunk(number, controller, leak, size, moves) for size in sizes]
-        return parts
+                    pieces = -(-count // self._largest(controller, leak))
+                    for piece in range(pieces):
+                        size = count * (piece + 1) // pieces - count * piece // pieces
+                        chunks.append(Chunk(number, controller, leak, size, moves))
+        return chunks
+
+    def _largest(self, controller: int, leak: str) -> int:
+        """Largest number of axes of a chunk."""
+        if self.settings.law is None:
+            largest = CHUNK
+        elif controller == POLICY:
+            largest = CHUNK_OF_POLICY
+        else:
+            largest = CHUNK_OF_RIG
+        return min(largest, CHUNK // 4) if leak in CHANGING else largest  # more lengths of windows
 
     def jobs(self, episodes: int, first_seed: int) -> dict[str, Job]:
-        """A job for each chunk whose controller is known, by the chunk's number; their results are :class:`Windows`.
+        """A job for each chunk whose controller is known, by the chunk's number; results: :class:`LabelledWindows`.
 
         Args:
             episodes: number of runs; rounding may add a few.
@@ -164,48 +177,25 @@ def simulated(
 ) -> Columns:
     """The windows of one chunk."""
     generator = np.random.default_rng([int(seeds[0]), chunk.row])
-    row, count = OPERATIONS[chunk.row], chunk.axes
-    sheet, scale = sheet_of(config), leak_scale(config)
-    shortest, longest = config.steps, settings.longest_window(config)
-    # Whole lengths in a few steps: the windows of one length are read together.
-    choices = np.unique(np.geomspace(shortest, longest, 5).round().astype(int))
-    sizes = [int(choices[0] if turn % 2 == 0 else generator.choice(choices)) for turn in range(settings.windows)]
-    steps = longest + longest // 4
-    leakage = config.leakage.model_dump() | {"schedule": "constant"}
-    if chunk.leak == "orifice":
-        leakage |= {"law": "orifice"}
-    if changing := chunk.leak in CHANGING:  # the run ends with its only window
-        sizes = [int(generator.choice(sizes))]
-        steps = sizes[0] + int(generator.integers(shortest) if generator.random() > AT_START else 0)
-        begin, last = 1.0 - sizes[0] / steps, 1.0 - (1.0 - LATEST) * sizes[0] / steps
-        leakage |= {"schedule": chunk.leak, "start_range": (begin, last)}
-    duration = steps * config.control_period
-    noise = np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE)))
-    noise = float(noise) if generator.random() < NOISY else 1.0
-    sensors = config.sensors.model_dump()
-    for name in SENSORS:
-        sensors[name]["noise"] *= noise
-    task = row.task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
+    count, changing = chunk.axes, chunk.leak in CHANGING
+    sizes, steps = _lengths(generator, settings, config, changing)
+    noise = _noise(generator)
+    task = _task_of(chunk, config, sizes[0], steps, noise)
     leaks = _leaks(generator, config, settings, count)
-    faults, fault, labels = draw_faults(config, generator, count, 0.0 if chunk.disturbed else settings.fault_share)
-    faults[EXTERNAL] = np.minimum(scale * faults[EXTERNAL], fault_limits(EXTERNAL)[1])
+    fault_share = 0.0 if chunk.disturbed else settings.fault_share
+    faults, fault, labels = draw_faults(config, generator, count, fault_share)
+    scale = leak_scale(config)
+    faults[EXTERNAL_LEAK] = np.minimum(scale * faults[EXTERNAL_LEAK], fault_limits(EXTERNAL_LEAK)[1])
     labels[:, 0] = leaks > config.leakage.class_bounds[0]
-    measured = MeasuredColumns.of(task)
-    acting: Any
-    if row.manner:
-        acting = Operation(MANNERS[row.manner], task, count, int(seeds[0]))
-    elif settings.law is not None:
-        acting = shipped(ANY_AXIS[chunk.controller], task)
-    else:
-        acting = controller
+    acting = _acting(controller, settings, chunk, task, int(seeds[0]))
     moves = None
     if chunk.disturbed:
         kinds = generator.choice(list(DISTURBANCES), count)
         moves = drawn(generator, kinds, steps, config.control_period)
         acting = Disturbed(acting, moves)
-    run = run_cases(
-        task, acting, Cases(seeds, scale * leaks, faults=faults), measured.columns, states=False, chunk=count
-    )
+
+    measured, cases = MeasuredColumns.of(task), Cases(seeds, scale * leaks, faults=faults)
+    run = run_cases(task, acting, cases, measured.columns, states=False, chunk=count)
     assert run.signals is not None
     signals = measured.si(run.signals).astype(np.float32)
     if moves is not None:
@@ -216,19 +206,93 @@ def simulated(
         kept = np.flatnonzero(lengths >= (steps if changing else size))
         begins = np.floor(generator.random(len(kept)) * (lengths[kept] - size + 1)).astype(int)
         begins[generator.random(len(kept)) < AT_START] = 0
-        if changing:
+        if changing:  # the run ends with its only window
             begins[:] = steps - size
-        cut = [signals[axis, :, b : b + size] for axis, b in zip(kept, begins, strict=True)]
-        values = features_of(np.stack(cut), sheet) if cut else np.empty((0, len(FEATURES)), dtype=np.float32)
-        if settings.law is not None:
-            own = np.tile(rig_features(config), (len(values), 1))
-            values = np.concatenate([values, own], axis=1)
-        told = fault[kept], np.full(len(kept), LEAKS.index(chunk.leak)), np.full(len(kept), noise)
-        felt = (
-            moves._replace(course=moves.course[kept]).felt(begins, size) if moves is not None else np.zeros(len(kept))
+        felt = np.zeros(len(kept))
+        if moves is not None:
+            felt = moves._replace(course=moves.course[kept]).felt(begins, size)
+        parts.append(
+            LabelledWindows(
+                features=_features(signals, kept, begins, size, config, settings.law is not None),
+                labels=labels[kept],
+                size=leaks[kept],
+                fault=fault[kept],
+                leak=np.full(len(kept), LEAK_COURSES.index(chunk.leak)),
+                noise=np.full(len(kept), noise),
+                disturbance=felt,
+            )
         )
-        parts.append(Windows(values, labels[kept], leaks[kept], *told, felt))
-    return Windows.joined(parts)._asdict()
+    return LabelledWindows.joined(parts)._asdict()
+
+
+def _lengths(
+    generator: np.random.Generator, settings: HeadTrainingSettings, config: TaskConfig, changing: bool
+) -> tuple[list[int], int]:
+    """Samples of each window of a run, and of the run."""
+    shortest, longest = config.steps, settings.longest_window(config)
+    # Whole lengths in a few steps: the windows of one length are read together.
+    choices = np.unique(np.geomspace(shortest, longest, 5).round().astype(int))
+    sizes = []
+    for turn in range(settings.windows):
+        size = choices[0] if turn % 2 == 0 else generator.choice(choices)
+        sizes.append(int(size))
+    if not changing:
+        return sizes, longest + longest // 4
+    size = int(generator.choice(sizes))
+    before = int(generator.integers(shortest)) if generator.random() > AT_START else 0
+    return [size], size + before
+
+
+def _noise(generator: np.random.Generator) -> float:
+    """Noise of the sensors, as a factor on the task's."""
+    noise = float(np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE))))
+    return noise if generator.random() < NOISY else 1.0
+
+
+def _task_of(chunk: Chunk, config: TaskConfig, size: int, steps: int, noise: float) -> TaskConfig:
+    """The task of a chunk: runs of ``steps`` samples, which end with a window of ``size`` if their leak changes."""
+    leakage = config.leakage.model_dump() | {"schedule": "constant"}
+    if chunk.leak == "orifice":
+        leakage |= {"law": "orifice"}
+    if chunk.leak in CHANGING:
+        begin, last = 1.0 - size / steps, 1.0 - (1.0 - LATEST) * size / steps
+        leakage |= {"schedule": chunk.leak, "start_range": (begin, last)}
+    sensors = config.sensors.model_dump()
+    for name in SENSORS:
+        sensors[name]["noise"] *= noise
+    duration = steps * config.control_period
+    return OPERATIONS[chunk.row].task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
+
+
+def _acting(
+    controller: Controller | None, settings: HeadTrainingSettings, chunk: Chunk, task: TaskConfig, seed: int
+) -> Any:
+    """Who acts on the axes of a chunk."""
+    manner = OPERATIONS[chunk.row].manner
+    if manner:
+        return Operation(MANNERS[manner], task, chunk.axes, seed)
+    if settings.law is not None:
+        return shipped(KINDS_FOR_ANY_AXIS[chunk.controller], task)
+    return controller
+
+
+def _features(
+    signals: NDArray[np.float32],
+    axes: NDArray[np.int64],
+    begins: NDArray[np.int64],
+    size: int,
+    config: TaskConfig,
+    with_rig: bool,
+) -> NDArray[np.float32]:
+    """The features of one window of ``size`` samples of each of some axes, (N, F), those of the rig at the end."""
+    cut = [signals[axis, :, begin : begin + size] for axis, begin in zip(axes, begins, strict=True)]
+    if cut:
+        values = features_of(np.stack(cut), sheet_of(config))
+    else:
+        values = np.empty((0, len(FEATURES)), dtype=np.float32)
+    if with_rig:
+        values = np.concatenate([values, np.tile(rig_features(config), (len(values), 1))], axis=1)
+    return values
 
 
 def _leaks(
@@ -237,7 +301,8 @@ def _leaks(
     """Leaks in the rig's unit: healthy, or above the healthy bound; log-uniform."""
     bound, largest = config.leakage.class_bounds[0], LEAKAGE_LIMIT / leak_scale(config)
     healthy = generator.random(count) < settings.healthy_share
-    low = np.where(healthy, settings.lowest_healthy_flow, np.where(generator.random(count) < SMALL, bound, 3.0 * bound))
+    low = np.where(generator.random(count) < SMALL, bound, 3.0 * bound)
+    low = np.where(healthy, settings.lowest_healthy_flow, low)
     high = np.where(healthy, bound, min(settings.highest_flow, largest))
     size: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
     return size
@@ -250,16 +315,18 @@ def draw_faults(
     sizes = {name: np.zeros(count) for name in FAULTS}
     # Beside a leak from chamber b, a valve without underlap holds no weight: it lets chamber a run empty.
     hangs = config.plant.load.external_force != 0.0
-    kinds = [kind for kind in KINDS if not (hangs and kind == EXTERNAL)]
-    first, fitted = np.full(count, -1), [name for name in SENSORS if getattr(config.sensors, name).fitted]
-    labels = np.zeros((count, len(LABELS)), dtype=np.float32)
+    kinds = [kind for kind in TRAINED_FAULTS if not (hangs and kind == EXTERNAL_LEAK)]
+    fitted = [name for name in SENSORS if getattr(config.sensors, name).fitted]
+    first, labels = np.full(count, -1), np.zeros((count, len(LABELS)), dtype=np.float32)
     for axis in np.flatnonzero(generator.random(count) < share):
         for kind in generator.choice(kinds, 1 + (generator.random() < SECOND_FAULT), replace=False):
-            low, high = getattr(config.faults, kind).range
-            size = generator.uniform(low, high) * (generator.choice((-1.0, 1.0)) if kind in SIGNED_KINDS else 1.0)
+            size = generator.uniform(*getattr(config.faults, kind).range)
+            if kind in SIGNED_KINDS:
+                size *= generator.choice((-1.0, 1.0))
             name = generator.choice(faults_of(kind, fitted))
             sizes[name][axis] = size
-            first[axis] = FAULTS.index(name) if first[axis] < 0 else first[axis]
+            if first[axis] < 0:
+                first[axis] = FAULTS.index(name)
             if name in LABEL_OF_FAULT:
                 labels[axis, LABEL_OF_FAULT[name]] = 1.0
     return sizes, first, labels

@@ -12,7 +12,7 @@ from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import ConfigurationError
 from hydro_env.files import Group
 
-KINDS = ("head", "estimator", "two_stage")
+DETECTOR_KINDS = ("head", "estimator", "two_stage")
 
 ESTIMATOR = "hydro_rig.estimation.estimator:EstimatorDetector"
 TWO_STAGE = "hydro_rig.estimation.two_stage:TwoStageDetector"
@@ -39,8 +39,8 @@ class DetectorChoice(Group):
     @field_validator("kind")
     @classmethod
     def _known(cls, kind: str) -> str:
-        if kind not in KINDS and ":" not in kind:
-            raise ValueError(f"must be {', '.join(KINDS)}, or module:attribute")
+        if kind not in DETECTOR_KINDS and ":" not in kind:
+            raise ValueError(f"must be {', '.join(DETECTOR_KINDS)}, or module:attribute")
         return kind
 
 

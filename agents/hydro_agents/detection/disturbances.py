@@ -33,7 +33,7 @@ _RELIEF, _TANK = (Coefficients._fields.index(name) for name in ("relief_pressure
 _SUPPLY = State._fields.index("supply_pressure")
 
 
-class Kind(NamedTuple):
+class DisturbanceKind(NamedTuple):
     """A kind of disturbance: its shape over time, with a size and a time that are log-uniform."""
 
     row: int
@@ -58,14 +58,14 @@ def step(time: Floats, start: float, constant: float) -> Floats:
     return np.where(time < start, 0.0, 1.0 - np.exp(-np.maximum(time - start, 0.0) / constant))
 
 
-KINDS = {
-    "supply swings": Kind(SUPPLY, swing, (0.007, 0.1), (0.3, 8.0)),
-    "supply sags": Kind(SUPPLY, ramp, (-0.3, -0.03), (1.0, 8.0)),
-    "supply steps": Kind(SUPPLY, step, (0.02, 0.2), (0.01, 0.3), True),
-    "pump ripple": Kind(SUPPLY, swing, (0.007, 0.05), (0.004, 0.1)),
-    "tank swings": Kind(TANK, swing, (0.4e5, 2e5), (0.3, 8.0)),
-    "pressure a drifts": Kind(PRESSURE_A, ramp, (1.5e5, 10e5), (1.0, 8.0), True),
-    "pressure b drifts": Kind(PRESSURE_B, ramp, (1.5e5, 10e5), (1.0, 8.0), True),
+DISTURBANCES = {
+    "supply swings": DisturbanceKind(SUPPLY, swing, (0.007, 0.1), (0.3, 8.0)),
+    "supply sags": DisturbanceKind(SUPPLY, ramp, (-0.3, -0.03), (1.0, 8.0)),
+    "supply steps": DisturbanceKind(SUPPLY, step, (0.02, 0.2), (0.01, 0.3), True),
+    "pump ripple": DisturbanceKind(SUPPLY, swing, (0.007, 0.05), (0.004, 0.1)),
+    "tank swings": DisturbanceKind(TANK, swing, (0.4e5, 2e5), (0.3, 8.0)),
+    "pressure a drifts": DisturbanceKind(PRESSURE_A, ramp, (1.5e5, 10e5), (1.0, 8.0), True),
+    "pressure b drifts": DisturbanceKind(PRESSURE_B, ramp, (1.5e5, 10e5), (1.0, 8.0), True),
 }
 """Kinds of disturbance by name."""
 
@@ -92,7 +92,7 @@ def drawn(generator: np.random.Generator, kinds: NDArray[np.str_], steps: int, p
     time = period * np.arange(steps, dtype=np.float64)
     course = np.zeros((len(kinds), len(NOTICEABLE), steps))
     for axis, name in enumerate(kinds):
-        kind = KINDS[name]
+        kind = DISTURBANCES[name]
         low, high = sorted(np.abs(kind.size))
         size = np.sign(kind.size[0]) * np.exp(generator.uniform(np.log(low), np.log(high)))
         size *= generator.choice((-1.0, 1.0)) if kind.signed else 1.0

@@ -113,7 +113,7 @@ class SpoolErrors(NamedTuple):
     at_rest: float  # mean size of the error while the command is constant
 
 
-class Load(NamedTuple):
+class LoadForce(NamedTuple):
     """The oil's force over position and speed, as a fraction of the supply's force."""
 
     spring: float
@@ -210,8 +210,8 @@ def _moving(x, k, period, stroke, row):
 
 
 @inline
-def load(x, p_a, p_b, c, pressure, period, normal, right, row):
-    """:class:`Load`, by least squares; ``normal`` (4, 4), ``right`` and ``row`` (4,) are work space."""
+def load_force(x, p_a, p_b, c, pressure, period, normal, right, row):
+    """:class:`LoadForce`, by least squares; ``normal`` (4, 4), ``right`` and ``row`` (4,) are work space."""
     samples, stroke, scale = x.shape[0], 2.0 * c.end_stop_position, pressure * c.area_a
     normal[:] = 0.0
     right[:] = 0.0
@@ -234,100 +234,118 @@ def load(x, p_a, p_b, c, pressure, period, normal, right, row):
             left -= right[i] * row[i]
         mean += left / samples
         squares += left * left / samples
-    return Load(right[1], right[0], 10.0 * right[3], math.sqrt(max(squares - mean * mean, 0.0)))
+    return LoadForce(right[1], right[0], 10.0 * right[3], math.sqrt(max(squares - mean * mean, 0.0)))
 
 
 _AFTER_FIT = 2 * COUNT + 2
+AFTER_MOTION = _AFTER_FIT + len(Motion._fields)  # number of the first feature after those of :class:`Motion`
 _write_motion = tuple_writer(Motion, first=_AFTER_FIT)
 _read_coefficients = tuple_reader(Coefficients)
 
 
+@inline
+def _write_fit(values, window, sheet, balance):
+    """Write the features of the fitted unknowns and their misfit."""
+    for i in range(COUNT):
+        values[i] = math.asinh(10.0 * (balance.estimate[window, i] - sheet.mean[i]) / sheet.spread[i])
+        values[COUNT + i] = math.log10(balance.deviation[window, i] / sheet.spread[i] + 1e-6)
+    for i in range(2):
+        values[2 * COUNT + i] = logarithm(balance.misfit[window, i], 1e-2)
+
+
+@inline
+def _motion(signals, error, estimate, deviation, c, supply, period, normal, right, row):
+    """:class:`Motion` of a window: signals (5, T), spool error (T,), estimates and deviations of the unknowns."""
+    position, p_a, p_b, spool, command = signals
+    stroke = 2.0 * c.end_stop_position
+    internal, external = estimate[INTERNAL], estimate[EXTERNAL]
+    x, a, b = summary(position), summary(p_a), summary(p_b)
+    s, u, e = summary(spool), summary(command), summary(error)
+    errors = spool_errors(spool, error, command)
+    force = load_force(position, p_a, p_b, c, supply, period, normal, right, row)
+    return Motion(
+        small_internal_leak=math.asinh(internal / 0.02),
+        small_external_leak=math.asinh(external / 0.02),
+        internal_leak_over_deviation=math.asinh(internal / deviation[INTERNAL]),
+        external_leak_over_deviation=math.asinh(external / deviation[EXTERNAL]),
+        mean_spool_error=math.asinh(e.mean / 2e-3),
+        spread_of_spool_error=logarithm(e.spread, 1e-4),
+        spool_error_over_position=math.asinh(20.0 * errors.over_position),
+        spool_error_against_direction=math.asinh(errors.against_direction / 1e-3),
+        spool_error_at_rest=logarithm(errors.at_rest, 1e-4),
+        mean_pressure_a=a.mean / supply,
+        mean_pressure_b=b.mean / supply,
+        mean_pressure_difference=(a.mean - b.mean) / supply,
+        mean_size_of_pressure_difference=mean_distance(p_a, p_b) / supply,
+        spread_of_pressure_a=logarithm(a.spread / supply, 1e-4),
+        spread_of_pressure_b=logarithm(b.spread / supply, 1e-4),
+        change_of_pressure_a=logarithm(a.change / supply, 1e-5),
+        change_of_pressure_b=logarithm(b.change / supply, 1e-5),
+        mean_spool=math.asinh(20.0 * s.mean),
+        mean_size_of_spool=logarithm(s.size, 1e-4),
+        spread_of_spool=logarithm(s.spread, 1e-4),
+        change_of_spool=logarithm(s.change, 1e-5),
+        change_of_command=logarithm(u.change, 1e-5),
+        share_of_full_command=share_of_full(command),
+        mean_position=x.mean / stroke,
+        spread_of_position=logarithm(x.spread / stroke, 1e-5),
+        change_of_position=logarithm(x.change / stroke, 1e-6),
+        spring=force.spring,
+        force_offset=force.offset,
+        friction=force.friction,
+        misfit_of_force=logarithm(force.misfit, 1e-4),
+    )
+
+
+@inline
+def _write_parts(values, first, part, deviation, change):
+    """Write the features of the unknowns of each part alone, (TRACED, PARTS), from place ``first`` on."""
+    for one in range(TRACED):
+        mean_square = changes(part[one], deviation[one], change)
+        for now in range(PARTS):
+            values[first + now] = math.asinh(change[now])
+        values[first + PARTS] = logarithm(mean_square, 1e-2)
+        first += PARTS + 1
+    for now in range(LAST_PARTS):
+        values[first + now] = math.asinh(part[0, PARTS - LAST_PARTS + now] / 0.1)
+    values[first + LAST_PARTS] = logarithm(deviation[0, PARTS - 1], 1e-4)
+
+
+@inline
+def _count_invalid(values):
+    """Replace features that are not finite by 0; the last one is their number."""
+    last = values.shape[0] - 1
+    invalid = 0.0
+    for i in range(last):
+        if not math.isfinite(values[i]):
+            values[i] = 0.0
+            invalid += 1.0
+    values[last] = invalid
+
+
 def _build_describe(sources: int) -> Any:
-    def describe(
-        signals, lost, sheet, estimate, deviation, misfit, correlation, spool_error, part, part_deviation, features
-    ):
+    def describe(signals, lost, sheet, balance, features):
         assert sources >= 0
         c = _read_coefficients(sheet.coefficients)
-        stroke, supply, samples = 2.0 * c.end_stop_position, sheet.mean[SUPPLY], signals.shape[2]
+        supply, samples, sensors = sheet.mean[SUPPLY], signals.shape[2], lost.shape[1]
         normal, right, row, change = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(PARTS)
         for window in range(signals.shape[0]):
-            position, p_a, p_b, spool, command = signals[window]
-            values, error = features[window], spool_error[window]
-            for i in range(COUNT):
-                values[i] = math.asinh(10.0 * (estimate[window, i] - sheet.mean[i]) / sheet.spread[i])
-                values[COUNT + i] = math.log10(deviation[window, i] / sheet.spread[i] + 1e-6)
-            for i in range(2):
-                values[2 * COUNT + i] = logarithm(misfit[window, i], 1e-2)
-            internal, external = estimate[window, INTERNAL], estimate[window, EXTERNAL]
-            x, a, b, s, u, e = (
-                summary(position),
-                summary(p_a),
-                summary(p_b),
-                summary(spool),
-                summary(command),
-                summary(error),
-            )
-            errors = spool_errors(spool, error, command)
-            force = load(position, p_a, p_b, c, supply, sheet.period, normal, right, row)
-            motion = Motion(
-                small_internal_leak=math.asinh(internal / 0.02),
-                small_external_leak=math.asinh(external / 0.02),
-                internal_leak_over_deviation=math.asinh(internal / deviation[window, INTERNAL]),
-                external_leak_over_deviation=math.asinh(external / deviation[window, EXTERNAL]),
-                mean_spool_error=math.asinh(e.mean / 2e-3),
-                spread_of_spool_error=logarithm(e.spread, 1e-4),
-                spool_error_over_position=math.asinh(20.0 * errors.over_position),
-                spool_error_against_direction=math.asinh(errors.against_direction / 1e-3),
-                spool_error_at_rest=logarithm(errors.at_rest, 1e-4),
-                mean_pressure_a=a.mean / supply,
-                mean_pressure_b=b.mean / supply,
-                mean_pressure_difference=(a.mean - b.mean) / supply,
-                mean_size_of_pressure_difference=mean_distance(p_a, p_b) / supply,
-                spread_of_pressure_a=logarithm(a.spread / supply, 1e-4),
-                spread_of_pressure_b=logarithm(b.spread / supply, 1e-4),
-                change_of_pressure_a=logarithm(a.change / supply, 1e-5),
-                change_of_pressure_b=logarithm(b.change / supply, 1e-5),
-                mean_spool=math.asinh(20.0 * s.mean),
-                mean_size_of_spool=logarithm(s.size, 1e-4),
-                spread_of_spool=logarithm(s.spread, 1e-4),
-                change_of_spool=logarithm(s.change, 1e-5),
-                change_of_command=logarithm(u.change, 1e-5),
-                share_of_full_command=share_of_full(command),
-                mean_position=x.mean / stroke,
-                spread_of_position=logarithm(x.spread / stroke, 1e-5),
-                change_of_position=logarithm(x.change / stroke, 1e-6),
-                spring=force.spring,
-                force_offset=force.offset,
-                friction=force.friction,
-                misfit_of_force=logarithm(force.misfit, 1e-4),
-            )
+            values, error = features[window], balance.spool_error[window]
+            estimate, deviation = balance.estimate[window], balance.deviation[window]
+            _write_fit(values, window, sheet, balance)
+            motion = _motion(signals[window], error, estimate, deviation, c, supply, sheet.period, normal, right, row)
             _write_motion(values, motion)
-            for sensor in range(lost.shape[1]):
+            for sensor in range(sensors):
                 values[AFTER_MOTION + sensor] = math.log10(lost[window, sensor] + 1e-3)
-            first = AFTER_MOTION + lost.shape[1]
-            for one in range(TRACED):
-                mean_square = changes(part[window, one], part_deviation[window, one], change)
-                for now in range(PARTS):
-                    values[first + now] = math.asinh(change[now])
-                values[first + PARTS] = logarithm(mean_square, 1e-2)
-                first += PARTS + 1
-            for now in range(LAST_PARTS):
-                values[first + now] = math.asinh(part[window, 0, PARTS - LAST_PARTS + now] / 0.1)
-            first += LAST_PARTS
-            values[first] = logarithm(part_deviation[window, 0, PARTS - 1], 1e-4)
-            values[first + 1] = math.asinh(3.0 * correlation[window, 0])
-            values[first + 2] = math.asinh(3.0 * correlation[window, 1])
-            values[first + 3] = math.log10(samples * sheet.period)
-            invalid = 0.0
-            for i in range(values.shape[0] - 1):
-                invalid += 0.0 if math.isfinite(values[i]) else 1.0
-                values[i] = values[i] if math.isfinite(values[i]) else 0.0
-            values[values.shape[0] - 1] = invalid
+            parts, first = AFTER_MOTION + sensors, values.shape[0] - 4
+            _write_parts(values, parts, balance.part[window], balance.part_deviation[window], change)
+            values[first] = math.asinh(3.0 * balance.correlation[window, 0])
+            values[first + 1] = math.asinh(3.0 * balance.correlation[window, 1])
+            values[first + 2] = math.log10(samples * sheet.period)
+            _count_invalid(values)
 
     return compiled(describe)
 
-
-AFTER_MOTION = _AFTER_FIT + len(Motion._fields)  # number of the first feature after those of :class:`Motion`
 
 describe = _build_describe(SOURCES)
 
@@ -341,5 +359,5 @@ def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
     """
     whole = repaired(signals, sheet)
     features = np.empty((len(whole.signals), len(FEATURES)))
-    describe(*whole, sheet, *fit_balance(whole.signals, sheet), features)
+    describe(*whole, sheet, fit_balance(whole.signals, sheet), features)
     return features.astype(np.float32)

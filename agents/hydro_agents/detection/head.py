@@ -44,7 +44,7 @@ SMALLEST_FLOW, LARGEST_FLOW = 0.01, 100.0
 interval that begins there begins at 0. No answer is larger."""
 
 BATCH = 512  # windows that are read together
-FARTHEST = 8.0  # limit of a feature, in standard deviations from its mean in training
+LARGEST_INPUT = 8.0  # limit of a feature, in standard deviations from its mean in training
 
 
 class LeakageEstimate(NamedTuple):
@@ -147,7 +147,7 @@ def tensors_like(width: int, inputs: int = len(FEATURES)) -> dict[str, NDArray[n
 
 def standardised(features: NDArray[np.float32], mean: NDArray[Any], scale: NDArray[Any]) -> NDArray[np.float32]:
     """Inputs of the network, (N, F)."""
-    inputs: NDArray[np.float32] = np.clip((features - mean) * scale, -FARTHEST, FARTHEST)
+    inputs: NDArray[np.float32] = np.clip((features - mean) * scale, -LARGEST_INPUT, LARGEST_INPUT)
     return inputs
 
 
@@ -273,21 +273,30 @@ class LeakageHead:
 
     def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
-        t = self.tensors
-        own = np.tile(self.rig, (len(features), 1))  # empty in a head for one rig
-        inputs = standardised(np.concatenate([features, own], axis=1), t["mean"], t["scale"])
-        output, strangeness = self.outputs(inputs), np.sqrt(np.sum((inputs @ t["whitener"]) ** 2, axis=1))
-        probability = probabilities(output, features, float(t["still_shift"][0]))
+        tensors = self.tensors
+        rig = np.tile(self.rig, (len(features), 1))  # empty in a head for one rig
+        inputs = standardised(np.concatenate([features, rig], axis=1), tensors["mean"], tensors["scale"])
+        output = self.outputs(inputs)
+        probability = probabilities(output, features, float(tensors["still_shift"][0]))
+        sizes = self._sizes(output, features)
+        strangeness = np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1))
+        farthest, most_disturbed = tensors["limit"]
+        outside = np.maximum(strangeness - farthest, output[:, OUTSIDE] - most_disturbed) > 0.0
+        return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)
+
+    def _sizes(self, output: NDArray[np.float64], features: NDArray[np.float32]) -> NDArray[np.float64]:
+        """The leak and the ends of its interval, l/min at 100 bar, (N, 3), from the outputs of the network."""
+        tensors = self.tensors
         found = quantiles(output)
-        group = groups(found, features[:, CHANGE], t["widths"], float(t["changing"][0]))
-        ends = np.log10(SMALLEST_FLOW), np.log10(LARGEST_FLOW)
-        distance = (group[:, None] == np.arange(GROUPS)).astype(np.float32) @ t["widening"].reshape(GROUPS, -1)
-        sizes = 10.0 ** np.clip(intervals(found, distance.reshape(-1, len(SIZES), 2)), *ends)
+        group = groups(found, features[:, CHANGE], tensors["widths"], float(tensors["changing"][0]))
+        chosen = (group[:, None] == np.arange(GROUPS)).astype(np.float32)
+        distance = (chosen @ tensors["widening"].reshape(GROUPS, -1)).reshape(-1, len(SIZES), 2)
+        logarithms = np.clip(intervals(found, distance), np.log10(SMALLEST_FLOW), np.log10(LARGEST_FLOW))
+        sizes = 10.0**logarithms
         sizes[:, 1] = np.where(sizes[:, 1] <= 1.05 * SMALLEST_FLOW, 0.0, sizes[:, 1])
         if self.leak_scale != 1.0:
             sizes = sizes * self.leak_scale
-        outside = np.maximum(strangeness - t["limit"][0], output[:, OUTSIDE] - t["limit"][1]) > 0.0
-        return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)
+        return sizes
 
     def outputs(self, inputs: NDArray[np.float32]) -> NDArray[np.float64]:
         """Outputs of the network, (N, OUTPUTS), from standardised features."""

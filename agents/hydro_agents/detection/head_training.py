@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.dataset import LEAKS, Plan, Windows
+from hydro_agents.detection.dataset import LEAK_COURSES, LabelledWindows, TrainingPlan
 from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import (
@@ -122,7 +122,7 @@ def simulations(
     config: TaskConfig, controllers: Sequence[Controller | None], settings: HeadTrainingSettings, seed: int
 ) -> dict[str, dict[str, Job]]:
     """The simulations of a training's data and of its validation; ``None`` is a controller that is not known yet."""
-    plans = {phase: Plan(config, controllers, settings, split) for phase, split in SPLITS.items()}
+    plans = {phase: TrainingPlan(config, controllers, settings, split) for phase, split in SPLITS.items()}
     return {
         "data": plans["data"].jobs(settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start),
         "validation": plans["validation"].jobs(settings.validation_episodes, THRESHOLDS.first),
@@ -169,7 +169,7 @@ class _Job:
         rate, decay = settings.learning_rate, settings.weight_decay
         self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)
         self.epoch = 0
-        self.windows: dict[str, Windows] = {}
+        self.windows: dict[str, LabelledWindows] = {}
         self.made_with = {
             "seed": seed,
             "settings": settings.model_dump(mode="json"),
@@ -211,7 +211,7 @@ class _Job:
             found, _ = run_jobs(jobs, self.folder, None, report)
             if error := next((each.error for each in found.values() if each.error), ""):
                 raise ConfigurationError(error)
-            self.windows[phase] = Windows.joined([Windows(**found[key].metrics) for key in jobs])
+            self.windows[phase] = LabelledWindows.joined([LabelledWindows(**found[key].metrics) for key in jobs])
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """The tensors of the head, with the statistics of the features of the training windows."""
@@ -259,7 +259,7 @@ def size_target(size: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def calibrated(
-    tensors: dict[str, NDArray[Any]], config: TaskConfig, longest: int, windows: Windows, record: dict[str, Any]
+    tensors: dict[str, NDArray[Any]], config: TaskConfig, longest: int, windows: LabelledWindows, record: dict[str, Any]
 ) -> LeakageHead:
     """The head with thresholds, intervals and the bound of "outside" from validation windows.
 
@@ -275,9 +275,9 @@ def calibrated(
     output = LeakageHead(tensors, plain).outputs(inputs)
     strange = np.column_stack([np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), output[:, OUTSIDE]])
     tensors["limit"] = np.quantile(strange, 1.0 - OUTSIDE_RATE, axis=0).astype(np.float32)
-    usual = (windows.noise == 1.0) & (windows.leak != LEAKS.index("orifice"))
+    usual = (windows.noise == 1.0) & (windows.leak != LEAK_COURSES.index("orifice"))
     windows, output = windows.part(usual), output[usual]
-    clean = (windows.fault < 0) & (windows.leak == LEAKS.index("constant")) & (windows.labels[:, 0] == 0.0)
+    clean = (windows.fault < 0) & (windows.leak == LEAK_COURSES.index("constant")) & (windows.labels[:, 0] == 0.0)
     still = windows.features[:, SPREAD] < STILL
     if min((clean & still).sum(), (clean & ~still).sum()) >= FEWEST:
         logits = [threshold_at_false_alarm_rate(output[clean & here, 0], FALSE_ALARM_RATE) for here in (still, ~still)]

@@ -241,7 +241,7 @@ MOTIONS: dict[str, Change] = {
 """Motions of the axes, changes of the task, by name."""
 
 
-class Row(NamedTuple):
+class OperationShare(NamedTuple):
     """A part of the training data: its share, the task of the axes, and their manner of operation."""
 
     share: float
@@ -250,17 +250,17 @@ class Row(NamedTuple):
 
 
 OPERATIONS = (
-    Row(0.23, ordinary),
-    Row(0.08, slow),
-    Row(0.11, at_rest),
-    Row(0.06, loaded),
-    Row(0.08, ordinary, "proportional"),
-    Row(0.07, at_rest, "proportional"),
-    Row(0.10, ordinary, "by hand"),
-    Row(0.08, ordinary, "chattering"),
-    Row(0.03, at_rest, "chattering"),
-    Row(0.05, ordinary, "dithering"),
-    Row(0.03, at_rest, "dithering"),
-    Row(0.08, ordinary, "open loop"),
+    OperationShare(0.23, ordinary),
+    OperationShare(0.08, slow),
+    OperationShare(0.11, at_rest),
+    OperationShare(0.06, loaded),
+    OperationShare(0.08, ordinary, "proportional"),
+    OperationShare(0.07, at_rest, "proportional"),
+    OperationShare(0.10, ordinary, "by hand"),
+    OperationShare(0.08, ordinary, "chattering"),
+    OperationShare(0.03, at_rest, "chattering"),
+    OperationShare(0.05, ordinary, "dithering"),
+    OperationShare(0.03, at_rest, "dithering"),
+    OperationShare(0.08, ordinary, "open loop"),
 )
 """The mixture of the training data."""

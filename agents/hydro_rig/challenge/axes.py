@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.pid import PID
-from hydro_agents.detection.dataset import EXTERNAL
+from hydro_agents.detection.dataset import EXTERNAL_LEAK
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause, measured_run
-from hydro_agents.detection.disturbances import KINDS as MOVING
-from hydro_agents.detection.disturbances import PRESSURES, Disturbed, drawn
+from hydro_agents.detection.disturbances import DISTURBANCES, PRESSURES, Disturbed, drawn
 from hydro_agents.detection.operations import ACTING, MOTIONS
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.learning.stable_gain import pid_from_figures
@@ -95,7 +94,7 @@ TIERS: Mapping[int, Tier] = {
 
 SCHEDULES = ("constant", "onset", "growth")  # of a leak
 DAMAGED = ("lost rows", "spikes")
-HARSH = (*MOVING, *DAMAGED)
+HARSH = (*DISTURBANCES, *DAMAGED)
 """What the recordings of tier 3 suffer from, one each."""
 
 LABELS = {
@@ -219,7 +218,7 @@ def simulated_block(config: TaskConfig, benchmark: Benchmark, split: str, block:
                 str(schedules[turn]),
                 float(generator.choice(settings.noise)),
             )
-            kinds = list(MOVING) if moving else list(DAMAGED) if settings.harsh else [""]
+            kinds = list(DISTURBANCES) if moving else list(DAMAGED) if settings.harsh else [""]
             shares = (settings.sound, settings.other, 1.0 - settings.sound - settings.other)
             states, harsh = generator.choice(3, len(members), p=shares), generator.choice(kinds, len(members))
             if len(members):
@@ -267,7 +266,7 @@ def _run(
         PID(figures, task) if figures is not None else ACTING[crew.acting].make(task, count, int(seeds[0]))
     )
     moves = None
-    if np.isin(harsh, list(MOVING)).all():  # a crew has a moving supply or sensor, or damaged rows
+    if np.isin(harsh, list(DISTURBANCES)).all():  # a crew has a moving supply or sensor, or damaged rows
         moves = drawn(generator, harsh, task.steps, task.control_period)
         controller = Disturbed(controller, moves)
     noted = _Noted(controller)
@@ -316,12 +315,12 @@ def _faults(
     hangs, scale = config.plant.load.external_force != 0.0, leak_scale(config)
     for axis in np.flatnonzero(states == _OTHER):
         # Beside a leak from chamber b, a valve without underlap holds no weight: it lets chamber a run empty.
-        kind = str(generator.choice([kind for kind in FAULTS if kind != EXTERNAL or not hangs]))
+        kind = str(generator.choice([kind for kind in FAULTS if kind != EXTERNAL_LEAK or not hangs]))
         low, high = getattr(config.faults, kind).range
         size = generator.uniform(low, high) * (generator.choice((-1.0, 1.0)) if kind in SIGNED_KINDS else 1.0)
         # An offset of the position is the same as another place of the axis.
         visible = [name for name in faults_of(kind, sensors) if name != "position_offset"]
-        size = min(scale * size, fault_limits(EXTERNAL)[1]) if kind == EXTERNAL else size
+        size = min(scale * size, fault_limits(EXTERNAL_LEAK)[1]) if kind == EXTERNAL_LEAK else size
         names[axis] = str(generator.choice(visible))
         sizes.setdefault(names[axis], np.zeros(len(states)))[axis] = size
     return sizes, names

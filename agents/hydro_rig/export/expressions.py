@@ -209,7 +209,10 @@ class Expressions:
             values |= {str(keyword.arg): self.value(keyword.value)[0] for keyword in node.keywords}
             if set(values) != set(callee._fields):
                 return None
-            return _compound(self.translator.struct(callee), [values[field] for field in callee._fields])
+            of = dict(zip(callee._fields, kinds, strict=False)) | {str(key.arg): DOUBLE for key in node.keywords}
+            fields = [(of[field] if of[field].shape else DOUBLE, field) for field in callee._fields]
+            struct = self.translator.record(callee.__name__.lstrip("_"), fields)
+            return _compound(struct, [values[field] for field in callee._fields])
         if node.keywords:
             return None
         if callee is math.sqrt:

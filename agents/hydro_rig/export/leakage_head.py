@@ -65,10 +65,10 @@ def head_code(head: LeakageHead) -> CCode:
     kinds = [array(*np.shape(values), constant=True) if np.ndim(values) else DOUBLE for values in sheet.values()]
     of_sheet = translator.record("Sheet", list(zip(kinds, sheet, strict=True)))
     signals, lost = array(1, len(SIGNALS), window), array(1, len(SENSORS))
-    of_fit = [array(*np.shape(part)) for part in fitted.values()]
+    of_fit = translator.record("BalanceFit", [(array(*np.shape(part)), name) for name, part in fitted.items()])
     translator.function(repair, [signals, of_sheet, signals, lost])
-    translator.function(fit, [signals, of_sheet, *of_fit])
-    translator.function(describe, [signals, lost, of_sheet, *of_fit, array(1, len(FEATURES))])
+    translator.function(fit, [signals, of_sheet, of_fit])
+    translator.function(describe, [signals, lost, of_sheet, of_fit, array(1, len(FEATURES))])
     translator.function(find_stuck, [signals, array(*bounds.shape, constant=True), lost])
 
     features = np.zeros((1, len(FEATURES)), dtype=np.float32)

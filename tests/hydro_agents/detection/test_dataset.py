@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Plan, Windows, draw_faults, simulated
+from hydro_agents.detection.dataset import (
+    LABEL_OF_FAULT,
+    LEAK_COURSES,
+    Chunk,
+    LabelledWindows,
+    TrainingPlan,
+    draw_faults,
+    simulated,
+)
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
 from hydro_agents.detection.operations import OPERATIONS, at_rest, slow
 from hydro_agents.detection.sheet import leak_scale
@@ -17,16 +25,16 @@ from hydro_env.task.law import RigLaw
 
 CONFIG = TaskConfig(episode_duration=0.4)
 CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)
-PLAN = Plan(CONFIG, [CONTROLLER], HeadTrainingSettings())
+PLAN = TrainingPlan(CONFIG, [CONTROLLER], HeadTrainingSettings())
 
 
 @pytest.fixture(scope="module")
 def windows():
-    return [Windows(**job.run().metrics) for job in PLAN.jobs(120, TRAINING_SEEDS.start + 920_000).values()]
+    return [LabelledWindows(**job.run().metrics) for job in PLAN.jobs(120, TRAINING_SEEDS.start + 920_000).values()]
 
 
 def test_chunks_do_not_depend_on_others_nor_on_controllers_that_are_not_theirs(windows):
-    early = Plan(CONFIG, [None], PLAN.settings).jobs(120, TRAINING_SEEDS.start + 920_000)
+    early = TrainingPlan(CONFIG, [None], PLAN.settings).jobs(120, TRAINING_SEEDS.start + 920_000)
     assert 0 < len(early) < len(windows)
     number, job = early.popitem()
     for name, values in job.run().metrics.items():
@@ -34,7 +42,7 @@ def test_chunks_do_not_depend_on_others_nor_on_controllers_that_are_not_theirs(w
 
 
 def test_windows_are_labelled(windows):
-    data = Windows.joined(windows)
+    data = LabelledWindows.joined(windows)
     assert data.features.shape[1] == len(FEATURES)
     np.testing.assert_array_equal(data.labels[:, 0] == 1.0, data.size > 0.03)
     assert 0.3 < np.mean(data.size <= 0.03) < 0.7
@@ -61,8 +69,8 @@ def test_every_label_but_the_leak_follows_from_a_fault():
 
 def test_the_runs_are_shared_out_over_operations_and_leaks():
     settings = HeadTrainingSettings(changing_share=0.4, orifice_share=0.1, disturbed_share=0.2)
-    chunks = Plan(CONFIG, [CONTROLLER], settings).chunks(10_000)
-    axes = {leak: sum(chunk.axes for chunk in chunks if chunk.leak == leak) for leak in LEAKS}
+    chunks = TrainingPlan(CONFIG, [CONTROLLER], settings).chunks(10_000)
+    axes = {leak: sum(chunk.axes for chunk in chunks if chunk.leak == leak) for leak in LEAK_COURSES}
     assert axes == {"constant": 5000, "onset": 2000, "growth": 2000, "orifice": 1000}
     assert sum(chunk.axes for chunk in chunks if chunk.disturbed) == 2000
     assert {chunk.row for chunk in chunks} == set(range(len(OPERATIONS)))
@@ -72,9 +80,9 @@ def test_the_runs_are_shared_out_over_operations_and_leaks():
 @pytest.mark.parametrize("leak", ["onset", "growth"])
 def test_a_changing_leak_is_labelled_with_its_size_at_the_end_of_the_window(leak):
     config = TaskConfig()
-    plan = Plan(config, [CONTROLLER], HeadTrainingSettings(fault_share=0.0))
+    plan = TrainingPlan(config, [CONTROLLER], HeadTrainingSettings(fault_share=0.0))
     seeds = TRAINING_SEEDS.start + 930_000 + np.arange(60)
-    data = Windows(**simulated(None, plan.settings, Chunk(4, -1, leak, 60), seeds, config))
+    data = LabelledWindows(**simulated(None, plan.settings, Chunk(4, -1, leak, 60), seeds, config))
     assert len(data.size) >= 55
     early, late = (data.features[:, FEATURES.index(f"change of leak in part {part}")] for part in (1, 8))
     large = data.size > 1.0
@@ -87,13 +95,13 @@ def test_a_changing_leak_is_labelled_with_its_size_at_the_end_of_the_window(leak
 
 
 def test_with_a_law_the_chunks_take_its_rigs_in_turn_and_leaks_are_in_their_unit():
-    plan = Plan(TaskConfig(), (), HeadTrainingSettings(law=RigLaw(count=6), fault_share=0.0))
-    others = Plan(TaskConfig(), (), plan.settings, "validation")
+    plan = TrainingPlan(TaskConfig(), (), HeadTrainingSettings(law=RigLaw(count=6), fault_share=0.0))
+    others = TrainingPlan(TaskConfig(), (), plan.settings, "validation")
     bores = [[task.plant.load.mass for task in each.rigs] for each in (plan, others)]
     assert len({*bores[0], *bores[1]}) == 12
     large = max(plan.rigs, key=leak_scale)
     seeds = TRAINING_SEEDS.start + 940_000 + np.arange(24)
-    data = Windows(**simulated(None, plan.settings, Chunk(4, -1, "constant", 24), seeds, large))
+    data = LabelledWindows(**simulated(None, plan.settings, Chunk(4, -1, "constant", 24), seeds, large))
     np.testing.assert_array_equal(data.labels[:, 0] == 1.0, data.size > 0.03)
     leaking = data.size > 0.3
     found = 0.02 * np.sinh(data.features[leaking, FEATURES.index("small internal leak")])

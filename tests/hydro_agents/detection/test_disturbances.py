@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.detection.detector import MeasuredColumns
-from hydro_agents.detection.disturbances import KINDS, PRESSURE_A, SUPPLY, TANK, Disturbances, Disturbed, drawn
+from hydro_agents.detection.disturbances import DISTURBANCES, PRESSURE_A, SUPPLY, TANK, Disturbances, Disturbed, drawn
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases, run_cases
@@ -55,13 +55,13 @@ def test_the_felt_size_is_the_range_within_the_window():
     assert not readings[:, [0, 2, 3, 4]].any()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DISTURBANCES)
 def test_a_kind_moves_its_own_row_by_sizes_within_its_range(kind):
     found = drawn(np.random.default_rng(0), np.array([kind] * 200), 4000, 0.005)
-    row, largest = KINDS[kind].row, max(np.abs(KINDS[kind].size))
+    row, largest = DISTURBANCES[kind].row, max(np.abs(DISTURBANCES[kind].size))
     assert not found.course[:, [other for other in range(4) if other != row]].any()
     assert 0.5 * largest < np.abs(found.course[:, row]).max() <= largest
-    if KINDS[kind].signed:
+    if DISTURBANCES[kind].signed:
         assert found.course.min() < -0.5 * largest < 0.5 * largest < found.course.max()
 
 

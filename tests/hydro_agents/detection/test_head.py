@@ -10,7 +10,7 @@ from refusal import redigested, refused
 from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.detection.dataset import LEAKS, Plan, Windows
+from hydro_agents.detection.dataset import LEAK_COURSES, LabelledWindows, TrainingPlan
 from hydro_agents.detection.features import FEATURES, LABELS, SIGNALS, SPREAD, STILL
 from hydro_agents.detection.head import OUTPUTS, OUTSIDE, LeakageEstimate, LeakageHead, standardised
 from hydro_agents.detection.head_training import (
@@ -69,7 +69,7 @@ def trained(folder=None, settings=SMALL, controller=CONTROLLER, **options):
 
 
 def windows_of(jobs):
-    return Windows.joined([Windows(**job.run().metrics) for job in jobs.values()])
+    return LabelledWindows.joined([LabelledWindows(**job.run().metrics) for job in jobs.values()])
 
 
 def interrupted(folder, when):
@@ -85,10 +85,10 @@ def interrupted(folder, when):
 
 
 def test_learns_to_tell_leaks(head):
-    plan = Plan(CONFIG, [CONTROLLER], SETTINGS)
+    plan = TrainingPlan(CONFIG, [CONTROLLER], SETTINGS)
     windows = windows_of(plan.jobs(150, TRAINING_SEEDS.start + 900_000))
     estimate = LeakageEstimate(*head.judge(windows.features).T)
-    kept = (windows.fault < 0) & (windows.leak == LEAKS.index("constant"))
+    kept = (windows.fault < 0) & (windows.leak == LEAK_COURSES.index("constant"))
     kept &= (windows.size <= 0.03) | (windows.size >= 0.5)
     leaking = windows.size[kept] >= 0.5
     assert area_under_roc(estimate.probability[kept], leaking) > 0.9
@@ -199,7 +199,7 @@ def test_a_training_that_is_stopped_while_it_simulates_goes_on_there(small_head,
 def test_inputs_of_the_network_are_normalised_on_training_data():
     head = trained(settings=SMALL.model_copy(update={"epochs": 1}), seed=4)
     first = HEAD_TRAINING.first + 4 * SMALL.episodes
-    data = windows_of(Plan(CONFIG, [CONTROLLER], SMALL).jobs(SMALL.episodes, first))
+    data = windows_of(TrainingPlan(CONFIG, [CONTROLLER], SMALL).jobs(SMALL.episodes, first))
     inputs = (data.features - head.tensors["mean"]) * head.tensors["scale"]
     np.testing.assert_allclose(inputs.mean(axis=0), 0.0, atol=1e-2)
     assert inputs.std(axis=0).max() < 1.01
@@ -232,7 +232,7 @@ def test_thresholds_and_intervals_hold_what_they_say_on_validation_windows(head)
     nobody = np.full(count, -1)
     features[:, SPREAD] -= 3.5  # half of them stand still
     nothing = np.zeros(count, dtype=np.int64)
-    windows = Windows(features, labels, flow, nobody, nothing, np.ones(count), np.zeros(count))
+    windows = LabelledWindows(features, labels, flow, nobody, nothing, np.ones(count), np.zeros(count))
     found = calibrated(dict(head.tensors), CONFIG, 4 * CONFIG.steps, windows, {})
     estimate = LeakageEstimate(*found.judge(features).T)
     still = features[:, SPREAD] < STILL
