@@ -12,8 +12,9 @@ import pandas as pd
 from joblib import effective_n_jobs
 
 from hydro_agents.evaluation.metrics import ERROR, METRICS
-from hydro_agents.report.training_plots import BASE_ERROR, learning_plots
-from hydro_agents.report.training_plots import ERROR as VALIDATION_ERROR
+from hydro_agents.report.kit import drawn, picture
+from hydro_agents.report.parts import BASE_ERROR, learning_axes
+from hydro_agents.report.parts import ERROR as VALIDATION_ERROR
 from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
@@ -92,8 +93,7 @@ def run_over_seeds(
         if not curves.empty:
             write_whole(folder / CURVES, curves.to_csv(index=False).encode())
             first = next(iter(study.controllers))
-            for plot in learning_plots(relative(curves), first, 1.0):
-                write_whole(folder / CURVE_FILE, plot.file)
+            write_whole(folder / CURVE_FILE, learning_picture(relative(curves), first))
         display.console.lines(console_table(_summary(table, len(seeds)), left=(0, 1)))
     return folder / TABLE
 
@@ -170,6 +170,12 @@ def relative(curves: pd.DataFrame) -> pd.DataFrame:
     """Learning curves in parts of the first controller's error."""
     errors = [name for name in (VALIDATION_ERROR, BASE_ERROR) if name in curves]
     return curves.assign(**{name: curves[name] / curves[FIRST_ERROR] for name in errors})
+
+
+@drawn
+def learning_picture(curves: pd.DataFrame, first: str) -> bytes:
+    """The curves of :func:`relative` as an SVG file."""
+    return picture(learning_axes(curves, first, 1.0), "svg")
 
 
 def _figures(study: StudySettings, folder: Path) -> Iterator[Figure]:

@@ -18,22 +18,19 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 from hydro_agents.evaluation.participants import split_name
-from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.sections import render_page
-from hydro_agents.report.study import STUDY, Example, content_of, overview, tables_of
-from hydro_agents.report.study_detection import summary_table
+from hydro_agents.report.kit import as_text
+from hydro_agents.report.study_page import Example, detection_table, overview, study_page, tables_of
 from hydro_agents.running.cases import Cases, run_cases, validation_errors
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.limit_cycles import rest_warning
-from hydro_agents.running.machine import date_now, machine_description, package_versions
+from hydro_agents.running.machine import Origin, date_now, machine_description, package_versions
 from hydro_agents.running.seeds import EXPERIMENT_AXES
-from hydro_agents.running.text import Table
 from hydro_agents.study.settings import StudySettings
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_json, write_whole
 
 REPORT_FILE = "report.html"
-REPORT_FILES = (REPORT_FILE, "tables/*.csv", FIGURE_FILES)
+REPORT_FILES = (REPORT_FILE, "tables/*.csv")
 MOST_COLUMNS = 4
 """Largest number of controllers side by side on the console; more stand below each other."""
 
@@ -114,18 +111,27 @@ def evaluate_study(
     levels = sorted(study.evaluation.leak_levels)
     curve = training_curve if training_curve is not None else pd.DataFrame()
     corrects = {name: entry.corrects for name, entry in study.controllers.items() if entry.corrects}
-    further = {"corrected": Grid(evaluation.cases).corrected(corrects)}
-    write_tables(folder / "tables", {**tables_of(evaluation), **further})
-    content = content_of(
+    corrected = Grid(evaluation.cases).corrected(corrects)
+    write_tables(folder / "tables", {**tables_of(evaluation), "corrected": corrected})
+    facts = {
+        "command": command,
+        "date": date_now(),
+        "seed": str(seed),
+        "machine": machine_description(),
+        **package_versions(),
+    }
+    page = study_page(
+        study.title,
         evaluation,
-        {"command": command, "date": date_now(), "seed": seed, "machine": machine_description(), **package_versions()},
-        {**further, "training_curve": curve},
+        facts,
+        corrected=corrected,
+        training_curve=curve,
         examples=example_traces(study.task, working, levels),
         timings=dict(phases.seconds) if phases is not None else {},
         configuration=configuration,
         validation_error_mm=validation_errors(study.task, next(iter(working.values())))[0] if len(curve) else np.nan,
     )
-    render_page(study.title, STUDY, content).write(folder / REPORT_FILE)
+    page.write(folder / REPORT_FILE, Origin.of(facts))
     display.update("report", 1, 1)
     for error in evaluation.errors.values():
         print(f"hydro: {error}; the others were evaluated without it", file=sys.stderr)
@@ -169,14 +175,14 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
 
 def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
     """Print the page's main tables on the console, and one line for each controller that does not come to rest."""
-    content = content_of(evaluation)
-    errors = overview(content)
-    if len(content.controllers) <= MOST_COLUMNS:
-        columns = [errors.header, *errors.rows]
-        errors = Table(errors.caption, ("", *content.controllers), list(zip(*columns, strict=True))[1:])
-    display.console.lines(console_table(errors))
-    if content.has("detection_summary"):
-        display.console.lines(console_table(summary_table(content)))
+    errors = overview(evaluation)
+    if len(errors) <= MOST_COLUMNS:
+        errors = errors.T
+    display.console.lines(console_table(as_text(errors, "Errors and costs, mean over all runs")))
+    if len(evaluation.detection_summary):
+        display.console.lines(
+            console_table(as_text(detection_table(evaluation.detection_summary), "Detection, summary"))
+        )
     for row in evaluation.limit_cycle_summary.to_dict("records"):
         if warning := rest_warning(row["controller"], row, baseline=row["controller"] == evaluation.controllers[0]):
             display.say(warning)

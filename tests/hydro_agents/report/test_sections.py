@@ -16,7 +16,6 @@ from hydro_agents.report.sections import (
     section,
     sections_named,
 )
-from hydro_agents.report.study import STUDY
 from hydro_agents.running.text import Cell, Table, frame_markdown, markdown
 from hydro_env import ConfigurationError
 
@@ -36,7 +35,7 @@ def test_points_without_intervals_stand_at_their_values(drawn):
 
 
 def test_every_page_names_registered_sections_and_two_pages_share_some():
-    lists = [ROBUSTNESS, LEAKAGE, STUDY]
+    lists = [ROBUSTNESS, LEAKAGE]
     assert [[part.name for part in sections_named(names)] for names in lists] == [list(names) for names in lists]
     assert {"introduction", "run"} <= set(ROBUSTNESS) & set(STUDY)
 

@@ -95,8 +95,8 @@ def algorithm(tmp_path, monkeypatch):
 @pytest.fixture
 def settings(algorithm, monkeypatch):
     """The study; its report has one line: drawing takes longer than everything else here."""
-    page = lambda title, *_: SimpleNamespace(write=lambda path: path.write_text(title))  # noqa: E731
-    monkeypatch.setattr(results, "render_page", page)
+    page = lambda title, *_, **__: SimpleNamespace(write=lambda path, _: path.write_text(title))  # noqa: E731
+    monkeypatch.setattr(results, "study_page", page)
     return StudySettings(**VALUES)
 
 

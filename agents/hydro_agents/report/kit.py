@@ -1,0 +1,376 @@
+"""The kit of all pages: verdicts, tables and figures in one HTML file without external parts, in light and dark.
+
+Comes in: data frames, and figures of matplotlib. Goes out: a file. A page is built from the top down:
+
+.. code-block:: python
+
+    @drawn
+    def load_page(table: pd.DataFrame) -> Page:
+        page = Page("Errors over the load")
+        page.verdict("PID positions best", "good")
+        page.table(table.set_index("controller"), "Mean of ten runs")
+        axes = panel(xlabel="load, kg", ylabel="error, mm")
+        draw(axes, table, "load_kg", "error_mm", names=["PID", "PPO"])
+        page.figure(axes, "Error over the load")
+        return page
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import matplotlib.style
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
+
+from hydro_agents.running.machine import Origin
+from hydro_agents.running.text import Table, number, setting
+from hydro_env.files import write_whole
+from hydro_env.types import Floats
+
+# Colours and style ----------------------------------------------------------------------------------------------------
+
+COLOURS = {
+    "paper": ("#ffffff", "#15171c"),
+    "ink": ("#1d1d1f", "#e8e8ec"),
+    "grey": ("#5c5c63", "#a9a9b2"),
+    "line": ("#dcdce0", "#3b3d45"),
+    "pale": ("#f6f6f8", "#1f2128"),
+    "blue": ("#0072b2", "#56b4e9"),
+    "orange": ("#d55e00", "#f58f3c"),
+    "green": ("#00805c", "#3fc196"),
+    "purple": ("#b3508a", "#e592c1"),
+    "gold": ("#8a6d00", "#d6b53c"),
+    "violet": ("#6a4fb3", "#ab97ec"),
+}
+"""Every colour in light and dark. Figures are drawn in the light one; on a page each is a CSS variable of its name."""
+
+PAPER, INK, GREY, LINE, _, BLUE, ORANGE, GREEN, PURPLE, GOLD, VIOLET = (light for light, _ in COLOURS.values())
+
+NARROW, WIDE = 4.6, 8.6
+"""Widths of figures, inches: a telephone, and a page."""
+
+STYLE: list[Any] = [
+    Path(__file__).with_name("figures.mplstyle"),
+    {
+        **dict.fromkeys(("axes.labelcolor", "text.color", "xtick.labelcolor", "ytick.labelcolor"), INK),
+        **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), GREY),
+        "grid.color": LINE,
+    },
+]
+drawn = matplotlib.style.context(STYLE, after_reset=True)
+"""Decorates a function that draws figures, whatever the user's own settings of matplotlib are."""
+
+MOST_POINTS = 4000
+"""Largest number of points of a line of samples; a longer one shows the lowest and highest value of each stretch."""
+
+
+# Pages ----------------------------------------------------------------------------------------------------------------
+
+
+class Page:
+    """A page that is built from the top down; all texts are escaped but those that are ``markupsafe.Markup``.
+
+    Example:
+        >>> page = Page("Trial")
+        >>> page.table(pd.DataFrame({"error, mm": [0.5, 0.4]}, index=["PID", "<b>"]))
+        >>> "&lt;b&gt;" in page.html(), "0.500" in page.html()
+        (True, True)
+    """
+
+    def __init__(self, title: str, sources: str = "") -> None:
+        self.title = title
+        self.sources = sources  # the files that hold the numbers
+        self.headings: dict[str, str] = {}  # by their anchors
+        self._parts: list[str] = []
+
+    def _add(self, pattern: str, *values: object) -> None:
+        self._parts.append(Markup(pattern).format(*values))
+
+    def heading(self, text: str) -> None:
+        """Begin a part of the page."""
+        anchor = re.sub(r"\W+", "-", text.lower()).strip("-")
+        self.headings[anchor] = text
+        self._add('<h2 id="{}">{}</h2>', anchor, text)
+
+    def verdict(self, text: str, kind: str = "") -> None:
+        """The result in one sentence; ``kind``: good, worse, doubtful."""
+        self._add('<p class="verdict {}">{}</p>', kind, text)
+
+    def text(self, text: str, kind: str = "") -> None:
+        """A paragraph; ``kind``: soft, caution."""
+        self._add('<p class="{}">{}</p>', kind, text)
+
+    def points(self, lines: Iterable[str]) -> None:
+        """A list of sentences."""
+        self._add("<ul>{}</ul>", Markup("").join(Markup("<li>{}</li>").format(line) for line in lines))
+
+    def code(self, text: str) -> None:
+        """A text with fixed line breaks."""
+        self._add('<pre tabindex="0">{}</pre>', text)
+
+    @contextmanager
+    def fold(self, summary: str, *, opened: bool = False) -> Iterator[None]:
+        """What is added inside stands below a line that opens and closes it."""
+        self._add("<details{}><summary>{}</summary>", " open" if opened else "", summary)
+        yield
+        self._add("</details>")
+
+    def table(
+        self,
+        frame: pd.DataFrame,
+        caption: str = "",
+        decimals: Mapping[Any, int] | None = None,
+        kinds: pd.DataFrame | None = None,
+        words: bool = False,
+    ) -> None:
+        """A data frame; its index names the rows.
+
+        Args:
+            frame: numbers, with their units in the names of the columns, and texts.
+            caption: of the table.
+            decimals: by column; other numbers have three significant digits.
+            kinds: classes of the cells: better-1 to better-3, worse-1 to worse-3, best.
+            words: whether the cells hold sentences, which break into lines.
+        """
+        style = frame.style.format(shown, escape="html")
+        for column, places in (decimals or {}).items():
+            style.format(lambda value, places=places: shown(value, places), subset=[column])
+        for axis in (0, 1):
+            style.format_index(_label, axis=axis).hide(axis=axis, names=True)
+        if kinds is not None:
+            style.set_td_classes(kinds)
+        if caption:
+            style.set_caption(str(Markup("<span>{}</span>").format(caption)))
+        style.set_uuid(str(len(self._parts))).set_table_attributes(f'class="{"words" if words else "numbers"}"')
+        label = caption or next(reversed(self.headings.values()), self.title)
+        self._add('<div class="scroll" tabindex="0" role="region" aria-label="{}">', label)
+        self._parts.append(style.to_html(sparse_columns=True, cell_ids=False))
+        self._add("</div>")
+
+    def figure(self, axes: Axes | Sequence[Axes], title: str, note: str = "") -> None:
+        """A figure by its panels; ``note`` says how to read it, the title is its alternate text."""
+        figure = figure_of(axes)
+        wide = "wide" if figure.get_figwidth() > NARROW else ""
+        self._add('<figure class="{}"><figcaption><strong>{}</strong> {}</figcaption>', wide, title, note)
+        self._parts.append(f'<div class="scroll">{inline_svg(axes, f"f{len(self._parts)}-", title)}</div></figure>')
+
+    def html(self, origin: Origin | None = None, template: Path | None = None, **values: Any) -> str:
+        """The page as a file; a ``template`` with ``values`` takes the place of what was added."""
+        own = Path(__file__).parent / "kit.html.j2"
+        template = template or own
+        environment = jinja2.Environment(
+            loader=jinja2.FileSystemLoader([template.parent, own.parent]),
+            autoescape=True,
+            undefined=jinja2.StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        environment.filters.update({"n": number, "s": setting})
+        body = Markup("\n".join(self._parts))
+        return environment.get_template(template.name).render(
+            page=self, body=body, origin=origin, colours=COLOURS, **values
+        )
+
+    def write(self, path: Path, origin: Origin | None = None) -> None:
+        """Write the page.
+
+        Raises:
+            ConfigurationError: the file cannot be written.
+        """
+        write_whole(path, self.html(origin).encode())
+
+
+def shown(value: Any, decimals: int | None = None) -> str:
+    """A cell: numbers as a person writes them, other things as text."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, int | np.integer):
+        return number(float(value), 0)
+    if isinstance(value, float | np.floating):
+        return number(float(value), decimals)
+    return "–" if value is None else str(value)
+
+
+def _label(value: Any) -> str:
+    """A heading of a row or column: settings in their shortest form."""
+    return setting(value) if isinstance(value, float) else escape(str(value))
+
+
+def as_text(frame: pd.DataFrame, caption: str) -> Table:
+    """A data frame as a table of texts, for the console."""
+    header = ("", *(column if isinstance(column, str) else ": ".join(column) for column in frame))
+    rows = []
+    for name, cells in zip(frame.index, frame.to_numpy(dtype=object), strict=True):
+        rows.append((name if isinstance(name, str) else ": ".join(name), *map(shown, cells)))
+    return Table(caption, header, rows)
+
+
+def with_interval(table: pd.DataFrame, column: str, decimals: int | None = None, factor: float = 1.0) -> pd.Series:
+    """A column with its interval as texts: 0.512 (0.400 to 0.625)."""
+    texts = []
+    low, high = interval_of(table, column)
+    for row in factor * table[[column, low, high]].to_numpy(dtype=np.float64):
+        middle, *ends = (number(value, decimals) for value in row)
+        texts.append(middle if np.isnan(row[1]) else f"{middle} ({' to '.join(ends)})")
+    return pd.Series(texts, index=table.index, dtype=object)
+
+
+def interval_of(table: pd.DataFrame, column: str) -> tuple[str, str]:
+    """Names of the columns that hold the interval of another one."""
+    own = f"{column}_low", f"{column}_high"
+    return own if own[0] in table else ("low", "high")
+
+
+# Figures --------------------------------------------------------------------------------------------------------------
+
+
+def panel(width: float = NARROW, height: float = 3.0, **options: Any) -> Axes:
+    """A figure of one panel (inches); ``options`` of ``Axes.set``, such as labels and limits."""
+    (axes,) = panels(1, width, height)
+    axes.set(**options)
+    return axes
+
+
+def panels(count: int, width: float = WIDE, height: float = 7.5, **options: Any) -> list[Axes]:
+    """A figure of several panels below each other that share the horizontal axis; ``options`` of ``subplots``."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return list(figure.subplots(count, 1, sharex=True, squeeze=False, **options)[:, 0])
+
+
+def draw(
+    axes: Axes,
+    table: pd.DataFrame,
+    over: str,
+    value: str,
+    names: Sequence[str],
+    by: str = "controller",
+    factor: float = 1.0,
+    kind: str = "line",
+) -> None:
+    """Draw a column with its interval over another one, for each participant.
+
+    Args:
+        axes: the panel.
+        table: columns ``over``, ``value``, ``by``; the interval, if there is one, is in VALUE_low and VALUE_high, or in
+            low and high.
+        over: a column of numbers, or of texts, which become categories.
+        value: the column to draw.
+        names: the participants, the same in all figures of a page: each keeps its colour and marker.
+        by: column of the participants.
+        factor: from the unit of the table to that of the figure.
+        kind: line; points; rows: a row for each category, from top to bottom.
+    """
+    labels = list(dict.fromkeys(table[over]))
+    categories = bool(labels) and isinstance(labels[0], str)
+    low, high = interval_of(table, value)
+    apart = 7.0 if categories else 2.0  # points, so that no interval covers another one
+    scale = figure_of(axes).dpi_scale_trans
+    for index, name in enumerate(names):
+        own = table[table[by] == name]
+        places = own[over].map(labels.index) if categories else own[over]
+        middle = factor * own[value].to_numpy(dtype=np.float64)
+        lengths = None
+        if low in own:
+            ends = factor * own[[low, high]].to_numpy(dtype=np.float64).T
+            lengths = np.nan_to_num(np.maximum([middle - ends[0], ends[1] - middle], 0.0))
+        shift = apart / 72.0 * (index - 0.5 * (len(names) - 1))
+        style: dict[str, Any] = {"label": name if len(own) else "_none"}
+        if kind != "line":
+            style["linestyle"] = "none"
+        if kind == "rows":
+            made, moved = axes.errorbar(middle, places, xerr=lengths, **style), (0.0, -shift)
+        else:
+            made, moved = axes.errorbar(places, middle, yerr=lengths, **style), (shift, 0.0)
+        for artist in made.get_children():
+            artist.set_transform(axes.transData + ScaledTranslation(*moved, scale))
+    if categories and kind == "rows":
+        axes.set_yticks(range(len(labels)), labels)
+        axes.set_ylim(len(labels) - 0.4, -0.6)
+        axes.grid(visible=False, axis="y")
+    elif categories:
+        axes.set_xticks(range(len(labels)), labels)
+        axes.grid(visible=False, axis="x")
+
+
+def height_of(categories: int, names: int) -> float:
+    """Height of a figure with rows, inches."""
+    return 0.9 + categories * (7.0 * names + 9.0) / 72.0
+
+
+def leak_axis(axes: Axes, leaks: Iterable[float]) -> None:
+    """Scale the horizontal axis by the logarithm of the leak; a leak of zero stands at the left end."""
+    levels = sorted(set(leaks))
+    least = min((level for level in levels if level > 0.0), default=1.0)
+    axes.set_xscale("symlog", linthresh=least, linscale=0.3)
+    marked = levels if len(levels) < 8 else [level for level in levels if level in (0.0, 0.01, 0.1, 0.3, 1.0, 4.0)]
+    axes.set_xticks(marked, [setting(level) for level in marked])
+    axes.set_xticks([], minor=True)
+    axes.margins(x=0.06)
+    axes.set_xlabel("leak, l/min at 100 bar")
+
+
+def signal(axes: Axes, time: Floats, values: Floats, **options: Any) -> None:
+    """Draw a line of samples (T,) without markers; it breaks where rows are missing, and a long one is thinned."""
+    size = -(-len(time) // (MOST_POINTS // 2))
+    if size > 2:
+        ends = pd.Series(values).groupby(np.arange(len(values)) // size).agg(["min", "max"])
+        time, values = np.repeat(time[::size], 2), ends.to_numpy().ravel()
+    steps = np.diff(time)
+    usual = np.median(steps[steps > 0.0]) if (steps > 0.0).any() else np.inf
+    after = np.flatnonzero(steps > 5.0 * usual) + 1
+    axes.plot(np.insert(time, after, time[after]), np.insert(values, after, np.nan), marker="", **options)
+
+
+def legend(axes: Axes) -> None:
+    """A legend above the panel, where it covers no data, if there are several lines, and none yet."""
+    handles, labels = axes.get_legend_handles_labels()
+    if len(labels) > 1 and axes.get_legend() is None:
+        letters = 11 * figure_of(axes).get_figwidth()
+        columns = max(int(letters // (max(map(len, labels)) + 6)), 1)
+        axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=min(columns, len(labels)))
+
+
+def figure_of(axes: Axes | Sequence[Axes]) -> Figure:
+    """The figure of a panel, or of several."""
+    figure = (axes if isinstance(axes, Axes) else axes[0]).get_figure(root=True)
+    assert figure is not None
+    return figure
+
+
+def picture(axes: Axes | Sequence[Axes], kind: str, **options: Any) -> bytes:
+    """A figure as a file (``svg``, ``png``), the same bytes for the same numbers."""
+    figure = figure_of(axes)
+    for axes in figure.axes:
+        legend(axes)
+    left_out = ("Date", "Creator", "Format", "Type") if kind == "svg" else ("Software",)
+    file = io.BytesIO()
+    figure.savefig(file, format=kind, dpi=120, metadata=dict.fromkeys(left_out), **options)
+    return file.getvalue()
+
+
+def inline_svg(axes: Axes | Sequence[Axes], prefix: str, alt: str) -> str:
+    """A figure as an element of a page: its colours are CSS variables, its ids begin with ``prefix``."""
+    with matplotlib.rc_context({"svg.fonttype": "none"}):  # letters are those of the page
+        svg = picture(axes, "svg", transparent=True).decode()
+    svg = re.sub(r'\bid="|url\(#|href="#', lambda match: match[0] + prefix, svg[svg.index("<svg") :])
+    svg = re.sub(
+        r'(?<= )(d|x|y)="[^"]*"', lambda match: re.sub(r"(\.\d)\d+", r"\1", match[0]), svg
+    )  # tenths of a point
+    svg = re.sub(r'width="[^"]*" height="[^"]*"', lambda _: f'role="img" aria-label="{escape(alt)}"', svg, count=1)
+    for name, (light, _) in COLOURS.items():
+        svg = svg.replace(light, f"var(--{name})")
+    return svg

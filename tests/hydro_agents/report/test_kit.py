@@ -1,0 +1,159 @@
+"""The kit of all pages: cells are the frame's, texts are escaped, figures show the tables, one file for both themes."""
+
+import re
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+from browser import open_page, problems_everywhere
+from parsed_page import ODD_NAME, Parsed
+from refusal import refused
+
+from hydro_agents.report.kit import (
+    BLUE,
+    COLOURS,
+    GREEN,
+    MOST_POINTS,
+    Page,
+    as_text,
+    draw,
+    drawn,
+    leak_axis,
+    panel,
+    panels,
+    signal,
+    with_interval,
+)
+from hydro_agents.running.machine import Origin
+
+TABLE = pd.DataFrame(
+    {
+        "controller": ["PID", "PID", ODD_NAME, ODD_NAME],
+        "leak": [0.0, 4.0, 0.0, 4.0],
+        "error": [0.5, 1.0, 0.25, 0.75],
+        "low": [0.4, 0.9, 0.2, 0.5],
+        "high": [0.6, 1.1, 0.3, np.nan],
+    }
+)
+
+
+@drawn
+def made():
+    page = Page("Trial <one>")
+    page.verdict(f"{ODD_NAME} is best", "good")
+    page.heading("Errors")
+    frame = TABLE.assign(text=with_interval(TABLE, "error")).set_index("controller")
+    page.table(frame[["text", "leak", "error"]], "Errors <mm>", {"error": 1})
+    with page.fold("More"):
+        page.points(["a < b"])
+        page.code("task: # <&>")
+    for title in ("Error & leak", "The same"):
+        axes = panel(ylabel="error, mm")
+        draw(axes, TABLE, "leak", "error", ["PID", ODD_NAME])
+        leak_axis(axes, TABLE["leak"])
+        page.figure(axes, title)
+    rows = panels(2)
+    signal(rows[0], np.arange(9.0), np.arange(9.0), label="position")
+    page.figure(rows, "Position over time, of a wide figure")
+    return page
+
+
+@pytest.fixture(scope="module")
+def html():
+    return made().html(Origin("hydro study <x>", "today", "0.2"))
+
+
+def test_cells_are_those_of_the_frame_and_texts_are_escaped(html):
+    found = Parsed(html)
+    assert [row[1:] for row in found.rows] == [
+        ["text", "leak", "error"],
+        ["0.500 (0.400 to 0.600)", "0", "0.5"],
+        ["1.00 (0.900 to 1.10)", "4.00", "1.0"],
+        ["0.250 (0.200 to 0.300)", "0", "0.2"],
+        ["0.750 (0.500 to –)", "4.00", "0.8"],
+    ]
+    assert found.rows[3][0] == ODD_NAME
+    assert "<b>" not in html
+    for text in ("Trial <one>", f"{ODD_NAME} is best", "Errors <mm>", "a < b", "# <&>", "hydro study <x>"):
+        assert text in found.text
+
+
+def test_the_page_stands_alone_and_its_figures_follow_the_theme(html):
+    found = Parsed(html)
+    for tag, attributes in found.attributes:
+        assert tag not in ("link", "img", "iframe", "object", "base", "form", "script")
+        assert not attributes.keys() & {"src", "srcset", "action", "onload"}
+        for name in ("href", "xlink:href"):
+            assert attributes.get(name, "#").startswith("#")
+    assert "@import" not in html
+    assert set(re.findall(r"https?://[^\"' ]*", html)) <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+    ids = [attributes["id"] for _, attributes in found.attributes if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', html)) <= set(ids)
+    figures = re.findall(r'<svg[^>]*role="img" aria-label="([^"]*)".*?</svg>', html, flags=re.DOTALL)
+    assert figures == ["Error &amp; leak", "The same", "Position over time, of a wide figure"]
+    assert not re.search(r"#[0-9a-f]{6}\b", "".join(re.findall(r"<svg.*?</svg>", html, flags=re.DOTALL)))
+
+
+def test_the_same_numbers_give_the_same_bytes_and_the_user_s_settings_stay(html, tmp_path):
+    matplotlib.rcParams["xtick.direction"] = "in"
+    try:
+        assert made().html(Origin("hydro study <x>", "today", "0.2")) == html
+        assert matplotlib.rcParams["xtick.direction"] == "in"
+    finally:
+        matplotlib.rcdefaults()
+    (tmp_path / "file").write_text("")
+    with refused("cannot be written"):
+        made().write(tmp_path / "file" / "page.html")
+
+
+@drawn
+def test_a_figure_shows_the_table_and_a_participant_keeps_its_colour():
+    axes = panel()
+    draw(axes, TABLE[TABLE["controller"] == "PID"], "leak", "error", ["none", "other", "PID"], factor=10.0)
+    (container,) = [each for each in axes.containers if not each.get_label().startswith("_")]
+    line, _, (bars,) = container.lines
+    np.testing.assert_array_equal(line.get_xydata(), [[0.0, 5.0], [4.0, 10.0]])
+    np.testing.assert_allclose([part[:, 1] for part in bars.get_segments()], [[4.0, 6.0], [9.0, 11.0]])
+    assert line.get_color() == GREEN
+    rows = panel()
+    draw(rows, TABLE.assign(leak=["b", "a", "b", "a"]), "leak", "error", ["PID", ODD_NAME], kind="rows")
+    assert [text.get_text() for text in rows.get_yticklabels()] == ["b", "a"]
+    np.testing.assert_array_equal(rows.containers[0].lines[0].get_xydata(), [[0.5, 0.0], [1.0, 1.0]])
+    assert rows.containers[0].lines[0].get_color() == BLUE
+
+
+@drawn
+def test_lines_of_samples_break_where_rows_are_missing_and_keep_their_extremes():
+    axes = panel()
+    time = np.r_[0.0:1.0:0.01, 2.0:3.0:0.01]
+    signal(axes, time, time)
+    assert np.isnan(axes.lines[0].get_ydata()).sum() == 1
+    long = np.zeros(100 * MOST_POINTS)
+    long[12345] = 7.0
+    signal(axes, np.arange(float(len(long))), long)
+    assert len(axes.lines[1].get_xdata()) <= MOST_POINTS
+    assert np.nanmax(axes.lines[1].get_ydata()) == 7.0
+
+
+def test_a_frame_becomes_texts_for_the_console():
+    frame = pd.DataFrame({("accuracy", "mm"): [0.5], ("cost", "runs"): [3]}, index=["PID"])
+    table = as_text(frame, "Errors")
+    assert (table.header, table.rows) == (("", "accuracy: mm", "cost: runs"), [("PID", "0.500", "3")])
+
+
+def test_nothing_is_cut_off_in_a_browser_and_page_and_figures_follow_the_theme(browser, tmp_path):
+    made().write(tmp_path / "page.html")
+    assert problems_everywhere(browser, tmp_path / "page.html") == []
+    for place, scheme in enumerate(("light", "dark")):
+        with open_page(browser, tmp_path / "page.html", scheme=scheme) as page:
+            shown = {
+                "paper": page.locator("body").evaluate("one => getComputedStyle(one).backgroundColor"),
+                "ink": page.locator("svg text").first.evaluate("one => getComputedStyle(one).fill"),
+                "blue": page.locator("svg g[id$='line2d_2'] path").last.evaluate("one => getComputedStyle(one).stroke"),
+            }
+        for name in ("paper", "ink"):
+            light_or_dark = COLOURS[name][place]
+            wanted = [int(light_or_dark[at : at + 2], 16) for at in (1, 3, 5)]
+            assert [int(part) for part in re.findall(r"\d+", shown[name])[:3]] == wanted

@@ -1,0 +1,160 @@
+"""The page of a study: its verdict and its tables say what the tables of the evaluation say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from parsed_page import ODD_NAME, Parsed
+from untrained import untrained_head
+
+from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.evaluation.comparison import Grid
+from hydro_agents.evaluation.evaluate import Evaluation, ProtocolSettings, evaluate, growth_of
+from hydro_agents.report.parts import BASE_ERROR, ERROR, learning_axes
+from hydro_agents.report.study_page import Example, detection_table, overview, study_page, tables_of
+from hydro_agents.running.text import correction_name, duration, number
+from hydro_agents.study.results import write_tables
+from hydro_env import TaskConfig
+
+CONFIG = TaskConfig(episode_duration=0.4)
+SETTINGS = ProtocolSettings(
+    plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=120, standstill_plants=1
+)
+
+
+def shown(evaluation, **parts):
+    return Parsed(study_page("Trial", evaluation, {"command": "hydro study", "seed": "3"}, **parts).html()).text
+
+
+@pytest.fixture(scope="module")
+def evaluation():
+    gains = {"PID": 200.0, ODD_NAME: 60.0}
+    controllers = {name: PID(PIDGains(proportional=gain), CONFIG) for name, gain in gains.items()}
+    return evaluate(CONFIG, controllers, untrained_head(CONFIG), SETTINGS)
+
+
+def test_the_page_shows_every_part(evaluation):
+    time = np.linspace(0.005, 0.4, 80)
+    traces = dict.fromkeys(evaluation.controllers, 0.01 * (1.0 - np.exp(-time / 0.05)))
+    example = Example("the same with 4 l/min", time, np.full(80, 0.01), traces, traces, leak=4.0)
+    curve = pd.DataFrame({"steps": [1e5, 2e5], ERROR: [0.3, 0.2], "controller": ODD_NAME})
+    text = shown(
+        evaluation,
+        examples=[example],
+        training_curve=curve,
+        validation_error_mm=0.5,
+        timings={"train PPO": 3725.0},
+        configuration="task:\n  control_period: 0.005 # <&>\n",
+    )
+    for part in ("Single runs", "Detecting the leak", "Training", "1 h 2 min", "control_period: 0.005 # <&>", ODD_NAME):
+        assert part in text
+    assert "A small run: 3 plants" in text
+    assert "outside the test seeds" not in text
+    cases = evaluation.cases
+    assert "outside the test seeds" in shown(replace(evaluation, cases=cases.assign(seed=cases["seed"] - 2_000_000)))
+
+
+def test_one_controller_without_a_head(tmp_path):
+    settings = SETTINGS.model_copy(update={"leak_levels": (0.3,), "families": ("step",)})
+    lonely = evaluate(CONFIG, {"PID": PID(PIDGains(), CONFIG)}, None, settings)
+    text = shown(lonely)
+    for absent in ("Detecting the leak", "Ratio of errors by", "nan", "clearly better"):
+        assert absent not in text
+    names = [path.name for path in write_tables(tmp_path / "tables", tables_of(lonely))]
+    assert names == [f"{name}.csv" for name in ("cases", "levels", "families", "limit_cycles", "limit_cycle_summary")]
+
+
+def test_tables_hold_all_numbers(evaluation, tmp_path):
+    paths = write_tables(tmp_path, tables_of(evaluation))
+    assert {path.stem for path in paths} <= set(Evaluation.__dataclass_fields__)
+    for path in paths:
+        expected = getattr(evaluation, path.stem).reset_index(drop=True)
+        stored = pd.read_csv(path, dtype={"value": str})
+        stored = stored.fillna({"value": ""}) if "value" in stored else stored
+        pd.testing.assert_frame_equal(stored, expected, check_dtype=False)
+
+
+def test_errors_in_both_frames_and_limit_cycles_stand_in_the_overview(evaluation):
+    cases = evaluation.cases.assign(mean_error_mm=0.25, mean_error_sensor_mm=0.125)
+    counts = {"limit_cycles": [14, 0], "standstills": 16, "failures": [1, 0], "largest_amplitude_um": [7900.0, 0.0]}
+    cycles = pd.DataFrame({"controller": evaluation.controllers, **counts, "frequency_hz": 8.0})
+    restless = replace(evaluation, cases=cases, limit_cycle_summary=cycles)
+    table = overview(restless)
+    assert table["accuracy", "mean error, mm"].tolist() == [0.25, 0.25]
+    assert table["repeatability", "mean error, mm"].tolist() == [0.125, 0.125]
+    assert table["at rest", "limit cycles"].tolist() == ["14 of 16 (to 7.9 mm), 1 failed", "0 of 16"]
+    assert "PID does not come to rest" in shown(restless)
+    assert "PID does not come to rest" not in shown(replace(restless, limit_cycle_summary=cycles.assign(**{
+        "limit_cycles": 0, "failures": 0})))  # fmt: skip
+
+
+def test_the_growth_of_the_error_with_the_leak_is_that_on_the_same_plants(evaluation):
+    cases = evaluation.cases
+    factor = np.where(cases["leakage_flow_lpm"] == 4.0, cases["family"].map({"step": 3.0, "sine": 2.0}), 1.0)
+    errors = cases.assign(mean_error_mm=(1.0 + cases["plant"]) * factor)
+    growth = growth_of(errors)
+    assert growth["ratio"].tolist()[:3] == pytest.approx([2.5, 3.0, 2.0])
+    page = study_page("Trial", replace(evaluation, cases=errors, growth=growth))
+    rows = Parsed(page.html()).rows
+    assert ["PID", "2.50 (2.50 to 2.50)", "3.00 (3.00 to 3.00)", "2.00 (2.00 to 2.00)"] in rows
+    assert growth_of(cases[cases["leakage_flow_lpm"] == 4.0]).empty
+
+
+@pytest.mark.parametrize(
+    ("ratio", "verdict"),
+    [
+        ((0.8, 0.7, 0.9), f"{ODD_NAME} positions best: 80 % of the error of PID."),
+        ((1.25, 1.1, 1.4), "No controller is clearly better than PID."),
+        ((0.9, 0.7, 1.1), "No controller is clearly better than PID."),
+        ((0.5, np.nan, np.nan), "No controller is clearly better than PID."),  # too few plants for an interval
+    ],
+)
+def test_nobody_is_called_best_without_a_clear_difference(evaluation, ratio, verdict):
+    ratios = evaluation.ratios.copy()
+    ratios.loc[ratios["group"] == "all", ["ratio", "low", "high"]] = ratio
+    assert verdict in shown(replace(evaluation, ratios=ratios))
+
+
+def test_a_policy_is_compared_with_the_controller_that_it_corrects(evaluation):
+    rows = evaluation.cases[evaluation.cases["controller"] == ODD_NAME]
+    policy = rows.assign(controller="PPO", mean_error_mm=0.9 * rows["mean_error_mm"])
+    three = replace(evaluation, cases=pd.concat([evaluation.cases, policy], ignore_index=True))
+    corrected = Grid(three.cases).corrected({"PPO": ODD_NAME, ODD_NAME: "PID"})
+    assert corrected["controller"].tolist() == ["PPO"]  # the overview compares with the baseline
+    found = Parsed(study_page("Trial", evaluation, corrected=corrected).html()).rows
+    (row,) = [row for row in found if row[:2] == ["PPO", ODD_NAME]]
+    assert row[2] == "0.900 (0.900 to 0.900)"
+    assert row[5:] == ["100", "1.00", "1.00", "1.00"]  # better in all runs, at the same costs
+
+
+def test_shares_and_sizes_of_the_detection_stand_in_its_tables(evaluation):
+    rates = evaluation.detection_rates.copy()
+    rates.loc[rates["value"] == "0.1–0.2", ["flagged_share", "low", "high"]] = (0.25, 0.2, 0.3)
+    rates = rates.rename(columns={"flagged_share_low": "low", "flagged_share_high": "high"})
+    summary = evaluation.detection_summary.assign(false_alarm_rate=0.012, median_size_error_factor=[1.31, 1.42])
+    table = detection_table(summary)
+    assert table.loc["False alarms at this threshold, %"].tolist() == pytest.approx([1.2, 1.2])
+    assert table.loc["Size: factor of error, half of the leaks within"].tolist() == [1.31, 1.42]
+    assert "25.0 (20.0 to 30.0)" in shown(replace(evaluation, detection_rates=rates, detection_summary=summary))
+
+
+def test_learning_is_told_against_the_baseline_with_the_range_of_the_seeds():
+    steps = np.array([1e5, 2e5])
+    seeds = [pd.DataFrame({"steps": steps, ERROR: e, "controller": f"PPO#{n}"}) for n, e in enumerate((0.2, 0.3, 0.7))]
+    axes = learning_axes(pd.concat(seeds), "PID", 0.5)
+    (container,) = [each for each in axes.containers if each.get_label() == "PPO"]
+    line, _, (bars,) = container.lines
+    np.testing.assert_allclose(line.get_xydata(), [[100.0, 0.6], [200.0, 0.6]])  # the median seed
+    np.testing.assert_allclose(bars.get_segments()[0][:, 1], [0.4, 1.4])
+    axes = learning_axes(seeds[0].assign(**{BASE_ERROR: 0.34}), "PID", 0.5)
+    assert "corrected controller" in axes.get_legend_handles_labels()[1]
+
+
+def test_numbers_and_names_as_a_person_writes_them():
+    assert [number(x) for x in (0.0, 1234.5, 12.345, 0.98765, 0.001234)] == ["0", "1234", "12.3", "0.988", "0.00123"]
+    assert [number(float("nan")), number(0.0000123), number(948.14, digits=4)] == ["–", "0.0000123", "948.1"]
+    assert [number(-12.3), number(-0.0004, 2), number(-0.0)] == ["−12.3", "0.00", "0"]
+    assert [duration(x) for x in (1.25, 75.0, 3725.0)] == ["1.2 s", "1 min 15 s", "1 h 2 min"]
+    assert correction_name("PPO", "Flow linearisation") == "PPO on flow linearisation"
+    assert correction_name("PPO on flow linearisation", "Flow linearisation") == "PPO on flow linearisation"
