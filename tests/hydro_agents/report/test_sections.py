@@ -37,7 +37,6 @@ def test_points_without_intervals_stand_at_their_values(drawn):
 def test_every_page_names_registered_sections_and_two_pages_share_some():
     lists = [ROBUSTNESS, LEAKAGE]
     assert [[part.name for part in sections_named(names)] for names in lists] == [list(names) for names in lists]
-    assert {"introduction", "run"} <= set(ROBUSTNESS) & set(STUDY)
 
 
 def test_a_wrong_name_is_refused_in_one_line():
