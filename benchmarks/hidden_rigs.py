@@ -18,13 +18,13 @@ from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.loading import usual_gains
 from hydro_agents.learning.stable_gain import stable_start
+from hydro_agents.rigs.rig_file import answers_from, new_rig, written_answers
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.task.configuration import task_config
-from hydro_env.task.drawn_rigs import TRIES, drawn_answers
+from hydro_env.task.drawn_rigs import TRIES, drawn_figures
 from hydro_env.task.law import RigLaw
-from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_env.task.rig import read_rig
 from hydro_env.task.sensors import SENSOR_COLUMNS
 from hydro_env.units import flow_from_resistance
@@ -108,7 +108,7 @@ def _drawn(file: Path, seed: int, kind: int, duration: float) -> tuple[dict[str,
     """The answers of a rig that can work, and the task that records it."""
     fault = ConfigurationError(f"{file}: no rig was drawn")
     for attempt in range(TRIES):
-        texts, _ = drawn_answers(RigLaw(), seed, attempt)
+        texts = written_answers(drawn_figures(RigLaw(), seed, attempt)[0])
         if float(texts["bore"].split(" ")[0]) > LARGEST_BORE:
             continue
         for name in ("overlap", "absent"):
@@ -129,7 +129,7 @@ def _drawn(file: Path, seed: int, kind: int, duration: float) -> tuple[dict[str,
 
 
 def _write(file: Path, texts: dict[str, Any]) -> None:
-    write_text(file, new_rig(answers_from(texts), texts, str(file))[0])
+    write_text(file, new_rig(answers_from(texts), str(file))[0])
 
 
 def _clip(recording: Path) -> float:

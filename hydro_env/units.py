@@ -40,6 +40,9 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """SI units per unit, by SI unit; the usual units come first. Pressures are gauge pressures."""
 
+FACTORS = {name: factor for known in UNITS.values() for name, factor in known.items()}
+"""SI units per unit, by its name."""
+
 _QUANTITY = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?![eE][-+]?\d)(-|[^\d\s.,:+-].*)")
 
 
@@ -74,6 +77,16 @@ def written(value: float, unit: str) -> str:
     """A value with its usual unit, such as ``160 bar`` for 1.6e7 in Pa."""
     usual, factor = next(iter(UNITS.get(unit, {unit: 1.0}).items()))
     return f"{value / factor:.6g} {usual}"
+
+
+def from_unit(number: float, unit: str, digits: int = 15) -> float:
+    """A number with so many digits in a unit, in SI: 36 mm are 0.036 m, not 0.036000000000000004."""
+    return float(f"{float(f'{number:.{digits}g}') * FACTORS[unit]:.15g}")
+
+
+def rounded(value: float, unit: str = "1", digits: int = 3) -> float:
+    """A value in SI as a person would write it, with so many digits in a unit."""
+    return from_unit(value / FACTORS[unit], unit, digits)
 
 
 def in_si(value: Any, unit: str) -> Any:

@@ -7,6 +7,7 @@ of the valve from a drawn full speed; what the questions leave open gets that co
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +15,11 @@ from hydro_env.errors import ConfigurationError
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.law import FIRST_SEEDS, RigLaw
-from hydro_env.task.nameplates import answers_from, new_rig
+from hydro_env.task.nameplates import rig_of
 from hydro_env.task.paces import pace
-from hydro_env.task.rig import Rig, merged, moved
+from hydro_env.task.rig import Rig, moved
 from hydro_env.task.sensors import Sensors
+from hydro_env.units import from_unit
 
 BULK_MODULUS, DEAD = 1.2e9, 0.1  # Pa, and of the swept volume, as nameplates assumes
 HASTE = 2.0
@@ -26,8 +28,11 @@ HASTE = 2.0
 TRIES = 100
 
 
-def drawn_answers(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, str], dict[str, float]]:
-    """The texts of the answers by key, and the timing of the task in s, of one rig."""
+def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, Any], dict[str, float]]:
+    """The figures of the nameplates of one rig (:func:`~hydro_env.task.nameplates.rig_values`), and its timing in s.
+
+    They have the digits with which nameplates are written.
+    """
     draw = np.random.default_rng([seed, attempt])
 
     def between(low: float, high: float) -> float:
@@ -56,43 +61,45 @@ def drawn_answers(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, s
     frequency = 2.0 * math.pi * between(*law.natural_frequency)
     mass = min(stiffness / frequency**2, (HASTE * forces / speed) ** 2 / stiffness)
 
-    texts = {
-        "bore": f"{bore} mm",
-        "rod": f"{rod} mm",
-        "stroke": f"{stroke:g} mm",
-        "supply_pressure": f"{supply:g} bar",
-        "rated_flow": f"{law.rated_flows[size]:g} l/min",
-        "mass": f"{mass:.3g} kg",
-        "bandwidth": f"{between(*law.bandwidth):.3g} Hz",
-        "position_noise": f"{between(*law.position_noise) * stroke:.2g} mm",
-        "position_resolution": f"{between(*law.position_resolution) * stroke:.2g} mm",
-        "position_accuracy": f"{100 * between(*law.position_accuracy):.2g} %",
+    figures: dict[str, Any] = {
+        "bore": from_unit(bore, "mm"),
+        "rod": from_unit(rod, "mm"),
+        "stroke": from_unit(stroke, "mm", 6),
+        "supply_pressure": from_unit(supply, "bar", 6),
+        "rated_flow": from_unit(law.rated_flows[size], "l/min", 6),
+        "mass": from_unit(mass, "kg", 3),
+        "bandwidth": from_unit(between(*law.bandwidth), "Hz", 3),
+        "position_noise": from_unit(between(*law.position_noise) * stroke, "mm", 2),
+        "position_resolution": from_unit(between(*law.position_resolution) * stroke, "mm", 2),
+        "position_accuracy": from_unit(100 * between(*law.position_accuracy), "%", 2),
     }
     top = next((high for high in law.pressure_ranges if high > 1.2 * supply), law.pressure_ranges[-1])
-    texts |= {"pressure_range": f"{top:g} bar", "pressure_noise": f"{between(*law.pressure_noise) * top:.2g} bar"}
-    texts["pressure_accuracy"] = f"{100 * between(*law.pressure_accuracy):.2g} %"
+    figures["pressure_range"] = from_unit(top, "bar", 6)
+    figures["pressure_noise"] = from_unit(between(*law.pressure_noise) * top, "bar", 2)
+    figures["pressure_accuracy"] = from_unit(100 * between(*law.pressure_accuracy), "%", 2)
     if both_sides:
-        texts["rod_a"] = texts["rod"]
+        figures["rod_a"] = figures["rod"]
     if often(law.overlap_share):
-        texts["overlap"] = f"{100 * between(*law.overlap):.2g} %"
+        figures["overlap"] = from_unit(100 * between(*law.overlap), "%", 2)
     elif often(law.null_flow_share):
         null_flow = between(*law.null_flow) * law.rated_flows[size] * math.sqrt(supply / 70.0)
-        texts["null_flow"] = f"{null_flow:.2g} l/min"
+        figures["null_flow"] = from_unit(null_flow, "l/min", 2)
     if often(law.ratio_share) and not both_sides and 0.4 < area_b / area_a < 0.6:
-        texts["spool_ratio"] = "0.5"
+        figures["spool_ratio"] = 0.5
     if often(law.weight_share):
-        texts["external_force"] = f"{min(9.81 * mass, 0.3 * 1e5 * supply * area_b):.3g} N"
+        figures["external_force"] = from_unit(min(9.81 * mass, 0.3 * 1e5 * supply * area_b), "N", 3)
     if often(law.line_share):
-        texts |= {"line_length": f"{between(*law.line_length):.2g} m", "line_diameter": f"{8 + bore // 10} mm"}
-        texts["line_kind"] = "hose" if often(0.5) else "pipe"
+        figures["line_length"] = from_unit(between(*law.line_length), "m", 2)
+        figures["line_diameter"] = from_unit(8 + bore // 10, "mm")
+        figures["line_kind"] = "hose" if often(0.5) else "pipe"
     if often(law.no_spool_sensor_share):
-        texts["absent"] = "spool_position"
+        figures["absent"] = "spool_position"
 
     shares = np.array(list(law.periods.values()))
     period = float(draw.choice(list(law.periods), p=shares / shares.sum()))
     low, high = law.latency
     latency = between(low, min(high, period))
-    return texts, {"control_period": 1e-3 * period, "command_latency": 1e-3 * round(latency, 2)}
+    return figures, {"control_period": 1e-3 * period, "command_latency": 1e-3 * round(latency, 2)}
 
 
 def with_steps_of_the_supply(rig: Rig) -> Rig:
@@ -103,18 +110,17 @@ def with_steps_of_the_supply(rig: Rig) -> Rig:
     return rig._replace(sensors={f"sensors.{name}.resolution": step for name, step in steps.items()} | rig.sensors)
 
 
-def drawn_rig(law: RigLaw, seed: int) -> tuple[str, Rig, dict[str, float]]:
-    """The text of a rig's file, the rig, and the timing of its task; a rig that cannot work is drawn again.
+def drawn_rig(law: RigLaw, seed: int) -> tuple[Rig, dict[str, float]]:
+    """A rig, and the timing of its task; a rig that cannot work is drawn again.
 
     Raises:
         ConfigurationError: none of :data:`TRIES` rigs can work.
     """
     fault = ConfigurationError("law: no rig was drawn")
     for attempt in range(TRIES):
-        texts, timing = drawn_answers(law, seed, attempt)
+        figures, timing = drawn_figures(law, seed, attempt)
         try:
-            text, rig = new_rig(answers_from(texts), texts, f"rig {seed} of the law")
-            return text, with_steps_of_the_supply(rig), timing
+            return with_steps_of_the_supply(rig_of(figures, f"rig {seed} of the law")), timing
         except ConfigurationError as error:
             fault = error
     raise ConfigurationError(f"law: none of {TRIES} drawn rigs can work; the last one: {' '.join(str(fault).split())}")
@@ -126,17 +132,18 @@ def drawn_task(config: TaskConfig, law: RigLaw, seed: int) -> TaskConfig:
     Raises:
         ConfigurationError: none of the drawn rigs can work.
     """
-    _, rig, timing = drawn_rig(law, seed)
+    rig, timing = drawn_rig(law, seed)
     defaults = TaskConfig().model_dump()
     values = moved(config.model_dump(), defaults, rig) | timing | {"law": None, "command_latency_range": None}
     task = TaskConfig.model_validate(values)
     if not law.preview_paces:
         return task
-    counts: list[int] = []
+    own, count, times = pace(task), 0, []
     for paces in law.preview_paces:  # each is at least one period beyond the one before
-        counts.append(max(round(paces * pace(task) / task.control_period), [0, *counts][-1] + 1))
-    times = [count * task.control_period for count in counts]
-    return TaskConfig.model_validate(merged(values, {"references": {"preview_times": times}}))
+        count = max(round(paces * own / task.control_period), count + 1)
+        times.append(count * task.control_period)
+    references = task.references.model_copy(update={"preview_times": tuple(times)})
+    return task.model_copy(update={"references": references})
 
 
 def rig_tasks(config: TaskConfig) -> tuple[TaskConfig, ...]:

@@ -21,9 +21,10 @@ from hydro_agents.commands.options import (
     check_new_file,
     say,
 )
+from hydro_agents.rigs.rig_file import QUESTIONS, Question, answers_from, parsed
+from hydro_agents.rigs.rig_file import new_rig as written_rig
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
-from hydro_env.task.nameplates import QUESTIONS, Question, answers_from, parsed
 
 
 def new_rig(
@@ -41,7 +42,6 @@ def new_rig(
     every uncertain one. Check it next with `hydro check-rig`.
     """
     from hydro_env.files import write_text
-    from hydro_env.task.nameplates import new_rig as written_rig
 
     check_new_file(output, overwrite)
     given = _named_figures(figures or [])
@@ -49,7 +49,7 @@ def new_rig(
     if not required <= given.keys() and sys.stdin.isatty():
         try:
             _ask([question for question in QUESTIONS if question.key not in given], given)
-            text, rig = written_rig(answers_from(given), given, str(output))
+            text, rig = written_rig(answers_from(given), str(output))
         except (ConfigurationError, EOFError, KeyboardInterrupt) as error:
             again = " ".join(f'{key.replace("_", "-")}="{answer}"' for key, answer in given.items())
             print(f"\nNothing was written. Your answers, to go on with: hydro new-rig {again}", file=sys.stderr)
@@ -57,7 +57,7 @@ def new_rig(
                 raise ConfigurationError("new-rig: the input has ended") from None
             raise
     else:
-        text, rig = written_rig(answers_from(given), given, str(output))
+        text, rig = written_rig(answers_from(given), str(output))
     write_text(output, text)
     say(
         f"{output}: {len(given)} values given, ranges for {len(rig.randomisation)} uncertain ones",

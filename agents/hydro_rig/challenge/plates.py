@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from hydro_agents.detection.sheet import leak_scale
+from hydro_agents.rigs.rig_file import QUESTIONS, answers_from, written_answers
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
-from hydro_env.task.drawn_rigs import TRIES, drawn_answers, with_steps_of_the_supply
+from hydro_env.task.drawn_rigs import TRIES, drawn_figures, with_steps_of_the_supply
 from hydro_env.task.law import FIRST_SEEDS, RigLaw
-from hydro_env.task.nameplates import QUESTIONS, answers_from, new_rig
+from hydro_env.task.nameplates import rig_of
 from hydro_env.task.paces import full_speed
 from hydro_env.task.rig import moved
 
@@ -55,7 +56,8 @@ class Plate(NamedTuple):
 def plate_of(seed: int) -> Plate:
     """The plate of the rig that the law draws from a seed; one that cannot work is drawn again."""
     for attempt in range(TRIES):
-        plate = Plate(*drawn_answers(LAW, seed, attempt))
+        figures, timing = drawn_figures(LAW, seed, attempt)
+        plate = Plate(written_answers(figures), timing)
         try:
             task_of(TaskConfig(), plate)
         except ConfigurationError:
@@ -72,7 +74,7 @@ def task_of(config: TaskConfig, plate: Plate) -> TaskConfig:
     Raises:
         ConfigurationError: the figures contradict each other, or the axis cannot work.
     """
-    _, rig = new_rig(answers_from(plate.texts), plate.texts, "nameplate")
+    rig = rig_of(answers_from(plate.texts), "nameplate")
     values = moved(config.model_dump(), TaskConfig().model_dump(), with_steps_of_the_supply(rig)) | plate.timing
     task = TaskConfig.model_validate(values | {"law": None, "command_latency_range": None})
     scale = leak_scale(task)

@@ -15,13 +15,13 @@ from hydro_agents.learning.stable_gain import (
     quiet_gains,
     weakest,
 )
+from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest
 from hydro_agents.running.seeds import ANY_AXIS
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
-from hydro_env.task.nameplates import answers_from, new_rig
 
 NAMEPLATES = {
     "bore": "40 mm",
@@ -38,7 +38,7 @@ NAMEPLATES = {
 def task(tmp_path_factory):
     """The task on a soft rig of 20 Hz with a differential cylinder."""
     file = tmp_path_factory.mktemp("rig") / "soft.yaml"
-    file.write_text(new_rig(answers_from(NAMEPLATES), NAMEPLATES, "soft.yaml")[0], encoding="utf-8")
+    file.write_text(new_rig(answers_from(NAMEPLATES), "soft.yaml")[0], encoding="utf-8")
     return task_config(rig=file)
 
 

@@ -10,10 +10,10 @@ import yaml
 from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydro
 
 from hydro_agents.rigs.check_table import position_accuracy
+from hydro_agents.rigs.rig_file import QUESTIONS, answers_from, new_rig
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
-from hydro_env.task.nameplates import QUESTIONS, answers_from, new_rig
 from hydro_env.task.rig import read_rig
 
 LEAST = {
@@ -30,7 +30,7 @@ EVERYTHING = {question.key: question.example for question in QUESTIONS} | {"band
 def made(**more):
     """The rig of the least answers and some more."""
     texts = LEAST | more
-    return new_rig(answers_from(texts), texts, "rig.yaml")
+    return new_rig(answers_from(texts), "rig.yaml")
 
 
 def words(texts):
@@ -163,7 +163,7 @@ def test_the_accuracy_of_the_position_is_asked_for_written_and_told(given, tmp_p
 
 
 def test_every_question_has_an_answer_that_is_read(tmp_path):
-    text, rig = new_rig(answers_from(EVERYTHING), EVERYTHING, "rig.yaml")
+    text, rig = new_rig(answers_from(EVERYTHING), "rig.yaml")
     (tmp_path / "rig.yaml").write_text(text)
     assert read_rig(tmp_path / "rig.yaml").plant == rig.plant
     assert rig.plant.lines.wall_bulk_modulus == 3e8
@@ -221,7 +221,7 @@ def test_wrong_figures_get_one_line_and_leave_no_file(changes, message, tmp_path
     assert_one_clear_line(answer, message)
     assert not list(tmp_path.iterdir())
     with pytest.raises(ConfigurationError):
-        new_rig(answers_from(texts), texts, "rig.yaml")
+        new_rig(answers_from(texts), "rig.yaml")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a POSIX shell closes the input")

@@ -21,13 +21,13 @@ from hydro_agents.learning.stable_gain import (
 )
 from hydro_agents.rigs.check import check_rig
 from hydro_agents.rigs.check_table import assumed, brief, check_csv, implausible
+from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_agents.study.settings import default_study
 from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parts.valve import edge_openings
 from hydro_env.task.configuration import task_config
-from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_env.task.rig import read_rig
 
 ROWS = check_rig(PlantParameters())
@@ -304,7 +304,7 @@ def test_the_recommended_gain_is_stable_on_every_drawn_plant(name, tmp_path):
     if name in OWN:
         texts = dict(zip(KEYS, OWN[name], strict=True))
         rig = tmp_path / "rig.yaml"
-        rig.write_text(new_rig(answers_from(texts), texts, "rig.yaml")[0], encoding="utf-8")
+        rig.write_text(new_rig(answers_from(texts), "rig.yaml")[0], encoding="utf-8")
     task = task_config(None, rig=rig)
     nominal, worst = weakest(nominal_loops(task)), weakest(loops_within_ranges(task))
     assert worst.gain < nominal.gain

@@ -9,10 +9,10 @@ from exported_code import InC, InPython, assert_it_holds_until_start, at_rest, l
 
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.loading import shipped
+from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig, equilibrium
 from hydro_env.task.configuration import task_config
-from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
 from hydro_rig.export.measured import LOST_TIME
 
@@ -37,7 +37,7 @@ MOVES = {PAPER: (-0.03, 0.07), OTHER: (-0.1, 0.1)}  # m, from where to where the
 def made(tmp_path_factory):
     """A function: graph and task of a controller on a rig."""
     file = tmp_path_factory.mktemp("rig") / "my.yaml"
-    file.write_text(new_rig(answers_from(NAMEPLATES), NAMEPLATES, "my.yaml")[0], encoding="utf-8")
+    file.write_text(new_rig(answers_from(NAMEPLATES), "my.yaml")[0], encoding="utf-8")
     other = task_config(None, rig=file, control_period="2 ms", command_latency="0.6 ms")
     tasks = {PAPER: TaskConfig(), OTHER: other}
 

@@ -10,10 +10,10 @@ from exported_code import InC, library, sources_in
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.loading import shipped
+from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_rig.export.controller import controller_graph
 
 NAMEPLATES = {
@@ -36,7 +36,7 @@ BUMP = 0.15  # V
 def rig(tmp_path_factory):
     """The file of a rig from its nameplates."""
     file = tmp_path_factory.mktemp("rig") / "my.yaml"
-    file.write_text(new_rig(answers_from(NAMEPLATES), NAMEPLATES, "my.yaml")[0], encoding="utf-8")
+    file.write_text(new_rig(answers_from(NAMEPLATES), "my.yaml")[0], encoding="utf-8")
     return file
 
 
