@@ -9,6 +9,6 @@ RUN pip install --no-cache-dir --constraint constraints.txt --extra-index-url ht
 WORKDIR /work
 ENV NUMBA_CACHE_DIR=/opt/numba
 # Machine code for this processor: without it every container compiles anew. Any user may add to it.
-RUN hydro warm-up && chmod -R a+rwX /opt/numba
+RUN python /source/benchmarks/compile_all.py && chmod -R a+rwX /opt/numba
 ENTRYPOINT ["hydro"]
 CMD ["--help"]

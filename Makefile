@@ -14,6 +14,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 .PHONY: install study test slow-test faults lint types check docs figures versions release clean
 
 install: $(VENV)/.installed-agents
+	$(BIN)/python benchmarks/compile_all.py
 
 study: $(VENV)/.installed-agents
 	$(BIN)/hydro study --output $(OUTPUT) --resume

@@ -1,4 +1,4 @@
-"""``hydro reproduce``: all figures as pictures and tables, and the page that compares them with the paper."""
+"""``python -m paper``: all figures as pictures and tables, and the page that compares them with the paper."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Made(NamedTuple):
     plot: Plot
 
 
-def reproduce_to_folder(folder: Path, overwrite: bool, command: str = "hydro reproduce") -> Path:
+def reproduce_to_folder(folder: Path, overwrite: bool, command: str = "python -m paper") -> Path:
     """Compute, draw and write everything; returns the page.
 
     Args:

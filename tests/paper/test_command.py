@@ -1,4 +1,4 @@
-"""``hydro reproduce``: the files, the page, wrong use."""
+"""``python -m paper``: the files, the page, wrong use."""
 
 import re
 from importlib import import_module

@@ -6,10 +6,8 @@ import contextlib
 import inspect
 import os
 import re
-import shutil
 import signal
 import sys
-import textwrap
 import warnings
 from importlib import import_module
 from importlib.util import find_spec
@@ -63,11 +61,6 @@ GROUPS = {
         "trend": "hydro_rig.commands.diagnosing:trend",
         "alarms": "hydro_rig.commands.alarms:alarms",
         "score": "hydro_rig.commands.datasets:score",
-    },
-    "The paper, and this machine": {
-        "reproduce": "hydro_agents.commands.checkout:reproduce",
-        "benchmark": "hydro_agents.commands.checkout:benchmark",
-        "warm-up": "hydro_rig.commands.warming:warm_up",
     },
 }
 """All commands under the headings of the help: by name the module and its function."""
@@ -143,8 +136,6 @@ def main() -> None:
             error.show()
             sys.exit(2)
         message = error.format_message().replace("Value error, ", "").replace("Input should", "must").rstrip(".")
-        if "number" in message and any(re.match(r"(--[\w-]+=)?[-+]?\d*,\d", word) for word in sys.argv[1:]):
-            message += "; decimals need a point"
         command = error.ctx.command_path if error.ctx is not None else "hydro"
         _end(2, f"{message}; see {command} --help")
     except HydroError as error:
@@ -186,23 +177,13 @@ def _stop(number: int, frame: object) -> None:
 
 
 def _end(code: int, message: str) -> NoReturn:
-    message = re.sub(r"(\S{200})\S{300,}", r"\1…", message)
-    lines = [
-        "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in line)
-        for line in re.split(r"\n(?=  )", f"hydro: {message}")  # a list of mistakes has one indented line each
-    ]
-    if len(lines) > 1:
-        lines = [part for line in lines for part in _narrow(line)]
+    """End with a message on standard error, without characters that would move a cursor and without endless words."""
+    shown = ""
+    for letter in re.sub(r"(\S{200})\S{300,}", r"\1…", message):
+        shown += letter if letter.isprintable() or letter == "\n" else ascii(letter)[1:-1]
     with contextlib.suppress(OSError):
-        print("\n".join(lines), file=sys.stderr)
+        print(f"hydro: {shown}", file=sys.stderr)
     sys.exit(code)
-
-
-def _narrow(line: str) -> list[str]:
-    """A line wrapped to the width of the terminal; its continuation lines are indented by four more columns."""
-    indent = " " * (len(line) - len(line.lstrip()) + 4)
-    width = shutil.get_terminal_size().columns
-    return textwrap.wrap(line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 if __name__ == "__main__":
