@@ -1,1 +1,1 @@
-"""Measurements of speed and accuracy: the modules of ``hydro benchmark``, and scripts; see README.md."""
+"""Measurements of speed, accuracy and answers: scripts of a checkout, which README.md lists."""

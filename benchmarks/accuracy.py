@@ -1,4 +1,6 @@
-"""Rows of accuracy: error of the integrator against the reference solver, its order, and its time.
+"""Error of the integrator against the reference solver, its order, and its time.
+
+Run: python -m benchmarks.accuracy [RIGS]      (ten minutes with 240 rigs)
 
 A run is a rig drawn over the whole randomised range with a leak of 0.001 to 4 l/min, an initial state in motion and
 under pressure at a position that it can hold, and 0.2 s of one of three inputs: held voltages of any size, a new
@@ -9,9 +11,9 @@ which locates limits by root finding (:mod:`hydro_env.plant.reference`).
 from __future__ import annotations
 
 import math
-import os
+import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.table import Case, Extent, Row
 from hydro_agents.running.seeds import ACCURACY
+from hydro_agents.running.text import markdown
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.kernel import TOLERANCE
@@ -35,9 +37,6 @@ INPUTS = ("held", "noise", "sine")
 LIMIT = 1e-4
 """Largest allowed error of any state relative to its range, with the default settings."""
 
-BATCH = 20
-"""Rigs per round of the benchmark."""
-
 FIXED_STEPS = (0.4e-3, 0.2e-3, 0.1e-3)
 """s; steps of fixed length, between which the order is computed."""
 
@@ -46,8 +45,6 @@ SETTINGS: dict[str, dict[str, float]] = {
     for tolerance in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 } | {f"steps of {1e3 * step:g} ms": {"tolerance": math.inf, "maximum_step": step} for step in FIXED_STEPS}
 """Settings of the integrator that are compared, as keywords of :func:`hydro_env.simulate`."""
-
-REFERENCE_ROW = "Radau, relative tolerance 1e-10"
 
 
 @dataclass(frozen=True)
@@ -132,42 +129,24 @@ def convergence_orders(steps: Sequence[float] = FIXED_STEPS) -> list[float]:
     ]
 
 
-def accuracy_cases(extent: Extent) -> list[Case]:
-    """Each round takes a batch of rigs: the reference first, then every setting of the integrator."""
-    runs = random_runs(extent.accuracy_rigs)
-    batches = [runs[first : first + BATCH] for first in range(0, len(runs), BATCH)]
-    exact: dict[int, list[Floats]] = {}
-    simulated = BATCH * SAMPLES * SAMPLE_TIME
-
-    def solve(batch: int) -> Sequence[float]:
-        workers = os.cpu_count() or 1
-        began = time.perf_counter()
-        with ProcessPoolExecutor(workers) as pool:
-            exact[batch] = list(pool.map(reference, batches[batch]))
-        return (1e3 * (time.perf_counter() - began) * workers / simulated,)
-
-    def setting(options: dict[str, float]) -> Callable[[int], Sequence[float]]:
-        def measure(batch: int) -> Sequence[float]:
-            worst = errors(batches[batch], exact[batch], **options).max(axis=1)
-            began = time.perf_counter()
-            for run in batches[batch]:
-                run.states(**options)
-            seconds = time.perf_counter() - began
-            return worst.max(), 100.0 * (worst <= LIMIT).mean(), 1e3 * seconds / simulated
-
-        return measure
-
-    note = f"{BATCH} drawn rigs per run, {SAMPLES * SAMPLE_TIME:g} s each; all processes together"
-    cases = [Case((Row(REFERENCE_ROW, "ms per simulated s", note=note),), solve, len(batches))]
+def main(rigs: int = 240) -> None:
+    """Print the table: worst error and time of every setting over random runs, and the order of fixed steps."""
+    runs = random_runs(rigs)
+    with ProcessPoolExecutor() as pool:
+        exact = list(pool.map(reference, runs))
+    rows = []
     for name, options in SETTINGS.items():
-        rows = (
-            Row(f"{name}: worst error", "of a state's range", note="largest of any state of the rigs of a run"),
-            Row(f"{name}: rigs within {LIMIT:g}", "%", note="every state, along the whole run"),
-            Row(f"{name}: time", "ms per simulated s", REFERENCE_ROW),
-        )
-        cases.append(Case(rows, setting(options), len(batches)))
-    orders = tuple(
-        Row(f"order, steps of {1e3 * coarse:g} to {1e3 * fine:g} ms", "1", note="fixed steps on a smooth run")
-        for coarse, fine in pairwise(FIXED_STEPS)
-    )
-    return [*cases, Case(orders, lambda run: convergence_orders(), 1)]
+        worst = errors(runs, exact, **options).max(axis=1)
+        began = time.perf_counter()
+        for run in runs:
+            run.states(**options)
+        milliseconds = 1e3 * (time.perf_counter() - began) / (rigs * SAMPLES * SAMPLE_TIME)
+        rows.append([name, f"{worst.max():.2e}", f"{100.0 * (worst <= LIMIT).mean():.0f}", f"{milliseconds:.3g}"])
+    within = f"rigs within {LIMIT:g}, %"
+    print(markdown(("setting", "worst error, of a state's range", within, "ms per simulated s"), rows))
+    for (coarse, fine), order in zip(pairwise(FIXED_STEPS), convergence_orders(), strict=True):
+        print(f"order, steps of {1e3 * coarse:g} to {1e3 * fine:g} ms: {order:.2f}")
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))

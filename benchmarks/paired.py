@@ -36,11 +36,9 @@ def rates() -> dict[str, Callable[[float], float]]:
         if not Path(str(package.__file__)).resolve().is_relative_to(Path.cwd()):
             raise SystemExit(f"{package.__name__} was imported from {package.__file__}")
     sys.path.insert(0, str(HERE))
-    from benchmarks.environment_rows import BareKernel, single_rate, vector_rate
-    from benchmarks.table import rate
-    from benchmarks.training_rows import native_model
+    from benchmarks.speed import BareKernel, native_model, rate, single_rate, vector_rate
 
-    bare, (model, _, ppo) = BareKernel(1024, 1), native_model()
+    bare, (model, ppo) = BareKernel(1024, 1), native_model()
     steps = ppo.axes * ppo.steps_per_rollout
     return {
         "single": lambda seconds: single_rate(gym.make(ENVIRONMENT_ID), seconds),

@@ -2,11 +2,10 @@
 
 Run: python benchmarks/put_into_docs.py [results]
 
-The folder holds what commands wrote: ``benchmark``, ``study``, ``seeds``, ``robustness``, ``leakage``, ``reproduce``,
+The folder holds what commands wrote: ``study``, ``seeds``, ``robustness``, ``leakage``, ``reproduce``,
 ``alone``, ``baselines``. What is absent keeps what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``;
 what stands between is made from ``docs/tables/NAME.csv``, whose first line says which version, commit, date and command
-it is of; ``tests/site/test_site.py`` checks both. The tables of ``hydro benchmark`` stand between
-``<!-- benchmark: GROUP -->`` and ``<!-- end -->``.
+it is of; ``tests/site/test_site.py`` checks both.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 TABLES = DOCS / "tables"
 PROTOCOL = DOCS.parent / "configs" / "protocols" / "leakage.yaml"
 PAGES = ("results.md", "reproduction.md", "learning.md", "leakage.md")
-MARKED = re.compile(r"(<!-- (?:benchmark|table): (\w+) -->\n).*?(<!-- end -->)", flags=re.DOTALL)
+MARKED = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", flags=re.DOTALL)
 
 
 class Source(NamedTuple):
@@ -268,16 +267,6 @@ def tables() -> dict[str, str]:
     return {name: table_of(name) for name, source in SOURCES.items() if source.columns}
 
 
-def sections(text: str) -> dict[str, str]:
-    """Tables of ``benchmark.md`` by group, and ``circumstances``."""
-    head, *groups = re.split(r"^## ", text, flags=re.MULTILINE)
-    found = {"circumstances": head.removeprefix("# Benchmark").strip()}
-    for group in groups:
-        name, _, body = group.partition("\n")
-        found[name.strip()] = "\n".join(line for line in body.splitlines() if line.startswith("|"))
-    return found
-
-
 def filled(page: str, made: Mapping[str, str]) -> str:
     """The page with the tables in place."""
     return MARKED.sub(lambda mark: f"{mark[1]}\n{made[mark[2]]}\n\n{mark[3]}" if mark[2] in made else mark[0], page)
@@ -291,13 +280,10 @@ def main(results: str = "results") -> None:
         if new := mark.is_file() and file.is_file():
             _keep(name, source.keep(pd.read_csv(file)), Origin(**read_json(mark)))
         print(f"{name}: {file if new else 'as before'}")
-    made = dict.fromkeys(PAGES, tables())
-    benchmark = Path(results, "benchmark", "benchmark.md")
-    if benchmark.is_file():
-        made["performance.md"] = sections(benchmark.read_text(encoding="utf-8"))
-    for page, texts in made.items():
-        path = DOCS / page
-        path.write_text(filled(path.read_text(encoding="utf-8"), texts), encoding="utf-8")
+    made = tables()
+    for name in PAGES:
+        page = (DOCS / name).read_text(encoding="utf-8")
+        (DOCS / name).write_text(filled(page, made), encoding="utf-8")
 
 
 if __name__ == "__main__":

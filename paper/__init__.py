@@ -1,1 +1,1 @@
-"""The figures of Kovari (2015), computed again: ``hydro reproduce`` or ``python -m paper``, in a checkout."""
+"""The figures of Kovari (2015), computed again: ``python -m paper``, in a checkout."""
