@@ -43,7 +43,7 @@ def unknowns_of(seed: int, first: int, folder: Path) -> Iterator[dict[str, Any]]
     began, cost = time.monotonic(), time.process_time()
     row: dict[str, Any] = {"seed": seed, "rig": hidden.name, "wrong": bool(hidden.wrong), "refused": True}
     try:
-        found = identify(hidden.recording, identified_task(hidden.rig), read_rig(hidden.rig))
+        found = identify([hidden.recording], identified_task(hidden.rig), read_rig(hidden.rig))
     except HydroError as error:
         yield row | {"verdict": str(error)}
         return

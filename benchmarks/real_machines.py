@@ -161,7 +161,7 @@ def refusals(folder: Path) -> None:
                 try:
                     if command == "identify":
                         known = read_rig(config_file("rigs", Path(rig)))
-                        answer = identify(path, config, known, columns_map).verdict()
+                        answer = identify([path], config, known, [columns_map]).verdict()
                     else:
                         answer = diagnose(path, config, load_head(None, config), columns_map).verdict.line()
                 except HydroError as error:

@@ -38,7 +38,7 @@ from hydro_rig.diagnosis.leak_test_steps import (
 )
 from hydro_rig.estimation.information import information, sigma
 from hydro_rig.estimation.known_windows import KnownWindows, known_windows, leak_cases
-from hydro_rig.estimation.replay import Commands, replay
+from hydro_rig.estimation.replay import Commands, Rows, replay
 from hydro_rig.estimation.unknowns import Prior, priors_of
 from hydro_rig.identification.fit import unknowns_of
 
@@ -221,7 +221,7 @@ def simulated(
 def _true_course(task: TaskConfig, windows: KnownWindows) -> tuple[Floats, Floats]:
     """Position (plants, T) and pressures (plants, 2, T) of simulated axes, without noise."""
     commands, rows = Commands(windows.signals[:, COMMAND]), np.arange(len(windows.signals))
-    read = replay(task, commands, rows, windows.physical, windows.start, windows.latency)
+    read = replay(task, commands, Rows(rows, windows.physical, windows.start, windows.latency))
     return read[:, POSITION], read[:, [PRESSURE_A, PRESSURE_B]]
 
 

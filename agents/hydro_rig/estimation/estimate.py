@@ -33,7 +33,6 @@ def estimate(
     physical: Floats | None = None,
     first: Mapping[str, Floats | float] | None = None,
     settings: EstimationSettings | None = None,
-    threads: int | None = None,
     progress: Callable[[int], None] | None = None,
     boundary: Floats | None = None,
 ) -> Estimate:
@@ -48,7 +47,6 @@ def estimate(
         physical: known parameters of each window, (B, parameters); ``None``: those of the task's plant.
         first: initial values by name, each (B,) or a number; ``None``: guessed from the signals.
         settings: of the search.
-        threads: worker threads; ``None`` takes one per core.
         progress: called with the number of finished windows.
         boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
 
@@ -71,7 +69,8 @@ def estimate(
     """
     windows = checked_signals(signals)
     known = priors_of(config, unknowns, priors)
-    model = Model(config, known, windows[:, -1], physical, None, threads, boundary)
+    settings = settings or EstimationSettings()
+    model = Model(config, known, windows[:, -1], physical, None, settings.threads, boundary)
     guess = first_values(windows, config, known)
     for name, values in (first or {}).items():
         if name not in known:
@@ -81,7 +80,7 @@ def estimate(
     lost: Mask = np.asarray(np.isnan(windows[:, : len(SENSORS)]).all(axis=1))  # rows whose command was filled in
     parts, together = [], max(SAMPLES_PER_BATCH // windows.shape[2], 1)
     for rows in np.split(np.arange(len(windows)), range(together, len(windows), together)):
-        parts.append(_searched(problem.part(rows), scaled[rows], settings or EstimationSettings(), lost[rows]))
+        parts.append(_searched(problem.part(rows), scaled[rows], settings, lost[rows]))
         if progress is not None:
             progress(int(rows[-1]) + 1)
     return join(parts)

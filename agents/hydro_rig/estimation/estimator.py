@@ -102,8 +102,8 @@ class EstimatorDetector:
         threads: int | None = 1,
         restarts: int = EstimationSettings().restarts,
     ) -> None:
-        self.changes, self.threads = dict(changes or {}), threads
-        self.settings = EstimationSettings(restarts=restarts)
+        self.changes = dict(changes or {})
+        self.settings = EstimationSettings(restarts=restarts, threads=threads)
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """An empty text: the estimator reads every rig and every length."""
@@ -177,7 +177,6 @@ class EstimatorDetector:
             priors={name: prior for name, prior in priors.items() if name in names},
             first=first,
             settings=replace(self.settings, **changes),
-            threads=self.threads,
             progress=progress,
             boundary=windows.boundary,
         )

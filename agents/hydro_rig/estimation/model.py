@@ -14,7 +14,7 @@ from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
-from hydro_rig.estimation.replay import RISE, Commands, replay, times
+from hydro_rig.estimation.replay import RISE, Commands, Rows, replay, times
 from hydro_rig.estimation.unknowns import (
     BIASES,
     COURSE,
@@ -217,7 +217,8 @@ class Model:
         physical[:, _NULL] += drift
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
-        read = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course, offset)
+        rows = Rows(window, physical, start, latency, lag, course, offset)
+        read = replay(self.config, commands, rows, self.threads)
         if self.config.sensors.differential_pressure:
             read[:, PRESSURE_A] -= read[:, PRESSURE_B]
         read *= (gain / self.noise)[:, :, None]

@@ -73,23 +73,30 @@ class Commands(NamedTuple):
         return Commands(self.command[windows], boundary)
 
 
+class Rows(NamedTuple):
+    """R plants; each replays a window."""
+
+    window: NDArray[np.int64]  # (R,), index of the window
+    physical: Floats  # (R, parameters), in the order of PARAMETER_PATHS
+    start: Floats
+    """(R, N_STATES), state at the first sample. NaN as coil current means the current of the first command, NaN as gas
+    volume the volume at the supply pressure."""
+
+    latency: Floats
+    """(R,), s, from a sample until its command acts; a negative one, or one beyond the interval to the next sample,
+    moves the commands by whole samples."""
+
+    lag: Floats | None = None  # (R,), s, time constant of the pressure transducers; None: that of the task
+    course: Floats | None = None  # (R, T), Pa, added to setting and pressure of the supply; None: 0
+    offset: Floats | None = None  # (R, 2), Pa, of recorded supply and tank pressure: readings minus pressure; None: 0
+
+
 def times(samples: int, config: TaskConfig) -> Floats:
     """Time of each sample, (samples,), s, from the first one on."""
     return np.pad(np.cumsum(np.full(samples - 1, config.control_period)), (1, 0))
 
 
-def replay(
-    config: TaskConfig,
-    commands: Commands,
-    window: NDArray[np.int64],
-    physical: Floats,
-    start: Floats,
-    latency: Floats,
-    threads: int | None = None,
-    lag: Floats | None = None,
-    course: Floats | None = None,
-    offset: Floats | None = None,
-) -> Floats:
+def replay(config: TaskConfig, commands: Commands, rows: Rows, threads: int | None = None) -> Floats:
     """Readings of R plants, without noise and bias, (R, sensors, T), in the order of ``SENSORS``.
 
     They are NaN after a failure of the integration.
@@ -97,65 +104,45 @@ def replay(
     Args:
         config: the task; it sets the integrator's accuracy and the transducers' lag.
         commands: the recorded commands of B windows.
-        window: index of the window that each row replays, (R,).
-        physical: parameters of each plant, (R, parameters), in the order of ``PARAMETER_PATHS``.
-        start: state at the first sample, (R, N_STATES). NaN as coil current means the current of the first command, NaN
-            as gas volume the volume at the supply pressure.
-        latency: from a sample until its command acts, (R,), s; a negative one, or one beyond the interval to the next
-            sample, moves the commands by whole samples.
+        rows: the plants.
         threads: worker threads; ``None`` takes one per core.
-        lag: time constant of the pressure transducers of each row, (R,), s; ``None``: that of the task.
-        course: added to the setting of each row's supply, and to its pressure, (R, T), Pa; ``None``: 0.
-        offset: of recorded supply and tank pressure of each row, (R, 2), Pa: readings minus pressure; ``None``: 0.
     """
-    rows, samples = len(window), commands.command.shape[1]
-    readings = np.full((rows, len(SENSORS), samples), np.nan)
+    count, samples = len(rows.window), commands.command.shape[1]
+    boundary, lag, course, offset = commands.boundary, rows.lag, rows.course, rows.offset
+    if boundary is None:
+        boundary = np.full((len(commands.command), 2, samples), np.nan)
+    if lag is None:
+        lag = np.full(count, float(settings_of(config)[0]["pressure_lag"] * config.control_period))
+    if course is None:
+        course = np.zeros((count, samples))
+    if offset is None:
+        offset = np.zeros((count, 2))
+    recorded = Commands(commands.command, np.ascontiguousarray(boundary))
+    whole = Rows(rows.window, rows.physical, np.array(rows.start, np.float64), rows.latency, lag, course, offset)
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
-    boundary, usual = commands.boundary, float(settings_of(config)[0]["pressure_lag"] * config.control_period)
-    arguments: tuple[Any, ...] = (
-        commands.command,
-        config.control_period,
-        np.full((len(commands.command), 2, samples), np.nan) if boundary is None else np.ascontiguousarray(boundary),
-        window,
-        physical,
-        latency,
-        np.full(rows, usual) if lag is None else np.asarray(lag, dtype=np.float64),
-        np.zeros((rows, samples)) if course is None else course,
-        np.zeros((rows, 2)) if offset is None else offset,
-        accuracy,
-        np.array(start, dtype=np.float64),
-        readings,
-    )
-    parts = max(1, min(threads or os.cpu_count() or 1, rows // ROWS_PER_THREAD))
-    ends = [rows * part // parts for part in range(parts + 1)]
+    readings = np.full((count, len(SENSORS), samples), np.nan)
+
+    def part(first: int, last: int) -> None:
+        _replay(recorded, whole, config.control_period, accuracy, readings, first, last)
+
+    parts = max(1, min(threads or os.cpu_count() or 1, count // ROWS_PER_THREAD))
     if parts == 1:
-        _replay(*arguments, 0, rows)
+        part(0, count)
         return readings
+    ends = [count * number // parts for number in range(parts + 1)]
     with ThreadPoolExecutor(parts, thread_name_prefix="estimation") as pool:
-        list(pool.map(lambda first, last: _replay(*arguments, first, last), ends[:-1], ends[1:]))
+        list(pool.map(part, ends[:-1], ends[1:]))
     return readings
 
 
 def _build(sources: int) -> Any:
     def run(
-        command: Floats,
-        duration: float,
-        boundary: Floats,
-        window: Any,
-        physical: Floats,
-        latency: Floats,
-        time_constants: Floats,
-        course: Floats,
-        offset: Floats,
-        accuracy: Any,
-        state: Floats,
-        readings: Floats,
-        first: int,
-        last: int,
+        recorded: Any, plants: Any, duration: float, accuracy: Any, readings: Floats, first: int, last: int
     ) -> None:
         assert sources >= 0  # keys numba's cache
         rows = last - first
-        states = state[first:last]
+        command, boundary, window, offset = recorded.command, recorded.boundary, plants.window, plants.offset
+        states, latency, course = plants.start[first:last], plants.latency, plants.course
         coefficient = np.empty((rows, N_COEFFICIENTS))
         voltage = np.empty((rows, 2))
         interval = np.empty((rows, 2))
@@ -163,8 +150,8 @@ def _build(sources: int) -> Any:
         true, sensed = np.empty((rows, 2)), np.empty((rows, 2))  # pressures, and the transducers' signals
         samples = readings.shape[2]
         for row in range(rows):
-            time_constant = time_constants[first + row]
-            p = read_physical(physical[first + row])
+            time_constant = plants.lag[first + row]
+            p = read_physical(plants.physical[first + row])
             c = coefficients(p)
             write_coefficients(coefficient[row], c)
             own, source = states[row], window[first + row]
@@ -208,7 +195,7 @@ def _build(sources: int) -> Any:
             for row in range(rows):
                 if peaks[row, STEPS] > accuracy.most_steps:
                     states[row, :] = np.nan
-                time_constant = time_constants[first + row]
+                time_constant = plants.lag[first + row]
                 lag = Lag(time_constant / duration, math.exp(-duration / time_constant) if time_constant > 0.0 else 0.0)
                 s = read_state(states[row])
                 sensed[row, 0] = lagged(sensed[row, 0], true[row, 0], s.pressure_a, lag)

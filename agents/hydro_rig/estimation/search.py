@@ -15,7 +15,7 @@ from hydro_env.types import Floats
 from hydro_rig.estimation.errors import Errors, errors_of, spikes_of
 from hydro_rig.estimation.model import LONG_STEP, Indices
 from hydro_rig.estimation.result import Estimate
-from hydro_rig.estimation.solver import Problem, fit, misfit_of
+from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of
 from hydro_rig.estimation.unknowns import LATENCY, LEAKAGE, RISE_TIME, STARTS, Prior, prior_of
 
 SHORTEST_FIT = 10  # samples; shorter fits carry no information
@@ -29,7 +29,7 @@ LARGEST_SLOW_ERROR = 0.05  # of a channel's standard deviation in the window; wi
 SMALL_SLOW_ERROR = 3.0  # the same in standard deviations of the data sheet's noise, which is always allowed
 
 
-HORIZON_ITERATIONS, HORIZON_TOLERANCE = 6, 5.0  # of each rough fit, as those of the settings
+ROUGH = Effort(6, 5.0, LONG_STEP, thorough=False)  # of each fit of a beginning
 LARGEST_MISFIT = 4.0  # standard deviations of chi2; above this the model is not valid
 
 
@@ -44,6 +44,12 @@ class EstimationSettings:
     tolerance: float = 0.05  # the search ends after an iteration that lowers the cost by less
     restarts: int = 3  # further searches for windows that the model does not explain
     errors: bool = True  # whether windows with a misfit are fitted again with errors of their own
+    threads: int | None = None  # worker threads; None takes one per core
+
+    @property
+    def effort(self) -> Effort:
+        """Of the last fit."""
+        return Effort(self.iterations, self.tolerance)
 
 
 def search(problem: Problem, first: Floats, settings: EstimationSettings) -> Estimate:
@@ -99,7 +105,7 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
     errors, spikes = Errors.of_data_sheet(*data.shape[:2]), np.zeros(data.shape, np.bool_)
     for attempt in range(ROUNDS):
         kept = wide._replace(measured=np.where(spikes, np.nan, data), errors=errors)
-        scaled, directions = fit(kept, scaled, settings.iterations, settings.tolerance)
+        scaled, directions = fit(kept, scaled, settings.effort)
         if attempt == 0:
             before = scaled
         elif attempt == 1:  # the first round did not know the spikes
@@ -143,7 +149,7 @@ def timing_priors(config: TaskConfig) -> dict[str, Prior]:
 def _descend(problem: Problem, first: Floats, settings: EstimationSettings, searches: int = 1) -> Estimate:
     """Fit short and then longer beginnings of the windows roughly, then the whole windows to the lowest cost."""
     scaled = _approach(problem, first, settings)
-    return assess(problem, *fit(problem, scaled, settings.iterations, settings.tolerance), searches)
+    return assess(problem, *fit(problem, scaled, settings.effort), searches)
 
 
 def _approach(problem: Problem, first: Floats, settings: EstimationSettings) -> Floats:
@@ -153,15 +159,7 @@ def _approach(problem: Problem, first: Floats, settings: EstimationSettings) -> 
     lengths = [max(round(length / interval), SHORTEST_FIT) for length in settings.horizons]
     lengths = [samples for samples in lengths if samples < 0.8 * whole]
     for samples in [*lengths, whole] if settings.horizons else []:
-        scaled, _ = fit(
-            problem,
-            scaled,
-            HORIZON_ITERATIONS,
-            HORIZON_TOLERANCE,
-            samples=samples,
-            step=LONG_STEP,
-            thorough=False,
-        )
+        scaled, _ = fit(problem, scaled, ROUGH, samples)
     return scaled
 
 

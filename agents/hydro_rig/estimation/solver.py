@@ -148,16 +148,21 @@ class Equations(NamedTuple):
         return precision
 
 
+class Effort(NamedTuple):
+    """How a search is carried out, and how long it goes on."""
+
+    iterations: int  # at the most
+    tolerance: float  # an iteration that lowers the cost of a window, or of all that share, by less ends its search
+    step: float = SHORT_STEP  # of the differences after the first, standard deviations
+    thorough: bool = True  # end only after a step with little damping: a small gain with a damped step ends nothing
+    give_up: float = 1e4  # largest damping; a window that no step with more improves is finished
+
+
 def fit(
     problem: Problem,
     first: Floats,
-    iterations: int,
-    tolerance: float,
-    *,
+    effort: Effort,
     samples: int | None = None,
-    step: float = SHORT_STEP,
-    thorough: bool = True,
-    give_up: float = 1e4,
     shared: Indices = NONE_SHARED,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Floats, Floats]:
@@ -169,25 +174,21 @@ def fit(
     Args:
         problem: B windows; shared unknowns have their prior once for all, and not the belief of the problem.
         first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
-        iterations: largest number of iterations.
-        tolerance: stop a window when an iteration lowers its cost by less; of all windows together if they share.
+        effort: of the search.
         samples: number of first samples that are used; ``None``: all.
-        step: of the differences after the first, standard deviations.
-        thorough: stop only after a step with little damping; a small gain with a damped step does not end the search.
-        give_up: largest damping; a window that no step with more improves is finished.
         shared: indices of the unknowns that all windows have in common.
         progress: called with the number of iterations and its limit.
     """
     problem = problem._replace(belief=problem.belief.without(shared))
     scaled, level, active = first.copy(), np.full(len(first), 1e-2), np.arange(len(first))
     directions = np.empty((len(first), *[len(problem.model.simulated)] * 2))
-    for iteration in range(iterations):
+    for iteration in range(effort.iterations):
         if progress is not None:
-            progress(iteration, iterations)
+            progress(iteration, effort.iterations)
         here, part = scaled[active], problem.part(active)
         linear = part.linearised(here, directions[active] if iteration else None, samples)
         equations = linear.equations(here, part.belief, shared)
-        directions[active] = part.model.directions(equations.precision, step)
+        directions[active] = part.model.directions(equations.precision, effort.step)
         cost = _cost(linear.weight, linear.residual**2, here, part.belief, shared)
 
         trials = here[:, None] + _damped_steps(equations, here, level[active])  # (B, dampings, P)
@@ -199,9 +200,9 @@ def fit(
         scaled[active] = np.where(better[:, None], trials[row, best], here)
         level[active] = np.clip(level[active] * np.where(better, DAMPINGS[best], 1e3), 1e-8, 1e8)
         gain = np.where(better, cost - costs[row, best], 0.0)
-        lost = ~better & (level[active] > give_up)
-        damped = (level[active] > SMALL_DAMPING) & thorough
-        active = active[~lost & ((gain > tolerance) | ~better | damped)]
+        lost = ~better & (level[active] > effort.give_up)
+        damped = (level[active] > SMALL_DAMPING) & effort.thorough
+        active = active[~lost & ((gain > effort.tolerance) | ~better | damped)]
         if not len(active):
             break
     return scaled, directions

@@ -41,15 +41,25 @@ def c_code(name: str, values: Mapping[str, Any], template: str = "") -> CCode:
 def render(template: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> str:
     """Text of a template of a folder; its filter ``c`` writes a number exactly, in C."""
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False)
-    environment.filters["c"] = _number
+    environment.filters["c"] = lambda value: c_number(float(value))
     environment.filters["xml"] = lambda value: repr(min(float(value), 1e300))  # few tools can read an infinite number
     return environment.from_string((folder / template).read_text(encoding="utf-8")).render(values)
 
 
-def _number(value: float) -> str:
-    if np.isinf(value):
-        return "INFINITY" if value > 0 else "-INFINITY"
-    return repr(float(value))
+def c_number(value: Any) -> str:
+    """An exact number in C: the shortest text that reads back as the same number."""
+    if isinstance(value, np.bool_ | bool | np.integer | int):
+        return str(int(value))
+    if np.isnan(value):
+        return "NAN"
+    text = "INFINITY" if np.isinf(value) else f"{abs(value)!s}{'f' if isinstance(value, np.float32) else ''}"
+    return f"-{text}" if np.signbit(value) else text
+
+
+def c_operand(value: Any) -> str:
+    """A number inside an expression: a negative one has brackets."""
+    text = c_number(value)
+    return f"({text})" if text.startswith("-") else text
 
 
 def write_files(texts: Mapping[str, str], folder: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_rig.export.c_files import c_operand
 from hydro_rig.export.graph import KINDS, SCALED, Graph, Node, regular, runs_of_places, source_of
 
 C_TYPES = dict(zip(KINDS, ("double", "float", "long", "int"), strict=True))
@@ -185,13 +186,8 @@ class CWriter:
         return f"/* {text.replace('*/', '* /').replace('/*', '/ *')} */"
 
     def number(self, value: Any) -> str:
-        """An exact number: the shortest text that reads back as the same number."""
-        if isinstance(value, np.bool_ | bool | np.integer):
-            return str(int(value))
-        if np.isnan(value):
-            return "NAN"
-        text = "INFINITY" if np.isinf(value) else f"{abs(value)!s}{'f' if isinstance(value, np.float32) else ''}"
-        return f"(-{text})" if np.signbit(value) else text
+        """An exact number."""
+        return c_operand(value)
 
     def assign(self, target: str, text: str) -> str:
         """A statement that gives a variable a value."""

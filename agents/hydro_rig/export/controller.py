@@ -1,4 +1,4 @@
-"""A controller as a graph, traced from measured signals to volts, and this graph as C99 and as an ONNX model."""
+"""A controller as a graph, traced from measured signals to volts, and this graph as C99."""
 
 from __future__ import annotations
 
@@ -18,23 +18,13 @@ from hydro_env import ConfigurationError, TaskConfig, __version__
 from hydro_env.files import Group
 from hydro_rig.export.c_files import CCode, c_code
 from hydro_rig.export.c_writer import C_TYPES, CWriter
-from hydro_rig.export.graph import Builder, Graph, Node, in_order
-from hydro_rig.export.measured import (
-    LOST_RULE,
-    MeasuredController,
-    MeasuredSignals,
-    arrays_of,
-    leaves_of,
-    with_leaves,
-)
-from hydro_rig.export.onnx_writer import OnnxWriter
+from hydro_rig.export.graph import Graph, Node, in_order
+from hydro_rig.export.measured import LOST_RULE, MeasuredController, MeasuredSignals
 from hydro_rig.export.tracing import TraceError, named, trace
 
 STARTED, CONTINUED = "started.", "continued."
 GAINS = "gains."
 INPUTS = ("signals", "valid", "start", "lost_limit")
-OUTPUTS = ("voltage", "next_state", "lost_signals", "holding")
-DOUBLE = np.dtype(np.float64)
 _C_NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
@@ -71,15 +61,6 @@ class ControllerGraph:
         """The other outputs of a start or of a continuation."""
         outputs = self.graph.outputs.items()
         return {name.removeprefix(prefix): node for name, node in outputs if name.startswith(prefix)}
-
-    def chosen(self) -> dict[str, Node]:
-        """Every output once, selected by ``begins``."""
-        builder, chosen, continued = Builder(), self.common, self.case(CONTINUED)
-        for name, node in self.case(STARTED).items():
-            choice = [chosen["begins"], node, continued[name]]
-            same = node is continued[name]
-            chosen[name] = node if same else builder.node("where", choice, np.zeros(node.size, node.kind), name=name)
-        return chosen
 
 
 def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence[GainRow] = ()) -> ControllerGraph:
@@ -205,6 +186,49 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
     return {name for name, read in zip(signals.layout.names, used["observation"], strict=True) if read}
 
 
+def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
+    """The arrays and whole numbers of a memory by name; it consists of named tuples, tuples, lists and dictionaries.
+
+    Raises:
+        TraceError: the memory contains other objects.
+    """
+    if memory is None:
+        return {}
+    if hasattr(memory, "dtype") or isinstance(memory, int):
+        return {name: memory}
+    leaves: dict[str, Any] = {}
+    for place, value in _entries(memory, name).items():
+        leaves |= leaves_of(value, place)
+    return leaves
+
+
+def arrays_of(leaves: Mapping[str, Any]) -> dict[str, Any]:
+    """The arrays among the leaves of a memory."""
+    return {name: leaf for name, leaf in leaves.items() if hasattr(leaf, "dtype")}
+
+
+def with_leaves(memory: Any, leaves: dict[str, Any], name: str = "") -> Any:
+    """The memory with other arrays; the inverse of :func:`leaves_of`."""
+    if memory is None or isinstance(memory, int):
+        return memory
+    if hasattr(memory, "dtype"):
+        return leaves[name].reshape(memory.shape)
+    values = [with_leaves(value, leaves, place) for place, value in _entries(memory, name).items()]
+    if isinstance(memory, dict):
+        return dict(zip(memory, values, strict=True))
+    return type(memory)(*values) if hasattr(memory, "_fields") else type(memory)(values)
+
+
+def _entries(memory: Any, name: str) -> dict[str, Any]:
+    """What a part of the memory holds, by the name of its place."""
+    entries = memory._asdict() if hasattr(memory, "_asdict") else memory
+    if isinstance(entries, tuple | list):
+        entries = dict(enumerate(entries))
+    if not isinstance(entries, dict):
+        raise TraceError(f"{name or 'memory'}: {type(memory).__name__} holds no arrays: cannot be exported")
+    return {f"{name}.{key}" if name else str(key): value for key, value in entries.items()}
+
+
 # In C -----------------------------------------------------------------------------------------------------------------
 
 
@@ -313,42 +337,3 @@ def memory_type(name: str) -> str:
 
 def _field(name: str) -> str:
     return re.sub(r"\W", "_", name.removeprefix("controller."))
-
-
-def controller_model(controller: ControllerGraph) -> Any:
-    """The model; inputs: :data:`INPUTS` and ``state``; outputs: :data:`OUTPUTS`.
-
-    The state is one vector: the parts of the memory, one after the other, as ``double``, which represents every
-    ``float`` and truth value exactly.
-
-    Raises:
-        ConfigurationError: the package onnx is not installed.
-        HydroError: the model is wrong.
-    """
-    parts, signals = controller.memory, controller.signals.signals
-    size = sum(part.size for part in parts)
-    given = {name: controller.graph.inputs[name] for name in INPUTS}
-    inputs = {"signals": (len(signals), DOUBLE), "state": (size, DOUBLE)}
-    inputs |= {name: (node.size, node.kind) for name, node in given.items()}
-    writer = OnnxWriter(inputs, OUTPUTS)
-    first = 0
-    for part in parts:
-        tensor = writer.gathered("state", np.arange(first, first + part.size), f"state.{part.name}")
-        writer.given[part.name] = writer.cast(tensor, DOUBLE, part.kind, f"state.{part.name}")
-        first += part.size
-    chosen = controller.chosen()
-    pieces = [writer.cast(writer.tensor(chosen[part.name]), part.kind, DOUBLE, f"next.{part.name}") for part in parts]
-    joined = writer.add("Concat", pieces, "next_memory", axis=0)
-    tensors = (
-        writer.tensor(chosen["voltage"]),
-        joined,
-        writer.tensor(chosen["lost"]),
-        writer.tensor(chosen["holding"]),
-    )
-    kinds = zip(OUTPUTS, tensors, (1, size, 1, 1), (DOUBLE, DOUBLE, DOUBLE, np.dtype(np.bool_)), strict=True)
-    outputs = {name: (tensor, n, kind) for name, tensor, n, kind in kinds}
-    facts = {
-        "signals": ", ".join(f"{signal.name} ({signal.unit})" for signal in signals),
-        "sample_time": repr(controller.signals.config.control_period),
-    }
-    return writer.model(outputs, controller.title, facts)

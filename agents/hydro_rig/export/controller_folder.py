@@ -17,9 +17,9 @@ from hydro_env.files import Group
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import csv_text, tested
-from hydro_rig.export.controller import controller_code, controller_graph, controller_model, variable_gains
+from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
 from hydro_rig.export.measured import LOST_RULE, LOST_TIME, OUTSIDE, STOPPING_TIME, MeasuredController
-from hydro_rig.export.onnx_writer import onnx_session
+from hydro_rig.export.onnx_writer import controller_model, onnx_session
 from hydro_rig.export.structured_text import structured_text
 
 LARGEST_DIFFERENCE = 1e-5

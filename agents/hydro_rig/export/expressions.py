@@ -10,6 +10,7 @@ import numpy as np
 
 from hydro_env import HydroError
 from hydro_env.compiling import Inline
+from hydro_rig.export.c_files import c_operand
 
 
 class Type(NamedTuple):
@@ -245,8 +246,4 @@ def _literal(value: float | np.uint64) -> Typed:
     if isinstance(value, np.uint64):
         return f"UINT64_C({int(value)})", UINT64
     kind = BOOL if isinstance(value, bool) else INT if isinstance(value, int) else DOUBLE
-    if math.isnan(value):
-        return "NAN", DOUBLE
-    number = int(value) if kind != DOUBLE else float(value)
-    text = "INFINITY" if math.isinf(number) else repr(abs(number))
-    return (f"(-{text})" if math.copysign(1.0, number) < 0.0 else text), kind
+    return c_operand(value), kind

@@ -26,7 +26,7 @@ from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.graph import SCALED
-from hydro_rig.export.tracing import TraceError, named
+from hydro_rig.export.tracing import named
 
 COMPUTED = ("velocity_estimate", "tracking_error", "error_integral")
 """Entries of the observation that follow from measured signals."""
@@ -174,8 +174,6 @@ class MeasuredController:
         self._model, self._plant = FlowModel(plant), plant_coefficients(plant)
         self._speed_per_volt = max(speed_limits(plant)) / FULL_VOLTAGE
 
-    # One sample ---------------------------------------------------------------------------------------------------
-
     def step(
         self,
         signals: Floats,
@@ -289,9 +287,10 @@ class MeasuredController:
     def empty(self) -> MeasuredMemory:
         """Memory before the first call: the right shapes, no content."""
         s = self.signals
-        computed: dict[str, Floats] = {
-            name: np.zeros(()) for name in ("velocity_estimate", "error_integral") if name in s.used
-        }
+        computed: dict[str, Floats] = {}
+        for name in ("velocity_estimate", "error_integral"):
+            if name in s.used:
+                computed[name] = np.zeros(())
         if computed:
             computed["standby"] = np.array(False)
         none, zero, never = np.zeros(len(s.signals)), np.zeros(()), np.array(False)
@@ -316,46 +315,3 @@ class MeasuredController:
             step = self.step(signals, valid, np.array(start), np.array(lost_limit), memory)
         way = dict(step.started if bool(step.begins) else step.continued)
         return float(way.pop("voltage")), MeasuredMemory(**step.common, **way)
-
-
-def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
-    """The arrays and whole numbers of a memory by name; it consists of named tuples, tuples, lists and dictionaries.
-
-    Raises:
-        TraceError: the memory contains other objects.
-    """
-    if memory is None:
-        return {}
-    if hasattr(memory, "dtype") or isinstance(memory, int):
-        return {name: memory}
-    leaves: dict[str, Any] = {}
-    for place, value in _entries(memory, name).items():
-        leaves |= leaves_of(value, place)
-    return leaves
-
-
-def arrays_of(leaves: Mapping[str, Any]) -> dict[str, Any]:
-    """The arrays among the leaves of a memory."""
-    return {name: leaf for name, leaf in leaves.items() if hasattr(leaf, "dtype")}
-
-
-def with_leaves(memory: Any, leaves: dict[str, Any], name: str = "") -> Any:
-    """The memory with other arrays; the inverse of :func:`leaves_of`."""
-    if memory is None or isinstance(memory, int):
-        return memory
-    if hasattr(memory, "dtype"):
-        return leaves[name].reshape(memory.shape)
-    values = [with_leaves(value, leaves, place) for place, value in _entries(memory, name).items()]
-    if isinstance(memory, dict):
-        return dict(zip(memory, values, strict=True))
-    return type(memory)(*values) if hasattr(memory, "_fields") else type(memory)(values)
-
-
-def _entries(memory: Any, name: str) -> dict[str, Any]:
-    """What a part of the memory holds, by the name of its place."""
-    entries = memory._asdict() if hasattr(memory, "_asdict") else memory
-    if isinstance(entries, tuple | list):
-        entries = dict(enumerate(entries))
-    if not isinstance(entries, dict):
-        raise TraceError(f"{name or 'memory'}: {type(memory).__name__} holds no arrays: cannot be exported")
-    return {f"{name}.{key}" if name else str(key): value for key, value in entries.items()}

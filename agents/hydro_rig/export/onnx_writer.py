@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError, HydroError, __version__
-from hydro_rig.export.graph import Node, in_order
+from hydro_rig.export.controller import CONTINUED, INPUTS, STARTED, ControllerGraph
+from hydro_rig.export.graph import Builder, Node, in_order
 
 OPSET = 17
+OUTPUTS = ("voltage", "next_state", "lost_signals", "holding")
+DOUBLE = np.dtype(np.float64)
 _OPERATORS = {
     "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negative": "Neg", "absolute": "Abs",
     "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "power": "Pow", "tanh": "Tanh", "arcsinh": "Asinh", "sign": "Sign",
@@ -188,3 +191,45 @@ class OnnxWriter:
 
     def _type(self, kind: np.dtype[Any]) -> int:
         return int(self._onnx.helper.np_dtype_to_tensor_dtype(kind))
+
+
+def controller_model(controller: ControllerGraph) -> Any:
+    """A controller as a model; inputs: :data:`INPUTS` and ``state``; outputs: :data:`OUTPUTS`.
+
+    The state is one vector: the parts of the memory, one after the other, as ``double``, which represents every
+    ``float`` and truth value exactly.
+
+    Raises:
+        ConfigurationError: the package onnx is not installed.
+        HydroError: the model is wrong.
+    """
+    parts, signals = controller.memory, controller.signals.signals
+    size = sum(part.size for part in parts)
+    inputs = {"signals": (len(signals), DOUBLE), "state": (size, DOUBLE)}
+    for name in INPUTS:
+        inputs[name] = (controller.graph.inputs[name].size, controller.graph.inputs[name].kind)
+    writer = OnnxWriter(inputs, OUTPUTS)
+    first = 0
+    for part in parts:
+        tensor = writer.gathered("state", np.arange(first, first + part.size), f"state.{part.name}")
+        writer.given[part.name] = writer.cast(tensor, DOUBLE, part.kind, f"state.{part.name}")
+        first += part.size
+    builder, chosen, continued = Builder(), controller.common, controller.case(CONTINUED)
+    for name, node in controller.case(STARTED).items():
+        chosen[name] = node
+        if node is not continued[name]:
+            choice = [chosen["begins"], node, continued[name]]
+            chosen[name] = builder.node("where", choice, np.zeros(node.size, node.kind), name=name)
+    pieces = [writer.cast(writer.tensor(chosen[part.name]), part.kind, DOUBLE, f"next.{part.name}") for part in parts]
+    joined = writer.add("Concat", pieces, "next_memory", axis=0)
+    outputs = {
+        "voltage": (writer.tensor(chosen["voltage"]), 1, DOUBLE),
+        "next_state": (joined, size, DOUBLE),
+        "lost_signals": (writer.tensor(chosen["lost"]), 1, DOUBLE),
+        "holding": (writer.tensor(chosen["holding"]), 1, np.dtype(np.bool_)),
+    }
+    facts = {
+        "signals": ", ".join(f"{signal.name} ({signal.unit})" for signal in signals),
+        "sample_time": repr(controller.signals.config.control_period),
+    }
+    return writer.model(outputs, controller.title, facts)

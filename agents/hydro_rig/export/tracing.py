@@ -79,8 +79,6 @@ class Traced(NDArrayOperatorsMixin):
         if self._value.dtype not in KINDS:
             raise _refusal(f"an array of {self._value.dtype}")
 
-    # What NumPy arrays have ---------------------------------------------------------------------------------------
-
     __hash__ = object.__hash__
     shape = property(lambda self: self._value.shape)
     dtype = property(lambda self: self._value.dtype)
@@ -146,8 +144,6 @@ class Traced(NDArrayOperatorsMixin):
     __bool__ = __float__ = __int__ = __index__ = __complex__ = __array__ = item = tolist = any = all = _refused
     nonzero = argmax = argmin = __contains__ = _refused
 
-    # NumPy's functions --------------------------------------------------------------------------------------------
-
     def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, out: Any = None, **options: Any) -> Any:
         if ufunc is np.logaddexp and method == "__call__" and not options:
             return np.maximum(*operands) + np.log(1.0 + np.exp(-np.absolute(operands[0] - operands[1])))
@@ -202,8 +198,6 @@ class Traced(NDArrayOperatorsMixin):
         ]
         value = function([part._value for part in parts], **options)
         return self._collected(parts, function(numbered, **options), value)
-
-    # Inside -------------------------------------------------------------------------------------------------------
 
     def _of(self, value: Any, kind: Any = None) -> Traced:
         """A value as a traced array of a type."""

@@ -23,7 +23,7 @@ from hydro_rig.estimation.estimate import estimate, usable_readings
 from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Indices, Model
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.search import LARGEST_MISFIT, UNKNOWN_COMMANDS, EstimationSettings, search, timing_priors
-from hydro_rig.estimation.solver import Problem, fit, misfit_of
+from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of
 from hydro_rig.estimation.unknowns import LATENCY, NULL_DRIFT, OF_A_WINDOW, RISE_TIME, Prior, prior_of
 
 WELL_FITTED = LARGEST_MISFIT  # of an explained window
@@ -40,17 +40,17 @@ RANDOMLY, FEW = replace(ROUGHLY, restarts=3), 2
 
 LOOSENED = 4.0  # factor on the variance of the common values, as the prior of a window that they do not explain
 
-ITERATIONS, LAST_ITERATIONS = 40, 25  # at the most, of the two searches below
-ROUGH_TOLERANCE, TOLERANCE = 1.0, 0.02
-"""A common fit ends when a step with little damping lowers its cost by less: first with long differences, which bridge
-the roughness of friction, then with short ones, which alone follow a curved valley to its lowest point."""
+MOST_DAMPING = 5e5
+"""A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
+
+ROUGH = Effort(40, 1.0, LONG_STEP, give_up=MOST_DAMPING)
+FINE = Effort(25, 0.02, SHORT_STEP, give_up=MOST_DAMPING)
+"""A common fit begins with long differences, which bridge the roughness of friction, and ends with short ones, which
+alone follow a curved valley to its lowest point."""
 
 LINEARISATIONS = 3
 """Of the result, each with differences as long as the uncertainty that the one before has shown. Short ones are rough,
 and roughness looks like information: an unknown without influence would seem to be known."""
-
-MOST_DAMPING = 5e5
-"""A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
 
 MUCH_BETTER = 0.7
 """A null that wanders is taken where it brings the median misfit below this share; otherwise it only takes up noise."""
@@ -128,7 +128,7 @@ def fit_together(problem: Problem, first: Floats, progress: Callable[[int, int],
         progress: called with the number of iterations and its limit.
     """
     shared, own = shared_and_own(problem.model)
-    scaled, directions = descend(problem, first, progress, TOLERANCE, SHORT_STEP, LAST_ITERATIONS)
+    scaled, directions = descend(problem, first, progress, FINE)
     belief = problem.belief.without(shared)
     for _ in range(LINEARISATIONS):
         linear = problem.linearised(scaled, directions, central=True)
@@ -148,16 +148,10 @@ def shared_and_own(model: Model) -> tuple[Indices, Indices]:
 
 
 def descend(
-    problem: Problem,
-    first: Floats,
-    progress: Callable[[int, int], None] | None,
-    tolerance: float = ROUGH_TOLERANCE,
-    step: float = LONG_STEP,
-    iterations: int = ITERATIONS,
+    problem: Problem, first: Floats, progress: Callable[[int, int], None] | None, effort: Effort = ROUGH
 ) -> tuple[Floats, Floats]:
     """Unknowns at the end of a search, (B, P) scaled, and the directions of its differences."""
-    shared, _ = shared_and_own(problem.model)
-    return fit(problem, first, iterations, tolerance, step=step, give_up=MOST_DAMPING, shared=shared, progress=progress)
+    return fit(problem, first, effort, shared=shared_and_own(problem.model)[0], progress=progress)
 
 
 def _cost(residual: Floats, known: NDArray[np.bool_], scaled: Floats, shared: Indices, own: Indices) -> float:

@@ -61,48 +61,36 @@ class HeldBack(NamedTuple):
     @property
     def error(self) -> Floats:
         """Root mean square of simulated minus measured readings, SI, (channels,); NaN for an absent channel."""
-        return _root_mean_square(self.simulated - self.measured)
+        return np.array([_size([errors]) for errors in self.simulated - self.measured])
 
     @property
     def speed_error(self) -> float:
         """Root mean square of the error of the speed, m/s; NaN if the axis stood still or left the sensor's range."""
-        measured, simulated = self._speeds()
-        return _size([simulated - measured])
+        return _size([self._speed(self.simulated) - self._speed(self.measured)])
 
     @property
     def speed_ratios(self) -> tuple[float, float]:
         """Simulated over measured speed while both move, minus 1, median, extending and retracting; NaN: no motion."""
-        measured, simulated = self._speeds()
-        least = MOVING * np.nanmax(np.abs(measured), initial=0.0) if np.isfinite(measured).any() else math.inf
-        ratios = []
-        for sign in (1.0, -1.0):
+        measured, simulated = self._speed(self.measured), self._speed(self.simulated)
+        least = MOVING * np.abs(np.nan_to_num(measured)).max(initial=0.0)
+        ratios = [math.nan, math.nan]
+        for place, sign in enumerate((1.0, -1.0)):
             both = (sign * measured > least) & (sign * simulated > least) & (least > 0.0)
-            ratios.append(float(np.median(simulated[both] / measured[both])) - 1.0 if both.any() else math.nan)
+            if both.any():
+                ratios[place] = float(np.median(simulated[both] / measured[both])) - 1.0
         return ratios[0], ratios[1]
 
-    def _speeds(self) -> list[Floats]:
-        """Measured and simulated speed, m/s, (T − k,)."""
-        return [_speed(values[POSITION], self.period) for values in (self.measured, self.simulated)]
+    def _speed(self, readings: Floats) -> Floats:
+        """Speed in m/s, (…, T − k), over SPEED_OVER, from readings (…, channels, T)."""
+        position = readings[..., POSITION, :]
+        step = max(round(SPEED_OVER / self.period), 1)
+        speed: Floats = (position[..., step:] - position[..., :-step]) / (step * self.period)
+        return speed
 
     @property
     def period(self) -> float:
         """Time from one sample to the next, s."""
         return float(self.time[1] - self.time[0])
-
-
-def _speed(position: Floats, period: float) -> Floats:
-    """Speed in m/s, (…, T − k), from a position in m, (…, T), over SPEED_OVER."""
-    step = max(round(SPEED_OVER / period), 1)
-    speed: Floats = (position[..., step:] - position[..., :-step]) / (step * period)
-    return speed
-
-
-def _root_mean_square(errors: Floats) -> Floats:
-    """Of each row, (channels,); NaN without a number."""
-    known = np.isfinite(errors)
-    square: Floats = np.where(known, errors, 0.0) ** 2
-    root: Floats = np.sqrt(square.sum(axis=1) / np.where(known.any(axis=1), known.sum(axis=1), np.nan))
-    return root
 
 
 def simulate_held_back(
@@ -128,9 +116,10 @@ def simulate_held_back(
     measured = signals[: len(SENSORS)]
     (simulated,) = rig.simulated(signals[None], None if edge is None else edge[None], count)
     time = period * np.arange(signals.shape[1], dtype=np.float64)
-    motion = np.array([np.nanstd(row) if np.isfinite(row).any() else 0.0 for row in measured])
-    share = np.array([_share([pair]) for pair in zip(measured, simulated, strict=True)])
-    share[motion < LEAST_MOTION * noise_of(config)] = np.nan
+    share, least = np.full(len(SENSORS), np.nan), LEAST_MOTION * noise_of(config)
+    for row, values in enumerate(measured):
+        if np.isfinite(values).any() and np.nanstd(values) >= least[row]:
+            share[row] = _share([(values, simulated[row])])
     forecasts = rig.forecasts(signals, edge)
     return HeldBack(part.recording, part.begin + first * period, time, measured, simulated, share, forecasts)
 
@@ -182,33 +171,41 @@ class _Rig(NamedTuple):
 
 def forecast_over(parts: Sequence[HeldBack], seconds: float) -> Forecast | None:
     """All forecasts over ``seconds`` together; ``None``: no part is so long."""
-    counts = [round(seconds / part.period) for part in parts]
-    pieces = [
-        (part, part.forecasts[..., :count])
-        for part, count in zip(parts, counts, strict=True)
-        if part.forecasts.shape[3] >= count
-    ]
-    if not pieces:
-        return None
-    rows = range(len(SENSORS))
-    shares = [
-        _share([pair for part, piece in pieces if part.moved(row) for pair in zip(*piece[:, :, row], strict=True)])
-        for row in rows
-    ]
-    errors = [_size([both[1, :, row] - both[0, :, row] for _, both in pieces]) for row in rows]
-    speed = _size([np.subtract(*_speed(both[:, :, POSITION], part.period)) for part, both in pieces])
+    pieces = []
+    for part in parts:
+        count = round(seconds / part.period)
+        if part.forecasts.shape[3] >= count:
+            pieces.append((part, part.forecasts[..., :count]))
+    return _judged(pieces) if pieces else None
+
+
+def whole_parts(parts: Sequence[HeldBack]) -> Forecast:
+    """The parts as a whole, where errors add up."""
+    return _judged([(part, np.stack([part.measured, part.simulated])[:, None]) for part in parts])
+
+
+def _judged(pieces: Sequence[tuple[HeldBack, Floats]]) -> Forecast:
+    """How well pieces of parts are simulated; each (2, N, channels, T), measured and simulated."""
+    shares, errors = [], []
+    for row in range(len(SENSORS)):
+        pairs: list[tuple[Floats, Floats]] = []
+        for part, both in pieces:
+            if part.moved(row):
+                pairs += zip(*both[:, :, row], strict=True)
+        shares.append(_share(pairs))
+        errors.append(_size([both[1, :, row] - both[0, :, row] for _, both in pieces]))
+    speed = _size([part._speed(both[1]) - part._speed(both[0]) for part, both in pieces])
     return Forecast(np.array(shares), np.array(errors), speed)
 
 
 def _size(errors: Sequence[Floats]) -> float:
     """Root mean square of all numbers; NaN without any."""
-    return float(_root_mean_square(np.concatenate([each.ravel() for each in errors])[None])[0])
-
-
-def _first_known(position: Floats, count: int) -> int:
-    """The first sample from which most of ``count`` positions are known: without them no simulation can start."""
-    known = np.convolve(np.isfinite(position), np.ones(count), mode="valid") > 0.5 * count
-    return int(known.argmax())
+    square = count = 0.0
+    for each in errors:
+        known = each[np.isfinite(each)]
+        square += float(known @ known)
+        count += len(known)
+    return math.sqrt(square / count) if count else math.nan
 
 
 def _share(pairs: Sequence[tuple[Floats, Floats]]) -> float:
@@ -217,31 +214,22 @@ def _share(pairs: Sequence[tuple[Floats, Floats]]) -> float:
     The squares are those of the measured signal about its mean in each part; −∞ after a failure, NaN without a reading.
     """
     square = variance = 0.0
-    pieces = [
-        (measured[known], simulated[known]) for measured, simulated in pairs if (known := np.isfinite(measured)).any()
-    ]
-    for measured, simulated in pieces:
-        square += float(np.sum((measured - simulated) ** 2))
-        variance += float(len(measured) * measured.var())
-    share = 1.0 - square / max(variance, 1e-300) if pieces else math.nan
-    return share if math.isfinite(share) or not pieces else -math.inf
+    count = 0
+    for measured, simulated in pairs:
+        known = np.isfinite(measured)
+        if known.any():
+            count += 1
+            square += float(np.sum((measured[known] - simulated[known]) ** 2))
+            variance += float(known.sum() * measured[known].var())
+    if not count:
+        return math.nan
+    return 1.0 - square / max(variance, 1e-300) if math.isfinite(square) else -math.inf
 
 
-def whole_parts(parts: Sequence[HeldBack]) -> Forecast:
-    """The parts as a whole, where errors add up."""
-    weights = np.array([len(part.time) for part in parts], dtype=np.float64)
-
-    def together(errors: Floats) -> float:
-        known = np.isfinite(errors)
-        return math.sqrt(np.average(errors[known] ** 2, weights=weights[known])) if known.any() else math.nan
-
-    found = np.array([part.error for part in parts]).reshape(-1, len(SENSORS))
-    errors = np.array([together(column) for column in found.T])
-    shares = [
-        _share([(part.measured[row], part.simulated[row]) for part in parts if part.moved(row)])
-        for row in range(len(SENSORS))
-    ]
-    return Forecast(np.array(shares), errors, together(np.array([part.speed_error for part in parts])))
+def _first_known(position: Floats, count: int) -> int:
+    """The first sample from which most of ``count`` positions are known: without them no simulation can start."""
+    known = np.convolve(np.isfinite(position), np.ones(count), mode="valid") > 0.5 * count
+    return int(known.argmax())
 
 
 def sizes_of(errors: HeldBack | Forecast) -> list[float]:

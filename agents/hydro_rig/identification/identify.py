@@ -19,13 +19,7 @@ from hydro_env.task.sensors import COMMAND, POSITION
 from hydro_rig.estimation.unknowns import LATENCY, RISE_TIME
 from hydro_rig.identification.data_sheet import LATENCY_CHANGE, RISE_TIME_CHANGE
 from hydro_rig.identification.fit import Fit, Unknown, fit_windows, widened
-from hydro_rig.identification.found_rig import (
-    Shown,
-    beyond_range,
-    found_plant,
-    share_in_words,
-    shown,
-)
+from hydro_rig.identification.found_rig import Shown, beyond_range, found_plant, share_in_words, shown
 from hydro_rig.identification.held_back import (
     HORIZONS,
     JUDGED_OVER,
@@ -71,9 +65,13 @@ class Identification:
     @cached_property
     def tested(self) -> dict[float, Forecast]:
         """The test on the held-back parts by time in s from a measured state; infinite: each part as a whole."""
-        ahead = {seconds: forecast_over(self.held_back, seconds) for seconds in HORIZONS}
-        found = {seconds: forecast for seconds, forecast in ahead.items() if forecast is not None}
-        return found | {math.inf: whole_parts(self.held_back)}
+        tested = {}
+        for seconds in HORIZONS:
+            forecast = forecast_over(self.held_back, seconds)
+            if forecast is not None:
+                tested[seconds] = forecast
+        tested[math.inf] = whole_parts(self.held_back)
+        return tested
 
     @property
     def judged_over(self) -> float:
@@ -82,9 +80,10 @@ class Identification:
         Nothing holds an axis under control in place once it is simulated with the commands alone: the smallest error of
         the null adds up.
         """
-        shares = {over: float(forecast.share[POSITION]) for over, forecast in self.tested.items()}
-        better = shares[math.inf] < LEAST_SHARE <= shares.get(JUDGED_OVER, 0.0)
-        return JUDGED_OVER if better else math.inf
+        whole, ahead = self.tested[math.inf], self.tested.get(JUDGED_OVER)
+        if ahead is not None and whole.share[POSITION] < LEAST_SHARE <= ahead.share[POSITION]:
+            return JUDGED_OVER
+        return math.inf
 
     @property
     def share(self) -> float:
@@ -94,19 +93,18 @@ class Identification:
     @property
     def findings(self) -> list[Finding]:
         """All findings; with several recordings each begins with the name of its file."""
-        named = len(self.recordings) > 1
-        return [
-            finding._replace(signal=f"{Path(recording.source).name}: {finding.signal}") if named else finding
-            for recording, checked, changes in zip(self.recordings, self.checked, self.parts.findings, strict=True)
-            for finding in [*checked.findings, *changes]
-        ]
+        found: list[Finding] = []
+        for recording, checked, changes in zip(self.recordings, self.checked, self.parts.findings, strict=True):
+            name = f"{Path(recording.source).name}: " if len(self.recordings) > 1 else ""
+            for finding in (*checked.findings, *changes):
+                found.append(finding._replace(signal=name + finding.signal))
+        return found
 
     @property
     def describes(self) -> bool:
         """Whether the model describes the axis."""
-        explained = bool(self.fit.explained.mean() >= 0.5)
         if math.isnan(self.share) or self.beyond:
-            return explained and not self.share < LEAST_SHARE
+            return bool(self.fit.explained.mean() >= 0.5) and not self.share < LEAST_SHARE
         return self.share >= LEAST_SHARE
 
     @property
@@ -131,70 +129,74 @@ class Identification:
     @property
     def noted(self) -> list[str]:
         """Notes about the fit for the user, as sentences."""
-        count, explained = len(self.fit.misfit), int(self.fit.explained.sum())
-        notes = []
+        fit, config, notes = self.fit, self.config, []
         if not self.rig.randomisation:
             notes.append(
                 "The rig file gives no ranges: only the leak and the sensors' offsets were fitted. Write a range for "
                 "each unknown value in its group randomisation."
             )
-        usual = {
-            LATENCY: (self.config.command_latency, LATENCY_CHANGE * self.config.control_period),
-            RISE_TIME: (self.config.sensors.pressure_rise_time, RISE_TIME_CHANGE),
-        }
-        for name, (assumed, least) in usual.items():
-            value = self.fit.own().get(name, assumed)
+        timing = (
+            (LATENCY, config.command_latency, LATENCY_CHANGE * config.control_period),
+            (RISE_TIME, config.sensors.pressure_rise_time, RISE_TIME_CHANGE),
+        )
+        for name, assumed, least in timing:
+            value = fit.own().get(name, assumed)
             if abs(value - assumed) > least:
                 notes.append(
                     f"The {self.look(name).words} is {1e3 * value:.2g} ms, not {1e3 * assumed:.2g} ms ({name}): used."
                 )
-        if self.fit.second:
-            looks = {self.look(name): value for name, value in self.fit.second.items()}
-            others = ", ".join(f"{look.words} {look.value(value, 0.01 * value)}" for look, value in looks.items())
-            notes.append(f"Other values explain the recording as well: {others}. A richer motion decides.")
+        others = []
+        for name, value in fit.second.items():
+            look = self.look(name)
+            others.append(f"{look.words} {look.value(value, 0.01 * value)}")
+        if others:
+            notes.append(f"Other values explain the recording as well: {', '.join(others)}. A richer motion decides.")
         if self.beyond:
             notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
-        if self.beyond == [shown(RATED_FLOW, self.config.plant).words]:
+        if self.beyond == [self.look(RATED_FLOW).words]:
             notes.append(
                 "Only the rated flow over the root of the rated pressure drop acts: a wrong drop in the file gives "
                 "another flow, and no other value changes. Check both against the valve's data sheet."
             )
-        if explained < 0.5 * count:
+        if fit.explained.mean() < 0.5:
             notes.append(
-                f"The model explains {explained} of {count} windows to within the sensors' noise. The intervals are "
-                f"wider (factor {float(np.median(self.fit.widening)):.2g}), but may still be too narrow."
+                f"The model explains {fit.explained.sum()} of {len(fit.misfit)} windows to within the sensors' noise. "
+                f"The intervals are wider (factor {float(np.median(fit.widening)):.2g}), but may still be too narrow."
             )
         return notes
 
     def verdict(self) -> str:
         """The result in one sentence."""
-        still, held = math.isnan(self.share), "of the position's variance"
         driving = [line for checked in self.checked for line in driven(checked)]
-        if not self.describes:
-            what = f"explains {share_in_words(self.share)} {held} on the held-back part"
-            if still:
-                what = f"explains {int(self.fit.explained.sum())} of {len(self.fit.misfit)} windows"
-            elif self.share >= LEAST_SHARE:
-                what = (
-                    f"fits it only with values outside the rig file's ranges ({', '.join(self.beyond)}); wrong ranges"
-                )
-            reasons = "another machine, a wrong sign or unit, or a fault"
-            return "; ".join([f"the model does not describe this axis: it {what}", reasons, *driving])
+        phrases = [*(self._success() if self.describes else self._failure()), *driving]
+        return "; ".join(filter(None, phrases))
+
+    def _failure(self) -> list[str]:
+        if math.isnan(self.share):
+            what = f"explains {self.fit.explained.sum()} of {len(self.fit.misfit)} windows"
+        elif self.share >= LEAST_SHARE:
+            what = f"fits it only with values outside the rig file's ranges ({', '.join(self.beyond)}); wrong ranges"
+        else:
+            what = f"explains {share_in_words(self.share)} of the position's variance on the held-back part"
+        return [
+            f"the model does not describe this axis: it {what}",
+            "another machine, a wrong sign or unit, or a fault",
+        ]
+
+    def _success(self) -> list[str]:
         count = len(self.fit.unknowns)
-        outcome = f"{share_in_words(self.share)} {held} explained on the held-back part"
-        if still:
+        outcome = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
+        if math.isnan(self.share):
             outcome = "the axis stood still on the held-back part"
         if math.isfinite(self.judged_over):
             outcome += f" over {self.judged_over:g} s from a measured state (over all of it the errors add up)"
         errors = errors_in_words(self.tested[self.judged_over])
-        phrases = [
+        return [
             UNEXPLAINED if self.unexplained else "",
             f"{count - len(self.undetermined)} of {count} unknowns determined",
             outcome,
             f"root mean square error there {errors}" if errors else "",
-            *driving,
         ]
-        return "; ".join(filter(None, phrases))
 
 
 def driven(checked: Checked) -> list[str]:
@@ -203,21 +205,20 @@ def driven(checked: Checked) -> list[str]:
 
 
 def identify(
-    paths: Path | Sequence[Path],
+    paths: Sequence[Path],
     config: TaskConfig,
     rig: Rig,
-    columns: ColumnMap | Sequence[ColumnMap | None] | None = None,
+    maps: Sequence[ColumnMap | None] | None = None,
     progress: Report | None = None,
     hold_back: Sequence[str] = (),
 ) -> Identification:
     """Read recordings of one axis, check them, fit the unknowns of the rig file, and test the fit on held-back parts.
 
     Args:
-        paths: the recording, or several; each may have its own sensors. All share the unknowns of the rig.
+        paths: of the recordings; each may have its own sensors. All share the unknowns of the rig.
         config: the task on this rig.
         rig: the rig; its ranges define the unknown parameters.
-        columns: the signal of each column, one map for all or one for each; default: the names that ``hydro record``
-            writes.
+        maps: the signal of each column, one map for each recording; default: the names that ``hydro record`` writes.
         progress: called with phase, done, total.
         hold_back: patterns of names of recordings that test the fit instead of being used for it; default: chosen by
             motion and amplitude (:func:`~hydro_rig.recordings.parts.parts_of`).
@@ -225,14 +226,12 @@ def identify(
     Raises:
         ConfigurationError: a recording cannot be read, contradicts the rig, or carries no information.
     """
-    paths = [paths] if isinstance(paths, Path) else list(paths)
-    maps = [columns] * len(paths) if columns is None or isinstance(columns, ColumnMap) else list(columns)
     sources = [str(path) for path in paths]
-    twice = [source for source in sources if sources.count(source) > 1]
-    if twice:
-        raise ConfigurationError(f"{twice[0]}: is given twice")
+    for source in sources:
+        if sources.count(source) > 1:
+            raise ConfigurationError(f"{source}: is given twice")
     whole = _matching(paths, hold_back)
-    recordings = [read_recording(path, own) for path, own in zip(paths, maps, strict=True)]
+    recordings = [read_recording(path, own) for path, own in zip(paths, maps or [None] * len(paths), strict=True)]
     checked = _on_one_grid(recordings, config)
     for source, one in zip(sources, checked, strict=True):
         if one.severe:
@@ -247,16 +246,8 @@ def identify(
         raise ConfigurationError(
             f"{sources[0]}: the model does not describe this axis: the fit ends at an impossible rig ({error})"
         ) from None
-    return Identification(
-        recordings=recordings,
-        checked=checked,
-        rig=rig,
-        config=config,
-        parts=parts,
-        fit=fit,
-        plant=plant,
-        held_back=[simulate_held_back(part, config, plant, fit.own()) for part in parts.held_back],
-    )
+    held_back = [simulate_held_back(part, config, plant, fit.own()) for part in parts.held_back]
+    return Identification(recordings, checked, rig, config, parts, fit, plant, held_back)
 
 
 def _with_bent_valve(config: TaskConfig, rig: Rig, parts: Parts) -> tuple[TaskConfig, Rig]:
@@ -292,15 +283,15 @@ def _matching(paths: Sequence[Path], patterns: Sequence[str]) -> set[int]:
 def _on_one_grid(recordings: Sequence[Recording], config: TaskConfig) -> list[Checked]:
     """The checked recordings with one sample time: the control period, or that of the logs where one lacks it."""
     checked = [check_recording(recording, config) for recording in recordings]
-    if len({one.samples.period for one in checked}) > 1:
-        for number, (recording, one) in enumerate(zip(recordings, checked, strict=True)):
-            if not one.severe and one.samples.period == config.control_period:
-                checked[number] = check_recording(recording, config, True)
-    periods = {one.samples.period: recording.source for recording, one in zip(recordings, checked, strict=True)}
-    if len(periods) > 1 and not any(one.severe for one in checked):
-        (first, source), (second, other) = list(periods.items())[:2]
-        raise ConfigurationError(
-            f"{other}: has one sample every {1e3 * second:.4g} ms, {source} every {1e3 * first:.4g} ms; "
-            "recordings that are identified together need the same sample time"
-        )
+    periods = {one.samples.period for one in checked}
+    for number, one in enumerate(checked):
+        if len(periods) > 1 and not one.severe and one.samples.period == config.control_period:
+            checked[number] = check_recording(recordings[number], config, own_grid=True)
+    first = checked[0].samples.period
+    for recording, one in zip(recordings, checked, strict=True):
+        if one.samples.period != first and not any(each.severe for each in checked):
+            raise ConfigurationError(
+                f"{recording.source}: has one sample every {1e3 * one.samples.period:.4g} ms, {recordings[0].source} "
+                f"every {1e3 * first:.4g} ms; recordings that are identified together need the same sample time"
+            )
     return checked

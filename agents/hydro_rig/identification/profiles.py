@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_env.types import Floats
-from hydro_rig.estimation.solver import Problem, fit
+from hydro_rig.estimation.solver import Effort, Problem, fit
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification.common_fit import MOST_DAMPING, Joint, costs_of
 
@@ -70,6 +70,7 @@ def follow(problem: Problem, joint: Joint, unknown: int, reach: float, target: f
     place = int(joint.shared[unknown])
     begin = costs_of(problem, [joint.scaled])[0]
     path, rises, away, step = [joint.scaled], [0.0], [0.0], FIRST * reach
+    effort = Effort(MOST_ITERATIONS, 0.1 * target, give_up=MOST_DAMPING)
     most = min(abs(end - joint.scaled[0, place]), FARTHEST) * float(np.sign(reach))
     for _ in range(MOST_PLACES):
         if abs(away[-1]) >= abs(most):
@@ -79,7 +80,7 @@ def follow(problem: Problem, joint: Joint, unknown: int, reach: float, target: f
         first = path[-1] + slope * step
         here = pinned(problem, {place: float(joint.scaled[0, place] + moved)})
         first[:, place] = 0.0
-        found, _ = fit(here, first, MOST_ITERATIONS, 0.1 * target, give_up=MOST_DAMPING, shared=joint.shared)
+        found, _ = fit(here, first, effort, shared=joint.shared)
         found[:, place] = joint.scaled[0, place] + moved
         rise = costs_of(problem, [found])[0] - begin
         slope = (found - path[-1]) / step

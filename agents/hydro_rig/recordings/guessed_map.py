@@ -46,26 +46,23 @@ def guessed_map(headings: Sequence[str], source: str) -> str:
     """A map as YAML: one line per signal that a heading names, and comments on what is assumed or left over.
 
     A wrong unit among the assumed ones is found when the recording is checked: no value then fits the rig.
-
-    Args:
-        headings: of the columns, (C,).
-        source: of the file.
     """
-    places = range(len(headings))
-    scores = {(signal, place): _score(signal, headings[place]) for signal in WORDS for place in places}
+    scores = {}
+    for signal in WORDS:
+        for place, heading in enumerate(headings):
+            scores[signal, place] = _score(signal, heading)
     found: dict[str, int] = {}
     for signal, place in sorted(scores, key=lambda pair: (-scores[pair], pair[1])):
         if scores[signal, place] >= UNDECIDED and signal not in found and place not in found.values():
             found[signal] = place
-    lines = [
-        f"# Guessed from the headings of {_plain(source)}. Check columns, units and signs.",
-        "# If zero is at the end of the stroke, an offset of minus half the stroke moves it to mid-stroke.",
-    ]
-    lines += [_line(signal, found[signal], headings) for signal in UNITS if signal in found]
-    lines += [f"# {signal}: which column? It is needed." for signal in ("time", "command") if signal not in found]
-    left = [headings[place] for place in places if place not in found.values()]
-    lines += [f"# not used: {_plain(', '.join(left))}"] if left else []
-    return "\n".join(lines)
+    lines = [f"# Guessed from the headings of {_plain(source)}. Check columns, units, signs, and where zero is."]
+    for signal in UNITS:
+        if signal in found:
+            lines.append(_line(signal, found[signal], headings))
+        elif signal in ("time", "command"):
+            lines.append(f"# {signal}: which column? It is needed.")
+    left = [heading for place, heading in enumerate(headings) if place not in found.values()]
+    return "\n".join([*lines, f"# not used: {_plain(', '.join(left))}"])
 
 
 def _plain(text: str) -> str:
@@ -75,13 +72,14 @@ def _plain(text: str) -> str:
 
 def _line(signal: str, place: int, headings: Sequence[str]) -> str:
     heading, remark = headings[place], ""
-    alone = list(headings).count(heading) == 1 and heading.isprintable()
-    entry: dict[str, str | int] = {"column": heading if alone else place + 1}
+    entry: dict[str, str | int] = {"column": heading}
+    if list(headings).count(heading) > 1 or not heading.isprintable():
+        entry, remark = {"column": place + 1}, f"  # {_plain(heading)}"
     if split_heading(heading)[1] is None and signal != "time":
         entry["unit"] = next(iter(UNITS[signal]))
-        remark = "  # the unit is assumed"
+        remark += "  # the unit is assumed"
     text = yaml.safe_dump(entry, default_flow_style=True, allow_unicode=True, width=10_000, sort_keys=False).strip()
-    return f"{signal}: {text}{remark}" + ("" if alone else f"  # {_plain(heading)}")
+    return f"{signal}: {text}{remark}"
 
 
 def _score(signal: str, heading: str) -> float:
@@ -94,7 +92,9 @@ def _score(signal: str, heading: str) -> float:
     pressure = any(re.fullmatch(PRESSURE, word) for word in words) or (unit is not None and signal in CHAMBERS)
     if not pressure and (signal in CHAMBERS or (signal == "load_pressure" and "dp" not in words)):
         return -1.0
-    together = ["".join(words)] if len(words) > 1 else []
-    hits = sum(bool(re.fullmatch(WORDS[signal], word)) for word in [*words, *together])
+    tried = [*words, "".join(words)] if len(words) > 1 else words
+    hits = sum(bool(re.fullmatch(WORDS[signal], word)) for word in tried)
+    if not hits:
+        return 0.0
     wanted = any(re.fullmatch(WANTED, word) for word in words) and signal not in ("time", "command")
-    return hits + (0.5 * (unit is not None) + 0.25 * (len(words) == 1) - 2.0 * wanted if hits else 0.0)
+    return hits + 0.5 * (unit is not None) + 0.25 * (len(words) == 1) - 2.0 * wanted

@@ -107,35 +107,38 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
     for signal in MEASURED:
         if signal not in values:
             findings.append(Finding(signal, "was not recorded", Weight.NOTE, absent=True))
-    time = values.pop("time")
-    known, even = np.isfinite(time), columns.time.equidistant
-    if known.sum() < FEWEST_ROWS and isinstance(even, bool):
-        example = str(cells["time"].iloc[0])[:40]
-        raise ConfigurationError(
-            f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp (the first one is {example!r}); allowed are "
-            "numbers, 2026-03-01T08:00:00.005 and 01.03.2026 08:00:00,005"
-        )
-    spacing = None
-    if even is not False:
-        spacing = spacing_of(time) if even is True else (even, even)
-        if spacing is None:
-            raise ConfigurationError(
-                f"{source}: time: the stamps do not tell the distance of the rows; give it in the map, as in "
-                "'equidistant: 5 ms'"
-            )
-        first = time[known][0] if known.any() else 0.0
-        time = np.asarray(first + 0.5 * sum(spacing) * np.arange(rows), np.float64)
-        known[:] = True
+    time, spacing = _time_of(values.pop("time"), columns.time.equidistant, cells["time"], source)
+    known = np.isfinite(time)
     if not known.all():
         share = float(1.0 - known.mean())
         what = "is missing in some rows, which are left out"
         findings.append(Finding("time", what, severe_if(share > 0.2), share=share))
-    time = time[known]
-    absent = np.full(rows, np.nan)
+    time, absent = time[known], np.full(rows, np.nan)
     signals = np.array([values.get(signal, absent)[known] for signal in MEASURED])
     auxiliary = {name: values[name][known] for name in AUXILIARY if name in values}
     begin += float(time[0])
     return Recording(source, time - time[0], signals, units, findings, auxiliary, begin, differential, spacing)
+
+
+def _time_of(time: Floats, equidistant: bool | float, cells: pd.Series, source: str) -> tuple[Floats, Spacing | None]:
+    """The stamps (n,), s, of rows that are equidistant or not; and what is known of the distance of such rows."""
+    known = np.isfinite(time)
+    if known.sum() < FEWEST_ROWS and isinstance(equidistant, bool):
+        example = str(cells.iloc[0])[:40]
+        raise ConfigurationError(
+            f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp (the first one is {example!r}); allowed are "
+            "numbers, 2026-03-01T08:00:00.005 and 01.03.2026 08:00:00,005"
+        )
+    if equidistant is False:
+        return time, None
+    spacing = spacing_of(time) if equidistant is True else (equidistant, equidistant)
+    if spacing is None:
+        raise ConfigurationError(
+            f"{source}: time: the stamps do not tell the distance of the rows; give it in the map, as in "
+            "'equidistant: 5 ms'"
+        )
+    first = time[known][0] if known.any() else 0.0
+    return np.asarray(first + 0.5 * sum(spacing) * np.arange(len(time)), np.float64), spacing
 
 
 def map_for(file: Columns, source: str) -> ColumnMap:

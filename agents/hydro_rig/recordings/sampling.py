@@ -7,7 +7,7 @@ loop, is taken on its own grid instead: its rows, or of a fast log about one sam
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -92,29 +92,13 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
     time, rows = recording.time, np.vstack([recording.signals, *recording.auxiliary.values()])
     period = config.control_period
     nothing = np.zeros(0, np.int64), time[:0], rows[:, :0], period, False
-    moved = False
     if recording.spacing is not None:
         distance, finding = equidistant(recording.spacing, period)
         findings.append(finding)
-        if finding.weight is Weight.SEVERE:
-            return nothing
         time = np.asarray(distance * np.arange(len(time)), np.float64)
-    steps = np.diff(time, prepend=-np.inf)
-    if (back := steps < 0.0).any():
-        worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s{EQUIDISTANT}"
-        findings.append(finding_of(back, time, "time", worst, Weight.SEVERE))
+    time, rows = _in_order(time, rows, findings)
+    if _severe(findings):
         return nothing
-    if (twice := steps == 0.0).any():
-        many = severe_if(twice.mean() > MOST_MISSING)
-        what = f"has duplicate stamps; the first row counts{EQUIDISTANT}"
-        findings.append(finding_of(twice, time, "time", what, many))
-        if many is Weight.SEVERE:
-            return nothing
-        time, rows = time[~twice], rows[:, ~twice]
-    if len(time) < 2:
-        findings.append(Finding("time", "has one stamp alone", Weight.SEVERE))
-        return nothing
-
     distance = row_distance(time, period)
     per_period = whole_fraction(distance, period)
     own = own_grid or (not per_period and distance < SLOWEST * period)
@@ -122,39 +106,59 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
         findings.append(other_sampling(distance, period, recording.units.get("time", "s")))
         return nothing
     place, jitter = _places(time, distance)
+    moved = False
     if jitter > JITTER[0] * distance:
-        what = (
-            f"has stamps that jitter by up to {1e3 * jitter:.2g} ms (95 %) around one row every {1e3 * distance:.4g} ms"
-        )
-        if jitter > JITTER[1] * distance:
-            pieces = np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > PAUSE) + 1)
-            step = period / per_period if per_period else distance
-            parts = [_steady(time[piece], rows[:, piece], step) for piece in pieces if len(piece) > TOGETHER]
-            if not parts:
-                findings.append(Finding("time", f"{what}, in short pieces", Weight.SEVERE))
-                return nothing
-            times, values, steadied = zip(*parts, strict=True)
-            time, rows, moved = np.concatenate(times), np.concatenate(values, axis=1), any(steadied)
-            what += "; the readings are interpolated at a steady clock" if moved else "; taken as equidistant rows"
-            distance = time[1] - time[0]
-            place, _ = _places(time, distance)
-        findings.append(Finding("time", what, Weight.NOTE))
+        usual = f"{1e3 * jitter:.2g} ms (95 %) around one row every {1e3 * distance:.4g} ms"
+        findings.append(Finding("time", f"has stamps that jitter by up to {usual}", Weight.NOTE))
+    if jitter > JITTER[1] * distance:
+        step = period / per_period if per_period else distance
+        time, rows, moved = _without_jitter(time, rows, step, findings)
+        distance = time[1] - time[0]
+        place, _ = _places(time, distance)
     _add_gaps(place, time, distance, findings)
-    if any(finding.weight is Weight.SEVERE for finding in findings):
+    if _severe(findings):
         return nothing
     phase = None if own else _phase(place, rows[COMMAND], per_period, distance, config)
     chosen = place % max(per_period, 1) == phase
     # A slow sensor may have its readings in other rows than the controller its samples.
-    if phase is None or (_share_known(rows[:, chosen]) < 0.5 * _share_known(rows)).any():
+    known = np.isfinite(rows)
+    if phase is None or (known[:, chosen].mean(axis=1) < 0.5 * known.mean(axis=1)).any():
         return _own_grid(time, rows, place, distance, findings)
     index = (place[chosen] - place[chosen][:1]) // per_period
     return index, time[chosen], rows[:, chosen], period, moved
 
 
-def _share_known(rows: Floats) -> Floats:
-    """Share of known values of each channel, from (channels, n)."""
-    share: Floats = np.isfinite(rows).mean(axis=1)
-    return share
+def _severe(findings: Sequence[Finding]) -> bool:
+    return any(finding.weight is Weight.SEVERE for finding in findings)
+
+
+def _in_order(time: Floats, rows: Floats, findings: list[Finding]) -> tuple[Floats, Floats]:
+    """Stamps (n,) and rows (channels, n), of duplicate stamps the first; severe: stamps that run backward, or one."""
+    steps = np.diff(time, prepend=-np.inf)
+    if (back := steps < 0.0).any():
+        worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s{EQUIDISTANT}"
+        findings.append(finding_of(back, time, "time", worst, Weight.SEVERE))
+    elif (twice := steps == 0.0).any():
+        what = f"has duplicate stamps; the first row counts{EQUIDISTANT}"
+        findings.append(finding_of(twice, time, "time", what, severe_if(twice.mean() > MOST_MISSING)))
+        time, rows = time[~twice], rows[:, ~twice]
+    if len(time) < 2:
+        findings.append(Finding("time", "has one stamp alone", Weight.SEVERE))
+    return time, rows
+
+
+def _without_jitter(time: Floats, rows: Floats, step: float, findings: list[Finding]) -> tuple[Floats, Floats, bool]:
+    """Stamps and rows on a steady clock, piece by piece between pauses; and whether readings are moved."""
+    pieces = np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > PAUSE) + 1)
+    steadied = [_steady(time[piece], rows[:, piece], step) for piece in pieces if len(piece) > TOGETHER]
+    what = findings.pop().what
+    if not steadied:
+        findings.append(Finding("time", f"{what}, in short pieces", Weight.SEVERE))
+        return time, rows, False
+    times, values, moved = zip(*steadied, strict=True)
+    what += "; the readings are interpolated at a steady clock" if any(moved) else "; taken as equidistant rows"
+    findings.append(Finding("time", what, Weight.NOTE))
+    return np.concatenate(times), np.concatenate(values, axis=1), any(moved)
 
 
 def _own_grid(

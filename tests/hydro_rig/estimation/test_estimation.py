@@ -16,7 +16,7 @@ from hydro_rig.estimation import unknowns
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.known_windows import known_windows, leak_cases
 from hydro_rig.estimation.model import Model
-from hydro_rig.estimation.replay import Commands, replay
+from hydro_rig.estimation.replay import Commands, Rows, replay
 from hydro_rig.estimation.search import EstimationSettings
 from hydro_rig.estimation.unknowns import LEAKAGE, Prior, default_unknowns, prior_of, priors_of
 
@@ -25,7 +25,7 @@ QUICK = EstimationSettings(horizons=(0.2,), restarts=1)
 
 def replayed(config, command, physical, start, latency=(1e-3,)):
     """Readings of axes, each with its own window of commands (N, T)."""
-    return replay(config, Commands(command), np.arange(len(command)), physical, start, np.array(latency))
+    return replay(config, Commands(command), Rows(np.arange(len(command)), physical, start, np.array(latency)))
 
 
 def assert_within(found, name, truth, deviations=4.0):
@@ -156,7 +156,7 @@ def test_a_structure_that_the_model_lacks_is_flagged(fault):
 
 def test_batches_threads_and_neighbours_change_nothing(moving, found):
     _, signals, *_ = moving
-    alone = estimate(signals[1], CONFIG, threads=1)
+    alone = estimate(signals[1], CONFIG, settings=EstimationSettings(threads=1))
     np.testing.assert_allclose(alone.values[0], found.values[1], rtol=1e-6)
 
 

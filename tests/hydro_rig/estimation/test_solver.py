@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from hydro_rig.estimation.estimate import usable_readings
 from hydro_rig.estimation.first_guess import first_values
 from hydro_rig.estimation.model import Model
-from hydro_rig.estimation.solver import NONE_SHARED, Belief, Linearised, Problem, fit
+from hydro_rig.estimation.solver import NONE_SHARED, Belief, Effort, Linearised, Problem, fit
 from hydro_rig.estimation.unknowns import STARTS, priors_of
 from hydro_rig.identification.common_fit import fit_together
 
@@ -48,7 +48,7 @@ def final_equations(problem, scaled, shared):
 def test_ten_windows_end_in_the_minimum_that_scipy_finds():
     problem, guess = problem_of(np.linspace(0.02, 1.0, 10), range(1_300_100, 1_300_110))
     places = np.arange(guess.shape[1])[None]
-    found, _ = fit(problem, guess, 200, 1e-3)
+    found, _ = fit(problem, guess, Effort(200, 1e-3))
     away = np.zeros((2, 10))  # largest distance in standard deviations, of scipy from the first guess and from here
     for window in range(10):
         one = problem.part(np.array([window]))
@@ -68,7 +68,7 @@ def test_windows_with_common_parameters_end_in_the_minimum_that_scipy_finds():
     problem.measured[1, :, 80:], problem.measured[2, :, :80] = np.nan, np.nan
     shared = np.arange(4)
     guess[:, shared] = guess[0, shared]
-    found, _ = fit(problem, guess, 500, 1e-6, shared=shared)  # else how near it ends is up to the processor
+    found, _ = fit(problem, guess, Effort(500, 1e-6), shared=shared)  # else how near it ends is up to the processor
     own = guess.shape[1] - 4
     places = np.array([[*shared, *(4 + own * window + np.arange(own))] for window in range(3)])
     equations, roots = final_equations(problem, found, shared)
