@@ -36,7 +36,7 @@ from hydro_rig.diagnosis.leak_test_steps import (
     rounded,
     steps_of,
 )
-from hydro_rig.estimation.information import information, sigma
+from hydro_rig.estimation.information import bound as smallest_deviation
 from hydro_rig.estimation.known_windows import KnownWindows, known_windows, leak_cases
 from hydro_rig.estimation.replay import Commands, Rows, replay
 from hydro_rig.estimation.unknowns import Prior, priors_of
@@ -179,9 +179,8 @@ def _tried(task: TaskConfig, settings: LeakTestSettings, form: Form, opening: fl
     steps = rounded(steps_of(form, task.plant, settings, opening, travel), task.control_period)
     windows = simulated(task, steps, settings.plants)
     position, pressures = _true_course(task, windows)
-    length = (windows.signals.shape[2] - 1) * task.control_period
     fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
-    bound = sigma(information(task, windows, priors_of_test(task, fitted), (length,)))[:, 0]
+    bound = smallest_deviation(task, windows, priors_of_test(task, fitted))
     try:
         limits = {"end_stop_speed": settings.speed, "pressure_rating": settings.pressure}
         kept = simulated(task, steps, settings.plants, limits=limits).case

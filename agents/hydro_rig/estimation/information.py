@@ -4,16 +4,14 @@ The readings are r = h(θ) + noise, with the simulator as h, white noise of each
 a normal prior of each unknown. The information about θ is then I = Jᵀ W J + P, with J = ∂h/∂θ at the truth, W the
 inverse variances of the noise and P those of the priors; no unbiased estimate of θ_i has a variance below (I⁻¹)_ii
 (Kay, *Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, chapter 3; with priors: Van Trees,
-*Detection, Estimation, and Modulation Theory* I, 1968, section 2.4). Information adds up over sensors and samples; one
-Jacobian therefore serves every choice of sensors, every shorter window and every smaller set of unknowns.
+*Detection, Estimation, and Modulation Theory* I, 1968, section 2.4).
 
 The bound assumes that the model has the true structure. It depends on what else is unknown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -22,10 +20,8 @@ from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job
-from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.mistakes import one_of
+from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import usable_readings
 from hydro_rig.estimation.known_windows import KnownWindows, known_windows
@@ -42,49 +38,32 @@ this step changes the bound by 0.01 %, a step ten times as large by up to 1 %.
 """
 
 
-class Information(NamedTuple):
-    """Information of B windows about P unknowns, by length of the window and by sensor, for scaled unknowns.
-
-    An unknown is scaled by the standard deviation of its prior (of its logarithm, for a logarithmic prior).
-    """
-
-    names: tuple[str, ...]  # of the unknowns
-    matrix: Floats  # (B, lengths, channels, P, P), of the readings from the start to that length
-    unit: Floats  # (B, P), change of each unknown, in its unit, per scaled one
-
-
-def information(
+def bound(
     config: TaskConfig,
     windows: KnownWindows,
     priors: Mapping[str, Prior],
-    lengths: Sequence[float] | None = None,
+    name: str = LEAKAGE,
     threads: int | None = None,
-) -> Information:
-    """Information of the readings of known windows about the unknowns, without the priors.
+) -> Floats:
+    """The smallest standard deviation of one unknown, (B,), in its unit, when all others are unknown too.
 
     Args:
         config: the task.
-        windows: the windows; their commands are replayed on the true plants.
+        windows: B known windows; their commands are replayed on the true plants.
         priors: the unknowns, as :func:`hydro_rig.estimation.unknowns.priors_of` gives them.
-        lengths: of the windows, from their start, s; ``None``: the whole windows.
+        name: of the unknown.
         threads: worker threads; ``None`` takes one per core.
-
-    Raises:
-        ConfigurationError: a length is not above 0, or longer than the windows.
     """
-    period, samples = config.control_period, windows.signals.shape[2]
-    whole = (samples - 1) * period
-    given = tuple(sorted(lengths)) if lengths is not None else (whole,)
-    for length in given:
-        if not period <= length <= whole * (1.0 + 1e-9):
-            raise ConfigurationError(f"window = {length:g} s: must be within {period:g} to {whole:g} s")
-    ends = [round(length / period) + 1 for length in given]
     model, scaled = true_model(config, windows, priors, threads)
     used = np.isfinite(usable_readings(windows.signals, config, model))
-    jacobian = np.where(used[:, None], jacobian_at(model, scaled), 0.0)[:, :, :, : ends[-1]]
-    pieces = np.split(jacobian, ends[:-1], axis=3)
-    steps = [np.einsum("bpct,bqct->bcpq", piece, piece, optimize=True) for piece in pieces]
-    return Information(tuple(priors), np.cumsum(np.stack(steps, axis=1), axis=1), model.derivative(scaled))
+    jacobian = np.where(used[:, None], jacobian_at(model, scaled), 0.0).reshape(*scaled.shape, -1)
+    information = jacobian @ jacobian.transpose(0, 2, 1) + np.eye(len(priors))  # and that of the priors
+    # The unknowns have very different information; scaling each by its own keeps the inverse accurate.
+    scale = 1.0 / np.sqrt(np.einsum("bii->bi", information))
+    inverse = np.linalg.inv(information * scale[:, :, None] * scale[:, None, :])
+    place = model.names.index(name)
+    deviation: Floats = np.sqrt(inverse[:, place, place]) * scale[:, place]
+    return deviation * model.derivative(scaled)[:, place]
 
 
 def true_model(
@@ -106,41 +85,6 @@ def jacobian_at(model: Model, scaled: Floats) -> Floats:
     directions = steps[:, :, None] * np.eye(len(model.simulated))
     above, below = (model.linearise(scaled, sign * directions)[1] for sign in (1.0, -1.0))
     return 0.5 * (above + below)
-
-
-def sigma(
-    known: Information,
-    name: str = LEAKAGE,
-    unknowns: Sequence[str] | None = None,
-    sensors: Sequence[str] = SENSORS,
-) -> Floats:
-    """The bound of one unknown: its smallest standard deviation, (B, lengths), in its unit.
-
-    Args:
-        known: information of the readings.
-        name: of the unknown.
-        unknowns: names of all unknowns, the others are known exactly; ``None``: all.
-        sensors: available sensors.
-
-    Raises:
-        ConfigurationError: an unknown or a sensor is not in ``known``.
-    """
-    names = known.names if unknowns is None else tuple(unknowns)
-    for what, choice, allowed in (("unknowns", names, known.names), ("sensors", sensors, SENSORS)):
-        for one in choice:
-            if one not in allowed:
-                raise ConfigurationError(f"{what}: '{one}': {one_of(one, allowed)}")
-    places = [known.names.index(one) for one in names]
-    rows = [SENSORS.index(sensor) for sensor in sensors]
-    matrix = known.matrix[:, :, rows].sum(axis=2)[..., places, :][..., places]
-    matrix = matrix + np.eye(len(names))  # the priors
-    # The unknowns have very different information; scaling each by its own keeps the inverse accurate.
-    scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", matrix), 1e-300))
-    inverse = np.linalg.inv(matrix * scale[..., :, None] * scale[..., None, :])
-    place = names.index(name)
-    unit = (known.unit[:, None, places] * scale)[..., place]
-    result: Floats = np.sqrt(inverse[..., place, place] * unit * unit)
-    return result
 
 
 def leak_bound(protocol: LeakProtocol, chosen: object) -> Iterator[Cell]:
@@ -177,5 +121,5 @@ def bound_of_windows(
     controller = ACTING[acting].make(config, len(cases), int(cases.seeds[0]))
     windows = known_windows(config, controller, cases, begin, duration)
     found = np.full(len(cases), np.nan)
-    found[windows.case] = sigma(information(config, windows, priors_of(known), threads=1))[:, -1]
+    found[windows.case] = bound(config, windows, priors_of(known), threads=1)
     return {"seed": cases.seeds.astype(np.float64), "sigma_lpm": found}

@@ -82,7 +82,7 @@ class Model:
         boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
 
     Raises:
-        ConfigurationError: the shapes of the arrays contradict each other.
+        ConfigurationError: a command is missing or beyond full scale.
     """
 
     def __init__(
@@ -97,16 +97,12 @@ class Model:
     ) -> None:
         self.config, self.threads, self.noise = config, threads, noise_of(config)
         command = np.array(commands, dtype=np.float64)
-        count, samples = command.shape
+        count = len(command)
         wrong = np.argwhere(~(np.abs(command) <= 1.0))
         if len(wrong):
             window, sample = wrong[0]
             raise ConfigurationError(
                 f"commands: window {window}, sample {sample} = {command[window, sample]:g}: must be within -1 to 1"
-            )
-        if boundary is not None and np.shape(boundary) != (count, 2, samples):
-            raise ConfigurationError(
-                f"boundary: shape {np.shape(boundary)}: must be ({count}, 2, {samples}), supply and tank"
             )
         self.commands = Commands(command, boundary)
         own = to_vector(config.plant) if physical is None else np.asarray(physical, dtype=np.float64)
@@ -125,9 +121,8 @@ class Model:
         # A bias adds to the readings: its derivative needs no simulation.
         self._added = {place: BIASES.index(name) for place, name in enumerate(self.names) if name in BIASES}
         self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
-        self._first_steps = np.array(
-            [FIRST_START_STEP if self.names[place] in STARTS else FIRST_STEP for place in self.simulated]
-        )
+        starts = np.array([self.names[place] in STARTS for place in self.simulated], np.bool_)
+        self._first_steps = np.where(starts, FIRST_START_STEP, FIRST_STEP)
 
     @property
     def count(self) -> int:

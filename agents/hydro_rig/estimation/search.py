@@ -176,12 +176,10 @@ def assess(problem: Problem, scaled: Floats, directions: Floats, searches: int |
     covariance = doubtful = linear.covariance(problem.belief)
     if problem.errors is not None:
         count = linear.known.sum(axis=2)
-        alone, by_data_sheet = (
-            problem._replace(errors=one).linearised(scaled, directions).covariance(problem.belief)
-            for one in (errors.as_white(count), None)
-        )
+        as_white = problem._replace(errors=errors.as_white(count)).linearised(scaled, directions)
+        by_data_sheet = problem._replace(errors=None).linearised(scaled, directions).covariance(problem.belief)
         square = errors.of_model * (count * errors.slow**2).sum(axis=1)
-        doubtful = alone + (square / HALF_WIDTH**2)[:, None, None] * by_data_sheet
+        doubtful = as_white.covariance(problem.belief) + (square / HALF_WIDTH**2)[:, None, None] * by_data_sheet
     values = model.values(scaled)
     timing: dict[str, Any] = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
     timing |= {name: values[:, model.names.index(name)] for name in timing if name in model.names}

@@ -86,14 +86,6 @@ class Prior:
     deviation: float  # standard deviation, in the unknown's unit; of the natural logarithm if logarithmic
     logarithmic: bool = False
 
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.mean) and 0.0 < self.deviation < math.inf):
-            raise ConfigurationError(
-                f"prior: mean = {self.mean:g}, deviation = {self.deviation:g}: must be finite, the deviation above 0"
-            )
-        if self.logarithmic and self.mean <= 0.0:
-            raise ConfigurationError(f"prior: mean = {self.mean:g}: must be above 0 for a logarithmic prior")
-
     def value(self, scaled: NDArray[np.float64]) -> NDArray[np.float64]:
         """Values in the unknown's unit, (…), of scaled ones: standard deviations from the mean."""
         away = self.deviation * scaled

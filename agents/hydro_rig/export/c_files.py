@@ -52,7 +52,8 @@ def c_number(value: Any) -> str:
         return str(int(value))
     if np.isnan(value):
         return "NAN"
-    text = "INFINITY" if np.isinf(value) else f"{abs(value)!s}{'f' if isinstance(value, np.float32) else ''}"
+    suffix = "f" if isinstance(value, np.float32) else ""
+    text = "INFINITY" if np.isinf(value) else f"{abs(value)!s}{suffix}"
     return f"-{text}" if np.signbit(value) else text
 
 

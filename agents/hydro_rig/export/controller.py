@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -272,9 +271,11 @@ def element_names(controller: ControllerGraph, prefix: str) -> dict[str, list[st
 
 def field_names(controller: ControllerGraph) -> dict[str, str]:
     """Name of the variable of each part of the memory, by the name of the part."""
-    times = Counter(_field(part.name) for part in controller.memory)
-    whole = {part.name: re.sub(r"\W", "_", part.name) for part in controller.memory}
-    return {name: _field(name) if times[_field(name)] == 1 else text for name, text in whole.items()}
+    short = [_field(part.name) for part in controller.memory]
+    names = {}
+    for part, name in zip(controller.memory, short, strict=True):
+        names[part.name] = name if short.count(name) == 1 else re.sub(r"\W", "_", part.name)
+    return names
 
 
 def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[str, str]) -> dict[str, Any]:
@@ -289,19 +290,19 @@ def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[s
     """
     shared = controller.common
     writer.plan(controller.graph)
-    started, continued = (controller.case(prefix) for prefix in (STARTED, CONTINUED))
+    started, continued = controller.case(STARTED), controller.case(CONTINUED)
     later = set(in_order([*continued.values()]))
     both = [node for node in in_order([*started.values()]) if node in later]
     before = in_order([*shared.values(), *both])
 
     def stores(outputs: dict[str, Node], lines: list[str], indent: str = "    ") -> list[str]:
         """Statements that keep what changes in the memory; ``lines``: those before, to which others may be added."""
-        changed = [(part.name, outputs.get(part.name, part)) for part in controller.memory]
-        return [
-            writer.stored(fields[name], f"new_{_field(name)}", node, lines, indent)
-            for name, node in changed
-            if node is not controller.graph.inputs[name]
-        ]
+        stored = []
+        for part in controller.memory:
+            node = outputs.get(part.name, part)
+            if node is not part:
+                stored.append(writer.stored(fields[part.name], f"new_{_field(part.name)}", node, lines, indent))
+        return stored
 
     def case(outputs: dict[str, Node]) -> str:
         """The statements of a case; all values are read before the memory changes."""

@@ -142,14 +142,18 @@ class Expressions:
             return f"{text}.{field}", inner
         if isinstance(node.slice, ast.Slice):
             return (text, kind) if node.slice.lower is node.slice.upper is node.slice.step is None else None
-        indices = [
-            self.value(each) for each in (node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice])
-        ]
-        if len(indices) > len(kind.shape) or any(of != INT for _, of in indices):
+        indices = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+        if len(indices) > len(kind.shape):
             return None
-        strides = [math.prod(kind.shape[place + 1 :]) for place in range(len(indices))]
-        pairs = [(index, stride) for (index, _), stride in zip(indices, strides, strict=True) if index != "0"]
-        offset = " + ".join(index if stride == 1 else f"{stride} * {index}" for index, stride in pairs) or "0"
+        terms = []
+        for place, each in enumerate(indices):
+            index, of = self.value(each)
+            if of != INT:
+                return None
+            stride = math.prod(kind.shape[place + 1 :])
+            if index != "0":
+                terms.append(index if stride == 1 else f"{stride} * {index}")
+        offset = " + ".join(terms) or "0"
         left = kind.row(len(indices))
         if left.shape:
             return f"({text} + {offset})" if offset != "0" else text, left
@@ -245,5 +249,6 @@ def _compound(struct: Type, values: list[str]) -> Typed:
 def _literal(value: float | np.uint64) -> Typed:
     if isinstance(value, np.uint64):
         return f"UINT64_C({int(value)})", UINT64
-    kind = BOOL if isinstance(value, bool) else INT if isinstance(value, int) else DOUBLE
-    return c_operand(value), kind
+    if isinstance(value, bool):
+        return c_operand(value), BOOL
+    return c_operand(value), INT if isinstance(value, int) else DOUBLE

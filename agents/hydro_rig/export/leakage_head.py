@@ -62,8 +62,11 @@ def head_code(head: LeakageHead) -> CCode:
     bounds = bounds_of(config)
     fitted = fit_balance(np.zeros((1, len(SIGNALS), window)), head.sheet)._asdict()  # for the shapes of its parts
     translator = Translator()
-    kinds = [array(*np.shape(values), constant=True) if np.ndim(values) else DOUBLE for values in sheet.values()]
-    of_sheet = translator.record("Sheet", list(zip(kinds, sheet, strict=True)))
+    fields, numbers = [], {}
+    for name, part in sheet.items():
+        fields.append((array(*np.shape(part), constant=True) if np.ndim(part) else DOUBLE, name))
+        numbers[name] = np.ravel(part).tolist() if np.ndim(part) else float(part)
+    of_sheet = translator.record("Sheet", fields)
     signals, lost = array(1, len(SIGNALS), window), array(1, len(SENSORS))
     of_fit = translator.record("BalanceFit", [(array(*np.shape(part)), name) for name, part in fitted.items()])
     translator.function(repair, [signals, of_sheet, signals, lost])
@@ -85,7 +88,7 @@ def head_code(head: LeakageHead) -> CCode:
         "features": len(FEATURES),
         "structs": translator.structs,
         "functions": translator.functions,
-        "sheet": {name: np.ravel(part).tolist() if np.ndim(part) else float(part) for name, part in sheet.items()},
+        "sheet": numbers,
         "scale": head.scale.tolist(),
         "limit": _limits(head).tolist(),
         "beside_stuck_sensor": BESIDE_STUCK_SENSOR,

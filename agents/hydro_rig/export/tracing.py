@@ -48,15 +48,13 @@ def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, NDArr
         TraceError: a graph cannot represent the function; the message names the line.
     """
     builder = Builder()
-    traced = {
-        name: Traced(builder, builder.input(name, np.size(value), value.dtype), value) for name, value in inputs.items()
-    }
+    traced, outputs = {}, {}
+    for name, value in inputs.items():
+        traced[name] = Traced(builder, builder.input(name, np.size(value), value.dtype), value)
     with np.errstate(all="ignore"):
         results = function(**traced)
-    outputs = {
-        name: result._node if isinstance(result, Traced) else builder.constant(result)
-        for name, result in results.items()
-    }
+    for name, result in results.items():
+        outputs[name] = result._node if isinstance(result, Traced) else builder.constant(result)
     return Graph(builder.inputs, outputs)
 
 
@@ -244,7 +242,8 @@ class Traced(NDArrayOperatorsMixin):
 
 
 def _check_index(key: Any) -> None:
-    if any(isinstance(part, Traced) for part in (key if isinstance(key, tuple) else (key,))):
+    parts = key if isinstance(key, tuple) else (key,)
+    if any(isinstance(part, Traced) for part in parts):
         raise _refusal("an index that depends on the data")
 
 

@@ -95,21 +95,26 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
             inside = max(one.low, least), min(one.high, most)  # the whole interval if it lies outside
             low, high = inside if inside[0] <= inside[1] else (one.low, one.high)
             low, high = (within_bounds(plant, path, end) for end in (low, high))
-            if given.times is None:
-                form = "log_uniform" if one.side and given.logarithmic else "uniform"
-                result[path] = {form: _rounded((low, high))}
-            else:  # a ratio is never below the old one: breakaway stays above Coulomb friction
+            if given.times is not None:  # a ratio is never below the old one: breakaway stays above Coulomb friction
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
                 ratios = _rounded((max(low / factor, least), max(high / factor, least)))
                 result[path] = {"uniform": ratios, "times": given.times}
+            elif one.side and given.logarithmic:
+                result[path] = {"log_uniform": _rounded((low, high))}
+            else:
+                result[path] = {"uniform": _rounded((low, high))}
     return result
 
 
 def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> list[str]:
     """Names of the parameters whose whole interval lies outside the range of the rig file."""
-    plant, given = found_plant(fit, config), [one for one in fit.unknowns if one.name in ranges]
-    hulls = [hull(config.plant, plant, one.name, ranges[one.name]) for one in given]
-    return [one.name for one, (low, high) in zip(given, hulls, strict=True) if one.high < low or one.low > high]
+    plant, beyond = found_plant(fit, config), []
+    for one in fit.unknowns:
+        if one.name in ranges:
+            low, high = hull(config.plant, plant, one.name, ranges[one.name])
+            if one.high < low or one.low > high:
+                beyond.append(one.name)
+    return beyond
 
 
 def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dict[str, Any]:
@@ -158,13 +163,11 @@ def rig_yaml(
     if "valve.knee_opening" in found:
         values["valve"]["knee_position"] = config.plant.valve.knee_position
     # The parameters stay in their groups; the narrowed ranges replace the old ones.
-    values["randomisation"] = {
-        path: {
-            key: value if "times" in entry or key.endswith("probability") else _with_unit(path, value, config.plant)
-            for key, value in entry.items()
-        }
-        for path, entry in narrowed(fit, config, ranges).items()
-    }
+    values["randomisation"] = narrowed(fit, config, ranges)
+    for path, entry in values["randomisation"].items():
+        for key, value in entry.items():
+            if "times" not in entry and not key.endswith("probability"):
+                entry[key] = _with_unit(path, value, config.plant)
     lines = [f"# {' '.join(note.split())}" for note in notes]
     for key, content in values.items():
         if not isinstance(content, Mapping):
@@ -228,7 +231,11 @@ def reading_unit(path: str, plant: PlantParameters) -> tuple[float, str]:
     group, field = path.split(".")
     schema = type(getattr(plant, group)).model_fields[field].json_schema_extra
     si = str(schema.get("unit", "")) if isinstance(schema, dict) else ""
-    unit = "%" if field in SHARES else "GPa" if field.endswith("bulk_modulus") else READ_IN.get(si, si)
+    unit = READ_IN.get(si, si)
+    if field in SHARES:
+        unit = "%"
+    elif field.endswith("bulk_modulus"):
+        unit = "GPa"
     return UNITS.get(si, {}).get(unit, 1.0), unit
 
 

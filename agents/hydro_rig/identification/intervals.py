@@ -105,8 +105,8 @@ def sides_of(problem: Problem, joint: Joint, spread: Spread, ends: Floats, follo
     reach = spread.reach[:, None] * np.clip(1.0 / np.sqrt(np.maximum(near, 1e-3)), 1.0, MOST_WIDER)
     covariance = joint.covariance
     alike = np.abs(covariance) / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
-    limits = np.array([problem.model.names[place] in LIMITS for place in joint.shared])
-    flat = bounded & (limits | (np.minimum(near, far) < FLAT).any(axis=1))
+    limited = np.array([problem.model.names[place] in LIMITS for place in joint.shared])
+    flat = bounded & (limited | (np.minimum(near, far) < FLAT).any(axis=1))
     odd = flat | (near > STEEP).any(axis=1) | (near < FLAT).any(axis=1)
     found, done = np.zeros(count, np.int64), np.zeros(count, np.bool_)
     for place in sorted(np.flatnonzero(odd & follows).tolist(), key=lambda place: -spread.deviation[place]):
@@ -116,10 +116,8 @@ def sides_of(problem: Problem, joint: Joint, spread: Spread, ends: Floats, follo
         target = (spread.reach[place] / spread.deviation[place]) ** 2
         target = max(target, (SURE * spread.widening[place]) ** 2) if flat[place] else target
         lengths = (-spread.reach[place], spread.reach[place])
-        paths = [
-            follow(problem, joint, place, length, target, float(end))
-            for length, end in zip(lengths, ends[place] if bounded[place] else (-np.inf, np.inf), strict=True)
-        ]
+        limits = ends[place] if bounded[place] else (-np.inf, np.inf)
+        paths = [follow(problem, joint, place, lengths[side], target, float(limits[side])) for side in (0, 1)]
         for path in paths:
             rest = np.sqrt(np.maximum(1.0 - path.rise / target, 0.0))  # that the other unknowns may use up
             beside = rest[:, None] * spread.reach * np.sqrt(1.0 - np.minimum(alike[place], 1.0) ** 2)

@@ -131,11 +131,8 @@ class ColumnMap(Group):
 
     def columns(self) -> dict[str, Column]:
         """The given columns by signal."""
-        return {
-            name: getattr(self, name)
-            for name in ("time", *MEASURED, LOAD_PRESSURE, *AUXILIARY)
-            if getattr(self, name) is not None
-        }
+        given = {name: getattr(self, name) for name in ("time", *MEASURED, LOAD_PRESSURE, *AUXILIARY)}
+        return {name: column for name, column in given.items() if column is not None}
 
 
 def split_heading(heading: str) -> tuple[str, str | None]:

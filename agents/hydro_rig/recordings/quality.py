@@ -142,7 +142,9 @@ def row_of_command(samples: Sampled, config: TaskConfig) -> int:
     if rest > 0.5 or not _plausible(slope):
         return 0
     later, now = weights[:2] / slope
-    return -1 if later > 0.5 * expected else 1 if now < 0.25 * expected else 0
+    if later > 0.5 * expected:
+        return -1
+    return int(now < 0.25 * expected)
 
 
 def _with_command_moved(samples: Sampled, early: int) -> Sampled:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from recorded import RAM, RAM_COLUMNS, RAM_RIG
-from refusal import refused
 
 from hydro_agents.detection.detector import Windows, measured_run
 from hydro_agents.detection.disturbances import SUPPLY, Disturbances, Disturbed
@@ -126,8 +125,6 @@ def test_a_recorded_pressure_at_the_setting_of_a_constant_supply_changes_nothing
     mended = Model(steady, priors | {"supply_pressure_bias": offset}, commands, boundary=boundary)
     expected = plain.readings(scaled)
     np.testing.assert_allclose(mended.readings(np.pad(scaled, ((0, 0), (0, 1)))), expected, rtol=1e-6, atol=1e-3)
-    with refused(r"boundary: shape \(1, 2, 99\)"):
-        Model(steady, priors, commands, boundary=boundary[:, :, :99])
 
 
 def test_missing_readings_of_the_gauge_are_bridged():

@@ -10,10 +10,20 @@ import pytest
 from hydro_agents.controllers.base import Controller
 from hydro_agents.learning.loading import load_controller
 from hydro_env import TaskConfig
+from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_rig.export.controller import ControllerGraph, controller_graph
 from hydro_rig.export.controller_folder import exported_files
 
 TASK = TaskConfig(episode_duration=0.6)
+NAMEPLATES = {
+    "bore": "63 mm",
+    "rod": "36 mm",
+    "stroke": "500 mm",
+    "rated_flow": "40 l/min",
+    "bandwidth": "60 Hz",
+    "supply_pressure": "160 bar",
+    "mass": "200 kg",
+}
 
 
 class Exported(NamedTuple):
@@ -39,6 +49,14 @@ def exported(tmp_path_factory):
         return Exported(controller, controller_graph(controller, TASK), folder, report)
 
     return export
+
+
+@pytest.fixture(scope="session")
+def other_rig(tmp_path_factory):
+    """The file of a rig from its nameplates, which nobody tuned."""
+    file = tmp_path_factory.mktemp("rig") / "my.yaml"
+    file.write_text(new_rig(answers_from(NAMEPLATES), "my.yaml")[0], encoding="utf-8")
+    return file
 
 
 @pytest.fixture(scope="session")

@@ -252,14 +252,7 @@ def test_the_command_writes_the_folder_once_and_refuses_what_it_does_not_know(tm
     answer = hydro("export", "pid", "--output", folder)
     assert answer.returncode == 0, answer.stderr
     assert "largest difference of command" in answer.stdout
-    page = (folder / "README.md").read_text(encoding="utf-8")
-    assert "(PID)" in page
-    assert "every 5.0 ms" in page
-    assert "| 1 | `reference` | m | -0.2 to 0.2 |" in page
     assert_one_clear_line(hydro("export", "pid", "--output", folder), "holds results already")
-    answer = hydro("export", "adrc", "--output", folder, "--overwrite")
-    assert answer.returncode == 0, answer.stderr
-    assert "(ADRC)" in (folder / "README.md").read_text(encoding="utf-8")
     assert_one_clear_line(hydro("export", "nonsense", "--output", tmp_path / "x"), "nonsense")
     assert not (tmp_path / "x").exists()
 

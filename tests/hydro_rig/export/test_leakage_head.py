@@ -36,14 +36,6 @@ def test_the_vectors_hold_a_leak_that_is_found_lost_samples_and_a_sensor_that_st
     assert not np.isnan(rows["probability"][399])
 
 
-def test_the_page_names_signals_and_rules(head_export):
-    page = head_export[0]["README.md"].decode()
-    assert "`hydro export leakage_head`" in page
-    assert "2. `pressure_a` (Pa): gauge pressure" in page
-    assert "after 400 samples" in page
-    assert "a probability of 0." in page
-
-
 def test_wrong_answers_are_refused(head_export):
     if c_compiler() is None:
         pytest.skip("this machine has no C compiler")

@@ -18,15 +18,6 @@ from hydro_rig.export.measured import LOST_TIME
 
 SEED = VALIDATION_SEEDS.start + 710_900
 EXACT = {"sensors": {"enabled": False}, "randomisation": {}, "leakage": {"healthy_range": [1e-3, 2e-3]}}
-NAMEPLATES = {
-    "bore": "63 mm",
-    "rod": "36 mm",
-    "stroke": "500 mm",
-    "rated_flow": "40 l/min",
-    "bandwidth": "60 Hz",
-    "supply_pressure": "160 bar",
-    "mass": "200 kg",
-}
 PAPER, OTHER = "the paper's rig", "a rig from nameplates"
 PID_OF_OTHER = {"proportional": 30.0, "integral": 50.0, "feedforward_extending": 2.0, "feedforward_retracting": 2.4}
 KINDS = [(kind, rig) for rig in (PAPER, OTHER) for kind in ("pid", "flow_linearising", "ppo")]
@@ -34,11 +25,9 @@ MOVES = {PAPER: (-0.03, 0.07), OTHER: (-0.1, 0.1)}  # m, from where to where the
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(other_rig):
     """A function: graph and task of a controller on a rig."""
-    file = tmp_path_factory.mktemp("rig") / "my.yaml"
-    file.write_text(new_rig(answers_from(NAMEPLATES), "my.yaml")[0], encoding="utf-8")
-    other = task_config(None, rig=file, control_period="2 ms", command_latency="0.6 ms")
+    other = task_config(None, rig=other_rig, control_period="2 ms", command_latency="0.6 ms")
     tasks = {PAPER: TaskConfig(), OTHER: other}
 
     @functools.cache

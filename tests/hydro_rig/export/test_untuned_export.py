@@ -1,8 +1,5 @@
 """A controller for a rig that nobody tuned: the command, its C code on that rig, and a take-over in motion."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
@@ -16,15 +13,6 @@ from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_rig.export.controller import controller_graph
 
-NAMEPLATES = {
-    "bore": "63 mm",
-    "rod": "36 mm",
-    "stroke": "500 mm",
-    "rated_flow": "40 l/min",
-    "bandwidth": "60 Hz",
-    "supply_pressure": "160 bar",
-    "mass": "200 kg",
-}
 TIMING = ("--period", "2ms", "--latency", "0.6ms")
 SEED = VALIDATION_SEEDS.start + 710_500
 TAKE_OVER = 250  # control periods; the axis is in motion then
@@ -33,26 +21,18 @@ BUMP = 0.15  # V
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory):
-    """The file of a rig from its nameplates."""
-    file = tmp_path_factory.mktemp("rig") / "my.yaml"
-    file.write_text(new_rig(answers_from(NAMEPLATES), "my.yaml")[0], encoding="utf-8")
-    return file
-
-
-@pytest.fixture(scope="module")
-def task(rig):
+def task(other_rig):
     """Its task with the timing of the PLC, and a ramp as reference."""
     ramp = np.clip(RAMP * 0.002 * (np.arange(1001) - 100.0), 0.0, None)
     changes = {"references": {"user": ramp.tolist(), "weights": {"user": 1.0}}}
-    return task_config(None, rig=rig, control_period="2 ms", command_latency="0.6 ms", **changes)
+    return task_config(None, rig=other_rig, control_period="2 ms", command_latency="0.6 ms", **changes)
 
 
 @pytest.fixture(scope="module")
-def folder(rig):
+def folder(other_rig):
     """What the command wrote for the rig."""
-    out = rig.parent / "controller"
-    answer = hydro("export", "flow_linearising", "--rig", rig, *TIMING, "--output", out)
+    out = other_rig.parent / "controller"
+    answer = hydro("export", "flow_linearising", "--rig", other_rig, *TIMING, "--output", out)
     assert answer.returncode == 0, answer.stderr
     assert "gains for any rig" in answer.stdout
     assert answer.stderr == ""
@@ -73,17 +53,6 @@ def test_it_is_made_for_this_rig_and_timing_with_the_gains_for_any(folder, task)
     assert "Origin: gains for any rig, which nobody tuned for this one." in page
     assert shipped("flow_linearising", task).gains == FlowLinearisingGains()
     assert shipped("flow_linearising", TaskConfig()).gains != FlowLinearisingGains()  # the paper's rig has its own
-
-
-def test_half_the_position_gain_is_exported_as_the_page_says(rig, monkeypatch):
-    text = (Path(__file__).parents[3] / "docs" / "no_tuning.md").read_text(encoding="utf-8")
-    gains, command = re.search(r'echo "(.*)" > slower.yaml\n *hydro (export slower.yaml .*)\n', text).groups()
-    monkeypatch.chdir(rig.parent)
-    Path("slower.yaml").write_text(gains + "\n", encoding="utf-8")
-    answer = hydro(*command.split())
-    assert answer.returncode == 0, answer.stderr
-    half = 0.5 * FlowLinearisingGains().position_gain
-    assert f"| position_gain | {half:g} |" in Path("slower", "README.md").read_text(encoding="utf-8")
 
 
 def test_in_c_it_takes_over_an_axis_in_motion(task, in_c):
