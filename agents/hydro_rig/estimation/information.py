@@ -107,16 +107,7 @@ def bound_of_windows(
 ) -> Columns:
     """Smallest standard deviation of the leak, l/min at 100 bar; all quantities that the task draws are unknown.
 
-    Args:
-        config: task of the runs.
-        known: task that the priors follow from.
-        acting: controller of the axes.
-        begin: of the windows, s.
-        duration: of the windows, s.
-        cases: of the runs.
-
-    Raises:
-        ConfigurationError: the bound cannot be computed.
+    The runs are those of ``config``, the priors follow from ``known``; ``begin`` and ``duration`` of the windows in s.
     """
     controller = ACTING[acting].make(config, len(cases), int(cases.seeds[0]))
     windows = known_windows(config, controller, cases, begin, duration)

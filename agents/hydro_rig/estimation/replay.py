@@ -40,15 +40,6 @@ _TANK, _RELIEF, _SUPPLY_DYNAMICS, _LINE_STIFFNESS = (
 )
 
 
-@inline
-def sense(s: Any, sensed: Floats, reading: Floats) -> None:
-    """Write what the sensors read in the states ``s``; ``sensed``: the signals of the pressure transducers."""
-    reading[POSITION] = s.position
-    reading[PRESSURE_A] = sensed[0]
-    reading[PRESSURE_B] = sensed[1]
-    reading[SPOOL] = s.spool_position
-
-
 class Lag(NamedTuple):
     """A transducer's lag over one interval, under the names that :func:`~hydro_env.task.signals.lagged` reads."""
 
@@ -135,57 +126,76 @@ def replay(config: TaskConfig, commands: Commands, rows: Rows, threads: int | No
     return readings
 
 
+@inline
+def sense(s: Any, sensed: Floats, reading: Floats) -> None:
+    """Write what the sensors read in the states ``s``; ``sensed``: the signals of the pressure transducers."""
+    reading[POSITION] = s.position
+    reading[PRESSURE_A] = sensed[0]
+    reading[PRESSURE_B] = sensed[1]
+    reading[SPOOL] = s.spool_position
+
+
+@inline
+def begin(own: Floats, coefficient: Floats, physical: Floats, volts: float, supply: float) -> Any:
+    """Complete the state ``own`` of a plant at the first command, write its coefficients, and return its rates.
+
+    With a recorded pressure of the supply (else NaN) the supply has no dynamics of its own.
+    """
+    p = read_physical(physical)
+    c = coefficients(p)
+    write_coefficients(coefficient, c)
+    if not math.isnan(supply):
+        own[_SUPPLY_PRESSURE] = supply
+        coefficient[_SUPPLY_DYNAMICS] = coefficient[_LINE_STIFFNESS] = 0.0
+    if math.isnan(own[_CURRENT]):
+        own[_CURRENT] = c.drive_rate * volts / c.coil_rate
+    if math.isnan(own[_GAS_VOLUME]):
+        own[_GAS_VOLUME] = gas_volume_at(own[_SUPPLY_PRESSURE], p)
+    return derivatives(read_state(own), c, volts)
+
+
+@inline
+def move_supply(own: Floats, coefficient: Floats, moved: float, supply: float, tank: float) -> None:
+    """Move the supply by a step, and set recorded pressures of supply and tank (else NaN)."""
+    own[_SUPPLY_PRESSURE] += moved
+    coefficient[_RELIEF] += moved
+    if not math.isnan(supply):
+        own[_SUPPLY_PRESSURE] = supply
+    if not math.isnan(tank):
+        coefficient[_TANK] = tank
+
+
 def _build(sources: int) -> Any:
     def run(
         recorded: Any, plants: Any, duration: float, accuracy: Any, readings: Floats, first: int, last: int
     ) -> None:
         assert sources >= 0  # keys numba's cache
-        rows = last - first
-        command, boundary, window, offset = recorded.command, recorded.boundary, plants.window, plants.offset
+        rows, samples = last - first, readings.shape[2]
+        command, boundary, offset = recorded.command, recorded.boundary, plants.offset
         states, latency, course = plants.start[first:last], plants.latency, plants.course
         coefficient = np.empty((rows, N_COEFFICIENTS))
-        voltage = np.empty((rows, 2))
-        interval = np.empty((rows, 2))
-        peaks = np.empty((rows, N_PEAKS))
+        voltage, interval, peaks = np.empty((rows, 2)), np.empty((rows, 2)), np.empty((rows, N_PEAKS))
         true, sensed = np.empty((rows, 2)), np.empty((rows, 2))  # pressures, and the transducers' signals
-        samples = readings.shape[2]
         for row in range(rows):
-            time_constant = plants.lag[first + row]
-            p = read_physical(plants.physical[first + row])
-            c = coefficients(p)
-            write_coefficients(coefficient[row], c)
-            own, source = states[row], window[first + row]
-            volts = FULL_VOLTAGE * command[source, 0]
-            if not math.isnan(boundary[source, 0, 0]):  # then the supply has no dynamics of its own
-                own[_SUPPLY_PRESSURE] = boundary[source, 0, 0] - offset[first + row, 0]
-                coefficient[row, _SUPPLY_DYNAMICS] = coefficient[row, _LINE_STIFFNESS] = 0.0
-            if math.isnan(own[_CURRENT]):
-                own[_CURRENT] = c.drive_rate * volts / c.coil_rate
-            if math.isnan(own[_GAS_VOLUME]):
-                own[_GAS_VOLUME] = gas_volume_at(own[_SUPPLY_PRESSURE], p)
-            s = read_state(own)
+            plant, source, constant = first + row, plants.window[first + row], plants.lag[first + row]
+            volts, supply = FULL_VOLTAGE * command[source, 0], boundary[source, 0, 0] - offset[plant, 0]
+            rate = begin(states[row], coefficient[row], plants.physical[plant], volts, supply)
+            s = read_state(states[row])
             # After a steady change, a lag is behind by the change within its time constant.
-            rate = derivatives(s, c, volts)
             true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
-            sensed[row, 0] = s.pressure_a - time_constant * rate.pressure_a
-            sensed[row, 1] = s.pressure_b - time_constant * rate.pressure_b
-            sense(s, sensed[row], readings[first + row, :, 0])
+            sensed[row, 0] = s.pressure_a - constant * rate.pressure_a
+            sensed[row, 1] = s.pressure_b - constant * rate.pressure_b
+            sense(s, sensed[row], readings[plant, :, 0])
         for sample in range(1, samples):
             for row in range(rows):
-                source = window[first + row]
-                late = math.floor(latency[first + row] / duration)  # whole samples
-                interval[row, 0] = latency[first + row] - late * duration
+                plant, source = first + row, plants.window[first + row]
+                late = math.floor(latency[plant] / duration)  # whole samples
+                interval[row, 0] = latency[plant] - late * duration
                 interval[row, 1] = duration - interval[row, 0]
-                moved = course[first + row, sample] - course[first + row, sample - 1]
-                states[row, _SUPPLY_PRESSURE] += moved
-                coefficient[row, _RELIEF] += moved
-                for side in range(2):
-                    mean = 0.5 * (boundary[source, side, sample - 1] + boundary[source, side, sample])
-                    mean -= offset[first + row, side]
-                    if not math.isnan(mean) and side == 0:
-                        states[row, _SUPPLY_PRESSURE] = mean
-                    elif not math.isnan(mean):
-                        coefficient[row, _TANK] = mean
+                moved = course[plant, sample] - course[plant, sample - 1]
+                supply = 0.5 * (boundary[source, 0, sample - 1] + boundary[source, 0, sample]) - offset[plant, 0]
+                tank = 0.5 * (boundary[source, 1, sample - 1] + boundary[source, 1, sample]) - offset[plant, 1]
+                move_supply(states[row], coefficient[row], moved, supply, tank)
                 if math.isnan(states[row, 0]):  # it has failed
                     interval[row, :] = 0.0
                 before, after = min(max(sample - 1 - late, 0), samples - 1), min(max(sample - late, 0), samples - 1)
@@ -195,8 +205,8 @@ def _build(sources: int) -> Any:
             for row in range(rows):
                 if peaks[row, STEPS] > accuracy.most_steps:
                     states[row, :] = np.nan
-                time_constant = plants.lag[first + row]
-                lag = Lag(time_constant / duration, math.exp(-duration / time_constant) if time_constant > 0.0 else 0.0)
+                constant = plants.lag[first + row]
+                lag = Lag(constant / duration, math.exp(-duration / constant) if constant > 0.0 else 0.0)
                 s = read_state(states[row])
                 sensed[row, 0] = lagged(sensed[row, 0], true[row, 0], s.pressure_a, lag)
                 sensed[row, 1] = lagged(sensed[row, 1], true[row, 1], s.pressure_b, lag)

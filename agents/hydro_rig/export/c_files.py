@@ -77,13 +77,9 @@ def c_compiler() -> str | None:
 def compiled(
     sources: Mapping[str, str], options: Sequence[str], compiler: Sequence[str] = (), folder: Path | None = None
 ) -> bytes:
-    """What a C compiler makes of sources.
+    """What a C compiler, by default that of this machine, makes of sources: texts by the names of their files.
 
-    Args:
-        sources: texts of all files, by name; those with the suffix ``.c`` are compiled.
-        options: of the compiler.
-        compiler: its command; default: that of this machine.
-        folder: for the sources and the result, a file ``out``; default: a temporary one.
+    They and the result, a file ``out``, are written to a ``folder``, by default a temporary one.
 
     Raises:
         HydroError: there is no compiler, or it failed; the message is its first line.

@@ -106,11 +106,7 @@ def exported_files(
 ) -> tuple[dict[str, bytes], list[str]]:
     """The files of an exported controller by name, and the results of their checks, one line each.
 
-    Args:
-        controller: the controller.
-        config: its task.
-        command: that exports it.
-        origin: where its gains come from.
+    Their page names the ``command`` that exports it, and the ``origin`` of its gains.
 
     Raises:
         TraceError: the controller cannot be exported exactly.

@@ -166,14 +166,7 @@ def _cost(residual: Floats, known: NDArray[np.bool_], scaled: Floats, shared: In
 
 
 def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], report: Report) -> Common:
-    """Fit windows of one recording together.
-
-    Args:
-        windows: of one recording, or of several of one axis.
-        config: the task, on the rig.
-        priors: of the unknowns.
-        report: called with phase, done, total.
-    """
+    """Fit windows of one recording, or of several of one axis, together."""
     report("windows", 0, len(windows))
     alone = fitted_alone(windows, config, priors)
     report("windows", len(windows), len(windows))

@@ -48,9 +48,12 @@ def _odd(found: Estimate, task: TaskConfig) -> list[_Odd]:
         odd.append(_Odd("pressures", RISE_TIME, max(rise, 0.0)))
     for channel, name in enumerate(SENSORS):
         white, slow, spikes = (float(np.median(part[:, channel])) for part in (used.white, used.slow, used.spikes))
-        odd += [_Odd(name, "white", white)] if not LESS <= white <= MORE else []
-        odd += [_Odd(name, "slow", slow)] if slow > SLOW else []
-        odd += [_Odd(name, "spikes", spikes)] if spikes > SPIKES else []
+        if not LESS <= white <= MORE:
+            odd.append(_Odd(name, "white", white))
+        if slow > SLOW:
+            odd.append(_Odd(name, "slow", slow))
+        if spikes > SPIKES:
+            odd.append(_Odd(name, "spikes", spikes))
     return odd
 
 
@@ -64,17 +67,18 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
     end = "used" if found.holds.any() else "the model still does not hold"
     findings = []
     for signal, kind, size in _odd(found, task):
+        if kind == "spikes":
+            findings.append(Finding(signal, "has spikes: left out", Weight.NOTE, share=size))
+            continue
         if kind == LATENCY:
-            what = f"acts {_ms(size)} after its row, and not {_ms(task.command_latency)} ({kind}): {end}"
+            what = f"acts {_ms(size)} after its row, and not {_ms(task.command_latency)} ({kind})"
         elif kind == RISE_TIME:
-            what = f"rise within {_ms(size)}, and not {_ms(task.sensors.pressure_rise_time)} ({kind}): {end}"
+            what = f"rise within {_ms(size)}, and not {_ms(task.sensors.pressure_rise_time)} ({kind})"
         elif kind == "white":
-            what = f"scatters {number(size, 1)} times its data sheet: {end}"
-        elif kind == "slow":
-            what = f"differs slowly from the model, by {_size(signal, size, task)}: {end}"
+            what = f"scatters {number(size, 1)} times its data sheet"
         else:
-            what = "has spikes: left out"
-        findings.append(Finding(signal, what, Weight.NOTE, share=size if kind == "spikes" else math.nan))
+            what = f"differs slowly from the model, by {_size(signal, size, task)}"
+        findings.append(Finding(signal, f"{what}: {end}", Weight.NOTE))
     if found.holds.any() and found.errors.of_model[found.holds].mean() >= MOST_DIFFER:
         findings.append(Finding("model", "differs slowly from several signals, which can hide a leak", Weight.DOUBT))
     return findings

@@ -114,12 +114,7 @@ def fit_windows(
     """Fit the unknowns to windows of one recording.
 
     Each window is fitted alone first. The common fit starts from the values of the window that fits all others best.
-
-    Args:
-        windows: of one recording, or of several of one axis.
-        config: the task, on the rig.
-        ranges: ranges that the rig file gives.
-        progress: called with phase, done, total.
+    ``ranges`` are those of the rig file.
     """
     measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
@@ -191,11 +186,8 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
 def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
     """The fit with intervals at least as wide as the recordings disagree; a single recording is cut in two halves.
 
-    Source: random effects, DerSimonian and Laird, *Controlled Clinical Trials* 7, 1986.
-
-    Args:
-        fit: the common fit of B windows.
-        recording: number of the recording of each window, (B,).
+    ``recording``: number of the recording of each window, (B,). Source: random effects, DerSimonian and Laird,
+    *Controlled Clinical Trials* 7, 1986.
     """
     group = recording[np.isfinite(fit.misfit)]
     if len(group) < 2:
@@ -216,11 +208,8 @@ def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
 def _disagreement(fit: Fit, group: NDArray[np.int64]) -> Floats:
     """Standard deviation between groups of windows that their own uncertainty does not explain, (p,) scaled.
 
-    One Gauss–Newton step from the common values gives the values that each group alone says.
-
-    Args:
-        fit: the common fit.
-        group: number of each used window.
+    One Gauss–Newton step from the common values gives the values that each group alone says; ``group``: number of each
+    used window.
     """
     joint, numbers, own = fit.joint, np.unique(group), np.eye(len(fit.names))
     middle, deviation = np.empty((2, len(numbers), len(fit.names)))

@@ -155,11 +155,8 @@ def _rises(problem: Problem, joint: Joint, lengths: Floats) -> Floats:
 def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
     """Lowest and highest value that a range allows, SI, including the value without the range.
 
-    Args:
-        plant: the given rig; factors multiply its own value.
-        found: the identified rig; it gives the value of a parameter that multiplies the range (``times``).
-        path: of the parameter.
-        given: its range.
+    Factors multiply the value of the given rig ``plant``; the rig that was ``found`` gives the value of a parameter
+    that multiplies the range (``times``).
     """
     factor = 1.0 if given.times is None else own_value(found, given.times)
     ends = [factor * end for end in given.bounds(own_value(plant, path))]
@@ -181,15 +178,8 @@ def range_ends(config: TaskConfig, ranges: Mapping[str, Distribution], priors: M
 def beside_the_edge(name: str, prior: Prior, plant: PlantParameters, limit: float, end: float) -> float:
     """Value, scaled, of an unknown of which only one end is known: that of the rig file if it is possible.
 
-    Else it is the middle between the known end and the end of the range. The known end itself would be a claim: that
-    the limit begins where the motion ended.
-
-    Args:
-        name: of the unknown.
-        prior: of the unknown.
-        plant: the rig of the file.
-        limit: the known end of the interval, scaled.
-        end: of the range on the open side, scaled.
+    Else it is the middle between the known end, ``limit``, and the ``end`` of the range, scaled. The known end itself
+    would be a claim: that the limit begins where the motion ended.
     """
     own = own_value(plant, name)
     nominal = prior.scaled(own) if own > 0.0 or not prior.logarithmic else math.nan

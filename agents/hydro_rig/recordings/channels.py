@@ -236,19 +236,22 @@ def _shown(signal: str, value: float) -> str:
 
 def check_driving(samples: Sampled, config: TaskConfig) -> list[Finding]:
     """Find a loop that oscillates near the axis's natural frequency, and a valve at full command for long."""
-    command, findings = samples.signals[COMMAND], []
-    full = np.abs(command) >= FULL_COMMAND
-    if (np.abs(command) > OVERRANGE).any():  # the unit is wrong
+    command, findings = np.abs(samples.signals[COMMAND]), []
+    if (command > OVERRANGE).any():  # the unit is wrong
         return []
     least = LEAST_FREQUENCY * closed_port_natural_frequency(config.plant) / (2.0 * np.pi)
     windows = cut(samples, max(round(STRETCH / samples.period), LEAST_CYCLES))
-    swings = [_swing(window[[COMMAND, POSITION]], samples.period, least, config) for window in windows.signals]
-    found = [swing for swing in swings if swing is not None]
-    if len(found) > MANY_STRETCHES * len(swings):
+    found = []
+    for window in windows.signals:
+        swing = _swing(window[[COMMAND, POSITION]], samples.period, least, config)
+        if swing is not None:
+            found.append(swing)
+    if len(found) > MANY_STRETCHES * len(windows):
         frequency, volts, metres = np.median(found, axis=0) * np.array([1.0, FULL_VOLTAGE, 1e3])
         what = f"oscillates at {frequency:.2g} Hz (command ±{volts:.2g} V, position ±{metres:.2g} mm) for much of the "
         what += "recording; unless its reference does so, the gains of its controller are too high for this rig"
-        findings.append(Finding(AXIS, what, Weight.NOTE, share=len(found) / len(swings)))
+        findings.append(Finding(AXIS, what, Weight.NOTE, share=len(found) / len(windows)))
+    full = command >= FULL_COMMAND
     if full.mean() > MANY_STRETCHES:
         findings.append(finding_of(full, samples.time, AXIS, "runs with the command at its limit", Weight.NOTE))
     return findings

@@ -51,12 +51,7 @@ The usual units come first.
 
 
 def factor(signal: str, unit: str, place: str) -> float:
-    """SI units per ``unit`` of a signal.
-
-    Args:
-        signal: a key of :data:`UNITS`.
-        unit: one of its units; ``μ`` (Greek) and ``µ`` (micro) are the same.
-        place: for the message.
+    """SI units per ``unit`` of a signal; ``place``: for the message.
 
     Raises:
         ConfigurationError: the signal is not measured in this unit.

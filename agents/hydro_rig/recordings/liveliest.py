@@ -50,14 +50,7 @@ class Lively(NamedTuple):
 
 
 def liveliest(recording: Recording, window: float, config: TaskConfig, most: int) -> Lively:
-    """The liveliest windows of a recording; none crosses a place where its clock runs back.
-
-    Args:
-        recording: the rows.
-        window: length of a window in s.
-        config: of the rig, for the size of its signals.
-        most: largest number of windows.
-    """
+    """The liveliest windows of a recording, each ``window`` s long; none crosses a place where its clock runs back."""
     first, last = recording.begin, recording.begin + float(recording.time[-1])
     findings = [finding for finding in recording.findings if finding.absent]
     back = np.flatnonzero(np.diff(recording.time) < 0.0) + 1
@@ -131,10 +124,17 @@ def sampled_windows(candidates: Sequence[Candidate], window: float, config: Task
         before = round((candidate.begin - candidate.rows.begin - one.time[0]) / period)
         places = one.place - before + (1 + 2 * place) * length
         parts.append(one._replace(place=places, time=places * period))
+    findings: dict[tuple[str, Weight], Finding] = {}  # each kind once
+    for part in parts:
+        for finding in part.findings:
+            findings[finding.signal, finding.weight] = finding
+    auxiliary = {}
+    for name in parts[0].auxiliary:
+        auxiliary[name] = np.concatenate([part.auxiliary[name] for part in parts])
     return parts[0]._replace(
         place=np.concatenate([part.place for part in parts]),
         time=np.concatenate([part.time for part in parts]),
         signals=np.concatenate([part.signals for part in parts], axis=1),
-        findings=list({(one.signal, one.weight): one for part in parts for one in part.findings}.values()),
-        auxiliary={name: np.concatenate([part.auxiliary[name] for part in parts]) for name in parts[0].auxiliary},
+        findings=list(findings.values()),
+        auxiliary=auxiliary,
     )

@@ -61,8 +61,8 @@ def record_axis(
         config: the task; its ``episode_duration`` is that of the recording.
         controller: moves the axis.
         seed: of plant, reference and noise.
-        leakage_flow_lpm: l/min at 100 bar; ``None``: drawn.
-        family: of the reference; ``None``: drawn.
+        leakage_flow_lpm: l/min at 100 bar; ``None``: drawn, as the ``family`` of the reference.
+        family: of the reference.
         faults: magnitude by name (:data:`hydro_env.task.faults.FAULTS`).
         note: for a comment in the first line.
 
@@ -144,21 +144,12 @@ def record_dataset(
 ) -> tuple[int, Path]:
     """Run episodes of the environment and store them in Minari's folder (``MINARI_DATASETS_PATH``).
 
-    Returns the number of steps, and the folder of the data set.
-
     The data set contains the whole task; ``recover_environment`` therefore works on another machine. The infos are
-    those of ``info="flat"``: leak, class, faults and true motion, which are not in the observations.
+    those of ``info="flat"``: leak, class, faults and true motion, which are not in the observations. ``options`` are
+    those of ``reset``; ``progress`` is called with the number of finished episodes.
 
-    Args:
-        name: of the data set, ``FOLDER/NAME-v0``.
-        config: the task.
-        controller: moves the axis.
-        algorithm: name of the controller.
-        episodes: number of episodes.
-        first_seed: seed of the first episode; the others follow.
-        options: of ``reset``.
-        note: description of the data set.
-        progress: called with the number of finished episodes.
+    Returns:
+        The number of steps, and the folder of the data set.
 
     Raises:
         ConfigurationError: Minari is missing, or an option or the name is impossible.
