@@ -104,8 +104,7 @@ class CWriter:
         if node in self._names and node.operation not in ("input", "constant"):
             return self._names[node]
         variable = self._new_name(name)
-        text = self.element(node, "i" if node.size > 1 else 0)
-        lines += [f"{indent}{line}" for line in self._assigned(node, variable, text)]
+        lines += [f"{indent}{line}" for line in self._assigned(node, variable, self.element(node, "i"))]
         return variable
 
     def stored(self, target: str, name: str, node: Node, lines: list[str], indent: str = "    ") -> str:
@@ -113,11 +112,12 @@ class CWriter:
         return indent + self.copied(target, self.kept(name, node, lines, indent), node.size)
 
     def element(self, node: Node, index: int | str) -> str:
-        """Text of one element; ``index`` is a number, or the text of an index in a loop."""
+        """Text of one element; ``index`` is a number, or the text of an index in a loop; of one element always that."""
+        index = 0 if node.size == 1 else index
         if node.operation == "constant":
             assert node.table is not None
-            if node.size == 1 or isinstance(index, int):
-                return self.number(node.table[index if isinstance(index, int) else 0])
+            if isinstance(index, int):
+                return self.number(node.table[index])
             if node not in self._names:
                 kind = "constant_table" if node.name == "constant" else node.name
                 name = self._names[node] = self._new_name(self.prefix + kind)
@@ -137,7 +137,7 @@ class CWriter:
         return names[index] if isinstance(index, int) and len(names) == node.size else index
 
     def _elementwise(self, node: Node, index: int | str) -> str:
-        return self._expression(node, [self.element(part, 0 if part.size == 1 else index) for part in node.operands])
+        return self._expression(node, [self.element(part, index) for part in node.operands])
 
     def _statement(self, node: Node) -> list[str]:
         if regular(node) is not None:
@@ -149,7 +149,7 @@ class CWriter:
         special = {"collect": self._collected, "matmul": self._multiplied, "sum": self._summed}.get(node.operation)
         if special is not None:
             return special(node, name)
-        return self._assigned(node, name, self._elementwise(node, 0 if node.size == 1 else "i"))
+        return self._assigned(node, name, self._elementwise(node, "i"))
 
     def _assigned(self, node: Node, name: str, text: str) -> list[str]:
         if node.size == 1:
@@ -163,7 +163,7 @@ class CWriter:
                 target = f"{name}[{self._place(node, run.first)}]"
                 lines.append(self.assign(target, self.element(run.source, run.start)))
             else:
-                text = self.element(run.source, loop_place(run.start, run.step, "i") if run.source.size > 1 else 0)
+                text = self.element(run.source, loop_place(run.start, run.step, "i"))
                 target = f"{name}[{loop_place(run.first, 1, 'i')}]"
                 lines.append(self.loop("i", run.length, self.assign(target, text)))
         return lines
@@ -249,8 +249,7 @@ class CWriter:
         (left, right), (rows, inner, columns) = node.operands, node.sizes
         kind = self.types[node.kind]
         if node.size == 1:
-            index = "i" if inner > 1 else 0
-            term = f"{self.element(left, index)} * {self.element(right, index)}"
+            term = f"{self.element(left, 'i')} * {self.element(right, 'i')}"
             return [f"{kind} {name} = 0;", self.loop("i", inner, f"{name} += {term};")]
         at, to = ("i", "j") if rows == 1 else (f"k * {inner} + i", f"k * {columns} + j")
         from_right = "i" if columns == 1 else f"i * {columns} + j"
@@ -263,7 +262,7 @@ class CWriter:
             self.loop("i", node.size, f"{name}[i] = 0;"),
             *([self.loop("k", rows, "").rstrip()] if rows > 1 else []),
             self.loop("i", inner, "{"),
-            f"    const {kind} factor = {self.element(left, at if left.size > 1 else 0)};",
+            f"    const {kind} factor = {self.element(left, at)};",
             f"    {skip}{term}",
             "}",
         ]
@@ -300,8 +299,11 @@ def in_rows(written: Callable[[Any], str], values: NDArray[Any], indent: int) ->
 
 def loop_place(start: int, step: int, index: int | str) -> int | str:
     """The place ``start + step * index``, as a number or as a text."""
-    if isinstance(index, int) or step == 0:
-        return start + step * index if isinstance(index, int) else start
-    plain = index.isidentifier() or index.endswith("]")
-    scaled = index if step == 1 else f"{step} * {index if plain else f'({index})'}"
-    return scaled if start == 0 else f"{start} + {scaled}"
+    if isinstance(index, int):
+        return start + step * index
+    if step == 0:
+        return start
+    if step != 1:
+        plain = index.isidentifier() or index.endswith("]")
+        index = f"{step} * {index}" if plain else f"{step} * ({index})"
+    return index if start == 0 else f"{start} + {index}"

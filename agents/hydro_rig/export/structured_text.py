@@ -120,8 +120,8 @@ class StructuredTextWriter(CWriter):
         (left, right), (rows, inner, columns) = node.operands, node.sizes
         at, to = ("i", "j") if rows == 1 else (f"k * {inner} + i", f"k * {columns} + j")
         terms = [
-            self.element(left, at if left.size > 1 else 0),
-            self.element(right, ("i" if columns == 1 else f"i * {columns} + j") if right.size > 1 else 0),
+            self.element(left, at),
+            self.element(right, "i" if columns == 1 else f"i * {columns} + j"),
         ]
         return [_for("k", rows), _for("j", columns), *self._total(node, name, to, inner, " * ".join(terms))]
 

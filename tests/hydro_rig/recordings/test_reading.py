@@ -226,14 +226,9 @@ GUESSES = {
         "time": "Zeit [ms]", "command": "Stellgröße [V]", "position": "Weg [mm]", "pressure_a": "Druck A [bar]",
         "pressure_b": "Druck B [bar]", "spool_position": "Schieber [%]",
     },
-    "time (s),Cylinder Position (mm),P_A (psi),P_B (psi),Valve Command (V),Position Setpoint (mm)": {
-        "time": "time (s)", "command": "Valve Command (V)", "position": "Cylinder Position (mm)",
-        "pressure_a": "P_A (psi)", "pressure_b": "P_B (psi)",
-    },
     "Time_s,xRef,xPiston,pCap,pRod,uValve": {
         "time": "Time_s", "command": "uValve", "position": "xPiston", "pressure_a": "pCap", "pressure_b": "pRod",
     },
-    "Timestamp,AO_1,PT1,PT2": {"time": "Timestamp", "command": "AO_1", "pressure_a": "PT1", "pressure_b": "PT2"},
     "time [s],Voltage command [V],dis [mm],Delta P [bar]": {
         "time": "time [s]", "command": "Voltage command [V]", "position": "dis [mm]", "load_pressure": "Delta P [bar]",
     },
