@@ -24,7 +24,12 @@ from hydro_env.units import UNITS
 
 # Facts --------------------------------------------------------------------------------------------------------------
 
-MEANING = {"severe": "rules out a verdict", "fault": "a sensor is faulty", "note": "does not matter much"}
+MEANING = {
+    "severe": "rules out a verdict",
+    "fault": "a sensor is faulty",
+    "doubt": "nothing is healthy, and no other fault is sure",
+    "note": "does not matter much",
+}
 """What the weight of a finding about a recording means."""
 
 

@@ -38,7 +38,9 @@ def first_values(signals: Floats, config: TaskConfig, priors: Mapping[str, Prior
     first = np.tile([prior.mean for prior in priors.values()], (len(signals), 1))
     for column, (name, prior) in zip(first.T, priors.items(), strict=True):
         if name in seen:
-            near = seen[name] if name in STARTS else _near(seen[name], prior)
+            near = seen[name]
+            if name not in STARTS:  # within three standard deviations
+                near = np.clip(near, *prior.value(np.array([-3.0, 3.0])))
             column[:] = np.where(np.isfinite(near), near, column)
     return first
 
@@ -48,14 +50,6 @@ def two_pressures(signals: Floats, config: TaskConfig) -> Floats:
     total, difference = config.plant.supply.pressure + config.plant.supply.tank_pressure, signals[:, PRESSURE_A]
     pair = np.stack([0.5 * (total + difference), 0.5 * (total - difference)], axis=1)
     return np.concatenate([signals[:, :PRESSURE_A], pair, signals[:, PRESSURE_B + 1 :]], axis=1)
-
-
-def _near(values: Floats, prior: Prior) -> Floats:
-    """Values limited to three standard deviations from the mean of the prior."""
-    if prior.logarithmic:
-        factor = np.exp(3.0 * prior.deviation)
-        return np.clip(values, prior.mean / factor, prior.mean * factor)
-    return np.clip(values, prior.mean - 3.0 * prior.deviation, prior.mean + 3.0 * prior.deviation)
 
 
 def _starts(signals: Floats, time: Floats) -> tuple[Floats, Floats]:
