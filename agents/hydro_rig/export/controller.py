@@ -92,16 +92,17 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
         now = varied.step(signals, valid, start, lost_limit, with_leaves(empty, values), sound)
         outputs: dict[str, Any] = {"begins": now.begins, "lost": now.lost, **leaves_of(now.common)}
         for prefix, case in ((STARTED, now.started), (CONTINUED, now.continued)):
-            leaves = leaves_of(case)
-            outputs |= {prefix + name: leaf for name, leaf in arrays_of(leaves).items()}
-            for name in leaves.keys() - arrays_of(leaves):
-                if name in arrays or leaves[name] != everything.get(name):
+            for name, leaf in leaves_of(case).items():
+                if hasattr(leaf, "dtype"):
+                    outputs[prefix + name] = leaf
+                elif name in arrays or leaf != everything.get(name):
                     raise TraceError(f"{who}: its memory '{name}' is a number that changes: cannot be exported")
         return outputs
 
     starts = {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
-    given = (empty.last, np.ones(len(empty.last), np.bool_), np.array(False), np.array(0))
-    graph = trace(step, {**dict(zip(INPUTS, given, strict=True)), **starts, **arrays})
+    valid = np.ones(len(empty.last), np.bool_)
+    given = {"signals": empty.last, "valid": valid, "start": np.array(False), "lost_limit": np.array(0)}
+    graph = trace(step, {**given, **starts, **arrays})
     after, _ = controller.predict(np.zeros((1, len(measured.signals.layout.names)), dtype=np.float32), None)
     if not isinstance(after, np.ndarray):
         raise TraceError(f"{who}: keeps its memory outside its state: cannot be exported")
@@ -130,8 +131,7 @@ def variable_gains(controller: Any, config: TaskConfig) -> list[GainRow]:
     make, gains = type(controller), getattr(controller, "gains", None)
     if not isinstance(gains, Group) or make not in {kind for kind, _ in CONTROLLERS.values()}:
         return []
-    rows = [row for row in gain_rows(gains) if isinstance(row.value, float)]
-    rows = [row for row in rows if _is_used(controller, config, row)]
+    rows = [row for row in gain_rows(gains) if isinstance(row.value, float) and _is_used(controller, config, row)]
 
     def text(controller: Controller) -> str:
         """The code without the values of these gains."""
@@ -171,8 +171,10 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
         outputs: dict[str, Any] = {}
         for prefix, memory in ((STARTED, None), (CONTINUED, with_leaves(empty, values, "memory"))):
             command, new = controller.predict(observation, memory)
-            outputs |= {prefix + name: leaf for name, leaf in leaves_of(new, "memory").items() if name in arrays}
             outputs[f"{prefix}command"] = command
+            for name, leaf in leaves_of(new, "memory").items():
+                if name in arrays:
+                    outputs[prefix + name] = leaf
         return outputs
 
     observation = np.zeros((1, len(signals.layout.names)), dtype=np.float32)

@@ -51,6 +51,7 @@ from hydro_rig.export.expressions import DOUBLE
 from hydro_rig.export.translator import Translator
 
 MODEL = "hydro_axis"
+KERNEL = ("FIRST_STEP", "MAXIMUM_STEP", "TOLERANCE", "SHORTEST_STEP")  # numbers of the integrator in the C code
 
 BINARIES = {"linux": ("linux64", ".so"), "win32": ("win64", ".dll"), "darwin": ("darwin64", ".dylib")}
 """Folder and suffix of the binary in the FMU, by system; FMI 2.0 knows 64-bit x86 alone."""
@@ -88,7 +89,7 @@ def plant_code(parameters: PlantParameters | None = None) -> CCode:
     translator.function(time_to_kink, [state, state, constants])
     translator.function(derived_quantities, [state, constants])
     translator.function(equilibrium_state, [DOUBLE, physical, constants])
-    private = [text for text in translator.structs if not text.endswith((" State;\n", " Derived;\n"))]
+    shared = [text for text in translator.structs if text.endswith((" State;\n", " Derived;\n"))]
     values = {
         "version": __version__,
         "states": list(zip(State._fields, STATE_UNITS, strict=True)),
@@ -96,14 +97,12 @@ def plant_code(parameters: PlantParameters | None = None) -> CCode:
         "coefficients": len(Coefficients._fields),
         "coefficient_names": Coefficients._fields,
         "first_weight": Coefficients._fields.index("position_weight"),
-        "shared": [text for text in translator.structs if text not in private],
-        "structs": private,
+        "shared": shared,
+        "structs": [text for text in translator.structs if text not in shared],
         "functions": translator.functions,
         "stages": kernel.STAGES,
         "error": kernel.ERROR,
-        "kernel": {
-            name: getattr(kernel, name) for name in ("FIRST_STEP", "MAXIMUM_STEP", "TOLERANCE", "SHORTEST_STEP")
-        },
+        "kernel": {name: getattr(kernel, name) for name in KERNEL},
         "most_steps": kernel.MOST_STEPS_PER_PERIOD,
     }
     return c_code("plant", values)
