@@ -27,7 +27,7 @@ from hydro_env.types import Floats
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.result import Estimate
-from hydro_rig.estimation.search import EstimationSettings
+from hydro_rig.estimation.search import SURE, EstimationSettings
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -40,9 +40,8 @@ from hydro_rig.estimation.unknowns import (
 
 Progress = Callable[[int], None]
 
-SURE = 3.0  # distance of an estimate from its healthy range that names a fault, in standard deviations
 WIDE_BIAS = 3.0  # standard deviation of a sensor's offset, relative to the largest offset of the data sheet
-DETERMINED = 0.05
+WIDEST_READING = 0.05
 """Largest standard deviation of a valid reading, as a share of the leak, or in l/min at 100 bar on the default rig; on
 other rigs it grows with their flow (:func:`~hydro_agents.detection.sheet.leak_scale`)."""
 
@@ -206,7 +205,7 @@ def _reading(
     """The reading of leaks with their standard deviations, (N,) each."""
     fits = worn.holds & (value + SURE * deviation >= 0.0)  # a negative leak: the model is wrong
     bound = task.leakage.class_bounds[0]
-    known = deviation <= DETERMINED * np.maximum(leak_scale(task), value)
+    known = deviation <= WIDEST_READING * np.maximum(leak_scale(task), value)
     known |= still & (value - SURE * deviation > bound)  # whatever the valve is like, oil passes the piston
     worst = np.array([wear.cause for wear in WEAR.values()])[excess.argmax(axis=1)]
     cause = np.where(excess.max(axis=1) > 0.0, worst, Cause.NONE)

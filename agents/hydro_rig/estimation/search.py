@@ -21,15 +21,15 @@ from hydro_rig.estimation.unknowns import LATENCY, LEAKAGE, RISE_TIME, STARTS, P
 SHORTEST_FIT = 10  # samples; shorter fits carry no information
 RESTART = 0.7  # standard deviation of the random start of a further search, in standard deviations of the prior
 NEW_MINIMUM = 0.97  # a search with a larger chi2, over the lowest, ended in the same minimum or in a worse one
-SURE = 3.0  # standard deviations
 UNEVEN = 2.0  # white noise of a channel, over the median of all, beyond which a search perhaps ended too early
 UNKNOWN_COMMANDS = 2  # readings at an end of the window that are left out if its commands are a row late or early
 ROUNDS = 3  # of a fit and an estimate of the errors of its readings, one after the other
 LARGEST_SLOW_ERROR = 0.05  # of a channel's standard deviation in the window; with a larger one the model does not hold
+SURE = 3.0  # standard deviations of an estimate, beyond which a value is surely another
 SMALL_SLOW_ERROR = 3.0  # the same in standard deviations of the data sheet's noise, which is always allowed
 
 
-ROUGH = Effort(6, 5.0, LONG_STEP, thorough=False)  # of each fit of a beginning
+OF_A_BEGINNING = Effort(6, 5.0, LONG_STEP, thorough=False)  # of each fit of a beginning
 LARGEST_MISFIT = 4.0  # standard deviations of chi2; above this the model is not valid
 
 
@@ -159,7 +159,7 @@ def _approach(problem: Problem, first: Floats, settings: EstimationSettings) -> 
     lengths = [max(round(length / interval), SHORTEST_FIT) for length in settings.horizons]
     lengths = [samples for samples in lengths if samples < 0.8 * whole]
     for samples in [*lengths, whole] if settings.horizons else []:
-        scaled, _ = fit(problem, scaled, ROUGH, samples)
+        scaled, _ = fit(problem, scaled, OF_A_BEGINNING, samples)
     return scaled
 
 

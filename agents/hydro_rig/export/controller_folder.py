@@ -18,7 +18,7 @@ from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import csv_text, tested
 from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
-from hydro_rig.export.measured import LOST_RULE, LOST_TIME, OUTSIDE, STOPPING_TIME, MeasuredController
+from hydro_rig.export.measured import LOST_RULE, LOST_TIME, OUT_OF_RANGE, STOPPING_TIME, MeasuredController
 from hydro_rig.export.onnx_writer import controller_model, onnx_session
 from hydro_rig.export.structured_text import structured_text
 
@@ -131,7 +131,7 @@ def exported_files(
         "signals": graph.signals.signals,
         "lost_rule": LOST_RULE,
         "stopping_time": STOPPING_TIME,
-        "outside": OUTSIDE,
+        "outside": OUT_OF_RANGE,
         "state_size": sum(part.size for part in graph.memory),
         "variable": [gain.name for gain in varied.gains],
         "gains": gain_rows(gains) if isinstance(gains, Group) else [],

@@ -48,7 +48,7 @@ FILES = ("leakage_head.c", "leakage_head.h", "test_leakage_head.c", "vectors.csv
 LARGEST_DIFFERENCE = 2e-5
 """Largest difference of a value, relative to 1 + its size, due to the order of float32 sums. More is an error."""
 
-LEAKS = (0.01, 0.5, 2.0)  # l/min at 100 bar, in the episodes of the test vectors
+VECTOR_LEAKS = (0.01, 0.5, 2.0)  # l/min at 100 bar, in the episodes of the test vectors
 ESTIMATES = 4  # control periods per episode of the test vectors
 
 
@@ -132,16 +132,16 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
 
 
 def head_vectors(head: LeakageHead) -> tuple[Floats, Floats]:
-    """Signals (episodes, T, 5) of axes with the :data:`LEAKS`, and the head's answer at each sample (…, T, 9).
+    """Signals (episodes, T, 5) of axes with the :data:`VECTOR_LEAKS`, and the head's answer at each sample (…, T, 9).
 
     No controller is needed: the command varies randomly and smoothly around the one that holds the axis. In the last
     episode some samples are lost, and a sensor sticks near the end.
     """
-    config, count = head.settings.task, len(LEAKS)
+    config, count = head.settings.task, len(VECTOR_LEAKS)
     length = head.settings.window + (ESTIMATES - 1) * head.interval
     duration = max(config.episode_duration, (length + 1) * config.control_period)
     env = ServoHydraulicVectorEnv(count, config.model_copy(update={"episode_duration": duration}), info=False)
-    observation, _ = env.reset(seed=list(HEAD_VECTORS.take(count)), options={"leakage_flow_lpm": list(LEAKS)})
+    observation, _ = env.reset(seed=list(HEAD_VECTORS.take(count)), options={"leakage_flow_lpm": list(VECTOR_LEAKS)})
     generator, state, command = np.random.default_rng(HEAD_VECTORS.first), None, np.zeros(count)
     samples, answers = np.empty((count, length, len(SIGNALS))), np.empty((count, length, len(FIELDS)))
     for k in range(length):

@@ -31,7 +31,7 @@ from hydro_rig.export.tracing import named
 COMPUTED = ("velocity_estimate", "tracking_error", "error_integral")
 """Entries of the observation that follow from measured signals."""
 
-OUTSIDE = 0.025
+OUT_OF_RANGE = 0.025
 """Share of its range by which a signal may lie outside of it; beyond, it is lost. A current loop of 4 to 20 mA below
 3.6 mA (NAMUR NE 43), or with a broken wire, lies beyond."""
 
@@ -98,7 +98,7 @@ class MeasuredSignals:
         self.signals = tuple(dict.fromkeys(rows))  # two previews may show one sample
         self.places = {signal.name: place for place, signal in enumerate(self.signals)}
         spans = np.array([(signal.low, signal.high) for signal in self.signals]).T
-        self.lowest, self.highest = spans + OUTSIDE * (spans[1] - spans[0]) * np.array([[-1.0], [1.0]])
+        self.lowest, self.highest = spans + OUT_OF_RANGE * (spans[1] - spans[0]) * np.array([[-1.0], [1.0]])
 
     def _signal(self, name: str) -> Signal:
         place = self.layout.index(name)
@@ -188,7 +188,7 @@ class MeasuredController:
         Args:
             signals: (signals,), SI units.
             valid: (signals,), whether each signal is what its sensor measures. A signal is lost if it is not valid, not
-                a number, or outside of its range by more than :data:`OUTSIDE`.
+                a number, or outside of its range by more than :data:`OUT_OF_RANGE`.
             start: (), whether the controller begins here. In consecutive starts it stands by while another controller
                 drives the axis: it measures the speed with which it takes over.
             lost_limit: (), successive lost samples that are allowed; 0: :data:`LOST_TRAVEL` and :data:`LOST_TIME`.

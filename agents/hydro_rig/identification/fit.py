@@ -46,7 +46,7 @@ DETERMINED = 0.5
 """A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
 
 BY_CHANCE = 0.05  # probability of a disagreement of sound recordings that counts
-FARTHEST = 3.0  # standard deviations of the range; a single step of a linear model reaches no further
+FARTHEST_STEP = 3.0  # standard deviations of the range; a single step of a linear model reaches no further
 
 
 class Unknown(NamedTuple):
@@ -217,7 +217,7 @@ def _disagreement(fit: Fit, group: NDArray[np.int64]) -> Floats:
         information = joint.information[group == number].sum(axis=0) + own
         # The common values are the optimum of all windows and the prior; this group alone keeps the whole prior.
         step = np.linalg.solve(information, joint.score[group == number].sum(axis=0) - joint.common)
-        middle[row] = joint.common + np.clip(step, -FARTHEST, FARTHEST)
+        middle[row] = joint.common + np.clip(step, -FARTHEST_STEP, FARTHEST_STEP)
         deviation[row] = np.minimum(fit.widening * np.sqrt(np.diag(np.linalg.inv(information))), 1.0)
     disagreement = np.zeros(len(fit.names))
     for place in range(len(fit.names)):

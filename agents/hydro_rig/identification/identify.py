@@ -38,7 +38,9 @@ from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import on_grid
 
-LEAST_SHARE = 0.9  # smallest share of the position's variance on the held-back part of a model that describes the axis
+LEAST_EXPLAINED = (
+    0.9  # smallest share of the position's variance on the held-back part of a model that describes the axis
+)
 
 RATED_FLOW, KNEE_OPENING = "valve.rated_flow", "valve.knee_opening"
 BENDS_FROM = 3  # amplitudes of the command
@@ -81,7 +83,7 @@ class Identification:
         the null adds up.
         """
         whole, ahead = self.tested[math.inf], self.tested.get(JUDGED_OVER)
-        if ahead is not None and whole.share[POSITION] < LEAST_SHARE <= ahead.share[POSITION]:
+        if ahead is not None and whole.share[POSITION] < LEAST_EXPLAINED <= ahead.share[POSITION]:
             return JUDGED_OVER
         return math.inf
 
@@ -104,8 +106,8 @@ class Identification:
     def describes(self) -> bool:
         """Whether the model describes the axis."""
         if math.isnan(self.share) or self.beyond:
-            return bool(self.fit.explained.mean() >= 0.5) and not self.share < LEAST_SHARE
-        return self.share >= LEAST_SHARE
+            return bool(self.fit.explained.mean() >= 0.5) and not self.share < LEAST_EXPLAINED
+        return self.share >= LEAST_EXPLAINED
 
     @property
     def unexplained(self) -> bool:
@@ -174,7 +176,7 @@ class Identification:
     def _failure(self) -> list[str]:
         if math.isnan(self.share):
             what = f"explains {self.fit.explained.sum()} of {len(self.fit.misfit)} windows"
-        elif self.share >= LEAST_SHARE:
+        elif self.share >= LEAST_EXPLAINED:
             what = f"fits it only with values outside the rig file's ranges ({', '.join(self.beyond)}); wrong ranges"
         else:
             what = f"explains {share_in_words(self.share)} of the position's variance on the held-back part"

@@ -29,7 +29,7 @@ from hydro_env.types import Floats
 from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE, PATHS, Prior
 from hydro_rig.identification.common_fit import Joint
-from hydro_rig.identification.profiles import ALIKE, FARTHEST, MOST_PROFILES, follow
+from hydro_rig.identification.profiles import ALIKE, LONGEST_PROFILE, MOST_PROFILES, follow
 
 TAIL = 0.025  # of the 95 % interval, to each side
 MODERATION = 4.0  # degrees of freedom of the common ratio; seven windows, the usual number in 20 s, have six
@@ -41,7 +41,7 @@ STEP, FAR_STEP, LEAST_STEP = 2.0, 6.0, 0.3  # standard deviations, of the steps 
 FLAT = 0.25  # of the expected rise of the cost; a smaller rise is flat
 STEEP = 4.0  # times the expected rise; the linear model does not describe this side
 LIMITS = ("valve.slew_limit", "supply.pump_flow")  # act only where the motion reaches them; always profiled
-SURE = 3.0
+SURE_RISE = 3.0
 """Rise of the cost, in standard deviations, that ends the interval of a value with a flat side: the few readings that
 reached a limit may favour it by chance, and then all larger values are as likely."""
 
@@ -101,7 +101,7 @@ def sides_of(problem: Problem, joint: Joint, spread: Spread, ends: Floats, follo
     bounded = (ends[:, 0] < middle) & (middle < ends[:, 1]) & np.isfinite(ends).all(axis=1)
     room = np.where(bounded[:, None], np.abs(ends - middle[:, None]), np.inf)
     near = _rises(problem, joint, np.minimum(STEP * spread.deviation[:, None], room))
-    far = _rises(problem, joint, np.minimum(FAR_STEP * spread.deviation[:, None], np.minimum(room, FARTHEST)))
+    far = _rises(problem, joint, np.minimum(FAR_STEP * spread.deviation[:, None], np.minimum(room, LONGEST_PROFILE)))
     reach = spread.reach[:, None] * np.clip(1.0 / np.sqrt(np.maximum(near, 1e-3)), 1.0, MOST_WIDER)
     covariance = joint.covariance
     alike = np.abs(covariance) / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
@@ -114,7 +114,7 @@ def sides_of(problem: Problem, joint: Joint, spread: Spread, ends: Floats, follo
             continue
         done[place] = True
         target = (spread.reach[place] / spread.deviation[place]) ** 2
-        target = max(target, (SURE * spread.widening[place]) ** 2) if flat[place] else target
+        target = max(target, (SURE_RISE * spread.widening[place]) ** 2) if flat[place] else target
         lengths = (-spread.reach[place], spread.reach[place])
         limits = ends[place] if bounded[place] else (-np.inf, np.inf)
         paths = [follow(problem, joint, place, lengths[side], target, float(limits[side])) for side in (0, 1)]

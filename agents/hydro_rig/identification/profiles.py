@@ -22,7 +22,7 @@ ALIKE = 0.8  # correlation with a profiled unknown from which an unknown needs n
 MOST_PROFILES = 3
 MOST_PLACES, MOST_ITERATIONS = 8, 8  # of one side of a profile, and of the fit at each place
 SMALL_RISE = 0.25  # of the rest, by which the cost rises at least from place to place, unless the steps get longer
-FIRST, LONGEST, FARTHEST = 0.5, 2.5, 3.0
+FIRST, LONGEST, LONGEST_PROFILE = 0.5, 2.5, 3.0
 """First step, as a share of the interval; largest ratio of two steps; longest profile, in standard deviations of the
 range."""
 
@@ -71,7 +71,7 @@ def follow(problem: Problem, joint: Joint, unknown: int, reach: float, target: f
     begin = costs_of(problem, [joint.scaled])[0]
     path, rises, away, step = [joint.scaled], [0.0], [0.0], FIRST * reach
     effort = Effort(MOST_ITERATIONS, 0.1 * target, give_up=MOST_DAMPING)
-    most = min(abs(end - joint.scaled[0, place]), FARTHEST) * float(np.sign(reach))
+    most = min(abs(end - joint.scaled[0, place]), LONGEST_PROFILE) * float(np.sign(reach))
     for _ in range(MOST_PLACES):
         if abs(away[-1]) >= abs(most):
             break

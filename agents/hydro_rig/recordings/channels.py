@@ -29,7 +29,7 @@ unnoticed; no command of PID and PPO with more than 0.97 has less than 0.97.
 
 Found = tuple[Mask, str, Weight]
 
-MOST_SATURATED = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
+MOST_AT_AN_END = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
 ACTIVE_COMMAND = 0.01  # range of the command, as a fraction of full command, over which the spool must move
 FEWEST_STEPS = 20.0  # change of another channel that a sensor cannot miss, in steps of its readings
 LEAST_TRAVEL = 2e-3  # m; travel that the oil through the valve would cause
@@ -38,7 +38,7 @@ MOST_SPIKES = 0.05  # largest share of out-of-range values that count as single 
 DROP = 0.1  # smallest fall of a reading, as a fraction of the sensor's range, when its current loop breaks
 FEWEST_DROPS = 3  # smallest number of falls of a broken loop; a chamber may cavitate once or twice
 LOWEST_PRESSURE = -1.2e5  # Pa; lowest gauge pressure: vacuum minus the error of a transducer
-LEAST_SHARE = 0.05  # smallest used fraction of a signal's range
+LEAST_USED = 0.05  # smallest used fraction of a signal's range
 LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the two chambers reaches
 OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
@@ -110,7 +110,7 @@ def _out_of_range(values: Floats, samples: Sampled, signal: str, config: TaskCon
         what += "; zero seems to be at the end of the stroke: mid-stroke is 0, so an offset of "
         what += f"{_shown(signal, -largest)} would fit"
     else:
-        what += _fitting_units(signal, max(abs(low), abs(high)), LEAST_SHARE * largest, largest, samples)
+        what += _fitting_units(signal, max(abs(low), abs(high)), LEAST_USED * largest, largest, samples)
     return beyond, what, Weight.SEVERE
 
 
@@ -155,7 +155,7 @@ def _saturated(values: Floats, samples: Sampled, signal: str, config: TaskConfig
     sensor = getattr(config.sensors, signal)
     at_end = _at_end(values, sensor) & ~_under_full_command(samples, signal)
     what = f"is at the end of the sensor's range ({_shown(signal, sensor.low)} to {_shown(signal, sensor.high)})"
-    return at_end, what, severe_if(at_end.mean() > MOST_SATURATED)
+    return at_end, what, severe_if(at_end.mean() > MOST_AT_AN_END)
 
 
 def _under_full_command(samples: Sampled, signal: str) -> Mask:

@@ -23,7 +23,7 @@ from hydro_rig.recordings.sampling import LONGEST_FILL, Sampled, sampled
 
 SECTION = 300.0  # s; one window of each is kept, about 25 kB
 MARGIN = 5  # rows before and after a window, from which lost rows at its ends are completed
-MOST_SATURATED = 0.5  # largest share of rows at full command in a useful window
+MOST_ROWS_AT_FULL_COMMAND = 0.5  # largest share of rows at full command in a useful window
 LEAST_ROWS = 0.8  # of a whole window
 UNUSABLE = -1e3  # added to the score of a window that lacks commands
 
@@ -103,7 +103,7 @@ def _scores(run: Recording, starts: Places, ends: Places, window: float, config:
     gap[known[1:]] = between
     gap[known[:-1]] = np.maximum(gap[known[:-1]], between)
     useless = np.maximum.reduceat(gap, starts) > (LONGEST_FILL + 1.5) * period
-    useless |= (count < LEAST_ROWS * window / max(step, 1e-9)) | (full > MOST_SATURATED * count)
+    useless |= (count < LEAST_ROWS * window / max(step, 1e-9)) | (full > MOST_ROWS_AT_FULL_COMMAND * count)
     return score + np.minimum(way / window, 1.0) + UNUSABLE * useless, span[POSITION]
 
 

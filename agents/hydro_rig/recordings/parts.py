@@ -31,7 +31,7 @@ LONGEST_HELD_BACK = 10.0  # s, of one recording
 LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
 SAME_AMPLITUDE = 1.1  # largest ratio of the largest commands of recordings with the same amplitude
 
-MOST_SATURATED = 0.9
+MOST_AT_FULL_COMMAND = 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""
 
 
@@ -119,7 +119,7 @@ def _refuse_useless(samples: Sampled, source: str) -> None:
     if not np.isfinite(samples.signals[POSITION]).any():
         raise ConfigurationError(f"{source}: position was not recorded; without it nothing can be identified")
     full = float(np.mean(np.abs(samples.signals[COMMAND]) >= FULL_COMMAND))
-    if full > MOST_SATURATED:
+    if full > MOST_AT_FULL_COMMAND:
         raise ConfigurationError(
             f"{source}: command is at its limit for {100 * full:.0f} % of the recording; the valve was saturated, "
             "which hides its flow, edges and dynamics: record the axis while it follows a reference"

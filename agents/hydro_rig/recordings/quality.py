@@ -45,7 +45,7 @@ FEWEST_SAMPLES = 100
 LONGEST_BLANK = 0.1  # s between two readings of a slow sensor
 LEAST_TRAVEL = 20.0  # smallest useful travel, in standard deviations of the position's noise
 STEADY = 0.05  # scatter of the flow over its mean, below which the axis moves at one speed
-LEAST_SHARE = 0.05  # smallest travel, as a share of the travel from the valve's flow
+LEAST_TRAVELLED = 0.05  # smallest travel, as a share of the travel from the valve's flow
 UNRELATED = 0.05  # square of the correlation of the flows below which their slope says nothing
 
 FITS, FAILS = 0.6, 0.75
@@ -198,7 +198,7 @@ def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
     if fit.force_rest < FAILS and _plausible(fit.slope):
         return findings
     ratio = fit.travel / max(fit.expected_travel, 1e-300)
-    if ratio < LEAST_SHARE or (fit.slope > 0.0 and not _plausible(fit.slope)):
+    if ratio < LEAST_TRAVELLED or (fit.slope > 0.0 and not _plausible(fit.slope)):
         what = f"moves {ratio:.2g} times as far as the valve's flow moves the piston; check its unit and the rig"
         return [*findings, Finding("position", what, Weight.SEVERE)]
     changes = fit.force_rest and _change_that_helps(signals, config)  # one pressure does not tell which sign is wrong

@@ -38,7 +38,7 @@ the row distance."""
 
 SLOWEST = 1.5  # longest row distance, in control periods, of a log on its own grid; a slower one misses commands
 
-MOST_MISSING = 0.2  # largest share of rows that may be missing in gaps, or duplicate
+MOST_LOST_ROWS = 0.2  # largest share of rows that may be missing in gaps, or duplicate
 PAUSE = 1.0  # s; a longer gap is a pause of the recording, which leaves the rows before and after it
 
 FOLLOWING = 0.1
@@ -140,7 +140,7 @@ def _in_order(time: Floats, rows: Floats, findings: list[Finding]) -> tuple[Floa
         findings.append(finding_of(back, time, "time", worst, Weight.SEVERE))
     elif (twice := steps == 0.0).any():
         what = f"has duplicate stamps; the first row counts{EQUIDISTANT}"
-        findings.append(finding_of(twice, time, "time", what, severe_if(twice.mean() > MOST_MISSING)))
+        findings.append(finding_of(twice, time, "time", what, severe_if(twice.mean() > MOST_LOST_ROWS)))
         time, rows = time[~twice], rows[:, ~twice]
     if len(time) < 2:
         findings.append(Finding("time", "has one stamp alone", Weight.SEVERE))
@@ -311,7 +311,7 @@ def _add_gaps(place: NDArray[np.int64], time: Floats, distance: float, findings:
         longest = f"{seconds:.4g} s" if seconds >= PAUSE else f"{1e3 * seconds:.3g} ms"
         what = f"has {len(gaps)} gaps, the longest of {longest}" if len(gaps) > 1 else f"has a gap of {longest}"
         begin, end = float(time[gaps[0] - 1]), float(time[gaps[0]])
-        share, many = float(missing.sum()) / (int(place[-1]) + 1), lost > MOST_MISSING * (lost + len(place))
+        share, many = float(missing.sum()) / (int(place[-1]) + 1), lost > MOST_LOST_ROWS * (lost + len(place))
         findings.append(Finding("time", what, severe_if(many), begin, end, share))
 
 
