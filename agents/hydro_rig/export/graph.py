@@ -102,7 +102,7 @@ class Graph:
         return {name: wanted[node] for name, node in self.inputs.items()}
 
 
-class Run(NamedTuple):
+class EvenRun(NamedTuple):
     """Elements of a ``collect`` that come from one operand with equal steps."""
 
     first: int
@@ -112,9 +112,9 @@ class Run(NamedTuple):
     step: int
 
 
-def runs_of_places(node: Node) -> list[Run]:
+def runs_of_places(node: Node) -> list[EvenRun]:
     """A ``collect`` as stretches with equal steps."""
-    runs: list[Run] = []
+    runs: list[EvenRun] = []
     for element in range(node.size):
         source, place = node.piece(element)
         if runs:
@@ -123,11 +123,11 @@ def runs_of_places(node: Node) -> list[Run]:
             if run.source is source and place == run.start + run.length * step:
                 runs[-1] = run._replace(length=run.length + 1, step=step)
                 continue
-        runs.append(Run(element, 1, source, place, 0))
+        runs.append(EvenRun(element, 1, source, place, 0))
     return runs
 
 
-def regular(node: Node) -> Run | None:
+def regular(node: Node) -> EvenRun | None:
     """A ``collect`` that is a single stretch, which needs no separate array."""
     runs = runs_of_places(node) if node.operation == "collect" and node.size < 4096 else []
     return runs[0] if len(runs) == 1 else None

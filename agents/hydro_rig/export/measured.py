@@ -58,7 +58,7 @@ SENSOR_MEANINGS = {
 }
 
 
-class Signal(NamedTuple):
+class MeasuredSignal(NamedTuple):
     """A measured signal."""
 
     name: str
@@ -100,23 +100,27 @@ class MeasuredSignals:
         spans = np.array([(signal.low, signal.high) for signal in self.signals]).T
         self.lowest, self.highest = spans + OUT_OF_RANGE * (spans[1] - spans[0]) * np.array([[-1.0], [1.0]])
 
-    def _signal(self, name: str) -> Signal:
+    def _signal(self, name: str) -> MeasuredSignal:
         place = self.layout.index(name)
         limit = float(self.limits[place] * self.scale[place])
         reach = self.config.plant.cylinder.stroke / 2.0
         if name.startswith(_PREVIEW):
             ahead = self.ahead[name]
             own = ahead_name(name, self.config.control_period)
-            return Signal(own, "m", -reach, reach, limit, f"reference {ahead} control periods ahead")
+            return MeasuredSignal(own, "m", -reach, reach, limit, f"reference {ahead} control periods ahead")
         if name == "reference":
-            return Signal(name, "m", -reach, reach, limit, "desired position now, from the middle of the stroke")
+            return MeasuredSignal(
+                name, "m", -reach, reach, limit, "desired position now, from the middle of the stroke"
+            )
         if name == "previous_command":
             text = "voltage that the valve received in the last control period"
-            return Signal("previous_voltage", "V", -FULL_VOLTAGE, FULL_VOLTAGE, FULL_VOLTAGE, text)
+            return MeasuredSignal("previous_voltage", "V", -FULL_VOLTAGE, FULL_VOLTAGE, FULL_VOLTAGE, text)
         if name not in CHANNELS:
             raise ConfigurationError(f"export: '{name}' of the observation is not a measured signal")
         sensor = getattr(self.config.sensors, name)
-        return Signal(name, CHANNEL_UNITS[name], sensor.low, sensor.high, limit, SENSOR_MEANINGS.get(name, "measured"))
+        return MeasuredSignal(
+            name, CHANNEL_UNITS[name], sensor.low, sensor.high, limit, SENSOR_MEANINGS.get(name, "measured")
+        )
 
     def of_axes(self, axes: Axes) -> Floats:
         """Signals (N, signals) of simulated axes, exactly as their sensors read."""
@@ -150,7 +154,7 @@ class MeasuredMemory(NamedTuple):
     controller: Any
 
 
-class Step(NamedTuple):
+class BothWays(NamedTuple):
     """Both continuations of a sample, a start and a continuation, and which of them is valid."""
 
     begins: Any  # (), whether the controller starts here
@@ -182,7 +186,7 @@ class MeasuredController:
         lost_limit: Any,
         memory: MeasuredMemory,
         sound: Sequence[Any] = (),
-    ) -> Step:
+    ) -> BothWays:
         """Both continuations of one sample.
 
         Args:
@@ -263,7 +267,7 @@ class MeasuredController:
             return {"voltage": voltage, "running": running, **own, "controller": new}
 
         common = {"last": held, "computed": computed, "holding_voltage": rest}
-        return Step(begins, lost, common, way(None, complete), way(memory.controller))
+        return BothWays(begins, lost, common, way(None, complete), way(memory.controller))
 
     def _voltage_at_rest(self, value: Mapping[str, Any]) -> Any:
         """Voltage (V) at which no oil moves the piston, at the measured pressures; else at those of the rig's own load.

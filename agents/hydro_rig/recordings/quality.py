@@ -162,7 +162,7 @@ def _with_command_moved(samples: Sampled, early: int) -> Sampled:
     )
 
 
-class Balance(NamedTuple):
+class TwoBalances(NamedTuple):
     """Fit of a recording to the two balances."""
 
     force_rest: float  # unexplained share of the force, 0 to 1
@@ -238,7 +238,7 @@ def _completed(signals: Floats, config: TaskConfig) -> Floats:
     return whole
 
 
-def balance(signals: Floats, config: TaskConfig) -> Balance:
+def balance(signals: Floats, config: TaskConfig) -> TwoBalances:
     """Fit of signals (5, T) without gaps to the two balances of the nominal rig; with one pressure to that of flow."""
     c = plant_coefficients(config.plant)
     step = max(round(INTERVAL / config.control_period), 1)
@@ -263,11 +263,11 @@ def balance(signals: Floats, config: TaskConfig) -> Balance:
     covariance = np.cov(needed, flow)
     travel = float(np.ptp(np.quantile(position, [0.01, 0.99])))
     if flow.std() < STEADY * abs(float(flow.mean())):  # at one speed only the means say something
-        return Balance(0.0, float(needed.mean() / flow.mean()), travel, abs(float(flow.sum())) * time / c.area_a)
+        return TwoBalances(0.0, float(needed.mean() / flow.mean()), travel, abs(float(flow.sum())) * time / c.area_a)
     expected = float(np.ptp(np.cumsum(flow - flow.mean()))) * time / c.area_a
     unrelated = covariance[0, 1] ** 2 < UNRELATED * covariance[0, 0] * covariance[1, 1]
     slope = 1.0 if unrelated else float(covariance[0, 1] / max(covariance[1, 1], 1e-300))
-    return Balance(force_rest, slope, travel, expected)
+    return TwoBalances(force_rest, slope, travel, expected)
 
 
 def flow_into_a(signals: Floats, config: TaskConfig) -> Floats:
