@@ -15,7 +15,7 @@ from hydro_rig.estimation.estimate import estimate, usable_readings
 from hydro_rig.estimation.information import bound, jacobian_at, true_model
 from hydro_rig.estimation.known_windows import known_windows, leak_cases
 from hydro_rig.estimation.search import EstimationSettings
-from hydro_rig.estimation.unknowns import BIASES, LEAKAGE, STARTS, default_unknowns, priors_of
+from hydro_rig.estimation.unknowns import BIASES, LEAKAGE, STARTS, Prior, default_unknowns, priors_of
 
 CONFIG = TaskConfig()
 PID, LEAK, LENGTH = shipped("pid", CONFIG), 0.3, 1.0
@@ -69,7 +69,8 @@ def test_a_bias_is_known_as_a_mean_is(windows):
     noise, prior = np.hypot(sensor.noise, sensor.resolution / 12**0.5), sensor.bias / 3**0.5
     for samples in (51, 201):
         first = seen_by(windows, *SENSORS, samples=samples)
-        alone = bound(CONFIG, first, priors_of(CONFIG, ("position_bias",)), "position_bias")
+        priors = {**priors_of(CONFIG, ("position_bias",)), LEAKAGE: Prior(LEAK, 1e-9)}
+        alone = bound(CONFIG, first, priors, "position_bias")
         np.testing.assert_allclose(alone, (samples / noise**2 + prior**-2) ** -0.5, rtol=1e-3)
 
 

@@ -9,7 +9,6 @@ from exported_code import InC, InPython, assert_it_holds_until_start, at_rest, l
 
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.loading import shipped
-from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig, equilibrium
 from hydro_env.task.configuration import task_config

@@ -7,7 +7,6 @@ from exported_code import InC, library, sources_in
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.learning.loading import shipped
-from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
