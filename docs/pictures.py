@@ -23,7 +23,6 @@ from hydro_agents.report.canvas import GREY, WIDE, WIDTH, bars, dodge, level_axi
 from hydro_agents.report.content import intervals
 from hydro_agents.report.palette import looks_of
 from hydro_agents.report.training_plots import learning_plots
-from hydro_agents.study.over_seeds import relative
 from hydro_env import TaskConfig
 from hydro_env.canvas import PAPER
 
@@ -38,7 +37,7 @@ def results(tables: Path) -> None:
 
     The ratio is paired by plant: its interval shows what overlapping intervals of two means hide.
     """
-    ratios = pd.read_csv(tables / "ratios.csv", dtype={"value": str})
+    ratios = pd.read_csv(tables / "comparison.csv", dtype={"value": str})
     rates = pd.read_csv(tables / "detection_rates.csv")
     base, names = ratios["against"].iloc[0], list(rates["controller"].unique())
     looks = looks_of(names)
@@ -115,7 +114,10 @@ def detectors() -> None:
 
 def learning() -> None:
     """Error of the policy while it learns over that of the PID, with a band over the training seeds."""
-    (plot,) = learning_plots(relative(pd.read_csv(TABLES / "learning_curves.csv", skiprows=1)), "PID", 1.0)
+    curves = pd.read_csv(TABLES / "learning_curves.csv", skiprows=1)
+    for column in ("validation/mean_error_mm", "validation/base_mean_error_mm"):
+        curves[column] /= curves["first_mean_error_mm"]
+    (plot,) = learning_plots(curves, "PID", 1.0)
     (FOLDER / "chart_learning.svg").write_bytes(plot.file + data_mark("chart_learning.svg").encode())
 
 

@@ -14,7 +14,6 @@ SMALL = {
     "chunk": 5,
     "standstill_plants": 0,
     "worst": 2,
-    "experiments": False,
     "conditions": {"plain": {"group": "leak"}, "late": {"task": {"command_latency": 0.004}}},
 }
 

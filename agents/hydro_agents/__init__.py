@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hydro_agents.evaluation.evaluate import Evaluation, evaluate
+    from hydro_agents.evaluation.evaluate import evaluate
 
-__all__ = ["Evaluation", "evaluate"]
+__all__ = ["evaluate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -251,7 +251,7 @@ def test_a_study_that_was_stopped_is_resumed(tmp_path, monkeypatch):
     done("study", "--config", study, "--output", folder, "--resume")
     report = (folder / "report.html").read_text(encoding="utf-8")
     assert "http://" not in report.replace("http://www.w3.org", "")
-    for name in ("cases.csv", "ratios.csv", "detection_summary.csv"):
+    for name in ("cases.csv", "comparison.csv", "detection_summary.csv"):
         assert (folder / "tables" / name).stat().st_size > 100
     assert len(list(csv.DictReader((folder / "tables" / "cases.csv").open()))) == 2 * 2 * 2 * 3
     weights = (

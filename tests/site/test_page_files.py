@@ -124,5 +124,5 @@ def test_the_trainings_of_the_page_are_a_study(tmp_path):
     file = tmp_path / "study.yaml"
     file.write_text(blocks("learning.md", "yaml")[0], encoding="utf-8")
     study = StudySettings.from_yaml(file)
-    preview = study.training_settings("with full preview")
+    preview = study.controllers["with full preview"].settings
     assert (preview.full_preview, preview.total_steps, preview.discount) == (True, 1_000_000, 0.97)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from hydro_agents.study.settings import StudySettings
     from hydro_env import TaskConfig
 
-SETTINGS_FILE = "evaluation.yaml"
+SETTINGS_FILE, PROTOCOL_FILE = "evaluation.yaml", "protocol.yaml"
 NO_HEAD = Path("none")
 
 
@@ -78,77 +78,106 @@ def evaluate(
     for maintenance: how small a leak is found, how early, how surely, and what is taken for one.
     """
     from hydro_agents.commands.protocols import Options
-    from hydro_agents.evaluation.evaluate import ProtocolSettings
-    from hydro_agents.evaluation.participants import split_name
-    from hydro_agents.study.settings import default_study
-    from hydro_env.files import validate
+    from hydro_env.files import read_yaml
     from hydro_env.folders import config_file
 
-    if protocol is not None:
-        file = config_file("protocols", protocol)
-        _run_protocol(file, Options(task, rig, output, resume, overwrite, command_line()), config, agent, head, plants)
+    if protocol is None:
+        options = Options(task, rig, output or Path("results/evaluate"), resume, overwrite, command_line())
+        _evaluate_study(config, named_agents(agent), head, plants, options)
         return
-    if resume:
-        raise ConfigurationError("--resume: needs --protocol")
-    study = default_study(config, task, rig)
-    if plants is not None:
-        changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
-        study = study.model_copy(update={"evaluation": changed})
-    if rig is not None:
-        study = study.with_gains_of_rig()
-    own = named_agents(agent)
-    replaced = {split_name(name)[0] for name in own}
-    beside = _trained_beside(config, study)
-    agents = {name: what for name, what in beside.items() if name not in replaced} | own
-    _compare(study, agents, head, output or Path("results/evaluate"), overwrite)
-
-
-def _run_protocol(
-    file: Path, options: Options, config: Path | None, agent: list[str] | None, head: Path | None, plants: int | None
-) -> None:
-    """Run a protocol; controllers of a leakage protocol stand in its file, a robustness protocol has no detector."""
-    from hydro_agents.commands.protocols import evaluate_leak_protocol, evaluate_protocol
-    from hydro_env.files import read_yaml
-
+    file = config_file("protocols", protocol)
+    options = Options(task, rig, output or Path("results") / file.stem, resume, overwrite, command_line())
     about_leaks = read_yaml(file).get("kind") == "leakage"
     foreign = {"--agent": agent, "--config": config} if about_leaks else {"--head": head}
     for option, value in {**foreign, "--plants": plants}.items():
         if value is not None:
             raise ConfigurationError(f"{option}: a protocol takes it from its file")
     if about_leaks:
-        evaluate_leak_protocol(file, head, options)
+        _evaluate_detectors(file, head, options)
     else:
-        evaluate_protocol(file, named_agents(agent), config, options)
+        _evaluate_controllers(file, named_agents(agent), config, options)
 
 
-def _compare(study: StudySettings, agents: dict[str, str], head: Path | None, output: Path, overwrite: bool) -> None:
-    """Evaluate the controllers of a study and ``agents``, by name, and write the report."""
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import output_folder
-    from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
-    from hydro_env.files import read_text, write_yaml
+def _evaluate_controllers(file: Path, agents: dict[str, str], study_file: Path | None, options: Options) -> None:
+    """Run a protocol of controllers: those of a study, or all that ship, and agents, which replace them by name."""
+    from hydro_agents.commands.controller_pages import robustness_page
+    from hydro_agents.commands.protocols import facts_of, run_protocol
+    from hydro_agents.evaluation.conditions import file_sha256
+    from hydro_agents.evaluation.participants import participants, shipped_controllers, split_name
+    from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+    from hydro_agents.report.sections import sections_named
+    from hydro_env.folders import config_file
 
-    controllers, unfit = study.fitting(agents)
-    for reason in unfit:
-        print(f"hydro: left out: {reason}", file=sys.stderr)
+    protocol = options.moved(RobustnessProtocol.from_yaml(file))
+    sections_named(protocol.sections, f"{file}: sections")
+    if study_file is None:
+        replaced = {split_name(name)[0] for name in agents}
+        shipped = shipped_controllers(protocol.task)
+        controllers = {name: what for name, what in shipped.items() if name not in replaced - agents.keys()} | agents
+    else:
+        from hydro_agents.study.settings import StudySettings
+
+        study = StudySettings.from_yaml(config_file("studies", study_file)).model_copy(update={"task": protocol.task})
+        controllers = study.with_gains_of_rig().with_weights(agents)
+    chosen = participants(controllers, protocol)
+    settings = (PROTOCOL_FILE, protocol.model_dump(mode="json"))
+    facts = facts_of(options.command, file=str(file), file_sha256=file_sha256(file))
+    run_protocol(protocol, chosen, options, robustness_page(), settings, facts)
+
+
+def _evaluate_detectors(file: Path, head: Path | None, options: Options) -> None:
+    """Run a leakage protocol; the head of ``--head`` replaces that of the protocol."""
+    from hydro_agents.commands.detector_pages import leakage_page
+    from hydro_agents.commands.protocols import facts_of, run_protocol
+    from hydro_agents.detection.detectors import make_detector
+    from hydro_agents.evaluation.conditions import file_sha256
+    from hydro_agents.evaluation.leak_protocol import LeakProtocol
+    from hydro_agents.report.sections import sections_named
+
+    protocol = options.moved(LeakProtocol.from_yaml(file))
+    sections_named(protocol.sections, f"{file}: sections")
+    own = None
+    if head is not None:
+        from hydro_agents.detection.monitor import HeadDetector
+
+        own = HeadDetector.load(head)
+    detectors = {name: make_detector(choice, own) for name, choice in protocol.detectors.items()}
+    settings = (PROTOCOL_FILE, protocol.model_dump(mode="json"))
+    facts = facts_of(options.command, file=str(file), file_sha256=file_sha256(file))
+    run_protocol(protocol, detectors, options, leakage_page(), settings, facts)
+
+
+def _evaluate_study(
+    config: Path | None, own: dict[str, str], head: Path | None, plants: int | None, options: Options
+) -> None:
+    """Evaluate the controllers of a study and agents, which replace those of their name, and the leakage head."""
+    from dataclasses import replace
+
+    import yaml
+
+    from hydro_agents.commands.controller_pages import study_page
+    from hydro_agents.commands.protocols import facts_of, run_protocol
+    from hydro_agents.evaluation.evaluate import ProtocolSettings
+    from hydro_agents.evaluation.participants import participants, split_name
+    from hydro_agents.study.settings import default_study
+    from hydro_env.files import validate
+
+    study = default_study(config, options.task, options.rig)
+    if plants is not None:
+        changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
+        study = study.model_copy(update={"evaluation": changed})
+    if options.rig is not None:
+        study = study.with_gains_of_rig()
+    replaced = {split_name(name)[0] for name in own}
+    agents = {name: what for name, what in _trained_beside(config, study).items() if name not in replaced} | own
+    controllers = study.with_weights(agents, leave_out=True)
     tell_rigs(study, controllers)
     watching = None if head == NO_HEAD else _watching(head, study.task)
-    with output_folder(output, "evaluate", [SETTINGS_FILE, *REPORT_FILES], overwrite=overwrite):
-        write_yaml(output / SETTINGS_FILE, study.model_dump(mode="json"))
-        with ProgressDisplay() as display:
-            evaluation = evaluate_study(
-                study,
-                controllers,
-                watching,
-                output,
-                display,
-                configuration=read_text(output / SETTINGS_FILE),
-                command=command_line(),
-            )
-        print_summary(evaluation, display)
-        display.say(f"report: {(output / REPORT_FILE).resolve()}")
-    if evaluation.errors:
-        raise ConfigurationError(f"{', '.join(evaluation.errors)} failed; {output} holds the results of the others")
+    protocol = study.evaluation.protocol(study.task, study.title)
+    chosen = replace(participants(controllers, protocol), head=watching, corrects=study.corrects)
+    content = study.model_dump(mode="json")
+    page = study_page(yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    run_protocol(protocol, chosen, options, page, (SETTINGS_FILE, content), facts_of(options.command))
 
 
 def _trained_beside(config: Path | None, study: StudySettings) -> dict[str, str]:

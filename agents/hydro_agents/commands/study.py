@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -29,23 +29,21 @@ from hydro_env import ConfigurationError
 from hydro_env.mistakes import did_you_mean
 
 if TYPE_CHECKING:
+    from hydro_agents.evaluation.runner import Results
     from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.study.settings import StudySettings
+    from hydro_agents.study.settings import ControllerEntry, StudySettings
 
 
 @side_by_side
 def study(
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Folder for the results; default: results/study, results/seeds."),
-    ] = None,
+    output: Output = Path("results/study"),
     config: Config = None,
     task: Task = None,
     rig: Rig = None,
     seed: Seed = None,
     seeds: Annotated[
         int | None,
-        typer.Option(min=2, max=1000, help="Number of studies with one training seed each, and one table over them."),
+        typer.Option(min=1, max=1000, help="Number of training seeds of each learned controller; default: one."),
     ] = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
@@ -55,25 +53,49 @@ def study(
     Writes to the output folder: `report.html` (self-contained), `tables/*.csv` (all numbers), the weights, and
     `study.yaml` (the configuration used). `controllers:` in the YAML file lists the participants.
 
-    With `--seeds 5` the whole study runs five times, with training seeds 0 to 4, each in a folder `seed 0`, `seed 1`,
-    … on the same test plants. `tables/over_seeds.csv` then holds every figure by seed, with mean and 95 % interval over
-    the seeds, and `learning_curve.svg` the error while learning. `--resume` keeps the studies that are finished.
-    With `--config alone` it tells what each choice of a training is worth.
+    With `--seeds 5` each learned controller is trained with five seeds, as `NAME#0`, `NAME#1`, …: they share its rows,
+    whose intervals include the seeds, and `tables/seeds.csv` holds each of them.
 
     With `--rig` the task is adapted to another rig: references, sensors and reward follow from its stroke, speed and
     pressure. Gains belong to a rig; the command therefore tunes the classical controllers first.
     """
-    from hydro_agents.study.over_seeds import run_over_seeds
-    from hydro_agents.study.run import run_study
     from hydro_agents.study.settings import default_study
 
     settings = default_study(config, task, rig)
     first = settings.seed if seed is None else seed
-    if seeds is None:
-        run_study(settings, output or Path("results/study"), first, resume, overwrite, command_line())
-        return
-    folder = output or Path("results/seeds")
-    say(f"written: {run_over_seeds(settings, folder, range(first, first + seeds), resume, overwrite, command_line())}")
+    whole_study(settings, output, range(first, first + (seeds or 1)), resume, overwrite, command_line())
+
+
+def whole_study(
+    study: StudySettings,
+    folder: Path,
+    seeds: range,
+    resume: bool = False,
+    overwrite: bool = False,
+    command: str = "hydro study",
+) -> Results:
+    """Run a study in its folder, and write its tables and its page; ``resume`` skips the phases that are finished.
+
+    Raises:
+        ConfigurationError: settings contradict each other, the folder cannot be used, its results have other settings,
+            or a controller failed (the results of the others are written first).
+        KeyboardInterrupt: Ctrl-C; the finished work remains and the study can be resumed.
+    """
+    from hydro_agents.commands.controller_pages import study_page
+    from hydro_agents.commands.protocols import facts_of, page_files, tell, write_results
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.jobs import JOBS_FOLDER
+    from hydro_agents.study.run import CONFIG_FILE, claimed, run_study
+
+    study.check()
+    with claimed(study, folder, seeds, page_files(study_page("")), resume, overwrite), ProgressDisplay() as display:
+        results, seconds = run_study(study, folder, seeds, display, facts_of(command, seed=str(seeds[0])))
+        page = study_page((folder / CONFIG_FILE).read_text(encoding="utf-8"), seconds)
+        write_results(results, folder, page, display)
+        shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
+    display.say("times: " + ", ".join(f"{phase} {taken:.0f} s" for phase, taken in seconds.items()))
+    tell(results, folder, page, display)
+    return results
 
 
 @side_by_side
@@ -120,8 +142,9 @@ def train(
     the classical one first.
     """
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.learning.trainers import TRAINERS
-    from hydro_agents.study.settings import default_study
+    from hydro_agents.learning.tuning import EVALUATIONS
+    from hydro_agents.study.settings import StudySettings, default_study
+    from hydro_env.files import read_yaml, validate
 
     study = default_study(config, task, rig)
     seed = study.seed if seed is None else seed
@@ -131,20 +154,20 @@ def train(
     _refuse("--agent", agent is not None and part != "head", part)
     for option, value in (("--objective", objective), ("--start", start)):
         _refuse(option, value is not None and not classical, part)
+    folder = Claim(output, resume, overwrite)
     if part == "head":
-        file = _head(study, output, seed, resume, overwrite, named_agents(agent))
+        file = _head(study, folder, seed, named_agents(agent))
     elif classical:
-        file = _gains(study, part, output, objective, steps, start, seed, resume, overwrite)
+        entry: dict[str, Any] = {"kind": part, "settings": {} if start is None else read_yaml(start)}
+        entry["tune"] = {"objective": objective or "equal", "evaluations": steps or EVALUATIONS}
+        values = {"task": study.task, "controllers": {part: entry}, "leakage_head": None}
+        file = _gains(validate(StudySettings, values, "train"), part, folder, seed)
     else:
-        kinds = [study.controllers[name].kind for name in study.trained]
-        short = {name: kind for name, kind in zip(study.trained, kinds, strict=True) if kinds.count(kind) == 1}
-        name = next((name for name in study.trained if part in (name.lower(), short.get(name))), None)
-        if name is None:
-            known = [short[name] if short.get(name) in TRAINERS else name.lower() for name in study.trained]
-            known += ["head", *CONTROLLERS]
-            guess = did_you_mean(what, known)
-            raise ConfigurationError(f"train '{what}': unknown; this study trains: {', '.join(known)}{guess}")
-        file = _controller(study, name, output, seed, resume, overwrite, steps)
+        name = _named(study, what)
+        if steps is not None:
+            entries = study.controllers | {name: _with_steps(study.controllers[name], steps)}
+            study = study.model_copy(update={"controllers": entries})
+        file = _controller(study, name, folder, seed)
     say(f"written: {file}")
 
 
@@ -153,26 +176,56 @@ def _refuse(option: str, given: bool, part: str) -> None:
         raise ConfigurationError(f"{option}: does not apply to hydro train {part}")
 
 
-@contextmanager
-def _training(
-    folder: Path, part: str, files: Sequence[str], kept: Sequence[str], resume: bool, overwrite: bool
-) -> Iterator[ProgressDisplay]:
-    """Claim a folder for a training; without one of the files ``kept`` none can be resumed."""
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import output_folder
+def _named(study: StudySettings, what: str) -> str:
+    """The trained controller of a study by its name or, if no other has it, its kind."""
+    from hydro_agents.controllers.registry import CONTROLLERS
+    from hydro_agents.learning.trainers import TRAINERS
 
-    if resume and not any(file for pattern in kept for file in folder.glob(pattern)):
-        raise ConfigurationError(f"{folder}: nothing to resume, there is no {kept[0].rstrip('*')}; leave --resume out")
-    with (
-        output_folder(folder, f"train {part}", files, resume=resume, overwrite=overwrite),
-        ProgressDisplay() as display,
-    ):
-        yield display
+    kinds = [study.controllers[name].kind for name in study.trained]
+    known = []
+    for name, kind in zip(study.trained, kinds, strict=True):
+        alone = kinds.count(kind) == 1
+        if what.lower() == name.lower() or (alone and what.lower() == kind):
+            return name
+        known.append(kind if alone and kind in TRAINERS else name.lower())
+    known += ["head", *CONTROLLERS]
+    raise ConfigurationError(
+        f"train '{what}': unknown; this study trains: {', '.join(known)}{did_you_mean(what, known)}"
+    )
 
 
-def _controller(
-    study: StudySettings, name: str, folder: Path, seed: int, resume: bool, overwrite: bool, steps: int | None
-) -> Path:
+def _with_steps(entry: ControllerEntry, steps: int) -> ControllerEntry:
+    from hydro_env.files import validate
+
+    values = {**entry.settings.model_dump(), "total_steps": steps}
+    return entry.changed(settings=validate(type(entry.settings), values, "--steps"))
+
+
+class Claim(NamedTuple):
+    """The folder of a training."""
+
+    path: Path
+    resume: bool
+    overwrite: bool
+
+    @contextmanager
+    def held(self, part: str, files: Sequence[str], kept: Sequence[str]) -> Iterator[ProgressDisplay]:
+        """Claim the folder for the files of a training; without one of the files ``kept`` none can be resumed."""
+        from hydro_agents.running.console import ProgressDisplay
+        from hydro_agents.running.folders import output_folder
+
+        if self.resume and not any(file for pattern in kept for file in self.path.glob(pattern)):
+            raise ConfigurationError(
+                f"{self.path}: nothing to resume, there is no {kept[0].rstrip('*')}; leave --resume out"
+            )
+        claimed = output_folder(self.path, f"train {part}", files, resume=self.resume, overwrite=self.overwrite)
+        with claimed, ProgressDisplay() as display:
+            yield display
+
+
+def _controller(study: StudySettings, name: str, folder: Claim, seed: int) -> Path:
+    """Train a controller; gains of the rig for the one that it corrects are tuned first."""
+    from hydro_agents.controllers.registry import GAINS_FILE
     from hydro_agents.study.training import (
         CHECKPOINTS,
         TRAINING_FILES,
@@ -181,27 +234,22 @@ def _controller(
         train_controller,
         tune_controller,
     )
-    from hydro_env.files import validate
 
-    settings = study.training_settings(name)
-    if steps is not None:
-        settings = validate(type(settings), {**settings.model_dump(), "total_steps": steps}, "--steps")
-    corrected = study.controllers[name].corrects
-    if corrected in study.trained:
-        raise ConfigurationError(f"{name} corrects {corrected}, which must be trained first; run hydro study")
-    base = study.make(corrected) if corrected is not None else None
-    one_rig = getattr(settings, "law", None) is None  # gains of one rig serve no policy for any axis
-    tuned = corrected if corrected in study.tuned and one_rig else None
+    entry = study.controllers[name]
+    if entry.corrects in study.trained:
+        raise ConfigurationError(f"{name} corrects {entry.corrects}, which must be trained first; run hydro study")
+    base = study.make(entry.corrects) if entry.corrects is not None else None
+    one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis
+    tuned = entry.corrects if entry.corrects in study.tuned and one_rig else None
     files = (*TRAINING_FILES, *TUNING_FILES) if tuned is not None else TRAINING_FILES
-    kept = (CHECKPOINTS, *TUNING_FILES)
-    with _training(folder, name, files, kept, resume, overwrite) as display:
+    with folder.held(name, files, (CHECKPOINTS, *TUNING_FILES)) as display:
         if tuned is not None:
-            base = tune_controller(study, tuned, folder, seed, display)
-        train_controller(study, name, folder, seed, base, display, settings)
-    return folder / f"{WEIGHTS}.safetensors"
+            base = tune_controller(study, tuned, folder.path / GAINS_FILE, seed, display)
+        train_controller(study, name, folder.path, seed, base, display)
+    return folder.path / f"{WEIGHTS}.safetensors"
 
 
-def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, agents: dict[str, str]) -> Path:
+def _head(study: StudySettings, folder: Claim, seed: int, agents: dict[str, str]) -> Path:
     from hydro_agents.detection.training_settings import HeadTrainingSettings
     from hydro_agents.running.jobs import JOBS_FOLDER
     from hydro_agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
@@ -210,37 +258,16 @@ def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite
     settings.check(study.task)
     named = study.with_weights(agents) if settings.law is None else {}
     tell_rigs(study, named)
-    with _training(folder, "head", HEAD_FILES, [HEAD_CHECKPOINTS], resume, overwrite) as display:
-        train_leakage_head(study, folder, seed, list(named.values()), display)
-        shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
-    return folder / f"{HEAD_WEIGHTS}.safetensors"
+    with folder.held("head", HEAD_FILES, [HEAD_CHECKPOINTS]) as display:
+        train_leakage_head(study, folder.path, seed, list(named.values()), display)
+        shutil.rmtree(folder.path / JOBS_FOLDER, ignore_errors=True)
+    return folder.path / f"{HEAD_WEIGHTS}.safetensors"
 
 
-def _gains(
-    study: StudySettings,
-    kind: str,
-    folder: Path,
-    objective: str | None,
-    steps: int | None,
-    start: Path | None,
-    seed: int,
-    resume: bool,
-    overwrite: bool,
-) -> Path:
-    from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.learning.tuning import EVALUATIONS
-    from hydro_agents.study.entries import TuningSettings
-    from hydro_agents.study.training import TUNING_LOG, tune_gains
-    from hydro_env.files import read_yaml, validate
+def _gains(study: StudySettings, kind: str, folder: Claim, seed: int) -> Path:
+    from hydro_agents.study.training import TUNING_LOG, tune_controller
 
-    sizes = {"objective": "equal" if objective is None else objective, "evaluations": steps or EVALUATIONS}
-    budget = validate(TuningSettings, sizes, "train")
-    path = folder / f"{kind}.yaml"
-    first = validate(CONTROLLERS[kind][1], read_yaml(start), str(start)) if start is not None else None
-    with _training(folder, kind, [path.name, TUNING_LOG], [TUNING_LOG], resume, overwrite) as display:
-        best = tune_gains(kind, study.task, budget, first, path, seed, display, kind)
-        display.say(
-            f"{kind}: on training cases, cost of command changes included: mean {1e3 * best.cost.mean:.4f} mm, "
-            f"geometric mean of the families {1e3 * best.cost.equal:.4f} mm"
-        )
-    return path
+    file = folder.path / f"{kind}.yaml"
+    with folder.held(kind, [file.name, TUNING_LOG], [TUNING_LOG]) as display:
+        tune_controller(study, kind, file, seed, display)
+    return file

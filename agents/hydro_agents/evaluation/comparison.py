@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from hydro_agents.evaluation.metrics import COMPARED, ERROR, ERROR_SENSOR
 from hydro_agents.running.statistics import (
     RESAMPLES,
-    Interval,
     Weights,
     improvements,
     interquartile_means,
@@ -26,7 +25,7 @@ from hydro_env.types import Floats
 Mask = NDArray[np.bool_]
 
 ALL = "all"
-"""Name of what is over all conditions."""
+"""Name of the group over all cases."""
 
 
 class Sample(NamedTuple):
@@ -80,8 +79,6 @@ class Grid:
     """
 
     def __init__(self, cases: pd.DataFrame) -> None:
-        missing = {name: 0 for name in ("condition", "training_seed") if name not in cases}
-        cases = cases.assign(**missing) if missing else cases
         self.controllers = [str(name) for name in cases["controller"].unique()]
         plants = cases[["family", "plant"]].drop_duplicates()
         situations = cases[["condition", "leakage_flow_lpm"]].drop_duplicates()
@@ -90,26 +87,27 @@ class Grid:
         self.leak = situations["leakage_flow_lpm"].to_numpy(dtype=np.float64)
         self.all_plants: Mask = np.ones(len(plants), dtype=np.bool_)
         self.all_situations: Mask = np.ones(len(situations), dtype=np.bool_)
-        self._plants = pd.MultiIndex.from_frame(plants)
-        self._situations = pd.MultiIndex.from_frame(situations)
-        self._rows = {name: cases[cases["controller"] == name] for name in self.controllers}
+        self._plant = _places(plants, cases)
+        self._situation = _places(situations, cases)
+        self._cases = cases
+        self._of: dict[str, Mask] = {}
+        for name in self.controllers:
+            self._of[name] = (cases["controller"] == name).to_numpy()
         self._plant_weights = plant_weights(self.family)
         self._made: dict[tuple[str, str], Floats] = {}
 
-    def _array(self, rows: pd.DataFrame, metric: str) -> Floats:
-        seeds = {seed: index for index, seed in enumerate(sorted(rows["training_seed"].unique()))}
-        filled = np.full((len(seeds), len(self._plants), len(self._situations)), np.nan)
-        plant = self._plants.get_indexer(pd.MultiIndex.from_frame(rows[["family", "plant"]]))
-        situation = self._situations.get_indexer(pd.MultiIndex.from_frame(rows[["condition", "leakage_flow_lpm"]]))
-        kept = (plant >= 0) & (situation >= 0)
-        seed = rows["training_seed"].map(seeds).to_numpy()
-        filled[seed[kept], plant[kept], situation[kept]] = rows[metric].to_numpy(dtype=np.float64)[kept]
-        return filled
+    def cases(self, controller: str, plants: Mask, situations: Mask) -> pd.DataFrame:
+        """The cases of a controller on some plants and situations."""
+        return self._cases[self._of[controller] & plants[self._plant] & situations[self._situation]]
 
     def values(self, controller: str, metric: str) -> Floats:
         """A metric of a controller, (S, U, K)."""
         if (controller, metric) not in self._made:
-            self._made[controller, metric] = self._array(self._rows[controller], metric)
+            own = self._of[controller]
+            seeds, seed = np.unique(self._cases["training_seed"].to_numpy()[own], return_inverse=True)
+            filled = np.full((len(seeds), len(self.all_plants), len(self.all_situations)), np.nan)
+            filled[seed, self._plant[own], self._situation[own]] = self._cases[metric].to_numpy(dtype=np.float64)[own]
+            self._made[controller, metric] = filled
         return self._made[controller, metric]
 
     def sample(self, controller: str, metric: str, plants: Mask, situations: Mask) -> Sample:
@@ -120,25 +118,30 @@ class Grid:
         seeds = seed_weights(len(values), RESAMPLES, self.controllers.index(controller))
         return Sample(values, Weights(seeds, self._plant_weights[:, plants]))
 
-    def mean(self, controller: str, metric: str, plants: Mask, situations: Mask) -> Interval:
-        """Mean of a metric over some plants and situations of a controller."""
-        chosen = self.sample(controller, metric, plants, situations).dense
-        return interval(chosen.mean, chosen.plants)
+    def parts(self, families_under: Mask) -> Iterator[tuple[str, str, Mask, Mask]]:
+        """Group, value, plants and situations of the rows of a table.
 
-    def under(self, condition: str) -> Mask:
-        """The situations of a condition, or all of them."""
-        return self.all_situations if condition == ALL else np.asarray(self.condition == condition)
+        The groups are all cases, each condition (or, of a single condition, each leak), and each family.
+
+        Args:
+            families_under: the situations that count for the families.
+        """
+        yield ALL, "", self.all_plants, self.all_situations
+        conditions = list(dict.fromkeys(self.condition.tolist()))
+        if len(conditions) > 1:
+            for name in conditions:
+                yield "condition", name, self.all_plants, self.condition == name
+        else:
+            for leak in dict.fromkeys(self.leak.tolist()):
+                yield "level", str(leak), self.all_plants, self.leak == leak
+        for family in dict.fromkeys(self.family.tolist()):
+            yield "family", family, self.family == family, families_under
 
     def pair(self, controller: str, against: str, metric: str, *part: Mask) -> tuple[Sample, Sample]:
         """A metric of two controllers on their common cases of some plants and situations."""
         mine, theirs = (self.sample(name, metric, *part) for name in (controller, against))
         common = mine.present & theirs.present
         return mine.where(common), theirs.where(common)
-
-    def ratio(self, controller: str, against: str, metric: str) -> Interval:
-        """Ratio of the means of a metric over the plants that both controllers have."""
-        mine, theirs = self.pair(controller, against, metric, self.all_plants, self.all_situations)
-        return interval(mine.mean / theirs.mean, mine.plants)
 
     def compare(self, controller: str, against: str, plants: Mask, situations: Mask) -> dict[str, float]:
         """Columns of one row of a comparison over some plants and situations of both controllers."""
@@ -164,25 +167,6 @@ class Grid:
             row[name] = _ratio(*self.pair(controller, against, metric.name, plants, situations))
         return row | {"cases": int((~np.isnan(mine.values)).sum())}
 
-    def comparisons(self, column: str, parts: Iterable[tuple[str, Mask, Mask]]) -> pd.DataFrame:
-        """Each controller against the first on named parts of the grid, one row each; the name is in ``column``."""
-        rows, baseline = [], self.controllers[0]
-        for controller in self.controllers[1:]:
-            for name, plants, situations in parts:
-                row = self.compare(controller, baseline, plants, situations)
-                if row["cases"]:
-                    rows.append({"controller": controller, "against": baseline, column: name, **row})
-        return pd.DataFrame(rows)
-
-    def corrected(self, pairs: Mapping[str, str]) -> pd.DataFrame:
-        """Each policy against the controller that it corrects, unless that is the first one; ``pairs``: their names."""
-        rows = []
-        for name, base in pairs.items():
-            if {name, base} <= set(self.controllers) and base != self.controllers[0]:
-                row = self.compare(name, base, self.all_plants, self.all_situations)
-                rows.append({"controller": name, "against": base, **row})
-        return pd.DataFrame(rows)
-
     def _kinds(self, plants: Mask, situations: Mask) -> Iterator[tuple[Mask, Mask]]:
         """The plants of each family, and the situations of each condition."""
         families, conditions = self.family[plants], self.condition[situations]
@@ -191,10 +175,18 @@ class Grid:
                 yield families == family, conditions == condition
 
 
+def _places(known: pd.DataFrame, rows: pd.DataFrame) -> NDArray[np.intp]:
+    """For each row the place of its values among known ones of the same columns."""
+    return pd.MultiIndex.from_frame(known).get_indexer(pd.MultiIndex.from_frame(rows[list(known)]))
+
+
 def _ratios(mine: Sample, theirs: Sample, kinds: list[tuple[Mask, Mask]]) -> Floats:
     """Ratio of the mean errors for each kind that has cases, in every resampling: (rows, R + 1)."""
-    pairs = [(mine.part(*kind), theirs.part(*kind)) for kind in kinds]
-    ratios = [own.mean / base.mean for own, base in pairs if own.plants and base.plants]
+    ratios = []
+    for kind in kinds:
+        own, base = mine.part(*kind), theirs.part(*kind)
+        if own.plants and base.plants:
+            ratios.append(own.mean / base.mean)
     return np.array(ratios) if ratios else np.full((1, len(mine.weights.plants)), np.nan)
 
 

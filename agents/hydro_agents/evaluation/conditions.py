@@ -71,17 +71,15 @@ class Part(NamedTuple):
 
     table: str  # name of the table of its rows
     cells: str  # module:function that yields its cells; the module without its package is one of this room
-    kinds: tuple[str, ...] = ("robustness",)  # of protocols that may have it
+    kind: str  # of the protocols that may have it
 
 
 PARTS = {
-    "tracking": Part("cases", "tracking:tracking", ("robustness", "study")),
-    "episodes": Part("detection", "detection:episodes", ("study",)),
-    "standstill": Part("limit_cycles", "tracking:standstill", ("robustness", "study")),
-    "force_step": Part("force_step", "experiments:force_step"),
-    "hold": Part("standstill", "experiments:hold"),
-    "windows": Part("windows", "leak_protocol:windows", ("leakage",)),
-    "leak_bound": Part("bound", "hydro_rig.estimation.information:leak_bound", ("leakage",)),
+    "tracking": Part("cases", "tracking:tracking", "robustness"),
+    "episodes": Part("detection", "detection:episodes", "robustness"),
+    "standstill": Part("limit_cycles", "tracking:standstill", "robustness"),
+    "windows": Part("windows", "leak_protocol:windows", "leakage"),
+    "leak_bound": Part("bound", "hydro_rig.estimation.information:leak_bound", "leakage"),
 }
 """Every part by its name. Its module is imported when a protocol has the part."""
 
@@ -131,7 +129,7 @@ class Protocol(Group, Generic[AnyCondition]):
 
     @model_validator(mode="after")
     def _known_parts(self) -> Self:
-        refuse_unknown("parts", self.parts, [name for name, part in PARTS.items() if self.kind in part.kinds], "part")
+        refuse_unknown("parts", self.parts, [name for name, part in PARTS.items() if self.kind == part.kind], "part")
         return self
 
     @property

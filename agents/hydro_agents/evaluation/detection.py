@@ -23,8 +23,8 @@ from hydro_env import LEAKAGE_CLASSES, TaskConfig
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
     from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.evaluation.evaluate import StudyProtocol
     from hydro_agents.evaluation.participants import Participants
+    from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 
 
 FALSE_ALARM_RATE = 0.01
@@ -61,7 +61,7 @@ def detection_cases(config: TaskConfig, count: int) -> Cases:
     return Cases(np.array(DETECTION.take(count)), flow)
 
 
-def episodes(protocol: StudyProtocol, chosen: Participants) -> Iterator[Cell]:
+def episodes(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
     """The head on whole episodes under every controller; nothing without a head."""
     if chosen.head is None:
         return
@@ -112,7 +112,7 @@ def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame
         groups += [("range", f"{a:g}–{b:g}", frame[(flow >= a) & (flow < b)]) for a, b in pairwise(edges)]
         groups.append(("range", bounds.moderate_label, frame[flow >= bounds.moderate_from]))
         for kind, label, part in groups:
-            share = share_interval(int(part["flagged"].sum()), len(part)).columns("flagged_share")
+            share = share_interval(int(part["flagged"].sum()), len(part)).named("flagged_share")
             rows.append({"controller": controller, "group": kind, "value": label, **share, "episodes": len(part)})
     return pd.DataFrame(rows)
 

@@ -117,12 +117,16 @@ class LeakProtocol(Protocol[LeakCondition]):
     def cases_in(self, name: str, level: float, count: int, validation: bool = False) -> Cases:
         """The first ``count`` cases of a level; every level and condition has the same plants."""
         condition, task = self.conditions[name], self.task_in(name)
-        seeds = np.array((LEAK_THRESHOLDS if validation else LEAKAGE).take(count))
-        healthy = np.arange(count) % 2 == 0 if level == DRAWN else np.full(count, level == HEALTHY)
-        share = np.array([np.random.default_rng([int(seed), 11]).random() for seed in seeds])
-        ranges = np.where(healthy[:, None], task.leakage.healthy_range, task.leakage.faulty_range)
-        low, high = np.log(ranges).T
-        flow = np.exp(low + share * (high - low)) if level in (HEALTHY, DRAWN) else np.full(count, level)
+        ledger = LEAK_THRESHOLDS if validation else LEAKAGE
+        seeds, flow = np.array(ledger.take(count)), np.full(count, level)
+        if level in (HEALTHY, DRAWN):
+            healthy = np.arange(count) % 2 == 0
+            if level == HEALTHY:
+                healthy[:] = True
+            share = np.array([np.random.default_rng([int(seed), 11]).random() for seed in seeds])
+            ranges = np.where(healthy[:, None], task.leakage.healthy_range, task.leakage.faulty_range)
+            low, high = np.log(ranges).T
+            flow = np.exp(low + share * (high - low))
         faults = {fault: np.full(count, size) for fault, size in condition.faults.items()}
         return Cases(seeds, flow, None, condition.parameters_on(task) or None, faults or None)
 

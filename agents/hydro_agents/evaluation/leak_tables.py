@@ -37,7 +37,9 @@ def facts(results: Results) -> pd.DataFrame:
 def thresholds(results: Results) -> pd.DataFrame:
     """For each detector: the threshold at 1 % false alarms on healthy validation windows, and the threshold in use."""
     read, rows = results.part("windows"), []
-    for name, detector in results.participants.items() if len(read) else ():
+    if read.empty:
+        return read
+    for name, detector in results.participants.items():
         score = read.loc[read["validation"] & (read["detector"] == name), "score"].to_numpy()
         found = np.nan  # a detector that cannot read these windows
         if len(score):
@@ -90,8 +92,9 @@ _CELL = ["detector", "condition", "level"]
 def _cells(results: Results) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
     """The windows of each detector, condition and level."""
     found = results.table("windows")
-    for key, frame in found.groupby(_CELL, sort=False) if len(found) else ():
-        yield dict(zip(_CELL, key, strict=True)), frame
+    if len(found):
+        for key, frame in found.groupby(_CELL, sort=False):
+            yield dict(zip(_CELL, key, strict=True)), frame
 
 
 @table("detection")
@@ -130,25 +133,13 @@ def verdicts(results: Results) -> pd.DataFrame:
 @table("sizes")
 def sizes(results: Results) -> pd.DataFrame:
     """Errors of the size and coverage of the 90 % intervals, over windows in which the detector gives an answer."""
-    sigma = _bound_of(results)
+    bounds: dict[Any, float] = {}
+    if len(bound := results.part("leak_bound")):
+        bounds = bound.groupby(["condition", "level"])["sigma_lpm"].median().to_dict()
     rows = []
     for cell, frame in _cells(results):
-        told = frame[frame["flow_lpm"].notna()]
-        truth = told["leak_lpm"].to_numpy()
-        estimate = told["flow_lpm"].to_numpy()
-        low, high = told["low_lpm"].to_numpy(), told["high_lpm"].to_numpy()
-        has = ~np.isnan(low)
-        row: dict[str, Any] = cell | {"windows": len(frame), "told": len(told)}
-        row["rms_log10"] = row["median_error_lpm"] = np.nan
-        if len(told):
-            decades = np.log10(np.maximum(estimate, SMALLEST_SIZE) / truth)
-            row["rms_log10"] = float(np.sqrt(np.mean(decades**2))) if cell["level"] != HEALTHY else np.nan
-            row["median_error_lpm"] = float(np.median(np.abs(estimate - truth)))
-        row |= share(((low <= truth) & (truth <= high))[has]).named("coverage")
-        deviation = (high - low) / (2.0 * 1.645)
-        far = np.abs(estimate - truth) > FAR * np.maximum(deviation, 1e-4)
-        row["unnoticed_minimum"] = float(far[has].mean()) if has.any() else np.nan
-        row["bound_lpm"] = sigma.get((cell["condition"], cell["level"]), np.nan)
+        row = cell | _errors_of_size(frame, cell["level"])
+        row["bound_lpm"] = bounds.get((cell["condition"], cell["level"]), np.nan)
         row["bound_rms_log10"] = np.nan
         if cell["level"] > 0.0:
             row["bound_rms_log10"] = row["bound_lpm"] / cell["level"] / np.log(10.0)
@@ -157,13 +148,24 @@ def sizes(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _bound_of(results: Results) -> dict[Any, float]:
-    """Median bound of each condition and level."""
-    rows = results.part("leak_bound")
-    if rows.empty:
-        return {}
-    sigma: dict[Any, float] = rows.groupby(["condition", "level"])["sigma_lpm"].median().to_dict()
-    return sigma
+def _errors_of_size(frame: pd.DataFrame, level: float) -> dict[str, Any]:
+    """Windows of one cell: errors of their sizes, and how often the interval holds the truth."""
+    told = frame[frame["flow_lpm"].notna()]
+    truth, estimate = told["leak_lpm"].to_numpy(), told["flow_lpm"].to_numpy()
+    low, high = told["low_lpm"].to_numpy(), told["high_lpm"].to_numpy()
+    row: dict[str, Any] = {"windows": len(frame), "told": len(told), "rms_log10": np.nan, "median_error_lpm": np.nan}
+    if len(told):
+        decades = np.log10(np.maximum(estimate, SMALLEST_SIZE) / truth)
+        row["median_error_lpm"] = float(np.median(np.abs(estimate - truth)))
+        if level != HEALTHY:
+            row["rms_log10"] = float(np.sqrt(np.mean(decades**2)))
+    has = ~np.isnan(low)
+    row |= share(((low <= truth) & (truth <= high))[has]).named("coverage")
+    row["unnoticed_minimum"] = np.nan
+    if has.any():
+        deviation = np.maximum((high - low) / (2.0 * 1.645), 1e-4)
+        row["unnoticed_minimum"] = float((np.abs(estimate - truth) > FAR * deviation)[has].mean())
+    return row
 
 
 @table("reliability")
@@ -173,21 +175,21 @@ def reliability(results: Results) -> pd.DataFrame:
     ``error`` is the calibration error of the whole curve: the mean distance of probability and frequency, weighted by
     the number of windows.
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     found = results.table("windows")
-    drawn = found[(found["level"] == DRAWN) & found["probability"].notna()] if len(found) else found
-    for (detector, condition), frame in drawn.groupby(["detector", "condition"], sort=False) if len(drawn) else ():
+    if found.empty:
+        return found
+    drawn = found[(found["level"] == DRAWN) & found["probability"].notna()]
+    for (detector, condition), frame in drawn.groupby(["detector", "condition"], sort=False):
         probability = frame["probability"].to_numpy()
         leaking = frame["leaking"].to_numpy(dtype=bool)
         place = np.clip(np.digitize(probability, BINS) - 1, 0, len(BINS) - 2)
-        parts = []
+        parts, distance = [], 0.0
         for number in np.unique(place):
             here = place == number
-            parts.append(
-                {"detector": detector, "condition": condition, "probability": float(probability[here].mean())}
-                | share(leaking[here]).named("frequency")
-                | {"windows": int(here.sum())}
-            )
-        distance = sum(abs(p["probability"] - p["frequency"]) * p["windows"] for p in parts) / len(frame)
+            expected, frequency = float(probability[here].mean()), share(leaking[here])
+            distance += abs(expected - frequency.value) * here.mean()
+            part = {"detector": detector, "condition": condition, "probability": expected}
+            parts.append(part | frequency.named("frequency") | {"windows": int(here.sum())})
         rows += [part | {"error": distance} for part in parts]
     return pd.DataFrame(rows)

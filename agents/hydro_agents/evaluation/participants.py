@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.evaluation.robustness_protocol import ControllerChoice, PairedProtocol
+from hydro_agents.evaluation.robustness_protocol import ControllerChoice, RobustnessProtocol
 from hydro_agents.learning.loading import SHIPPED_WEIGHTS, GainsOrigin, load_controller, origin_of_gains
 from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.folders import config_folder
@@ -44,11 +44,6 @@ def _name(kind: str) -> str:
     return NAMES.get(kind, kind.upper())
 
 
-def _base(controller: Controller) -> Controller | None:
-    """The controller that a policy corrects."""
-    return getattr(getattr(controller, "features", None), "base", None)
-
-
 def _called(controller: Controller) -> str:
     """The name of a corrected controller."""
     kinds = [kind for kind, (registered, _) in CONTROLLERS.items() if type(controller) is registered]
@@ -61,15 +56,20 @@ class Participants:
 
     controllers: Mapping[str, Controller]
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
-    head: LeakageHead | None = None  # watches the episodes of a study
+    head: LeakageHead | None = None  # watches episodes under each of them
+    corrects: Mapping[str, str] = field(default_factory=dict)  # names of policies and of what they correct, if known
 
     @property
     def corrected(self) -> dict[str, str]:
         """Names of the policies, and of the controller that each corrects."""
-        bases = {split_name(name)[0]: _base(controller) for name, controller in self.controllers.items()}
-        return {name: _called(base) for name, base in bases.items() if base is not None}
+        found = {}
+        for name, controller in self.controllers.items():
+            base = getattr(getattr(controller, "features", None), "base", None)
+            if base is not None:
+                found[split_name(name)[0]] = _called(base)
+        return found | dict(self.corrects)
 
-    def of(self, name: str, condition: str, protocol: PairedProtocol) -> Controller | str:
+    def of(self, name: str, condition: str, protocol: RobustnessProtocol) -> Controller | str:
         """The controller that runs under a condition, or the reason why none can.
 
         Without a controller for this condition, the general one runs if the observations are those that it knows.
@@ -88,7 +88,7 @@ class Participants:
 
 def participants(
     controllers: Mapping[str, Controller | str | Path],
-    protocol: PairedProtocol,
+    protocol: RobustnessProtocol,
 ) -> Participants:
     """Make the controllers of a protocol.
 

@@ -90,62 +90,18 @@ class PairedCases(Group):
     leak_levels: tuple[Number, ...] = Field((0.03, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
     families: tuple[Family, ...] = Field(MOVING_FAMILIES, min_length=1)
     plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
+    seeds: PlantSeeds = Field("ROBUSTNESS", description="of the plants: a range of the ledger of seeds, by its name")
+    standstill_plants: int = Field(
+        4, ge=0, le=SEEDS_PER_FAMILY, description="plants of the search for limit cycles, per leak; 0: no search"
+    )
+    detection_episodes: int = Field(
+        4000, ge=100, le=200_000, description="for a head that watches: per controller, half of them healthy"
+    )
 
     @model_validator(mode="after")
     def _possible_cases(self) -> Self:
         check_grid(self.leak_levels, self.families)
         return self
-
-
-class PairedProtocol(PairedCases, Protocol[PairedCondition]):
-    """A protocol whose conditions have paired cases.
-
-    A plant has the same seed at every leak level and in every condition.
-    """
-
-    seeds: PlantSeeds = Field("ROBUSTNESS", description="of the plants: a range of the ledger of seeds, by its name")
-    chunk: int = Field(2048, ge=1, description="cases of a job")
-    standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per level; 0: no search")
-
-    def changed_task(self, name: str) -> TaskConfig:
-        """The task with the changes of a condition; a condition whose only reference is 'user' draws no other."""
-        condition = self.conditions[name]
-        if condition.families == ("user",):
-            alone = merged(condition.task, {"references": {"weights": {"user": 1.0}}})
-            condition = condition.model_copy(update={"task": alone})
-        return condition.task_on(self.task, f"conditions.{name}")
-
-    def parameters_in(self, name: str) -> dict[str, dict[str, float | str]]:
-        """Parameters that a condition fixes in every plant, for the option ``parameters`` of ``reset``."""
-        return self.conditions[name].parameters_on(self.task_in(name))
-
-    def standstill_levels(self, name: str) -> Sequence[float]:
-        """Leak levels of the search for limit cycles under a condition."""
-        raise NotImplementedError
-
-    def cases_in(self, name: str) -> pd.DataFrame:
-        """The cases of a condition: leak, family, plant and seed of each."""
-        condition = self.conditions[name]
-        families, plants = condition.families or self.families, condition.plants or self.plants
-        return paired(condition.leak_levels or self.leak_levels, families, plants, LEDGER[self.seeds])
-
-    def standstill_cases_in(self, name: str) -> pd.DataFrame:
-        """The cases of the search for limit cycles under a condition."""
-        return paired(self.standstill_levels(name), ("user",), self.standstill_plants, LEDGER[self.seeds])
-
-    def cases_of(self, name: str, table: pd.DataFrame) -> Cases:
-        """The cases of a table of :func:`paired` under a condition."""
-        families = table["family"].to_numpy().astype(str)
-        return Cases(
-            table["seed"].to_numpy(np.int64),
-            table["leakage_flow_lpm"].to_numpy(np.float64),
-            None if (families == "user").all() else families,
-            self.parameters_in(name),
-        )
-
-
-EXPERIMENTS = ("force_step", "hold")
-"""Parts about the task alone."""
 
 
 class Sweep(Group):
@@ -169,17 +125,21 @@ class Sweep(Group):
         return conditions
 
 
-class RobustnessProtocol(PairedProtocol):
-    """A robustness protocol; ``configs/protocols`` holds some. The key ``sweep`` of a file adds conditions."""
+class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
+    """A protocol of controllers on paired cases; ``configs/protocols`` holds some.
+
+    A plant has the same seed at every leak level and in every condition. The key ``sweep`` of a file adds conditions.
+    """
 
     kind: Literal["robustness"] = "robustness"
     title: str = "Robustness"
-    chunk: int = Field(128, ge=1, le=256, description="cases of a job; fixed, so that no result depends on the machine")
+    chunk: int = Field(
+        128, ge=1, le=2048, description="cases of a job; fixed, so that no result depends on the machine"
+    )
     standstill_leak_levels: tuple[Number, ...] = Field(
         (0.03, 1.0, 8.0),
         description="l/min; search for limit cycles under each condition without its own leak levels",
     )
-    experiments: bool = Field(True, description="also stiffness and standstill")
     worst: int = Field(10, ge=1, le=1000, description="worst cases that the tables list per controller")
 
     @model_validator(mode="after")
@@ -190,11 +150,8 @@ class RobustnessProtocol(PairedProtocol):
         return self
 
     def asked(self) -> tuple[str, ...]:
-        """The parts that the other keys ask for."""
-        parts = ["tracking"]
-        if self.standstill_plants:
-            parts.append("standstill")
-        return (*parts, *(EXPERIMENTS if self.experiments else ()))
+        """Tracking and standstills; detection where a head watches."""
+        return ("tracking", "standstill", "episodes") if self.standstill_plants else ("tracking", "episodes")
 
     @classmethod
     def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
@@ -216,9 +173,38 @@ class RobustnessProtocol(PairedProtocol):
                     own = file.parent / weights
                     choice["weights"] = str(shipped if shipped.with_suffix(".safetensors").exists() else own)
 
-    def standstill_levels(self, name: str) -> Sequence[float]:
-        """The leaks of the condition, or else those of the protocol."""
-        return self.conditions[name].leak_levels or self.standstill_leak_levels
+    def changed_task(self, name: str) -> TaskConfig:
+        """The task with the changes of a condition; a condition whose only reference is 'user' draws no other."""
+        condition = self.conditions[name]
+        if condition.families == ("user",):
+            alone = merged(condition.task, {"references": {"weights": {"user": 1.0}}})
+            condition = condition.model_copy(update={"task": alone})
+        return condition.task_on(self.task, f"conditions.{name}")
+
+    def parameters_in(self, name: str) -> dict[str, dict[str, float | str]]:
+        """Parameters that a condition fixes in every plant, for the option ``parameters`` of ``reset``."""
+        return self.conditions[name].parameters_on(self.task_in(name))
+
+    def cases_in(self, name: str) -> pd.DataFrame:
+        """The cases of a condition: leak, family, plant and seed of each."""
+        condition = self.conditions[name]
+        families, plants = condition.families or self.families, condition.plants or self.plants
+        return paired(condition.leak_levels or self.leak_levels, families, plants, LEDGER[self.seeds])
+
+    def standstill_cases_in(self, name: str) -> pd.DataFrame:
+        """The cases of the search for limit cycles under a condition: its own leaks, or else those of the protocol."""
+        levels = self.conditions[name].leak_levels or self.standstill_leak_levels
+        return paired(levels, ("user",), self.standstill_plants, LEDGER[self.seeds])
+
+    def cases_of(self, name: str, table: pd.DataFrame) -> Cases:
+        """The cases of a table of :func:`paired` under a condition."""
+        families = table["family"].to_numpy().astype(str)
+        return Cases(
+            table["seed"].to_numpy(np.int64),
+            table["leakage_flow_lpm"].to_numpy(np.float64),
+            None if (families == "user").all() else families,
+            self.parameters_in(name),
+        )
 
     def table(self) -> pd.DataFrame:
         """One row per condition: group, label, description, changes (JSON), control period, number of cases."""

@@ -16,16 +16,18 @@ from functools import cached_property
 from importlib import import_module
 from operator import methodcaller
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.conditions import PARTS, Cell, Protocol, cells_of
 from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.jobs import Job, JobResult, Report, run_jobs
 from hydro_env.files import write_whole
+
+if TYPE_CHECKING:
+    from hydro_agents.evaluation.comparison import Grid
 
 DONE, NOT_APPLICABLE, FAILED = "done", "not applicable", "failed"
 
@@ -40,6 +42,7 @@ class Results:
     status: pd.DataFrame  # participant (with training seed), condition, status, message
     reused: int = 0  # jobs with results from an earlier run
     facts: Sequence[tuple[str, str]] = ()  # more rows of the table ``protocol``: key and value
+    further: dict[str, pd.DataFrame] = field(default_factory=dict)  # tables that do not follow from the rows
     _made: dict[str, pd.DataFrame] = field(default_factory=dict)
 
     def part(self, name: str) -> pd.DataFrame:
@@ -49,7 +52,14 @@ class Results:
     @cached_property
     def grid(self) -> Grid:
         """The cases of the controllers as arrays."""
+        from hydro_agents.evaluation.comparison import Grid  # of controllers alone
+
         return Grid(self.part("tracking"))
+
+    @property
+    def controllers(self) -> list[str]:
+        """Names of the controllers that have results, in their order."""
+        return self.grid.controllers
 
     def table(self, name: str) -> pd.DataFrame:
         """A table by the name of its CSV file; it is made once."""
@@ -59,7 +69,7 @@ class Results:
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Every table of this kind of protocol by the name of its CSV file; without those that are empty."""
-        made = {name: self.table(name) for name in tables_of(self.protocol.kind)}
+        made = {name: self.table(name) for name in tables_of(self.protocol.kind)} | self.further
         return {name: table for name, table in made.items() if not table.empty}
 
     def write(self, folder: Path) -> None:
@@ -80,7 +90,7 @@ class Results:
 
 TableFunction = Callable[[Results], pd.DataFrame]
 _TABLES: dict[str, dict[str, TableFunction]] = {}
-_MODULES = {"robustness": "robustness_tables", "leakage": "leak_tables", "study": "evaluate"}
+_MODULES = {"robustness": "tracking_tables", "leakage": "leak_tables"}
 """Modules with the tables of a kind of protocol."""
 
 
@@ -109,8 +119,8 @@ def status(results: Results) -> pd.DataFrame:
 def tables_of(kind: str) -> dict[str, TableFunction]:
     """Tables of a kind of protocol by name: the rows of its parts, then those that are made of them."""
     module = import_module(f"{__package__}.{_MODULES[kind]}").__name__
-    rows = {part.table: methodcaller("part", name) for name, part in PARTS.items() if kind in part.kinds}
-    return {**rows, **({} if kind == "study" else _TABLES[__name__]), **_TABLES[module]}
+    rows = {part.table: methodcaller("part", name) for name, part in PARTS.items() if part.kind == kind}
+    return {**rows, **_TABLES[__name__], **_TABLES[module]}
 
 
 def run(
@@ -174,17 +184,25 @@ def plan(protocol: Protocol[Any], chosen: Any) -> list[Planned]:
 def collect(
     planned: Sequence[Planned], answers: Mapping[str, JobResult], who: str
 ) -> tuple[dict[str, pd.DataFrame], pd.DataFrame]:
-    """The rows of each part that has some, and what became of every participant under every condition."""
+    """The rows of each part that has some, and what became of every participant under every condition.
+
+    A participant that failed in one part has no rows of this condition in the others.
+    """
     frames: dict[str, list[pd.DataFrame]] = {}
     refused, ran = [], []
+    failed = set()
+    for _, cell, jobs in planned:
+        if any(answers[key].error for key, _ in jobs):
+            failed.add((cell.participant, cell.condition))
     for part, cell, jobs in planned:
         own = [answers[key] for key, _ in jobs]
         error = next((answer.error for answer in own if answer.error), "")
         if cell.refused:
             refused.append((cell.participant, cell.condition, NOT_APPLICABLE, cell.refused))
-        elif cell.condition or error:
+            continue
+        if cell.condition or error:
             ran.append((cell.participant, cell.condition or part, FAILED if error else DONE, error))
-        if own and not error:
+        if own and (cell.participant, cell.condition) not in failed:
             columns = {name: np.concatenate([answer.metrics[name] for answer in own]) for name in own[0].metrics}
             frames.setdefault(part, []).append(pd.DataFrame({**cell.known, **columns}))
     rows = {part: pd.concat(each, ignore_index=True) for part, each in frames.items()}

@@ -12,28 +12,30 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Cell, beginning
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.participants import Participants, split_name
-from hydro_agents.evaluation.robustness_protocol import PairedProtocol
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.running.cases import Cases, ControllerError, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.limit_cycles import standstill_metrics, standstill_task
 from hydro_env import TaskConfig
 
 
-def tracking(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
+def tracking(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller on the cases of every condition."""
     for condition in protocol.conditions:
         task, cases = protocol.task_in(condition), protocol.cases_in(condition)
         yield from _of_controllers(protocol, chosen, condition, tracked, task, cases)
 
 
-def standstill(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
+def standstill(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller after a small step of the reference and back, under every condition."""
     for condition in protocol.conditions:
         task, cases = standstill_task(protocol.task_in(condition)), protocol.standstill_cases_in(condition)
         yield from _of_controllers(protocol, chosen, condition, at_rest, task, cases)
 
 
-def _of_controllers(protocol: PairedProtocol, chosen: Participants, condition: str, *measured: Any) -> Iterator[Cell]:
+def _of_controllers(
+    protocol: RobustnessProtocol, chosen: Participants, condition: str, *measured: Any
+) -> Iterator[Cell]:
     """Every controller under a condition; the rest as for :func:`_cell`."""
     for name in chosen.controllers:
         controller = chosen.of(name, condition, protocol)
@@ -44,7 +46,7 @@ def _of_controllers(protocol: PairedProtocol, chosen: Participants, condition: s
 
 
 def _cell(
-    protocol: PairedProtocol,
+    protocol: RobustnessProtocol,
     name: str,
     condition: str,
     participant: Controller,
@@ -89,7 +91,7 @@ def at_rest(controller: Controller, config: TaskConfig, cases: Cases) -> Columns
     return standstill_metrics(rollout, config)
 
 
-def replay(protocol: PairedProtocol, chosen: Participants, row: Mapping[Any, Any]) -> Rollout:
+def replay(protocol: RobustnessProtocol, chosen: Participants, row: Mapping[Any, Any]) -> Rollout:
     """Run one case again with its traces.
 
     Args:

@@ -134,7 +134,8 @@ class Content:
 
     def against(self, controller: str, condition: str = ALL) -> dict[str, Any]:
         """The row of the comparison with the baseline; empty if there is none."""
-        return self.row("comparison", controller=controller, condition=condition)
+        group, value = (ALL, "") if condition == ALL else ("condition", condition)
+        return self.row("comparison", controller=controller, against=self.baseline, group=group, value=value)
 
 
 def interval(row: Mapping[Any, Any], column: str, factor: float = 1.0) -> Interval:

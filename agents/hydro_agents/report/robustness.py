@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import chain
-from typing import Any
-
 import numpy as np
-import pandas as pd
 
 from hydro_agents.evaluation.metrics import FRAMES_TEXT, METRICS
-from hydro_agents.report.canvas import Plot, curve_plot
 from hydro_agents.report.content import ALL, Content, interval, interval_text, shown, verdict
 from hydro_agents.report.palette import STRONGEST
 from hydro_agents.report.sections import Block, Fold, Points, Text, section
 from hydro_agents.report.shared import COSTS, findings_of, problems
-from hydro_agents.running.text import Cell, Table, number, setting
+from hydro_agents.running.text import Cell, Table, number
 
 PAGE_FILE = "robustness.html"
 
@@ -23,8 +18,6 @@ ROBUSTNESS = (
     "findings",
     "comparison",
     "costs",
-    "stiffness",
-    "standstill",
     "method",
     "run",
 )
@@ -33,9 +26,6 @@ ROBUSTNESS = (
 
 FULL_COLOUR = 2.0
 """A ratio of 2 or 1/2 has the strongest colour."""
-
-LEAST_DEVIATION = 1e-3
-"""mm; a smaller deviation gives only a lower limit of the stiffness."""
 
 GROUPS = {
     "leak": "Leak past the piston",
@@ -86,7 +76,7 @@ def comparison(content: Content) -> list[Block]:
 @section("Errors and costs", needs=("summary",))
 def costs(content: Content) -> list[Block]:
     """Ranking, errors and costs of every controller."""
-    return [*ranking_table(content), absolute_table(content)]
+    return [*ranking_table(content), absolute_table(content), *cycles_by_condition(content)]
 
 
 @section("How it was measured", needs=("summary",))
@@ -129,7 +119,9 @@ def _row(content: Content, condition: str, column: str) -> Row:
     """Label, error of the baseline, and a cell per controller: coloured if its interval is on one side of 1."""
     values = [interval(content.against(name, condition), column) for name in content.controllers[1:]]
     least = min((value.value for value in values if np.isfinite(value.value)), default=np.nan)
-    error = content.row("summary", controller=content.baseline, condition=condition, metric="mean_error_mm")
+    group, value = (ALL, "") if condition == ALL else ("condition", condition)
+    place = {"controller": content.baseline, "group": group, "value": value}
+    error = content.row("summary", **place, metric="mean_error_mm")
     cells = []
     for value in values:
         meaning = verdict(value).replace("same", "")
@@ -184,7 +176,7 @@ def absolute_table(content: Content) -> Table:
     metrics = [metric for metric in METRICS.values() if metric.cost or metric.ratio]
     rows = []
     for name in content.controllers:
-        own = content.rows("summary", controller=name, condition=ALL).set_index("metric").to_dict("index")
+        own = content.rows("summary", controller=name, group=ALL).set_index("metric").to_dict("index")
         error = own.get("mean_error_mm", {})
         means = (metric.factor * own.get(metric.name, {}).get("mean", np.nan) for metric in metrics)
         errors = (shown(error, "mean"), number(error.get("worst", np.nan)))
@@ -192,89 +184,6 @@ def absolute_table(content: Content) -> Table:
     errors = ("mean error, mm", "worst run, mm")
     header = ("Controller", *errors, *(metric.label for metric in metrics))
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")
-
-
-# Stiffness ----------------------------------------------------------------------------------------------------------
-
-
-@section("Stiffness", needs=("force_step",))
-def stiffness(content: Content) -> list[Block]:
-    """Deviations under a force step."""
-    note = (
-        "An external force pushes an axis that holds its position. Static stiffness: force ÷ remaining deviation. "
-        "Dynamic stiffness: force ÷ largest deviation. The runs have no sensor noise, which would hide the recovery. "
-        "With a leak the load moves until the controller responds; the same leak damps the oscillation of the oil "
-        "columns."
-    )
-    return [Text(note), *stiffness_plots(content), stiffness_table(content)]
-
-
-def stiffness_plots(content: Content) -> list[Plot]:
-    """Largest and remaining deviation after a force step by leak."""
-    note = "Largest and remaining deviation per force, median of the plants; bars: lowest and highest plant."
-    titles = {"dynamic_mm_per_kn": "largest deviation", "static_mm_per_kn": "remaining deviation"}
-    options: dict[str, Any] = {"ylabel": "deviation, mm per kN", "ylim": (0.0, None)}
-    parts, plots = content.table("force_step").groupby(["controller", "leakage_flow_lpm"], sort=False), []
-    for column, title in titles.items():
-        found = parts[column].agg(value="median", low="min", high="max")
-        curves = {name: found.loc[name] for name in content.controllers if name in found.index}
-        named = (f"by-leak-{column}", f"Force step: {title}", note)
-        plots.append(curve_plot(*named, curves, content.looks, " mm/kN", apart=0.04, drawn="levels", **options))
-    return plots
-
-
-def stiffness_table(content: Content) -> Table:
-    """Static and dynamic stiffness by leak, medians of the plants."""
-    table = content.table("force_step")
-    caption = f"Stiffness against a force step of {number(table['force_n'].iloc[0], 0)} N; median of the plants"
-    leaks, rows = table["leakage_flow_lpm"].unique(), []
-    for name, own in table.groupby("controller", sort=False):
-        parts = [own[own["leakage_flow_lpm"] == leak] for leak in leaks]
-        figures = (
-            (stiffness_text(part, "remaining_mm"), stiffness_text(part, "peak_mm"), _recovery(part)) for part in parts
-        )
-        rows.append((name, *chain.from_iterable(figures)))
-    header = ("static, N/mm", "dynamic, N/mm", "recovered after, ms")
-    groups = tuple((f"{setting(leak)} l/min", len(header)) for leak in leaks)
-    return Table(caption, ("Controller", *header * len(leaks)), rows, groups, "dense")
-
-
-def _recovery(part: pd.DataFrame) -> str:
-    """Median time of the plants that recovered, and their number if not all did."""
-    times = part["recovery_s"].dropna()
-    if times.empty and len(part):
-        return "never"
-    text = number(1e3 * times.median(), 0)
-    return text if len(times) == len(part) else f"{text} ({len(times)} of {len(part)})"
-
-
-def stiffness_text(part: pd.DataFrame, column: str) -> str:
-    """Force over deviation, with ≥ if the deviation is too small."""
-    force, deviation = float(part["force_n"].iloc[0]), float(part[column].median())
-    text = number(force / max(deviation, LEAST_DEVIATION))
-    return f"≥ {text}" if deviation <= LEAST_DEVIATION else text
-
-
-# Standstill ---------------------------------------------------------------------------------------------------------
-
-
-@section("Standstill", needs=("standstill",))
-def standstill(content: Content) -> list[Block]:
-    """Residual motion, offset and valve travel with noise; limit cycles without."""
-    columns = {"unrest_um": 1, "offset_um": 1, "valve_travel_per_s": 2}  # decimals
-    means = content.table("standstill").groupby("controller", sort=False)[list(columns)].mean()
-    rows = [
-        (str(name), *map(number, row, columns.values()))
-        for name, row in zip(means.index, means.to_numpy(), strict=True)
-    ]
-    header = ("Controller", "residual motion, µm RMS", "offset, µm", "valve travel, strokes per s")
-    cycles = cycles_by_condition(content)
-    note = (
-        "Noise moves every stiff loop; a limit cycle is motion that remains without noise: after a small step, an "
-        "oscillation of more than one step of the position sensor."
-    )
-    folded = [Fold("Limit cycles under each condition", cycles)] if cycles else []
-    return [Text(note), Table("At rest under sensor noise, mean over all leaks", header, rows), *folded]
 
 
 def cycles_by_condition(content: Content) -> list[Table]:

@@ -57,9 +57,8 @@ def findings_of(content: Content) -> list[Block]:
 
 def _best(content: Content) -> list[Text]:
     """The controller that is clearly better than the baseline, by its share of the baseline's error."""
-    leading = "equal_weight" if content.has("comparison") else "ratio"
-    rows = {name: content.against(name) or content.row("ratios", controller=name) for name in content.controllers[1:]}
-    ratios = {name: interval(row, leading) for name, row in rows.items() if row}
+    rows = {name: content.against(name) for name in content.controllers[1:]}
+    ratios = {name: interval(row, "equal_weight") for name, row in rows.items() if row}
     if not ratios:
         return []
     best = min(ratios, key=lambda name: ratios[name].value)
@@ -72,7 +71,9 @@ def _best(content: Content) -> list[Text]:
 def corrected_table(content: Content) -> list[Table]:
     """Each policy that corrects another controller than the baseline, against this controller."""
     rows = []
-    for row in content.table("corrected").to_dict("records"):
+    compared = content.table("comparison")
+    others = compared[compared["against"] != content.baseline] if len(compared) else compared
+    for row in others.to_dict("records"):
         ratios = (shown(row, column) for column in ("ratio", "equal_weight", "ratio_sensor"))
         better, costs = number(100.0 * row["share_better"], 0), (number(row[column], 2) for column in COSTS)
         rows.append((str(row["controller"]), str(row["against"]), *ratios, better, *costs))

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.evaluate import Evaluation
 from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
 from hydro_agents.report.kit import INK, Page, draw, drawn, height_of, leak_axis, panel, panels, signal, with_interval
-from hydro_agents.report.parts import best, corrections, learning, run_facts
+from hydro_agents.report.parts import best, corrections, learning, problems, run_facts
 from hydro_agents.running.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_agents.running.statistics import RESAMPLES
 from hydro_agents.running.text import capitalised, family_name, number, setting, span
 from hydro_env.types import Floats
+
+ALL = "all"  # group of the rows over all runs
 
 FEW_PLANTS = 12
 """With fewer plants the intervals are rough; the page says so."""
@@ -51,21 +51,11 @@ class Example:
     leak: float = 0.0  # l/min at 100 bar
 
 
-def tables_of(evaluation: Evaluation) -> dict[str, pd.DataFrame]:
-    """Every table of an evaluation by the name of its CSV file."""
-    values = {part.name: getattr(evaluation, part.name) for part in fields(evaluation)}
-    return {name: table for name, table in values.items() if isinstance(table, pd.DataFrame)}
-
-
 @drawn
 def study_page(
     title: str,
-    found: Evaluation,
-    facts: Mapping[str, Any] | None = None,
+    tables: Mapping[str, pd.DataFrame],
     *,
-    corrected: pd.DataFrame | None = None,
-    training_curve: pd.DataFrame | None = None,
-    validation_error_mm: float = float("nan"),
     examples: Sequence[Example] = (),
     timings: Mapping[str, float] | None = None,
     configuration: str = "",
@@ -74,28 +64,27 @@ def study_page(
 
     Args:
         title: of the page.
-        found: the results.
-        facts: keys and values of the run, such as command, date, seed and versions.
-        corrected: policies against what they correct (:meth:`~hydro_agents.evaluation.comparison.Grid.corrected`).
-        training_curve: see :func:`~hydro_agents.report.parts.learning`.
-        validation_error_mm: of the first controller, on the plants of the training curve.
+        tables: of the run, by the names of their CSV files; a part whose table is missing is left out.
         examples: the same episodes at every leak.
         timings: s, by phase.
         configuration: YAML text.
     """
-    names, page = found.controllers, Page(title)
-    ratios = found.ratios if len(found.ratios) else pd.DataFrame(columns=["group"])
-    best(page, names[0], ratios[ratios["group"] == "all"], "ratio", found.limit_cycle_summary)
-    warnings(page, found)
+    facts = facts_of(tables)
+    names, page = names_of(tables), Page(title)
+    compared = compared_with(tables, names[0])
+    at_rest = tables.get("limit_cycle_summary", pd.DataFrame())
+    best(page, names[0], compared[compared["group"] == ALL], "ratio", at_rest)
+    problems(page, tables.get("status", pd.DataFrame()), "controller", {})
+    warnings(page, tables)
     page.text(
         f"Simulated: a servo axis whose piston seal leaks. {names[0]} is the baseline; every controller runs on the "
         "same plants, references and sensor noise. In brackets: 95 % intervals.",
         "soft",
     )
-    page.table(overview(found), "Errors and costs, mean over all runs")
-    corrections(page, corrected if corrected is not None else pd.DataFrame())
+    page.table(overview(tables), "Errors and costs, mean over all runs")
+    corrections(page, compared_with(tables, names[0], corrections=True))
     page.heading("Positioning by leak and by kind of reference")
-    positioning(page, found, ratios)
+    positioning(page, tables)
     if examples:
         page.heading("Single runs")
         page.text("The same plant, reference and noise at every leak. A controller that sees the reference ahead may "
@@ -105,44 +94,61 @@ def study_page(
             for example in examples:
                 if example.leak == leak:
                     single_run(page, example)
-    if len(found.detection_summary):
+    if "detection_summary" in tables:
         page.heading("Detecting the leak")
-        detection(page, found)
-    if training_curve is not None:
-        learning(page, training_curve, names[0], validation_error_mm, names)
+        detection(page, tables)
+    if "training_curve" in tables:
+        curve = tables["training_curve"]
+        learning(page, curve, names[0], float(curve["first_mean_error_mm"].iloc[0]), names)
     page.heading("How it was measured")
-    method(page, found)
-    run_facts(page, facts or {}, timings or {}, configuration)
+    method(page, tables)
+    run_facts(page, facts, timings or {}, configuration)
     return page
 
 
-def warnings(page: Page, found: Evaluation) -> None:
-    """What was left out, few plants, and runs with seeds that may have trained a controller."""
-    for message in found.errors.values():
-        page.text(f"Left out: {message}", "caution")
-    plants = found.cases["plant"].nunique()
+def names_of(tables: Mapping[str, pd.DataFrame]) -> list[str]:
+    """Names of the controllers, the baseline first."""
+    return [str(name) for name in tables["cases"]["controller"].unique()]
+
+
+def compared_with(tables: Mapping[str, pd.DataFrame], baseline: str, corrections: bool = False) -> pd.DataFrame:
+    """The rows of the comparison with the baseline, or those of policies with what they correct."""
+    table = tables.get("comparison", pd.DataFrame(columns=["controller", "against", "group", "value"]))
+    return table[(table["against"] != baseline) == corrections]
+
+
+def facts_of(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
+    """Keys and values of a run, from its table ``protocol``."""
+    table = tables.get("protocol", pd.DataFrame(columns=["key", "value"]))
+    return dict(zip(table["key"].astype(str), table["value"].astype(str), strict=True))
+
+
+def warnings(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
+    """Few plants, and runs with seeds that may have trained a controller."""
+    plants = tables["cases"]["plant"].nunique()
     if plants < FEW_PLANTS:
         few = f"A small run: {plants} plants per leak and kind of reference are too few for a decision."
         page.text(few, "caution")
-    seeds = pd.concat([table["seed"] for table in (found.cases, found.detection) if len(table)])
+    seeds = pd.concat([tables[name]["seed"] for name in ("cases", "detection") if name in tables])
     if not seeds.isin(TEST_SEEDS).all():
         text = "Some runs used seeds outside the test seeds: a controller may have been trained on them."
         page.text(text, "caution")
 
 
-def overview(found: Evaluation) -> pd.DataFrame:
+def overview(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """One row per controller over all runs: errors, ratios to the first one, worst runs, costs, limit cycles."""
-    runs = found.cases.groupby("controller", sort=False)
+    runs, names = tables["cases"].groupby("controller", sort=False), names_of(tables)
     means, frame = runs.mean(numeric_only=True), {}
-    ratios = found.ratios[found.ratios["group"] == "all"].set_index("controller") if len(found.ratios) else None
-    for (error, word), ratio in zip(FRAMES.items(), ("ratio", "ratio_sensor"), strict=True):
-        frame[word, "mean error, mm"] = means[error]
-        if ratios is not None:
-            frame[word, f"÷ {found.controllers[0]}'s"] = with_interval(ratios, ratio).reindex(means.index).fillna("1")
+    compared = compared_with(tables, names[0])
+    ratios = compared[compared["group"] == ALL].set_index("controller")
+    for (metric, word), ratio in zip(FRAMES.items(), ("ratio", "ratio_sensor"), strict=True):
+        frame[word, "mean error, mm"] = means[metric]
+        if len(ratios):
+            frame[word, f"÷ {names[0]}'s"] = with_interval(ratios, ratio).reindex(means.index).fillna("1")
     frame["worst", "error, mm"] = runs["mean_error_mm"].max()
     for metric in OVERVIEW:
         frame["cost", f"{metric.word.lower()}, {metric.shown_unit or metric.unit}"] = metric.factor * means[metric.name]
-    for row in found.limit_cycle_summary.to_dict("records"):
+    for row in tables.get("limit_cycle_summary", pd.DataFrame()).to_dict("records"):
         size = f" (to {amplitude_text(row['largest_amplitude_um'])})" if row["limit_cycles"] else ""
         failed = f", {row['failures']} failed" if row["failures"] else ""
         cycles = frame.setdefault(("at rest", "limit cycles"), pd.Series("–", index=means.index, dtype=object))
@@ -150,11 +156,13 @@ def overview(found: Evaluation) -> pd.DataFrame:
     return pd.DataFrame(frame)
 
 
-def positioning(page: Page, found: Evaluation, ratios: pd.DataFrame) -> None:
+def positioning(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
     """Errors and costs over the leak, and by kind of reference."""
-    names = found.controllers
+    names, summary = names_of(tables), tables["summary"]
+    levels = summary[summary["group"] == "level"]
+    levels = levels.assign(leakage_flow_lpm=levels["value"].astype(float))
     for metric in (METRICS["mean_error_mm"], *OVERVIEW):
-        rows = found.levels[found.levels["metric"] == metric.name]
+        rows = levels[levels["metric"] == metric.name]
         if metric.name == "failed":
             continue
         axes = panel(ylabel=metric.label[0].lower() + metric.label[1:])
@@ -162,9 +170,11 @@ def positioning(page: Page, found: Evaluation, ratios: pd.DataFrame) -> None:
         leak_axis(axes, rows["leakage_flow_lpm"])
         axes.set_ylim(bottom=0.0)
         page.figure(axes, f"{metric.word} by leak")
-    rows = found.families[found.families["metric"] == "mean_error_mm"]
+    of_kinds = (summary["group"] == "family") & (summary["metric"] == "mean_error_mm")
+    rows = summary[of_kinds].rename(columns={"value": "family"})
     by_kind = {"mean": (rows, "mean error, mm", "Mean error by kind of reference")}
-    rows = ratios[ratios["group"] == "family"].rename(columns={"value": "family"})
+    compared = compared_with(tables, names[0])
+    rows = compared[compared["group"] == "family"].rename(columns={"value": "family"})
     by_kind["ratio"] = (rows, f"error ÷ error of {names[0]}", "Ratio of errors by kind of reference")
     for column, (rows, label, heading) in by_kind.items():
         if rows.empty:
@@ -176,11 +186,10 @@ def positioning(page: Page, found: Evaluation, ratios: pd.DataFrame) -> None:
         if column == "ratio":
             axes.axvline(1.0, color=INK, linewidth=1.0, marker="", linestyle="-")
         page.figure(axes, heading)
-    if len(found.growth):
-        least, most = (setting(end) for end in found.cases["leakage_flow_lpm"].agg(["min", "max"]))
-        texts = found.growth.assign(
-            text=with_interval(found.growth, "ratio"), family=found.growth["family"].map(family_name)
-        )
+    if "growth" in tables:
+        found = tables["growth"]
+        least, most = (setting(end) for end in tables["cases"]["leakage_flow_lpm"].agg(["min", "max"]))
+        texts = found.assign(text=with_interval(found, "ratio"), family=found["family"].map(family_name))
         growth = texts.pivot(index="controller", columns="family", values="text").loc[names, texts["family"].unique()]
         page.table(growth, f"Mean error with {most} l/min ÷ mean error with {least} l/min, same plants")
 
@@ -201,9 +210,9 @@ def single_run(page: Page, example: Example) -> None:
     page.figure(axes, capitalised(example.title))
 
 
-def detection(page: Page, found: Evaluation) -> None:
+def detection(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
     """The leakage head under every controller: shares flagged by size, and the summary."""
-    rates, names = found.detection_rates, found.controllers
+    rates, names = tables["detection_rates"], names_of(tables)
     ranges = (rates["group"] == "range") & ~rates["value"].str.startswith("≥")
     axes = panel(xlabel="leak, l/min at 100 bar", ylabel="flagged, % of episodes", ylim=(-2.0, 102.0))
     draw(
@@ -216,7 +225,7 @@ def detection(page: Page, found: Evaluation) -> None:
         kind="points",
     )
     page.figure(axes, "Flagged episodes by leak", "Bars: 95 % interval. Flags on healthy seals are false alarms.")
-    page.table(detection_table(found.detection_summary), "Detection by the leakage head, from whole episodes")
+    page.table(detection_table(tables["detection_summary"]), "Detection by the leakage head, from whole episodes")
     with page.fold("Share of episodes flagged, %"):
         texts = rates.assign(text=with_interval(rates, "flagged_share", 1, 100.0))
         shares = texts.pivot(index=["group", "value"], columns="controller", values="text")
@@ -230,9 +239,9 @@ def detection_table(summary: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows).set_axis(summary["controller"].to_list()).T.astype(object)
 
 
-def method(page: Page, found: Evaluation) -> None:
+def method(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
     """What was run, on which seeds, and what the terms mean."""
-    cases = found.cases
+    cases = tables["cases"]
     page.points(
         [
             f"Intervals of means and ratios: 95 %, bootstrap over plants ({RESAMPLES} resamplings) and training seeds; "
@@ -241,7 +250,6 @@ def method(page: Page, found: Evaluation) -> None:
             FRAMES_TEXT,
             f"At rest: without sensor noise, after a small step and back. A limit cycle has at least {LEAST_CYCLES} "
             f"periods within {JUDGED:g} s, is larger than one step of the position sensor, and does not decay.",
-            f"Healthy: up to {setting(found.bounds.healthy_up_to)} l/min at 100 bar across the piston.",
         ]
     )
     rows = {

@@ -1,17 +1,19 @@
-"""Runs a study: train the controllers and the leakage head, compare the controllers, write the report.
+"""Runs a study: tune and train its controllers and the leakage head, then compare all controllers.
 
-Each phase writes its result into the output folder; an interrupted study can therefore resume.
+Each phase writes its result into the output folder; an interrupted study can therefore resume. A study with several
+training seeds trains each learned controller once per seed, as ``NAME#0``, ``NAME#1``, …: the seeds share its rows in
+the tables, whose intervals include them.
 """
 
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from itertools import chain
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pandas as pd
@@ -20,16 +22,14 @@ from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import GAINS_FILE, make_controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.head_training import simulations
-from hydro_agents.evaluation.evaluate import Evaluation, study_protocol
 from hydro_agents.evaluation.participants import participants
-from hydro_agents.evaluation.runner import plan
+from hydro_agents.evaluation.runner import Results, plan, run
 from hydro_agents.learning.loading import load_controller
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import Cases, run_cases, validation_errors
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
-from hydro_agents.running.jobs import JOBS_FOLDER, Job, beside
-from hydro_agents.running.seeds import TRIAL_RUN
-from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, STATE_FILE, Phases, evaluate_study, print_summary
+from hydro_agents.running.jobs import Job, beside
+from hydro_agents.running.seeds import SEED_MARK, TRIAL_RUN
 from hydro_agents.study.settings import StudySettings
 from hydro_agents.study.training import (
     HEAD_FILES,
@@ -43,7 +43,7 @@ from hydro_agents.study.training import (
     tune_controller,
 )
 from hydro_env import ConfigurationError
-from hydro_env.files import read_yaml, write_yaml
+from hydro_env.files import read_json, read_yaml, write_whole, write_yaml
 
 CONFIG_FILE = "study.yaml"
 HEAD_PHASE = "train leakage head"
@@ -53,97 +53,135 @@ TUNED_FILE = "tuned_study.yaml"
 TRAINED_BY = ("seed", "task", "controllers", "leakage_head")
 """Settings on which trained weights depend; the others may change when a study resumes."""
 
+STATE_FILE = "state.json"
+STATE_FORMAT = "hydro_env study, state 1"
+Result = TypeVar("Result")
+
+
+class Phases:
+    """Finished phases of a study and their durations, stored in ``state.json``.
+
+    Args:
+        folder: folder of the study; the state of an earlier session is read from it.
+
+    Raises:
+        ConfigurationError: the state is damaged.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.file = folder / STATE_FILE
+        self.seconds: dict[str, float] = {}
+        self.done: list[str] = []
+        if self.file.exists():
+            try:
+                state = read_json(self.file)
+                if state["format"] != STATE_FORMAT:
+                    raise ValueError
+                self.seconds = {str(name): float(value) for name, value in state["seconds"].items()}
+                self.done = [str(name) for name in state["done"]]
+            except (AttributeError, KeyError, TypeError, ValueError):
+                raise ConfigurationError(f"{self.file}: is not the state of a study; --overwrite begins anew") from None
+
+    def run(self, name: str, work: Callable[[], Result]) -> Result:
+        """Run a phase, and add its duration to the time of earlier sessions."""
+        began = time.monotonic()
+        try:
+            result = work()
+            self.done = [*(phase for phase in self.done if phase != name), name]
+            return result
+        finally:
+            self.seconds[name] = round(self.seconds.get(name, 0.0) + time.monotonic() - began, 1)
+            state = {"format": STATE_FORMAT, "done": self.done, "seconds": self.seconds}
+            write_whole(self.file, json.dumps(state, indent=1).encode())
+
+
+def labels_of(study: StudySettings, name: str, seeds: range) -> dict[str, int]:
+    """Names under which a controller takes part, with the training seed of each."""
+    if name in study.trained and len(seeds) > 1:
+        return {f"{name}{SEED_MARK}{seed}": seed for seed in seeds}
+    return {name: seeds[0]}
+
+
+def claimed(
+    study: StudySettings, folder: Path, seeds: range, files: Sequence[str], resume: bool, overwrite: bool
+) -> AbstractContextManager[Path]:
+    """The folder of a study, for its files and ``files``; see :func:`~hydro_agents.running.folders.output_folder`."""
+    writes = [CONFIG_FILE, TUNED_FILE, STATE_FILE, *HEAD_FILES, *files]
+    for name in study.trained:
+        for label in labels_of(study, name, seeds):
+            writes += [f"controllers/{label}/{file}" for file in TRAINING_FILES]
+    for name in study.tuned:
+        writes += [f"controllers/{name}/{file}" for file in TUNING_FILES]
+    return output_folder(folder, "study", writes, resume=resume, overwrite=overwrite)
+
 
 def run_study(
     study: StudySettings,
     folder: Path,
-    seed: int,
-    resume: bool = False,
-    overwrite: bool = False,
-    command: str = "hydro study",
-) -> Evaluation:
-    """Run all phases; ``resume`` skips those that are finished.
+    seeds: range,
+    display: ProgressDisplay,
+    facts: Sequence[tuple[str, str]] = (),
+) -> tuple[Results, dict[str, float]]:
+    """Run all phases that are not finished in the folder (:func:`claimed`).
+
+    Args:
+        study: the study, checked.
+        folder: for its files.
+        seeds: of the trainings; the first one is that of the tuning and of the leakage head.
+        display: shows the progress.
+        facts: more rows of the table ``protocol``: key and value.
+
+    Returns:
+        The results, with the further table ``training_curve`` (:data:`~hydro_agents.study.training.CURVE`, the error of
+        the first controller on the same plants), and the seconds of each phase.
 
     Raises:
-        ConfigurationError: settings contradict each other, the folder cannot be used, or its results have other
-            settings.
+        ConfigurationError: settings contradict each other, or the folder holds results of other settings.
         KeyboardInterrupt: Ctrl-C; the finished work remains and the study can be resumed.
     """
-    study.check()
-    with claimed(study, folder, resume, overwrite), ProgressDisplay() as display:
-        _write_settings(study, folder, seed)
-        try_out(study)
-        phases = Phases(folder)
-        known = {
-            name: _tuned(study, name, folder, seed, phases, display)
-            for name, entry in study.controllers.items()
-            if entry.trainer is None
-        }
-        with beside(_early_jobs(study, known, seed, phases), folder):
-            for name in study.trained:
-                known[name] = _trained(study, name, folder, seed, known, phases, display)
-        controllers = {name: known[name] for name in study.controllers}
-        curves = [read_curve(folder / "controllers" / name).assign(controller=name) for name in study.trained]
-        if study.tuned:
-            write_yaml(folder / TUNED_FILE, _with_gains(study, controllers))
-        head = _head(study, folder, seed, controllers, phases, display)
-        evaluation = evaluate_study(
-            study,
-            controllers,
-            head,
-            folder,
-            display,
-            configuration=(folder / CONFIG_FILE).read_text(encoding="utf-8"),
-            command=command,
-            seed=seed,
-            phases=phases,
-            training_curve=pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(),
-        )
-        shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
-    print_summary(evaluation, display)
-    display.say("times: " + ", ".join(f"{phase} {seconds:.0f} s" for phase, seconds in phases.seconds.items()))
-    display.say(f"report: {(folder / REPORT_FILE).resolve()}")
-    return evaluation
+    _write_settings(study, folder, seeds[0])
+    try_out(study)
+    phases = Phases(folder)
+    known: dict[str, Controller] = {}
+    for name, entry in study.controllers.items():
+        if entry.trainer is None:
+            known[name] = _tuned(study, name, folder, seeds[0], phases, display)
+    with beside(_early_jobs(study, known, seeds[0], phases), folder):
+        for name in study.trained:
+            for label, seed in labels_of(study, name, seeds).items():
+                known[label] = _trained(study, label, folder, seed, known, phases, display)
+    controllers = {label: known[label] for name in study.controllers for label in labels_of(study, name, seeds)}
+    if study.tuned:
+        write_yaml(folder / TUNED_FILE, _with_gains(study, controllers))
+    acting = [controllers[next(iter(labels_of(study, name, seeds)))] for name in study.controllers]
+    head = _head(study, folder, seeds[0], acting, phases, display)
+    protocol = study.evaluation.protocol(study.task, study.title)
+    chosen = replace(participants(controllers, protocol), head=head, corrects=study.corrects)
+    results = phases.run("evaluate", lambda: run(protocol, chosen, folder, None, display.update, facts))
+    curve = pd.concat([read_curve(folder / "controllers" / label).assign(controller=label) for label in controllers])
+    if len(curve):
+        curve["first_mean_error_mm"] = validation_errors(study.task, next(iter(controllers.values())))[0]
+    results.further["training_curve"] = curve.reset_index(drop=True)
+    return results, phases.seconds
 
 
 def _early_jobs(study: StudySettings, known: Mapping[str, Controller], seed: int, phases: Phases) -> Iterator[Job]:
     """What can be done while the policies train: evaluating the others, and most runs of the head's training."""
-    if not known or all(f"train {name}" in phases.done for name in study.trained):
+    if not known or not study.trained or "evaluate" in phases.done:
         return
-    protocol = study_protocol(study.task, study.evaluation)
-    yield from (job for each in plan(protocol, participants(known, protocol)) for _, job in each.jobs)
+    protocol = study.evaluation.protocol(study.task, study.title)
+    for each in plan(protocol, participants(known, protocol)):
+        for _, job in each.jobs:
+            yield job
     if study.leakage_head is not None:
         acting = [known.get(name) for name in study.controllers]
-        yield from chain(
-            *(jobs.values() for jobs in simulations(study.task, acting, study.leakage_head, seed).values())
-        )
-
-
-def claimed(study: StudySettings, folder: Path, resume: bool, overwrite: bool) -> AbstractContextManager[Path]:
-    """The folder of a study for its files; see :func:`~hydro_agents.running.folders.output_folder`."""
-    below = [f"controllers/{name}/{file}" for name in study.trained for file in TRAINING_FILES]
-    below += [f"controllers/{name}/{file}" for name in study.tuned for file in TUNING_FILES]
-    writes = [CONFIG_FILE, TUNED_FILE, STATE_FILE, *HEAD_FILES, *below, *REPORT_FILES]
-    return output_folder(folder, "study", writes, resume=resume, overwrite=overwrite)
-
-
-def is_finished(study: StudySettings, folder: Path, seed: int) -> bool:
-    """Whether a folder holds the whole study with these settings and this seed, so that nothing is left to do."""
-    file = folder / CONFIG_FILE
-    if not file.exists() or not (folder / REPORT_FILE).exists():
-        return False
-    return bool(read_yaml(file) == _described(study, seed)) and "evaluate" in Phases(folder).done
-
-
-def _described(study: StudySettings, seed: int) -> dict[str, Any]:
-    """The settings as its file holds them."""
-    described: dict[str, Any] = json.loads(json.dumps({**study.model_dump(mode="json"), "seed": seed}))
-    return described
+        for jobs in simulations(study.task, acting, study.leakage_head, seed).values():
+            yield from jobs.values()
 
 
 def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:
     """Write the settings into the folder; its earlier results must have the same settings."""
-    described = _described(study, seed)
+    described = json.loads(json.dumps({**study.model_dump(mode="json"), "seed": seed}))
     file = folder / CONFIG_FILE
     if file.exists():
         before = read_yaml(file)
@@ -171,7 +209,9 @@ def try_out(study: StudySettings) -> None:
         ConfigurationError: a controller fails; the message names it.
     """
     cases = Cases(np.array(TRIAL_RUN.take(2)))
-    for name in [name for name, entry in study.controllers.items() if entry.trainer is None]:
+    for name, entry in study.controllers.items():
+        if entry.trainer is not None:
+            continue
         try:
             run_cases(study.task, study.make(name), cases, states=False)
         except ConfigurationError as error:
@@ -184,36 +224,40 @@ def _tuned(
     """A controller that needs no training, tuned first if the study requires it."""
     if name not in study.tuned:
         return study.make(name)
-    own = folder / "controllers" / name
+    file = folder / "controllers" / name / GAINS_FILE
     if f"tune {name}" in phases.done:
         display.say(f"{name}: already tuned")
-        return make_controller(study.controllers[name].kind, study.task, read_yaml(own / GAINS_FILE))
-    return phases.run(f"tune {name}", lambda: tune_controller(study, name, own, seed, display))
+        return make_controller(study.controllers[name].kind, study.task, read_yaml(file))
+    return phases.run(f"tune {name}", lambda: tune_controller(study, name, file, seed, display))
 
 
 def _trained(
     study: StudySettings,
-    name: str,
+    label: str,
     folder: Path,
     seed: int,
-    controllers: dict[str, Controller],
+    known: Mapping[str, Controller],
     phases: Phases,
     display: ProgressDisplay,
 ) -> Controller:
-    own, entry = folder / "controllers" / name, study.controllers[name]
+    """A controller after its training with one seed; it corrects that of the same seed, if that one is trained too."""
+    name, own = label.partition(SEED_MARK)[0], folder / "controllers" / label
+    entry = study.controllers[name]
     assert entry.trainer is not None
-    if f"train {name}" in phases.done:
-        display.say(f"{name}: already trained")
-        return load_controller(entry.trainer.load(own / WEIGHTS), study.task, name)
-    base = controllers[entry.corrects] if entry.corrects is not None else None
-    return phases.run(f"train {name}", lambda: train_controller(study, name, own, seed, base, display))
+    if f"train {label}" in phases.done:
+        display.say(f"{label}: already trained")
+        return load_controller(entry.trainer.load(own / WEIGHTS), study.task, label)
+    base = None
+    if entry.corrects is not None:
+        base = known.get(f"{entry.corrects}{SEED_MARK}{seed}") or known[entry.corrects]
+    return phases.run(f"train {label}", lambda: train_controller(study, label, own, seed, base, display))
 
 
 def _head(
     study: StudySettings,
     folder: Path,
     seed: int,
-    controllers: dict[str, Controller],
+    acting: Sequence[Controller],
     phases: Phases,
     display: ProgressDisplay,
 ) -> LeakageHead | None:
@@ -222,5 +266,4 @@ def _head(
     if HEAD_PHASE in phases.done:
         display.say("leakage head: already trained")
         return LeakageHead.load(folder / HEAD_WEIGHTS)
-    acting = list(controllers.values())
     return phases.run(HEAD_PHASE, lambda: train_leakage_head(study, folder, seed, acting, display))

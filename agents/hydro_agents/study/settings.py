@@ -1,19 +1,21 @@
 """Settings of a study: task, controllers, training of the leakage head, size of the evaluation.
 
-On another task or rig gains are tuned first, and controllers that need a sensor that the rig lacks are left out.
+A file is validated once, in whole: the settings of a controller too become gains or settings of a training. On another
+rig gains are tuned first, and controllers that need a sensor that the rig lacks are left out.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializeAsAny, StringConstraints, ValidationInfo, field_validator, model_validator
 
 from hydro_agents.controllers.base import ClassicalController, Controller
-from hydro_agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name
@@ -27,15 +29,109 @@ from hydro_agents.learning.loading import (
     usual_gains,
 )
 from hydro_agents.learning.rig_gains import searched_gains
+from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import read_settings, read_task
-from hydro_agents.running.text import correction_name
-from hydro_agents.study.entries import ControllerEntry, Name, TuningSettings, following, refuse_later
+from hydro_agents.running.text import NAME_RULE, correction_name
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.mistakes import kept, refuse
+from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
 from hydro_env.task.configuration import task_config
+from hydro_env.task.rig import merged
 from hydro_env.task.sensors import SENSORS
+
+Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]
+
+
+class TuningSettings(Group):
+    """Tuning of a classical controller (:func:`hydro_agents.learning.tuning.tune`) before it takes part in a study."""
+
+    objective: Literal["mean", "equal"] = Field("equal", description="mean error, or each family with equal weight")
+    evaluations: int = Field(840, ge=1, le=10_000_000, description="total number of candidates")
+    cases: int = Field(42, ge=1, le=100_000, description="training cases per candidate")
+
+
+class ControllerEntry(Group):
+    """One controller of a study."""
+
+    kind: str = Field(description="pid, ppo, or module:attribute for your own controller or trainer")
+    settings: SerializeAsAny[Any] = Field(
+        default_factory=dict,
+        validate_default=True,
+        description="settings of the controller or its training; or the path of a YAML file",
+    )
+    after: str | None = Field(
+        None,
+        exclude=True,
+        description="an earlier entry, whose kind, settings and corrected controller apply where this one says nothing",
+    )
+    corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
+    tune: TuningSettings | None = Field(
+        None,
+        description="for a classical controller: tune its gains first, beginning with its settings; --rig always does",
+    )
+
+    @field_validator("kind")
+    @classmethod
+    def _known_kind(cls, kind: str) -> str:
+        if ":" not in kind and kind not in (*CONTROLLERS, *TRAINERS):
+            raise ValueError(f"{unknown(kind, (*CONTROLLERS, *TRAINERS))}, or 'module:attribute'")
+        return kind
+
+    @field_validator("settings")
+    @classmethod
+    def _of_its_kind(cls, given: Any, info: ValidationInfo) -> Any:
+        """Gains of a classical controller, settings of a training; those of a controller of your own as they are."""
+        kind = info.data.get("kind")
+        if kind is None:
+            return given
+        if kind in CONTROLLERS:
+            return CONTROLLERS[kind][1].model_validate(given)
+        try:
+            training = trainer_of(kind)
+        except ConfigurationError as error:
+            raise ValueError(str(error)) from None
+        return given if training is None else training.settings.model_validate(given)
+
+    @cached_property
+    def trainer(self) -> Trainer | None:
+        """Its trainer; ``None`` for a controller that needs no training."""
+        return trainer_of(self.kind)
+
+    def changed(self, **fields: Any) -> ControllerEntry:
+        """The entry with other fields."""
+        return self.model_copy(update=fields)
+
+
+def trainer_of(kind: str) -> Trainer | None:
+    """The trainer of a kind; ``None`` for a controller that needs no training.
+
+    Raises:
+        ConfigurationError: its module cannot be imported.
+    """
+    if ":" not in kind:
+        return TRAINERS.get(kind)
+    given = imported(kind)
+    return trainer(kind) if hasattr(given, "train") and hasattr(given, "load") else None
+
+
+def refuse_later(name: str, key: str, named: str | None, earlier: Collection[str]) -> None:
+    """Refuse an entry that names another one in a field if that one does not stand before it."""
+    if named is not None and named not in earlier:
+        must = f"must be a controller before it ({', '.join(earlier) or 'none'})"
+        raise ValueError(f"controllers.{name}: {key} = '{named}': {must}{did_you_mean(named, earlier)}")
+
+
+def following(entry: dict[str, Any], before: dict[str, Any] | None, training: Any) -> dict[str, Any]:
+    """An entry with what it takes over; the settings are merged group by group."""
+    whole = (before or {}) | entry | {"after": None}
+    first = (before or {}).get("settings", {})
+    if before is None and str(whole.get("kind")) not in CONTROLLERS:
+        first = training
+    own = entry.get("settings", {})
+    if isinstance(first, dict) and isinstance(own, dict):
+        whole["settings"] = merged(first, own)
+    return whole
 
 
 class StudySettings(Group):
@@ -88,31 +184,28 @@ class StudySettings(Group):
         Raises:
             ConfigurationError: unreadable file, unknown key or impossible value.
         """
-        values = read_yaml(path)
+        values, file = read_yaml(path), Path(path)
         errors: list[ConfigurationError] = []
         with kept(errors):
             if "task" in values:
-                values["task"] = read_task(values.pop("task"), Path(path))
-        groups: dict[str, type[Group]] = {"leakage_head": HeadTrainingSettings, "evaluation": ProtocolSettings}
-        for key, group in groups.items():
+                values["task"] = read_task(values.pop("task"), file)
+        for key in ("leakage_head", "evaluation"):
             if isinstance(values.get(key), str):
-                file = Path(path).parent / values.pop(key)
                 with kept(errors):
-                    values[key] = validate(group, read_yaml(file), str(file))
+                    values[key] = read_yaml(file.parent / values.pop(key))
         with kept(errors):
-            sources = read_settings(values.get("controllers"), Path(path))
+            read_settings(values.get("controllers"), file)
         with kept(errors):
             study = validate(cls, values, str(path))
         refuse(errors, str(path))
-        study.check(str(path), sources)
+        study.check(str(path))
         return study
 
-    def check(self, source: str = "study", sources: Mapping[str, str] | None = None) -> None:
+    def check(self, source: str = "study") -> None:
         """Check everything that would otherwise fail after hours of work.
 
         Args:
             source: for messages.
-            sources: files with the settings of controllers, by name.
 
         Raises:
             ConfigurationError: a controller cannot be made, settings contradict each other, or the episodes are too
@@ -121,60 +214,41 @@ class StudySettings(Group):
         errors: list[ConfigurationError] = []
         for name in self.controllers:
             with kept(errors):
-                self._check_controller(name, source, (sources or {}).get(name))
-        with kept(errors):
+                self._check_controller(name, f"{source}: controllers.{name}")
+        if self.leakage_head is not None:
             try:
-                if self.leakage_head is not None:
-                    self.leakage_head.check(self.task)
+                self.leakage_head.check(self.task)
             except ConfigurationError as error:
-                raise ConfigurationError(f"{source}: {error}") from None
+                errors.append(ConfigurationError(f"{source}: {error}"))
         refuse(errors, source)
 
-    def _check_controller(self, name: str, source: str, file: str | None) -> None:
-        """Check one controller; ``file`` holds its settings if they have a file of their own."""
-        entry, here = self.controllers[name], f"{source}: controllers.{name}"
-        settings_at = (file, "") if file is not None else (source, f"controllers.{name}.settings")
-        try:
-            trainer = entry.trainer
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{here}: {error}") from error
-        if trainer is None:
-            if entry.kind in CONTROLLERS:
-                validate(CONTROLLERS[entry.kind][1], entry.settings, *settings_at)
+    def _check_controller(self, name: str, here: str) -> None:
+        entry = self.controllers[name]
+        if entry.trainer is None:
             try:
-                load_controller(make_controller(entry.kind, self.task, entry.settings), self.task, name)
+                load_controller(self.make(name), self.task, name)
             except ConfigurationError as error:
-                raise ConfigurationError(f"{file or here}: {error}") from error
+                raise ConfigurationError(f"{here}: {error}") from error
             if entry.corrects is not None:
                 raise ConfigurationError(f"{here}: corrects: only a trained one can correct")
             if entry.tune is not None and entry.kind not in CONTROLLERS:
                 raise ConfigurationError(f"{here}: tune: only {', '.join(CONTROLLERS)} can be tuned")
-        else:
-            if entry.tune is not None:
-                raise ConfigurationError(f"{here}: tune: a trained one cannot be tuned")
-            settings = validate(trainer.settings, entry.settings, *settings_at)
-            if getattr(settings, "residual", False) and entry.corrects is None:
-                raise ConfigurationError(
-                    f"{here}: is trained as a correction (residual: true): give 'corrects: NAME' of the controller "
-                    "that it corrects"
-                )
-            task_config(self.task, **getattr(settings, "practice", {}))
+            return
+        if entry.tune is not None:
+            raise ConfigurationError(f"{here}: tune: a trained one cannot be tuned")
+        if getattr(entry.settings, "residual", False) and entry.corrects is None:
+            raise ConfigurationError(
+                f"{here}: is trained as a correction (residual: true): give 'corrects: NAME' of the controller "
+                "that it corrects"
+            )
+        task_config(self.task, **getattr(entry.settings, "practice", {}))
 
     def make(self, name: str) -> Controller:
         """A controller of the study that needs no training."""
         entry = self.controllers[name]
+        if entry.kind in CONTROLLERS:
+            return CONTROLLERS[entry.kind][0](entry.settings, self.task)
         return make_controller(entry.kind, self.task, entry.settings)
-
-    def training_settings(self, name: str) -> Group:
-        """Settings of the training of a controller.
-
-        Raises:
-            ConfigurationError: the controller needs no training, or its settings are wrong.
-        """
-        trainer = self.controllers[name].trainer
-        if trainer is None:
-            raise ConfigurationError(f"controllers.{name}: is not trained")
-        return validate(trainer.settings, self.controllers[name].settings, f"controllers.{name}")
 
     @property
     def trained(self) -> list[str]:
@@ -186,7 +260,12 @@ class StudySettings(Group):
         """Names of the classical controllers that are tuned before they take part."""
         return [name for name, entry in self.controllers.items() if entry.tune is not None]
 
-    def with_weights(self, agents: Mapping[str, str]) -> dict[str, Controller]:
+    @property
+    def corrects(self) -> dict[str, str]:
+        """Names of the controllers that correct another one, and of that one."""
+        return {name: entry.corrects for name, entry in self.controllers.items() if entry.corrects is not None}
+
+    def with_weights(self, agents: Mapping[str, str], leave_out: bool = False) -> dict[str, Controller]:
         """All controllers ready to act, without any training.
 
         Args:
@@ -194,29 +273,39 @@ class StudySettings(Group):
                 :func:`~hydro_agents.learning.loading.load_controller`. ``NAME#0``, ``NAME#1``, … are training
                 seeds, which replace a controller NAME of the study. Any other trained controller takes the shipped
                 weights.
+            leave_out: leave out, with a line on standard error, what has no weights or needs other observations.
 
         Raises:
             ConfigurationError: a controller cannot be made or has no weights.
         """
         controllers: dict[str, Controller] = {}
         for name, entry in self.controllers.items():
-            if seeds := [agent for agent in agents if split_name(agent)[0] == name]:
-                controllers |= {seed: load_controller(agents[seed], self.task, seed, entry.trainer) for seed in seeds}
-            elif entry.trainer is None:
-                controllers[name] = load_controller(self.make(name), self.task, name)
-            else:
-                controllers[name] = self._shipped(name)
+            seeds = [agent for agent in agents if split_name(agent)[0] == name]
+            for seed in seeds:
+                controllers[seed] = load_controller(agents[seed], self.task, seed, entry.trainer)
+            if seeds:
+                continue
+            try:
+                controllers[name] = self._ready(name)
+            except ConfigurationError as error:
+                if entry.trainer is None or not leave_out:
+                    raise
+                print(f"hydro: left out: {error}", file=sys.stderr)
         for name, what in agents.items():
             if name not in controllers:
                 controllers[name] = load_controller(what, self.task, name)
         return controllers
 
-    def _shipped(self, name: str) -> Controller:
-        """The shipped weights, which correct flow linearisation; only those for any axis have a memory."""
+    def _ready(self, name: str) -> Controller:
+        """A controller that needs no training, or the shipped weights, which correct flow linearisation."""
         entry = self.controllers[name]
-        if entry.kind in SHIPPED_WEIGHTS and entry.corrects and self.controllers[entry.corrects].kind in ANY_RIG:
-            settings: Any = self.training_settings(name)
-            if settings.law or not settings.lstm_cells:
+        if entry.trainer is None:
+            return load_controller(self.make(name), self.task, name)
+        corrected = self.controllers[entry.corrects].kind if entry.corrects else ""
+        if entry.kind in SHIPPED_WEIGHTS and corrected in ANY_RIG:
+            settings: Any = entry.settings
+            has_memory = bool(settings.lstm_cells)
+            if settings.law or not has_memory:  # of the shipped ones only those for any axis have a memory
                 return load_controller(entry.kind, self.task, name)
         raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
 
@@ -227,7 +316,9 @@ class StudySettings(Group):
         """
         controllers = dict(self.controllers)
         for name, entry in self.controllers.items():
-            if self.task.plant == PlantParameters() or not ships(entry.kind, entry.settings):
+            if self.task.plant == PlantParameters() or entry.kind not in CONTROLLERS:
+                continue
+            if not ships(entry.kind, entry.settings.model_dump(mode="json", exclude_unset=True)):
                 continue
             if entry.kind in ANY_RIG and gains_file(entry.kind, self.task) is None:
                 continue
@@ -237,23 +328,8 @@ class StudySettings(Group):
                 print(f"hydro: left out: {name}: {error}", file=sys.stderr)
                 del controllers[name]
             else:
-                settings = own.gains.model_dump(mode="json")
-                controllers[name] = entry.model_copy(update={"settings": settings, "tune": None})
+                controllers[name] = entry.changed(settings=own.gains, tune=None)
         return self.model_copy(update={"controllers": controllers})
-
-    def fitting(self, agents: Mapping[str, str]) -> tuple[dict[str, Controller], list[str]]:
-        """Like :meth:`with_weights`, but weights that need other observations are left out, with the reason."""
-        reasons = []
-        study, given = self, {split_name(agent)[0] for agent in agents}
-        for name, entry in self.controllers.items():
-            if entry.trainer is not None and name not in given:
-                try:
-                    self._shipped(name)
-                except ConfigurationError as error:
-                    reasons.append(str(error))
-                    others = {key: value for key, value in study.controllers.items() if key != name}
-                    study = study.model_copy(update={"controllers": others})
-        return study.with_weights(agents), reasons
 
 
 def default_study(
@@ -290,9 +366,9 @@ def _begun(entry: ControllerEntry) -> ControllerEntry:
     """The entry of a controller for another rig, which tunes it; gains of the paper's rig give way to those for any."""
     if entry.kind not in CONTROLLERS:
         return entry
-    usual = entry.kind in ANY_RIG and entry.settings == read_yaml(usual_gains(entry.kind))
-    settings = CONTROLLERS[entry.kind][1]().model_dump(mode="json") if usual else entry.settings
-    return entry.model_copy(update={"tune": entry.tune or TuningSettings(), "settings": settings})
+    gains = CONTROLLERS[entry.kind][1]
+    usual = entry.kind in ANY_RIG and entry.settings == gains.model_validate(read_yaml(usual_gains(entry.kind)))
+    return entry.changed(tune=entry.tune or TuningSettings(), settings=gains() if usual else entry.settings)
 
 
 def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[str]]:
@@ -307,14 +383,18 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
     Raises:
         ConfigurationError: no controller is left.
     """
-    if not (absent := [name for name in SENSORS if not getattr(study.task.sensors, name).fitted]):
+    absent = [name for name in SENSORS if not getattr(study.task.sensors, name).fitted]
+    if not absent:
         return study, []
     kept: dict[str, ControllerEntry] = {}
     notes = []
     for name, entry in study.controllers.items():
-        if entry.kind in CONTROLLERS and (reason := _refusal(entry, study.task)):
-            notes.append(f"{name} is left out: {reason}")
-            continue
+        if entry.kind in CONTROLLERS:
+            try:
+                study.make(name)
+            except ConfigurationError as error:
+                notes.append(f"{name} is left out: {error}")
+                continue
         if entry.corrects is not None and entry.corrects not in kept:
             others = [other for other, one in kept.items() if one.kind in CONTROLLERS]
             if not others:
@@ -334,16 +414,9 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
     return study.model_copy(update=changes), notes
 
 
-def _refusal(entry: ControllerEntry, task: TaskConfig) -> str:
-    try:
-        make_controller(entry.kind, task, entry.settings)
-    except ConfigurationError as error:
-        return str(error)
-    return ""
-
-
 def _correcting(entry: ControllerEntry, base: str, controller: type[ClassicalController]) -> ControllerEntry:
     """The entry of a policy that corrects another controller, whose estimates it sees only if there are any."""
-    estimates = entry.settings.get("see_estimates", False) and bool(controller.estimate_names)
-    seen = {"see_estimates": estimates} if "see_estimates" in entry.settings else {}
-    return entry.model_copy(update={"corrects": base, "settings": entry.settings | seen})
+    settings = entry.settings
+    if getattr(settings, "see_estimates", False) and not controller.estimate_names:
+        settings = settings.model_copy(update={"see_estimates": False})
+    return entry.changed(corrects=base, settings=settings)

@@ -96,7 +96,7 @@ def test_rates_per_class_and_range():
     assert [(row.group, row.value) for row in own.itertuples()] == list(expected)
     for row in own.itertuples():
         hits, total = expected[row.group, row.value]
-        assert (row.flagged_share, row.low, row.high) == tuple(share_interval(hits, total))
+        assert (row.flagged_share, row.flagged_share_low, row.flagged_share_high) == tuple(share_interval(hits, total))
         assert row.episodes == total
     default = detection_rates(episodes(), TaskConfig())
     ranges = default[(default["controller"] == "A") & (default["group"] == "range")]["value"]

@@ -1,21 +1,19 @@
 """The protocol: which cases are run, who is compared with whom, and what a failing controller costs."""
 
-import itertools
-import math
 import warnings
 
 import numpy as np
 import pandas as pd
 import pytest
 from proportional import Constant
+from published import assert_published
 from refusal import refused
 from untrained import untrained_head
 
 import hydro_agents
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.evaluation.detection import detection_cases
-from hydro_agents.evaluation.evaluate import ProtocolSettings, StudyProtocol, evaluate, ratio_table, summary_table
-from hydro_agents.evaluation.metrics import METRICS
+from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
 from hydro_agents.running.cases import ControllerError, run_cases
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, TaskConfig
@@ -29,7 +27,7 @@ STRONG, WEAK = PID(PIDGains(proportional=200.0), CONFIG), PID(PIDGains(proportio
 
 def cases_of(**settings):
     """The cases of an evaluation, and their table."""
-    protocol = StudyProtocol(conditions={"task": {}}, **settings)
+    protocol = ProtocolSettings(**settings).protocol(CONFIG)
     table = protocol.cases_in("task")
     return protocol.cases_of("task", table), table
 
@@ -63,15 +61,16 @@ def test_seeds_of_the_protocol_do_not_move():
 
 def test_every_part_of_the_result_is_made_from_its_own_cases(evaluation):
     result, phases, head = evaluation
-    assert set(result.levels.columns[:2]) == {"controller", "leakage_flow_lpm"}
-    assert set(result.families["family"]) == {"step", "sine"}
-    assert (set(result.ratios["controller"]), set(result.ratios["against"])) == ({"weak"}, {"strong"})
-    assert len(result.detection) == 2 * 100
-    for table in (result.cases, result.detection_summary, result.detection_rates):
-        assert list(table["controller"].unique()) == ["strong", "weak"]
-    assert set(result.detection_summary["threshold"]) == {head.settings.threshold}
-    assert (result.bounds, result.errors) == ((0.03, 0.1, 0.3), {})
-    assert phases == [("evaluation", done, 6) for done in range(7)]  # both controllers track, rest and are watched
+    assert_published("study", result.tables())
+    assert result.controllers == ["strong", "weak"]
+    compared = result.table("comparison")
+    assert (set(compared["controller"]), set(compared["against"])) == ({"weak"}, {"strong"})
+    assert len(result.table("detection")) == 2 * 100
+    for name in ("cases", "detection_summary", "detection_rates", "limit_cycle_summary"):
+        assert list(result.table(name)["controller"].unique()) == ["strong", "weak"]
+    assert set(result.table("detection_summary")["threshold"]) == {head.settings.threshold}
+    assert result.errors == []
+    assert [done for _, done, _ in phases] == list(range(7))  # both controllers track, rest and are watched
 
 
 def test_detection_cases_are_healthy_and_leaking_in_turn():
@@ -93,7 +92,6 @@ def test_detection_cases_are_healthy_and_leaking_in_turn():
     ("values", "message"),
     [
         ({"leak_levels": [0.1, 0.0]}, "leak_levels: 0 l/min: must be within 0"),
-        ({"families": ["user"]}, r"families.0 = 'user': unknown family 'user'.* known: step, "),
         ({"families": ["step", "step"]}, "families: has a duplicate entry"),
         ({"leak_levels": [1.0, 1.0]}, "leak_levels: has a duplicate entry"),
         ({"plants": 2}, "plants"),
@@ -119,14 +117,14 @@ def evaluation():
 def test_every_case_is_in_the_table_with_its_own_error_and_seen_by_the_head(evaluation, name, controller):
     result, _, head = evaluation
     cases, table = cases_of(**SETTINGS.model_dump())
-    own = result.cases[result.cases["controller"] == name].reset_index(drop=True)
+    own = result.table("cases").query("controller == @name").reset_index(drop=True)
     np.testing.assert_array_equal(own["seed"], cases.seeds)
     pd.testing.assert_frame_equal(own[list(table)], table, check_dtype=False)
     run = run_cases(CONFIG, controller, cases)
     error = 1e3 * np.abs(run.reference.astype(np.float64) - run.position).mean(axis=1)
     np.testing.assert_allclose(own["mean_error_mm"], error, rtol=1e-12)
 
-    own, watched = result.detection[result.detection["controller"] == name], detection_cases(CONFIG, 100)
+    own, watched = result.table("detection").query("controller == @name"), detection_cases(CONFIG, 100)
     signals = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
     run = run_cases(CONFIG, controller, watched, [LAYOUT.index(signal) for signal in signals], states=False)
     estimate = head.estimate_windows(run.signals.astype(float) * head.scale[:, None])
@@ -143,7 +141,7 @@ def test_every_case_is_in_the_table_with_its_own_error_and_seen_by_the_head(eval
 def test_the_preview_is_left_out_of_standstills():
     settings = ProtocolSettings(plants=3, leak_levels=(1.0,), families=("step",))
     tasks = (TaskConfig(episode_duration=2.0, references=own) for own in ({"preview_times": []}, {}))
-    tables = [evaluate(task, {"hold": Constant()}, settings=settings).cases for task in tasks]
+    tables = [evaluate(task, {"hold": Constant()}, settings=settings).table("cases") for task in tasks]
     np.testing.assert_array_equal(tables[0]["mean_error_mm"], tables[1]["mean_error_mm"])
     assert (tables[0]["steady_state_error_mm"] != tables[1]["steady_state_error_mm"]).any()
 
@@ -159,16 +157,18 @@ class NotANumber:
 
 
 def test_a_failing_controller_costs_only_its_own_results_and_is_no_yardstick():
-    with pytest.warns(UserWarning, match=r"bad: seed 2000001, reference step, leak 0.01 l/min, at 0.050 s"):
+    with pytest.warns(UserWarning, match=r"bad under task: seed 2000001, reference step, leak 0.01 l/min, at 0.050 s"):
         result = evaluate(CONFIG, {"bad": NotANumber(), "strong": STRONG, "weak": WEAK}, settings=SETTINGS)
-    assert list(result.errors) == ["bad"]
-    assert result.errors["bad"].startswith("bad: seed 2000001")
-    assert set(result.ratios["against"]) == {"strong"}
+    assert [error.partition(": seed")[0] for error in result.errors] == ["bad under task"]
+    assert set(result.table("comparison")["against"]) == {"strong"}
     alone = evaluate(CONFIG, {"strong": STRONG, "weak": WEAK}, settings=SETTINGS)
-    for name in ("cases", "levels", "families", "ratios"):
-        assert getattr(result, name).equals(getattr(alone, name))
-    for table in (alone.detection, alone.detection_rates, alone.detection_summary):
-        assert table.empty  # there is no head
+    for name in ("cases", "summary", "comparison", "ranking"):
+        pd.testing.assert_frame_equal(
+            result.table(name).drop(columns="failed_conditions", errors="ignore"),
+            alone.table(name).drop(columns="failed_conditions", errors="ignore"),
+        )
+    for name in ("detection", "detection_rates", "detection_summary"):
+        assert alone.table(name).empty  # there is no head
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(ControllerError, match=r"bad: .*returned nan.*worse: .*returned nan"):
@@ -187,10 +187,10 @@ def test_a_controller_that_fails_under_the_head_alone_has_no_results():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         result = evaluate(CONFIG, {"unlucky": Unlucky(), "PID": STRONG}, network, SETTINGS)
-    assert list(result.cases["controller"].unique()) == ["PID"]
-    assert "RuntimeError: no more" in result.errors["unlucky"]
-    assert list(result.detection["controller"].unique()) == ["PID"]
-    assert result.ratios.empty
+    assert result.controllers == ["PID"]
+    assert "RuntimeError: no more" in result.errors[0]
+    assert list(result.table("detection")["controller"].unique()) == ["PID"]
+    assert result.table("comparison").empty
 
 
 def test_what_cannot_take_part_is_refused_at_once():
@@ -215,79 +215,10 @@ def test_a_task_may_be_given_in_any_form(tmp_path):
     file = tmp_path / "task.yaml"
     file.write_text("episode_duration: 0.1\n")
     settings = {"plants": 3, "leak_levels": [1.0], "families": ["ramp"]}
-    plain = evaluate(TaskConfig(episode_duration=0.1), {"PID": "pid"}, settings=settings).cases
+    plain = evaluate(TaskConfig(episode_duration=0.1), {"PID": "pid"}, settings=settings).table("cases")
     for task in (str(file), file, {"episode_duration": 0.1}):
-        assert hydro_agents.evaluate(task, {"PID": "pid"}, settings=settings).cases.equals(plain)
+        assert hydro_agents.evaluate(task, {"PID": "pid"}, settings=settings).table("cases").equals(plain)
     with refused(r"nowhere\.yaml"):
         evaluate("nowhere.yaml", {"PID": "pid"})
     with pytest.raises(AttributeError, match="no attribute 'assess'"):
         _ = hydro_agents.assess
-
-
-# Tables, against figures worked out by hand -----------------------------------------------------------------
-
-PLANTS = 4
-
-
-def tracking_table():
-    """Two controllers on two levels, two families and four plants; every metric is a number of its own."""
-    columns = ["controller", "leakage_flow_lpm", "family", "plant"]
-    rows = itertools.product(("base", "other"), (0.01, 4.0), ("step", "sine"), range(PLANTS))
-    table = pd.DataFrame(rows, columns=columns)
-    other, sine = table["controller"] == "other", table["family"] == "sine"
-    error = (1.0 + table["plant"]) * np.where(sine, 1.0, 10.0) * (1.0 + 0.1 * table["leakage_flow_lpm"])
-    # The other is better by half, and worse than the base on sines with the large leak.
-    error *= np.where(other, np.where(sine & (table["leakage_flow_lpm"] == 4.0), 1.5, 0.5), 1.0)
-    return table.assign(**{name: error + index for index, name in enumerate(METRICS)})
-
-
-CASES = tracking_table()
-
-
-def errors(controller, **chosen):
-    frame = CASES[CASES["controller"] == controller]
-    for column, value in chosen.items():
-        frame = frame[frame[column] == value]
-    return np.array([frame[frame["plant"] == plant]["mean_error_mm"].mean() for plant in range(PLANTS)])
-
-
-@pytest.mark.parametrize("by", ["leakage_flow_lpm", "family"])
-def test_summary_of_every_metric(by):
-    table = summary_table(CASES, by)
-    assert len(table) == 2 * 2 * len(METRICS)
-    for row in table.itertuples():
-        values = CASES[(CASES["controller"] == row.controller) & (CASES[by] == getattr(row, by))][row.metric]
-        assert row.mean == pytest.approx(values.mean())
-        assert row.low < row.mean < row.high
-        assert row.worst == values.max()
-        assert (row.cases, row.unit) == (2 * PLANTS, METRICS[row.metric].unit)
-
-
-def test_ratios_overall_per_level_per_family_and_with_equal_weights():
-    table = ratio_table(CASES, ["base", "other"])
-    assert list(table["group"]) == ["all", "level", "level", "family", "family", "equal_weight"]
-    assert (set(table["controller"]), set(table["against"])) == ({"other"}, {"base"})
-    assert (table["low"] <= table["ratio"]).all()
-    assert (table["ratio"] <= table["high"]).all()
-    better = {"": 0.75, "0.01": 1.0, "4.0": 0.5, "step": 1.0, "sine": 0.5}
-    *rows, equal = table.itertuples()
-    of_families = []
-    for row in rows:
-        chosen = {"family": row.value} if row.group == "family" else {}
-        chosen |= {"leakage_flow_lpm": float(row.value)} if row.group == "level" else {}
-        mine, theirs = (errors(name, **chosen) for name in ("other", "base"))
-        assert row.ratio == pytest.approx(mine.mean() / theirs.mean())
-        assert row.share_of_cases_better == better[row.value]
-        of_families += [row.ratio] * (row.group == "family")
-    assert equal.ratio == pytest.approx(math.sqrt(math.prod(of_families)))
-    assert math.isnan(equal.share_of_cases_better)
-
-
-def test_an_equal_controller_is_not_better():
-    same = pd.concat([CASES[CASES["controller"] == "base"].assign(controller=name) for name in ("base", "twin")])
-    table = ratio_table(same, ["base", "twin"])
-    assert np.all(table[["ratio", "low", "high"]] == 1.0)
-    assert np.nanmax(table["share_of_cases_better"]) == 0.0
-    assert ratio_table(same, ["base"]).empty
-    three = pd.concat([same, CASES[CASES["controller"] == "other"]])
-    assert list(ratio_table(three, ["base", "twin", "other"])["controller"].unique()) == ["twin", "other"]

@@ -7,7 +7,7 @@ from refusal import refused
 from small_protocol import SMALL, named, small
 
 from hydro_agents.evaluation.conditions import file_sha256
-from hydro_agents.evaluation.evaluate import StudyProtocol
+from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.report.robustness import GROUPS
 from hydro_agents.running.seeds import ROBUSTNESS
@@ -66,7 +66,7 @@ def test_cases_are_paired_over_conditions_and_leaks_and_disjoint_from_the_ordina
     everything = named("robustness")
     own = np.concatenate([everything.cases_in(name)["seed"] for name in everything.conditions])
     assert ROBUSTNESS.first <= own.min() <= own.max() < ROBUSTNESS.first + ROBUSTNESS.count
-    study = StudyProtocol(plants=9_000, conditions={"task": {}}).cases_in("task")
+    study = ProtocolSettings(plants=9_000).protocol(protocol.task).cases_in("task")
     assert not set(own.tolist()) & set(study["seed"].tolist())
 
 

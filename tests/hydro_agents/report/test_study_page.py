@@ -1,7 +1,5 @@
 """The page of a study: its verdict and its tables say what the tables of the evaluation say."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,12 +7,10 @@ from parsed_page import ODD_NAME, Parsed
 from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.evaluation.comparison import Grid
-from hydro_agents.evaluation.evaluate import Evaluation, ProtocolSettings, evaluate, growth_of
+from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
 from hydro_agents.report.parts import BASE_ERROR, ERROR, learning_axes
-from hydro_agents.report.study_page import Example, detection_table, overview, study_page, tables_of
+from hydro_agents.report.study_page import Example, detection_table, overview, study_page
 from hydro_agents.running.text import correction_name, duration, number
-from hydro_agents.study.results import write_tables
 from hydro_env import TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)
@@ -23,27 +19,26 @@ SETTINGS = ProtocolSettings(
 )
 
 
-def shown(evaluation, **parts):
-    return Parsed(study_page("Trial", evaluation, {"command": "hydro study", "seed": "3"}, **parts).html()).text
+def shown(tables, **parts):
+    facts = pd.DataFrame({"key": ["command", "seed"], "value": ["hydro study", "3"]})
+    return Parsed(study_page("Trial", {**tables, "protocol": facts}, **parts).html()).text
 
 
 @pytest.fixture(scope="module")
-def evaluation():
+def tables():
     gains = {"PID": 200.0, ODD_NAME: 60.0}
     controllers = {name: PID(PIDGains(proportional=gain), CONFIG) for name, gain in gains.items()}
-    return evaluate(CONFIG, controllers, untrained_head(CONFIG), SETTINGS)
+    return evaluate(CONFIG, controllers, untrained_head(CONFIG), SETTINGS).tables()
 
 
-def test_the_page_shows_every_part(evaluation):
+def test_the_page_shows_every_part(tables):
     time = np.linspace(0.005, 0.4, 80)
-    traces = dict.fromkeys(evaluation.controllers, 0.01 * (1.0 - np.exp(-time / 0.05)))
+    traces = dict.fromkeys(("PID", ODD_NAME), 0.01 * (1.0 - np.exp(-time / 0.05)))
     example = Example("the same with 4 l/min", time, np.full(80, 0.01), traces, traces, leak=4.0)
-    curve = pd.DataFrame({"steps": [1e5, 2e5], ERROR: [0.3, 0.2], "controller": ODD_NAME})
+    curve = pd.DataFrame({"steps": [1e5, 2e5], ERROR: [0.3, 0.2], "controller": ODD_NAME, "first_mean_error_mm": 0.5})
     text = shown(
-        evaluation,
+        {**tables, "training_curve": curve},
         examples=[example],
-        training_curve=curve,
-        validation_error_mm=0.5,
         timings={"train PPO": 3725.0},
         configuration="task:\n  control_period: 0.005 # <&>\n",
     )
@@ -51,54 +46,37 @@ def test_the_page_shows_every_part(evaluation):
         assert part in text
     assert "A small run: 3 plants" in text
     assert "outside the test seeds" not in text
-    cases = evaluation.cases
-    assert "outside the test seeds" in shown(replace(evaluation, cases=cases.assign(seed=cases["seed"] - 2_000_000)))
+    cases = tables["cases"]
+    assert "outside the test seeds" in shown({**tables, "cases": cases.assign(seed=cases["seed"] - 2_000_000)})
 
 
-def test_one_controller_without_a_head(tmp_path):
+def test_one_controller_without_a_head():
     settings = SETTINGS.model_copy(update={"leak_levels": (0.3,), "families": ("step",)})
-    lonely = evaluate(CONFIG, {"PID": PID(PIDGains(), CONFIG)}, None, settings)
-    text = shown(lonely)
+    text = shown(evaluate(CONFIG, {"PID": PID(PIDGains(), CONFIG)}, None, settings).tables())
     for absent in ("Detecting the leak", "Ratio of errors by", "nan", "clearly better"):
         assert absent not in text
-    names = [path.name for path in write_tables(tmp_path / "tables", tables_of(lonely))]
-    assert names == [f"{name}.csv" for name in ("cases", "levels", "families", "limit_cycles", "limit_cycle_summary")]
 
 
-def test_tables_hold_all_numbers(evaluation, tmp_path):
-    paths = write_tables(tmp_path, tables_of(evaluation))
-    assert {path.stem for path in paths} <= set(Evaluation.__dataclass_fields__)
-    for path in paths:
-        expected = getattr(evaluation, path.stem).reset_index(drop=True)
-        stored = pd.read_csv(path, dtype={"value": str})
-        stored = stored.fillna({"value": ""}) if "value" in stored else stored
-        pd.testing.assert_frame_equal(stored, expected, check_dtype=False)
-
-
-def test_errors_in_both_frames_and_limit_cycles_stand_in_the_overview(evaluation):
-    cases = evaluation.cases.assign(mean_error_mm=0.25, mean_error_sensor_mm=0.125)
+def test_errors_in_both_frames_and_limit_cycles_stand_in_the_overview(tables):
+    cases = tables["cases"].assign(mean_error_mm=0.25, mean_error_sensor_mm=0.125)
     counts = {"limit_cycles": [14, 0], "standstills": 16, "failures": [1, 0], "largest_amplitude_um": [7900.0, 0.0]}
-    cycles = pd.DataFrame({"controller": evaluation.controllers, **counts, "frequency_hz": 8.0})
-    restless = replace(evaluation, cases=cases, limit_cycle_summary=cycles)
+    cycles = pd.DataFrame({"controller": ["PID", ODD_NAME], **counts, "frequency_hz": 8.0})
+    restless = {**tables, "cases": cases, "limit_cycle_summary": cycles}
     table = overview(restless)
     assert table["accuracy", "mean error, mm"].tolist() == [0.25, 0.25]
     assert table["repeatability", "mean error, mm"].tolist() == [0.125, 0.125]
     assert table["at rest", "limit cycles"].tolist() == ["14 of 16 (to 7.9 mm), 1 failed", "0 of 16"]
     assert "PID does not come to rest" in shown(restless)
-    assert "PID does not come to rest" not in shown(replace(restless, limit_cycle_summary=cycles.assign(**{
-        "limit_cycles": 0, "failures": 0})))  # fmt: skip
+    calm = cycles.assign(limit_cycles=0, failures=0)
+    assert "PID does not come to rest" not in shown({**restless, "limit_cycle_summary": calm})
 
 
-def test_the_growth_of_the_error_with_the_leak_is_that_on_the_same_plants(evaluation):
-    cases = evaluation.cases
-    factor = np.where(cases["leakage_flow_lpm"] == 4.0, cases["family"].map({"step": 3.0, "sine": 2.0}), 1.0)
-    errors = cases.assign(mean_error_mm=(1.0 + cases["plant"]) * factor)
-    growth = growth_of(errors)
-    assert growth["ratio"].tolist()[:3] == pytest.approx([2.5, 3.0, 2.0])
-    page = study_page("Trial", replace(evaluation, cases=errors, growth=growth))
-    rows = Parsed(page.html()).rows
+def test_the_growth_of_the_error_with_the_leak_is_a_table(tables):
+    grown = {"family": ["all", "step", "sine"], "ratio": [2.5, 3.0, 2.0]}
+    growth = pd.DataFrame({"controller": np.repeat(["PID", ODD_NAME], 3), **{k: 2 * v for k, v in grown.items()}})
+    growth = growth.assign(ratio_low=growth["ratio"], ratio_high=growth["ratio"])
+    rows = Parsed(study_page("Trial", {**tables, "growth": growth}).html()).rows
     assert ["PID", "2.50 (2.50 to 2.50)", "3.00 (3.00 to 3.00)", "2.00 (2.00 to 2.00)"] in rows
-    assert growth_of(cases[cases["leakage_flow_lpm"] == 4.0]).empty
 
 
 @pytest.mark.parametrize(
@@ -110,33 +88,32 @@ def test_the_growth_of_the_error_with_the_leak_is_that_on_the_same_plants(evalua
         ((0.5, np.nan, np.nan), "No controller is clearly better than PID."),  # too few plants for an interval
     ],
 )
-def test_nobody_is_called_best_without_a_clear_difference(evaluation, ratio, verdict):
-    ratios = evaluation.ratios.copy()
-    ratios.loc[ratios["group"] == "all", ["ratio", "low", "high"]] = ratio
-    assert verdict in shown(replace(evaluation, ratios=ratios))
+def test_nobody_is_called_best_without_a_clear_difference(tables, ratio, verdict):
+    compared = tables["comparison"].copy()
+    compared.loc[compared["group"] == "all", ["ratio", "ratio_low", "ratio_high"]] = ratio
+    assert verdict in shown({**tables, "comparison": compared})
 
 
-def test_a_policy_is_compared_with_the_controller_that_it_corrects(evaluation):
-    rows = evaluation.cases[evaluation.cases["controller"] == ODD_NAME]
-    policy = rows.assign(controller="PPO", mean_error_mm=0.9 * rows["mean_error_mm"])
-    three = replace(evaluation, cases=pd.concat([evaluation.cases, policy], ignore_index=True))
-    corrected = Grid(three.cases).corrected({"PPO": ODD_NAME, ODD_NAME: "PID"})
-    assert corrected["controller"].tolist() == ["PPO"]  # the overview compares with the baseline
-    found = Parsed(study_page("Trial", evaluation, corrected=corrected).html()).rows
+def test_a_policy_is_compared_with_the_controller_that_it_corrects(tables):
+    compared = tables["comparison"]
+    row = compared.iloc[[0]].assign(controller="PPO", against=ODD_NAME, ratio=0.9, ratio_low=0.9, ratio_high=0.9)
+    corrected = row.assign(share_better=1.0, travel_ratio=1.0, reversals_ratio=1.0, energy_ratio=1.0)
+    both = pd.concat([compared, corrected], ignore_index=True)
+    found = Parsed(study_page("Trial", {**tables, "comparison": both}).html()).rows
     (row,) = [row for row in found if row[:2] == ["PPO", ODD_NAME]]
     assert row[2] == "0.900 (0.900 to 0.900)"
     assert row[5:] == ["100", "1.00", "1.00", "1.00"]  # better in all runs, at the same costs
 
 
-def test_shares_and_sizes_of_the_detection_stand_in_its_tables(evaluation):
-    rates = evaluation.detection_rates.copy()
-    rates.loc[rates["value"] == "0.1–0.2", ["flagged_share", "low", "high"]] = (0.25, 0.2, 0.3)
-    rates = rates.rename(columns={"flagged_share_low": "low", "flagged_share_high": "high"})
-    summary = evaluation.detection_summary.assign(false_alarm_rate=0.012, median_size_error_factor=[1.31, 1.42])
+def test_shares_and_sizes_of_the_detection_stand_in_its_tables(tables):
+    rates = tables["detection_rates"].copy()
+    columns = ["flagged_share", "flagged_share_low", "flagged_share_high"]
+    rates.loc[rates["value"] == "0.1–0.2", columns] = (0.25, 0.2, 0.3)
+    summary = tables["detection_summary"].assign(false_alarm_rate=0.012, median_size_error_factor=[1.31, 1.42])
     table = detection_table(summary)
     assert table.loc["False alarms at this threshold, %"].tolist() == pytest.approx([1.2, 1.2])
     assert table.loc["Size: factor of error, half of the leaks within"].tolist() == [1.31, 1.42]
-    assert "25.0 (20.0 to 30.0)" in shown(replace(evaluation, detection_rates=rates, detection_summary=summary))
+    assert "25.0 (20.0 to 30.0)" in shown({**tables, "detection_rates": rates, "detection_summary": summary})
 
 
 def test_learning_is_told_against_the_baseline_with_the_range_of_the_seeds():

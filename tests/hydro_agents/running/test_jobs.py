@@ -12,7 +12,7 @@ from joblib import effective_n_jobs
 from refusal import refused
 
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.evaluation.experiments import measured
+from hydro_agents.evaluation.tracking import tracked
 from hydro_agents.learning.tuning import cost_candidates
 from hydro_agents.running import jobs
 from hydro_agents.running.jobs import JOBS_FOLDER, Job, answers_of, run_jobs, workers
@@ -100,8 +100,8 @@ def test_a_job_follows_the_code_that_it_uses(monkeypatch):
     monkeypatch.setattr(jobs, "digest_of_code", lambda *rooms: rooms)
     for job, highest in (
         (Job(cost_candidates), "hydro_agents/learning"),
-        (Job(measured), "hydro_agents/evaluation"),
-        (Job(measured, make_controller("pid", TaskConfig())), "hydro_agents/evaluation"),
+        (Job(tracked), "hydro_agents/evaluation"),
+        (Job(tracked, make_controller("pid", TaskConfig())), "hydro_agents/evaluation"),
         (Job(root), "hydro_agents/evaluation"),  # of a user
     ):
         assert job.code == jobs.ROOMS[: jobs.ROOMS.index(highest) + 1], job
@@ -110,7 +110,7 @@ def test_a_job_follows_the_code_that_it_uses(monkeypatch):
 def test_a_job_of_the_rig_package_follows_its_rooms(monkeypatch):
     estimator = pytest.importorskip("hydro_rig.estimation.estimator").EstimatorDetector({})
     monkeypatch.setattr(jobs, "digest_of_code", lambda *rooms: rooms)
-    assert Job(measured, estimator).code[-1] == "hydro_rig/estimation"
+    assert Job(tracked, estimator).code[-1] == "hydro_rig/estimation"
 
 
 def test_a_backend_that_cannot_begin_is_told_in_one_line():

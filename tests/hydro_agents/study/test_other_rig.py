@@ -1,7 +1,6 @@
 """Rigs that lack sensors: what works without them works, the rest says in one line why not."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_policy
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.study import results, settings
+from hydro_agents.study import settings
 from hydro_agents.study.settings import default_study
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
@@ -95,7 +94,7 @@ def test_a_study_leaves_out_what_cannot_work(files, capsys):
     study = default_study(file, rig=rig)
     assert list(study.controllers) == ["PID", "PPO"]
     assert study.controllers["PPO"].corrects == "PID"
-    assert study.controllers["PPO"].settings["see_estimates"] is False
+    assert study.controllers["PPO"].settings.see_estimates is False
     assert study.leakage_head is None
     told = capsys.readouterr().err.splitlines()
     assert [line.split(":")[1].strip() for line in told] == [
@@ -157,36 +156,26 @@ def test_a_rig_that_is_named_alone_is_recorded_as_its_file_says(files, tmp_path)
     assert exact_task(None, None) is None
 
 
-def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, tmp_path, monkeypatch):
-    rig, study = files
-    seen = []
-
-    def evaluated(study, controllers, *rest, **options):
-        seen.append(list(controllers))
-        return SimpleNamespace(errors={})
-
-    monkeypatch.setattr(results, "evaluate_study", evaluated)
-    monkeypatch.setattr(results, "print_summary", lambda *arguments: None)
-    common = ("evaluate", "--config", study, "--rig", rig, "--output", tmp_path / "out", "--overwrite")
-    answer = hydro(*common)
-    assert answer.returncode == 0, answer.stderr
-    assert seen == [["PID"]]
-    assert "hydro: left out: PPO: no weights of this kind are shipped" in answer.stderr
-    named = hydro(*common, "--agent", "mine=ppo")
-    assert named.returncode == 2
-    assert named.stderr.splitlines()[-1].startswith("hydro: mine: flow linearisation: reads pressure_a, pressure_b")
-    assert hydro("evaluate", "--rig", "symmetric_eha", "--output", tmp_path / "other").returncode == 0
-    assert seen[1:] == [["PID", "Flow linearisation", "PPO on flow linearisation"]]
+def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, capsys):
+    rig, file = files
+    study = default_study(file, rig=rig).with_gains_of_rig()
+    assert list(study.with_weights({}, leave_out=True)) == ["PID"]
+    assert "hydro: left out: PPO: no weights of this kind are shipped" in capsys.readouterr().err
+    with refused("mine: flow linearisation: reads pressure_a, pressure_b"):
+        study.with_weights({"mine": "ppo"}, leave_out=True)
+    other = default_study(rig="symmetric_eha").with_gains_of_rig()
+    assert list(other.with_weights({}, leave_out=True)) == ["PID", "Flow linearisation", "PPO on flow linearisation"]
 
 
 def test_on_another_rig_flow_linearisation_begins_with_its_gains_for_any_rig(tmp_path):
     found = default_study(rig="kovari_2015").controllers["Flow linearisation"]
-    assert found.settings == FlowLinearisingGains().model_dump()
+    assert found.settings == FlowLinearisingGains()
     assert found.tune is not None
-    assert default_study().controllers["Flow linearisation"].settings == read_yaml(usual_gains("flow_linearising"))
+    usual = FlowLinearisingGains(**read_yaml(usual_gains("flow_linearising")))
+    assert default_study().controllers["Flow linearisation"].settings == usual
     file = tmp_path / "study.yaml"
     file.write_text("controllers: {mine: {kind: flow_linearising, settings: {position_gain: 0.5}}}\n")
-    assert default_study(file, rig="kovari_2015").controllers["mine"].settings == {"position_gain": 0.5}  # the user's
+    assert default_study(file, rig="kovari_2015").controllers["mine"].settings.position_gain == 0.5  # the user's
 
 
 def test_the_gains_and_weights_that_ship_for_a_rig_are_taken():
@@ -206,7 +195,7 @@ def test_a_comparison_on_another_rig_takes_no_gains_of_the_papers_rig(tmp_path, 
     own = PIDGains(proportional=7.0)
     monkeypatch.setattr(settings, "searched_gains", lambda *_: own)
     study = default_study(Path("opponents")).model_copy(update={"task": task})
-    given = study.controllers["PID mended"].model_copy(update={"settings": {"proportional": 3.0}})
+    given = study.controllers["PID mended"].changed(settings=PIDGains(proportional=3.0))
     study = study.model_copy(update={"controllers": {**study.controllers, "PID mended": given}})
     moved = study.with_gains_of_rig()
     assert moved.make("PID").gains == own

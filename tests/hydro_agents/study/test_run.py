@@ -13,11 +13,11 @@ import yaml
 from published import assert_published
 from refusal import refused
 
+from hydro_agents.commands import controller_pages
 from hydro_agents.commands.evaluate import evaluate
-from hydro_agents.commands.study import train
+from hydro_agents.commands.study import train, whole_study
 from hydro_agents.detection import dataset
-from hydro_agents.study import results, training
-from hydro_agents.study.run import run_study
+from hydro_agents.study import training
 from hydro_agents.study.settings import StudySettings, default_study
 
 ALGORITHM = '''
@@ -96,7 +96,7 @@ def algorithm(tmp_path, monkeypatch):
 def settings(algorithm, monkeypatch):
     """The study; its report has one line: drawing takes longer than everything else here."""
     page = lambda title, *_, **__: SimpleNamespace(write=lambda path, _: path.write_text(title))  # noqa: E731
-    monkeypatch.setattr(results, "study_page", page)
+    monkeypatch.setattr(controller_pages, "draw_study", page)
     return StudySettings(**VALUES)
 
 
@@ -106,6 +106,10 @@ def study_file(tmp_path, **changes):
     file = tmp_path / "study.yaml"
     file.write_text(yaml.safe_dump({**VALUES, "controllers": CONTROLLERS | pid, **changes}))
     return file
+
+
+def run_study(study, folder, seed, **options):
+    return whole_study(study, folder, range(seed, seed + 1), **options)
 
 
 def stopped(*arguments, **options):
@@ -119,28 +123,30 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
     printed = capsys.readouterr().out.splitlines()
     phases = ["train mine", *(f"leakage head, {part}" for part in ("data", "validation", "training"))]
     shown = {line.split(":")[0] for line in printed if re.search(r":  ?( ?\d+ %|begun|done)", line)}
-    assert shown == {*phases, "evaluation", "report"}
-    assert printed[-1] == f"report: {folder / 'report.html'}"
+    assert shown == {*phases, "jobs", "page"}
+    assert printed[-1] == f"page: {folder / 'report.html'}"
     assert [(call["seed"], call["resume"]) for call in algorithm.calls] == [(5, False)]
     assert type(algorithm.calls[0]["base"]).__name__ == "PID"
-    assert list(result.cases["controller"].unique()) == ["PID", "mine"]
-    for name in ("study.yaml", "state.json", "report.html", "controllers/mine/policy.json", "tables/cases.csv"):
+    assert result.controllers == ["PID", "mine"]
+    for name in ("study.yaml", "state.json", "report.html", "controllers/mine/policy.json"):
         assert (folder / name).is_file()
     assert_published("study", folder / "tables")
     state = json.loads((folder / "state.json").read_text())
     assert state["done"] == ["train mine", "train leakage head", "evaluate"]
     assert StudySettings.from_yaml(folder / "study.yaml").seed == 5
 
-    with refused("holds results already"):
-        run_study(settings, folder, seed=5)
-    with refused(r"other settings \('seed' differs\)"):
-        run_study(settings, folder, seed=6, resume=True)
     other = {**CONTROLLERS, "mine": {**CONTROLLERS["mine"], "settings": {"gain": 4.0}}}
-    with refused(r"other settings \('controllers' differs\)"):
-        run_study(StudySettings(**{**VALUES, "controllers": other}), folder, seed=5, resume=True)
+    changed = StudySettings(**{**VALUES, "controllers": other})
+    for study, seed, resume, message in (
+        (settings, 5, False, "holds results already"),
+        (settings, 6, True, r"other settings \('seed' differs\)"),
+        (changed, 5, True, r"other settings \('controllers' differs\)"),
+    ):
+        with refused(message):
+            run_study(study, folder, seed, resume=resume)
     again = run_study(settings.model_copy(update={"title": "Another"}), folder, seed=5, resume=True)
     assert len(algorithm.calls) == 1
-    pd.testing.assert_frame_equal(again.cases, result.cases)
+    pd.testing.assert_frame_equal(again.table("cases"), result.table("cases"))
     assert "Another" in (folder / "report.html").read_text()
 
     (folder / "state.json").write_text('{"format": "mine"}')
@@ -148,12 +154,27 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
         run_study(settings, folder, seed=5, resume=True)
     anew = run_study(settings, folder, seed=5, overwrite=True)
     assert len(algorithm.calls) == 2
-    pd.testing.assert_frame_equal(anew.ratios, result.ratios)
+    pd.testing.assert_frame_equal(anew.table("comparison"), result.table("comparison"))
 
     # The head trained beside a controller differs from the one trained under the PID alone.
     run_study(StudySettings(**{**VALUES, "controllers": {"PID": {"kind": "pid"}}}), tmp_path / "alone", seed=5)
     both, one = ((path / "leakage_head.safetensors").read_bytes() for path in (folder, tmp_path / "alone"))
     assert both != one
+
+
+def test_training_seeds_share_the_rows_of_their_controller_and_correct_the_same_seed(algorithm, settings, tmp_path):
+    after = {"kind": "my_study_algorithm:Trainer", "settings": {"gain": 1.0}, "corrects": "mine"}
+    values = {**VALUES, "controllers": {**CONTROLLERS, "after": after}, "leakage_head": None}
+    result = whole_study(StudySettings(**values), tmp_path / "out", range(3, 5))
+    assert [call["seed"] for call in algorithm.calls] == [3, 4, 3, 4]
+    assert len({id(call["base"]) for call in algorithm.calls}) == 3  # the PID, and both seeds of the first one
+    assert result.controllers == ["PID", "mine", "after"]
+    assert result.table("seeds").groupby("controller")["training_seed"].agg(list).to_dict() == {
+        "after": [3, 4],
+        "mine": [3, 4],
+    }
+    assert (tmp_path / "out" / "controllers" / "mine#4" / "policy.json").is_file()
+    assert result.table("comparison").query("against == 'mine'")["controller"].tolist() == ["after"]
 
 
 def test_a_stopped_training_goes_on_from_its_checkpoint_and_never_from_an_older_one(algorithm, settings, tmp_path):
@@ -210,10 +231,10 @@ def test_what_cannot_work_stops_the_study_before_it_trains(algorithm, tmp_path, 
 def test_evaluate_keeps_the_results_of_the_others(algorithm, tmp_path, capsys):
     agents = ["broken=my_study_algorithm:Broken", "PPO=ppo"]
     file = study_file(tmp_path, task={}, controllers={"PID": {"kind": "pid"}})
-    with refused(r"broken failed; .*out holds the results of the others"):
+    with refused(r"broken under task: .*out holds the other results"):
         evaluate(tmp_path / "out", file, agents, plants=3, head=Path("none"))
-    errors = capsys.readouterr().err
-    assert "broken: seed 2000000, reference step, leak 0.01 l/min, at 0.000 s: predict returned nan" in errors
+    status = pd.read_csv(tmp_path / "out" / "tables" / "status.csv").set_index("controller").loc["broken"]
+    assert status["message"].startswith("seed 2000000, reference step, leak 0.01 l/min, at 0.000 s: predict returned")
     cases = pd.read_csv(tmp_path / "out" / "tables" / "cases.csv")
     assert list(cases["controller"].unique()) == ["PID", "PPO"]
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
@@ -305,7 +326,7 @@ def test_a_study_on_another_rig_tunes_first_and_can_be_resumed(algorithm, settin
     assert "PPO" not in capsys.readouterr().err  # weights that ship for this rig
     again = pd.read_csv(tmp_path / "again" / "tables" / "cases.csv")
     both = again["controller"] != "PPO"
-    np.testing.assert_array_equal(again[both]["mean_error_mm"], result.cases["mean_error_mm"])
+    np.testing.assert_array_equal(again[both]["mean_error_mm"], result.table("cases")["mean_error_mm"])
     evaluate(tmp_path / "untuned", file, weights[:1], rig="symmetric_eha", head=folder / "leakage_head")
     assert "not tuned" not in capsys.readouterr().err
 

@@ -4,14 +4,14 @@ import pytest
 from refusal import refused
 
 from hydro_agents.controllers.pid import PID
-from hydro_agents.evaluation.evaluate import ProtocolSettings, StudyProtocol
-from hydro_agents.evaluation.robustness_protocol import PairedCondition
+from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_agents.study.settings import StudySettings, default_study
+from hydro_env import TaskConfig
 from hydro_env.files import read_yaml, validate
 from hydro_env.task.configuration import task_config
 
@@ -66,7 +66,7 @@ def test_a_controller_is_one_line_and_so_is_an_algorithm(tmp_path):
     found = study(tmp_path, BESIDE.format('kind: "my_algorithm:Mine"') + f"  learned: {learned}\n")
     assert found.trained == ["learned"]
     assert type(found.make("other")).__name__ == "Mine"
-    assert found.training_settings("learned").steps == 5
+    assert found.controllers["learned"].settings.steps == 5
     assert found.controllers["learned"].trainer.load(None) is not None
 
 
@@ -85,7 +85,7 @@ WRONG = (
     (PID_AS.format("kind: pid, gain: 3"), r"controllers.PID.*gain"),
     (PID_AS.format("kind: pid, settings: {gain: 3}"), r"line 1: controllers.PID.settings.gain = 3: unknown key"),
     (PID_AS.format("kind: pid, settings: absent.yaml"), r"absent.yaml: cannot be read"),
-    (PID_AS.format("kind: pid, settings: wrong.yaml"), r"wrong.yaml: .*proportional = -3"),
+    (PID_AS.format("kind: pid, settings: wrong.yaml"), r"controllers.PID.settings.proportional = -3"),
     (PID_AS.format("kind: pid, tune: {evaluations: 0}"), r"tune.evaluations = 0: must be"),
     ("controllers: {PPO: {kind: ppo, settings: {total_steps: -1}, corrects: PID}}\n", r"corrects = 'PID'.*\(none\)"),
     (BESIDE.format("kind: ppo, corrects: other"), r"corrects = 'other': must be a controller before it \(PID\)"),
@@ -96,7 +96,7 @@ WRONG = (
     (BESIDE.format("kind: ppo"), r"controllers.other: is trained as a correction .residual: true.: give 'corrects"),
     (BESIDE.format("kind: ppo, corrects: PID, tune: {}"), r"controllers.other: tune: a trained one cannot be tuned"),
     (BESIDE.format("kind: pid, corrects: PID"), r"controllers.other: corrects: only a trained one"),
-    (BESIDE.format('kind: "absent_module:Thing"'), r"controllers.other: .*absent_module"),
+    (BESIDE.format('kind: "absent_module:Thing"'), r"controllers.other.settings: .*absent_module"),
     (BESIDE.format('kind: "my_algorithm:Settings"'), r"other: Settings: takes keywords alone, not TaskConfig"),
     (BESIDE.format('kind: "my_algorithm:MyTrainer", settings: {stops: 1}'), r"controllers.other.settings.stops"),
     (BESIDE.format('kind: "my_algorithm:Mine", tune: {}'), r"controllers.other: tune: only pid"),
@@ -159,8 +159,7 @@ def test_an_entry_takes_over_what_it_does_not_change(tmp_path):
         "  correction: {kind: ppo, corrects: PID, settings: {reversal_price: 2.0}}\n"
         "  wide: {after: correction, settings: {activation: tanh}}\n",
     )
-    alone, correction, wide = (found.training_settings(name) for name in ("alone", "correction", "wide"))
-    assert found.controllers["PID"].settings == {}
+    alone, correction, wide = (found.controllers[name].settings for name in ("alone", "correction", "wide"))
     assert (alone.total_steps, alone.axes, correction.axes, wide.axes) == (64, 16, 8, 8)
     assert (found.controllers["alone"].corrects, found.controllers["wide"].corrects) == (None, "PID")
     assert (wide.activation, wide.reversal_price) == ("tanh", 2.0)
@@ -171,7 +170,7 @@ def test_an_entry_takes_over_what_it_does_not_change(tmp_path):
 @pytest.mark.parametrize("name", ["alone", "baselines"])
 def test_the_trainings_that_ship_can_be_trained(name):
     found = StudySettings.from_yaml(config_folder() / "studies" / f"{name}.yaml")
-    settings = {each: found.training_settings(each).model_dump() for each in found.trained}
+    settings = {each: found.controllers[each].settings.model_dump() for each in found.trained}
     published = validate(PPOSettings, read_yaml(config_folder() / "agents" / "ppo_direct.yaml"), "").model_dump()
     lengths = {"total_steps", "validation_every"}
     assert changed(settings["PPO alone"], published) <= lengths, "one set of settings for all pages"
@@ -184,7 +183,8 @@ def test_the_trainings_that_ship_can_be_trained(name):
     if name == "baselines":
         assert {each["total_steps"] for each in settings.values()} == {1_000_000}
         assert {entry.kind for entry in found.controllers.values()} >= set(TRAINERS)
-        assert [name for name in found.fitting({})[0] if "PPO" in name] == ["PPO on flow linearisation"]
+        ready = found.with_weights({}, leave_out=True)
+        assert [name for name in ready if "PPO" in name] == ["PPO on flow linearisation"]
 
 
 def changed(settings, others):
@@ -194,5 +194,5 @@ def changed(settings, others):
 @pytest.mark.parametrize(("seeds", "expected"), [("CHOICES", VALIDATION_SEEDS), ("EVALUATION", TEST_SEEDS)])
 def test_choices_are_made_on_validation_plants(seeds, expected):
     settings = ProtocolSettings(seeds=seeds, plants=3)
-    cases = StudyProtocol(conditions={"task": PairedCondition()}, **settings.model_dump()).cases_in("task")
+    cases = settings.protocol(TaskConfig()).cases_in("task")
     assert all(int(seed) in expected for seed in cases["seed"])

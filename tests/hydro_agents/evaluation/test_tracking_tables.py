@@ -29,15 +29,29 @@ def rows(controller, factor, condition="plain", group="leak", seed=0, scatter=0.
     return table.assign(**labels, seed=1000 * table["family"].map(FAMILIES.index) + table["plant"], **values)
 
 
-def results_of(cases):
+def results_of(cases, corrects=()):
     """Results with made-up cases, one failure, and two limit cycles."""
     status = [(name, "plain", "done", "") for name in cases["controller"].unique()]
     status = pd.DataFrame(
         [*status, ("good#1", "late", "failed", "why")], columns=["controller", "condition", "status", "message"]
     )
-    cycles = pd.DataFrame({"controller": ["PID", "PID", "good"], "limit_cycle": [1.0, 1.0, 0.0]})
+    cycles = pd.DataFrame(
+        {
+            "controller": ["PID", "PID", "good"],
+            "limit_cycle": [1.0, 1.0, 0.0],
+            "amplitude_um": 9.0,
+            "frequency_hz": 5.0,
+            "failed": 0.0,
+        }
+    )
     parts = {"tracking": cases, "standstill": cycles}
-    return Results(small(worst=3), Participants({}), parts, status)
+    return Results(small(worst=3), Participants({}, corrects=dict(corrects)), parts, status)
+
+
+def by_condition(table):
+    """The rows of a comparison over all cases (``all``) and under each condition, by the condition."""
+    kept = table[table["group"].isin(["all", "condition"])]
+    return kept.assign(condition=kept["value"].where(kept["group"] != "all", "all")).set_index("condition")
 
 
 def joined(*frames):
@@ -52,7 +66,7 @@ def cases():
 
 
 def test_ratios_of_a_controller_that_is_better_by_a_factor(cases):
-    table = results_of(cases).table("comparison").set_index("condition")
+    table = by_condition(results_of(cases).table("comparison"))
     for name in ("ratio", "equal_weight", "iqm_ratio", "worst_ratio"):
         assert table.loc["plain", name] == pytest.approx(0.5)
         assert table.loc["late", name] == pytest.approx(0.8)
@@ -71,15 +85,15 @@ def test_ratios_of_a_controller_that_is_better_by_a_factor(cases):
 def test_families_of_the_leak_conditions(cases):
     other = [rows(name, error, "odd", "force") for name, error in (("PID", 1.0), ("good", 9.0))]
     mixed = joined(cases, *other, *(each.assign(family="creep", condition="slow") for each in other))
-    table = results_of(mixed).table("families")
-    assert table["family"].tolist() == ["step", "sine"]
+    table = results_of(mixed).table("comparison").query("group == 'family'")
+    assert table["value"].tolist() == ["step", "sine"]
     np.testing.assert_allclose(table["ratio"], 0.5)
 
 
 def test_a_controller_absent_from_a_condition_is_compared_where_it_ran(cases):
     partial = joined(cases, rows("part", 0.5))
     comparison = results_of(partial).table("comparison")
-    own = comparison[comparison["controller"] == "part"].set_index("condition")
+    own = by_condition(comparison[comparison["controller"] == "part"])
     assert list(own.index) == ["all", "plain"]
     assert own.loc["all", "ratio"] == pytest.approx(0.5)
     assert own.loc["all", "cases"] == 24
@@ -88,13 +102,11 @@ def test_a_controller_absent_from_a_condition_is_compared_where_it_ran(cases):
 
 
 def test_a_policy_is_compared_with_what_it_corrects_unless_that_is_the_baseline(cases):
-    results = results_of(joined(cases, rows("policy", 0.4), rows("policy", 0.64, "late", "timing")))
-    table = results.grid.corrected({"policy": "good", "good": "PID", "absent": "good"})
-    assert_published("corrected", {"corrected": table})
-    (row,) = table.to_dict("records")
-    assert (row["controller"], row["against"], row["cases"]) == ("policy", "good", 48)
+    whole = joined(cases, rows("policy", 0.4), rows("policy", 0.64, "late", "timing"))
+    table = results_of(whole, {"policy": "good", "good": "PID", "absent": "good"}).table("comparison")
+    (row,) = table[table["against"] != "PID"].to_dict("records")
+    assert (row["controller"], row["against"], row["group"], row["cases"]) == ("policy", "good", "all", 48)
     assert (row["ratio"], row["ratio_high"]) == pytest.approx((0.8, 0.8))
-    assert results.table("corrected").empty  # none of these controllers says that it corrects another one
 
 
 def test_the_ranking_puts_the_best_first_with_its_price(cases):
@@ -111,7 +123,7 @@ def test_the_ranking_puts_the_best_first_with_its_price(cases):
 def test_training_seeds_count_as_one_controller():
     cases = joined(rows("PID", 1.0), rows("P", 0.5, seed=0), rows("P", 1.5, seed=1))
     results = results_of(cases)
-    row = results.table("comparison").set_index("condition").loc["plain"]
+    row = results.table("comparison").set_index("group").loc["all"]
     assert row["ratio"] == pytest.approx(1.0)
     assert row["share_better"] == row["probability_of_improvement"] == 0.5
     assert row["ratio_low"] == pytest.approx(0.5)  # a resampling may draw the same seed twice
@@ -119,12 +131,15 @@ def test_training_seeds_count_as_one_controller():
     summary = results.table("summary")
     own = summary[(summary["controller"] == "P") & (summary["metric"] == "mean_error_mm")]
     assert set(own["training_seeds"]) == {2}
-    assert set(own["cases"]) == {48}
+    assert own.set_index("group").loc["all", "cases"] == 48
+    seeds = results.table("seeds").set_index("training_seed")
+    assert seeds["ratio"].tolist() == pytest.approx([0.5, 1.5])
+    assert seeds["share_better"].tolist() == [1.0, 0.0]
 
 
 def test_the_summary_names_the_worst_case(cases):
     table = results_of(cases).table("summary")
-    row = table[(table["controller"] == "PID") & (table["metric"] == "mean_error_mm")].set_index("condition").loc["all"]
+    row = table[(table["controller"] == "PID") & (table["metric"] == "mean_error_mm")].set_index("group").loc["all"]
     assert row["worst"] == pytest.approx(0.5 * 2.5 * 1.4)
     assert (row["worst_family"], row["worst_leakage_flow_lpm"], row["worst_seed"]) == ("step", 4.0, 5)
     own = cases.loc[cases["controller"] == "PID", "mean_error_mm"]
@@ -160,5 +175,18 @@ def test_all_tables_of_a_run_are_written(tmp_path):
     assert results.table("worst_cases").groupby("controller").size().to_dict() == {"P": 2, "Q": 2}
     alone = run(small(conditions={"plain": {}}), Participants({"P": Proportional()}), jobs=1)
     assert alone.table("comparison").empty
-    assert alone.table("families").empty
     assert alone.table("ranking")["controller"].tolist() == ["P"]
+
+
+def test_one_condition_is_told_by_leak_and_the_growth_is_that_on_the_same_plants():
+    table = results_of(joined(rows("PID", 1.0), rows("good", 0.5))).table("comparison")
+    assert table["group"].tolist() == ["all", "level", "level", "family", "family"]
+    assert table["value"].tolist()[1:] == ["0.03", "4.0", "step", "sine"]
+    grown = rows("PID", 1.0)
+    grown["mean_error_mm"] *= np.where(grown["leakage_flow_lpm"] == 4.0, 3.0, 1.0)
+    first = grown["leakage_flow_lpm"] == 0.03
+    ratio = grown[~first]["mean_error_mm"].mean() / grown[first]["mean_error_mm"].mean()
+    growth = results_of(grown).table("growth")
+    assert growth["family"].tolist() == ["all", "step", "sine"]
+    assert growth.loc[0, "ratio"] == pytest.approx(ratio)
+    assert results_of(grown[first]).table("growth").empty

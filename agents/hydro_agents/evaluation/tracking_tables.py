@@ -1,0 +1,205 @@
+"""The tables of a protocol of controllers: summary, comparison, ranking, worst cases, growth, rest, detection."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from hydro_agents.evaluation.comparison import ALL, Grid, Mask
+from hydro_agents.evaluation.detection import detection_rates, detection_summary
+from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
+from hydro_agents.evaluation.runner import FAILED, Results, table
+from hydro_agents.running.limit_cycles import counted
+from hydro_agents.running.seeds import SEED_MARK
+from hydro_agents.running.statistics import interval, ratio_interval
+
+LEAK_GROUP = "leak"
+
+
+@table("protocol")
+def facts(results: Results) -> pd.DataFrame:
+    """Keys and values: what ran, when, and where."""
+    protocol, seeds = results.protocol, results.part("tracking")["seed"]
+    own = [
+        ("protocol", protocol.title),
+        ("sha256", protocol.sha256),
+        ("baseline", results.grid.controllers[0]),
+        ("conditions", str(len(protocol.conditions))),
+        ("seeds", f"{seeds.min()} to {seeds.max()}"),
+    ]
+    return pd.DataFrame([*own, *results.facts], columns=["key", "value"])
+
+
+def parts_of(results: Results) -> Iterator[tuple[str, str, Mask, Mask]]:
+    """Group, value, plants and situations of each row; families are over the conditions of the group ``leak``, if any.
+
+    See :meth:`~hydro_agents.evaluation.comparison.Grid.parts`.
+    """
+    grid, cases = results.grid, results.part("tracking")
+    leaks = cases.loc[cases["group"] == LEAK_GROUP, "condition"].unique()
+    return grid.parts(np.isin(grid.condition, leaks) if len(leaks) else grid.all_situations)
+
+
+@table("summary")
+def summary(results: Results) -> pd.DataFrame:
+    """Every metric per controller, over all cases and in parts: mean with its interval, and the worst case."""
+    grid, rows = results.grid, []
+    for controller in grid.controllers:
+        for group, value, *part in parts_of(results):
+            own = grid.cases(controller, *part)
+            for metric, about in METRICS.items():
+                chosen = grid.sample(controller, metric, *part).dense
+                if not chosen.plants:
+                    continue
+                worst = own.loc[own[metric].idxmax()]
+                rows.append(
+                    {
+                        "controller": controller,
+                        "group": group,
+                        "value": value,
+                        "metric": metric,
+                        "unit": about.unit,
+                        **interval(chosen.mean, chosen.plants).named("mean"),
+                        "worst": float(worst[metric]),
+                        "worst_seed": int(worst["seed"]),
+                        "worst_family": worst["family"],
+                        "worst_leakage_flow_lpm": worst["leakage_flow_lpm"],
+                        "cases": int((~np.isnan(chosen.values)).sum()),
+                        "training_seeds": len(chosen.values),
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+@table("comparison")
+def comparison(results: Results) -> pd.DataFrame:
+    """Each controller against the first, over all cases and in parts; policies against what they correct, over all."""
+    grid, rows = results.grid, []
+    baseline, *others = grid.controllers
+    for controller in others:
+        for group, value, *part in parts_of(results):
+            row = grid.compare(controller, baseline, *part)
+            if row["cases"]:
+                rows.append({"controller": controller, "against": baseline, "group": group, "value": value, **row})
+    for controller, base in results.participants.corrected.items():
+        if controller in others and base in others:
+            row = grid.compare(controller, base, grid.all_plants, grid.all_situations)
+            rows.append({"controller": controller, "against": base, "group": ALL, "value": "", **row})
+    return pd.DataFrame(rows)
+
+
+@table("seeds")
+def seeds(results: Results) -> pd.DataFrame:
+    """Each training seed of a controller with several against the first controller, over all cases."""
+    cases, rows = results.part("tracking"), []
+    baseline, *others = results.grid.controllers
+    first = cases[cases["controller"] == baseline]
+    for controller in others:
+        own = cases[cases["controller"] == controller]
+        trained = own["training_seed"].unique()
+        for seed in trained if len(trained) > 1 else ():
+            chosen = own[own["training_seed"] == seed]
+            grid = Grid(pd.concat([first, chosen], ignore_index=True))
+            row = grid.compare(controller, baseline, grid.all_plants, grid.all_situations)
+            known = {"controller": controller, "against": baseline, "training_seed": seed}
+            rows.append({**known, **row, "failures": int(chosen["failed"].sum())})
+    return pd.DataFrame(rows)
+
+
+@table("ranking")
+def ranking(results: Results) -> pd.DataFrame:
+    """Controllers in the order of their equally weighted ratio, with their costs."""
+    grid, compared = results.grid, results.table("comparison")
+    cases, cycles, baseline = results.part("tracking"), results.part("standstill"), grid.controllers[0]
+    statuses = results.status[results.status["condition"].isin(list(results.protocol.conditions))]
+    best = cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack().idxmin(axis=1)
+    equal = [f"equal_weight{frame}{end}" for frame in ("", "_sensor") for end in ("", "_low", "_high")]
+    copied = {name: name for name in (*equal, "worst_ratio", *COMPARED)} | {"mean_ratio": "ratio"}
+    figures = {baseline: dict.fromkeys(copied.values(), 1.0)}
+    if len(compared):
+        overall = compared[(compared["group"] == ALL) & (compared["against"] == baseline)]
+        figures |= overall.set_index("controller").to_dict("index")
+    rows = []
+    for controller in grid.controllers:
+        own = cases[cases["controller"] == controller]
+        still = cycles[cycles["controller"] == controller] if len(cycles) else pd.DataFrame({"limit_cycle": []})
+        mine = statuses[statuses["controller"].str.partition(SEED_MARK)[0] == controller]
+        rows.append(
+            {
+                "controller": controller,
+                **{name: figures.get(controller, {}).get(source, np.nan) for name, source in copied.items()},
+                "best_in": int((best == controller).sum()),
+                "conditions": int(own["condition"].nunique()),
+                "failures": int(own["failed"].sum()),
+                "failed_conditions": int((mine["status"] == FAILED).sum()),
+                "limit_cycles": int(still["limit_cycle"].sum()),
+                "standstills": len(still),
+                "training_seeds": int(own["training_seed"].nunique()),
+            }
+        )
+    ranked = pd.DataFrame(rows).sort_values("equal_weight", kind="stable", ignore_index=True)
+    ranked.insert(0, "rank", np.arange(1, len(ranked) + 1))
+    return ranked
+
+
+@table("worst_cases")
+def worst_cases(results: Results) -> pd.DataFrame:
+    """The cases with the largest ratio of errors to the baseline; for the baseline, those with its largest errors."""
+    cases, baseline, count = results.part("tracking"), results.grid.controllers[0], results.protocol.worst
+    where = ["condition", "family", "leakage_flow_lpm", "plant", "seed"]
+    base = cases[cases["controller"] == baseline].groupby(where, sort=False)[ERROR].mean().rename("baseline_error_mm")
+    joined = cases.join(base, on=where)
+    joined["ratio"] = joined[ERROR] / joined["baseline_error_mm"]
+    shown = ["controller", "training_seed", "rank", *where, ERROR]
+    shown += ["baseline_error_mm", "ratio", "peak_error_mm", "failed"]
+    frames = []
+    for name in cases["controller"].unique():
+        own = joined[joined["controller"] == name]
+        # A case counts once if several conditions do not change it.
+        order = own.sort_values(ERROR if name == baseline else "ratio", ascending=False, kind="stable")
+        order = order.drop_duplicates(["training_seed", "leakage_flow_lpm", "seed", ERROR]).head(count)
+        frames.append(order.assign(rank=np.arange(1, len(order) + 1))[shown])
+    return pd.concat(frames, ignore_index=True)
+
+
+@table("growth")
+def growth(results: Results) -> pd.DataFrame:
+    """Mean error of every controller at the largest leak over that at the smallest, on the same plants.
+
+    Over all families, and of each; empty with one leak or with several conditions.
+    """
+    cases, rows = results.part("tracking"), []
+    if cases["leakage_flow_lpm"].nunique() < 2 or cases["condition"].nunique() > 1:
+        return pd.DataFrame()
+    for name, own in cases.groupby("controller", sort=False):
+        for family in (ALL, *own["family"].unique()):
+            chosen = own if family == ALL else own[own["family"] == family]
+            errors = chosen.pivot_table(ERROR, "plant", "leakage_flow_lpm").to_numpy()
+            ratio = ratio_interval(errors[:, -1], errors[:, 0])
+            rows.append({"controller": name, "family": family, **ratio.named("ratio")})
+    return pd.DataFrame(rows)
+
+
+@table("limit_cycle_summary")
+def limit_cycle_summary(results: Results) -> pd.DataFrame:
+    """Number and largest amplitude of the limit cycles at rest, per controller."""
+    cycles, rows = results.part("standstill"), []
+    for name, own in cycles.groupby("controller", sort=False) if len(cycles) else ():
+        rows.append({"controller": name, **counted(own)})
+    return pd.DataFrame(rows)
+
+
+@table("detection_rates")
+def rates(results: Results) -> pd.DataFrame:
+    """Share of episodes flagged, by class and size of the leak."""
+    episodes = results.part("episodes")
+    return episodes if episodes.empty else detection_rates(episodes, results.protocol.task)
+
+
+@table("detection_summary")
+def detected(results: Results) -> pd.DataFrame:
+    """Areas under the curves, rates, and errors of the size, per controller."""
+    episodes, head = results.part("episodes"), results.participants.head
+    return episodes if episodes.empty else detection_summary(episodes, head.settings.threshold, results.protocol.task)
