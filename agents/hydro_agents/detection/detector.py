@@ -26,11 +26,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.detection.features import SIGNALS
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_env import TaskConfig
 from hydro_env.task.faults import KIND_OF_FAULT
+from hydro_env.task.sensors import SENSORS
 from hydro_env.types import Floats
+
+SIGNALS = (*SENSORS, "previous_command")
+"""Measured signals of a window, in this order."""
 
 HALF_WIDTH = 1.645  # half width of a 90 % interval, in standard deviations
 
@@ -105,7 +108,7 @@ class Windows:
     """N windows of T measured samples."""
 
     signals: Floats
-    """(N, 5, T) in SI units, in the order of :data:`~hydro_agents.detection.features.SIGNALS`: position (m), pressures
+    """(N, 5, T) in SI units, in the order of :data:`SIGNALS`: position (m), pressures
     of chambers a and b (Pa), spool position and command (fractions of full stroke). NaN: lost, or no such sensor. The
     command of a sample is the one that acts until one latency after it."""
 
@@ -140,7 +143,7 @@ class Windows:
         return int(self.signals.shape[2])
 
     def signal(self, name: str) -> Floats:
-        """One signal, (N, T), by its name in :data:`~hydro_agents.detection.features.SIGNALS`."""
+        """One signal, (N, T), by its name in :data:`SIGNALS`."""
         return self.signals[:, SIGNALS.index(name)]
 
     def auxiliary_signal(self, name: str) -> Floats:
@@ -185,7 +188,7 @@ def _smooth(values: Floats) -> Floats:
 
 
 class MeasuredColumns(NamedTuple):
-    """Where the observations of a task hold :data:`~hydro_agents.detection.features.SIGNALS`; a rig may lack some."""
+    """Where the observations of a task hold :data:`SIGNALS`; a rig may lack some."""
 
     rows: list[int]  # of SIGNALS that the rig has
     columns: list[int]  # of the observation, one for each row

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, field_validator
 
 from hydro_agents.controllers.registry import imported
 from hydro_agents.detection.detector import Detector
-from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import ConfigurationError
 from hydro_env.files import Group
+
+if TYPE_CHECKING:
+    from hydro_agents.detection.monitor import HeadDetector
 
 DETECTOR_KINDS = ("head", "estimator", "two_stage")
 
@@ -64,6 +66,8 @@ def make_detector(choice: DetectorChoice, head: HeadDetector | None = None) -> D
     elif choice.kind == "estimator":
         detector = imported(ESTIMATOR)(choice.task)
     else:
+        from hydro_agents.detection.monitor import HeadDetector  # a detector of your own needs no network
+
         detector = head or HeadDetector.load(choice.weights)
         if choice.kind == "two_stage":
             detector = imported(TWO_STAGE)(detector, imported(ESTIMATOR)(choice.task, restarts=0))

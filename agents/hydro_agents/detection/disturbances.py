@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.detector import SIGNALS
 from hydro_agents.running.cases import TrueStateController
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients

@@ -16,9 +16,6 @@ from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_w
 from hydro_env.plant.equations import Coefficients
 from hydro_env.task.sensors import SENSORS
 
-SIGNALS = (*SENSORS, "previous_command")
-"""Measured signals that the head reads, in this order."""
-
 LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
 """Labels of the head. An axis may have several at once; therefore each has its own probability."""
 
@@ -354,7 +351,7 @@ def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
     """:data:`FEATURES` of windows, (N, F).
 
     Args:
-        signals: SIGNALS (N, 5, T) in SI units; NaN where a sample is lost or a sensor absent.
+        signals: signals of a window (N, 5, T) in SI units; NaN where a sample is lost or a sensor absent.
         sheet: data sheet of the axis.
     """
     whole = repaired(signals, sheet)

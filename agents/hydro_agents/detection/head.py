@@ -17,8 +17,8 @@ from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Observation, ObservationLayout, as_batch
 from hydro_agents.detection.damaged_signals import stuck_sensors
-from hydro_agents.detection.detector import MeasuredColumns
-from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SIGNALS, SPREAD, STILL, features_of
+from hydro_agents.detection.detector import SIGNALS, MeasuredColumns
+from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL, features_of
 from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals, quantiles
 from hydro_agents.detection.sheet import RIG_FEATURES, leak_scale, rig_features, sheet_of
 from hydro_agents.running.weights import load_weights, require, save_weights

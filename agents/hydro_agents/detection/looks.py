@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.detector import Cause, Detector, Reading, Windows
-from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.detector import SIGNALS, Cause, Detector, Reading, Windows
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.types import Floats
 
@@ -99,7 +98,7 @@ def looks_at(signals: NDArray[Any], task: TaskConfig, detector: Detector, interv
     """Looks of a detector at recorded axes, for :meth:`~hydro_agents.detection.alarm.LeakAlarm.follow`.
 
     Args:
-        signals: (N, 5, T), :data:`~hydro_agents.detection.features.SIGNALS` in SI units, one column per control period;
+        signals: (N, 5, T), :data:`~hydro_agents.detection.detector.SIGNALS` in SI units, one column per control period;
             NaN = lost.
         task: rig and control period of the axes.
         detector: the detector.

@@ -12,8 +12,8 @@ import numpy as np
 
 from hydro_agents.detection.balance import fit, fit_balance
 from hydro_agents.detection.damaged_signals import bounds_of, find_stuck, repair
-from hydro_agents.detection.detector import MeasuredColumns
-from hydro_agents.detection.features import FEATURES, SIGNALS, describe
+from hydro_agents.detection.detector import SIGNALS, MeasuredColumns
+from hydro_agents.detection.features import FEATURES, describe
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageEstimate, LeakageHead
 from hydro_agents.running.seeds import HEAD_VECTORS
 from hydro_env import ServoHydraulicVectorEnv, __version__
