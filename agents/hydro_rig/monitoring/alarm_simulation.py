@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.detector import Detector, MeasuredColumns
-from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.detector import SIGNALS, Detector, MeasuredColumns
 from hydro_agents.detection.looks import Activity, Looks, joined, look, window_of
 from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig

@@ -11,7 +11,8 @@ from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection.dataset import LEAK_COURSES, LabelledWindows, TrainingPlan
-from hydro_agents.detection.features import FEATURES, LABELS, SIGNALS, SPREAD, STILL
+from hydro_agents.detection.detector import SIGNALS
+from hydro_agents.detection.features import FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import OUTPUTS, OUTSIDE, LeakageEstimate, LeakageHead, standardised
 from hydro_agents.detection.head_training import (
     CHECKPOINT_FILE,

@@ -42,7 +42,7 @@ print("loaded:", *sys.modules)
 """
 ROOMS = ("hydro_agents.learning", "hydro_agents.study", "hydro_agents.rigs", "hydro_rig")
 LIBRARIES = {"torch", "stable_baselines3", "sb3_contrib", "safetensors", "cma"}
-MOST_FILES = 80
+MOST_FILES = 95
 """Own files that the command may load, those of the environment among them."""
 
 

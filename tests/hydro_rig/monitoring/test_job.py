@@ -6,8 +6,7 @@ from command_line import assert_one_clear_line, hydro
 from refusal import refused
 from untrained import untrained_head
 
-from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
-from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.detector import HALF_WIDTH, SIGNALS, Cause, Reading, Why, Windows
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.detection.operations import ACTING, at_rest

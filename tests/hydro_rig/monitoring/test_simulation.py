@@ -7,8 +7,7 @@ import pytest
 from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.detection.detector import Reading
-from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.detector import SIGNALS, Reading
 from hydro_agents.detection.looks import Activity, activity_of, looks_at
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_rig.monitoring.alarm_simulation import Bench, Work, simulate, working_references
