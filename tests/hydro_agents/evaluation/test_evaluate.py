@@ -32,18 +32,6 @@ def cases_of(**settings):
     return protocol.cases_of("task", table), table
 
 
-def test_levels_share_plants_and_families_do_not():
-    cases, table = cases_of(plants=4, leak_levels=(0.01, 1.0, 4.0), families=("sine", "step"))
-    assert len(cases) == len(table) == 3 * 2 * 4
-    np.testing.assert_array_equal(cases.leakage_flow_lpm, table["leakage_flow_lpm"])
-    np.testing.assert_array_equal(cases.families, table["family"])
-    seeds = table.assign(seed=cases.seeds).groupby(["family", "leakage_flow_lpm"])["seed"].agg(tuple)
-    for family in ("sine", "step"):
-        assert len(set(seeds[family])) == 1
-        assert len(set(seeds[family].iloc[0])) == 4
-    assert not set(seeds["sine"].iloc[0]) & set(seeds["step"].iloc[0])
-
-
 def test_seeds_of_the_protocol_do_not_move():
     cases, table = cases_of(plants=3)
     assert (len(cases), cases.seeds.dtype) == (7 * 6 * 3, np.int64)
@@ -86,23 +74,6 @@ def test_detection_cases_are_healthy_and_leaking_in_turn():
     flow = detection_cases(other, 100).leakage_flow_lpm
     assert flow[::2].max() <= 0.02
     assert flow[1::2].min() >= 0.5
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"leak_levels": [0.1, 0.0]}, "leak_levels: 0 l/min: must be within 0"),
-        ({"families": ["step", "step"]}, "families: has a duplicate entry"),
-        ({"leak_levels": [1.0, 1.0]}, "leak_levels: has a duplicate entry"),
-        ({"plants": 2}, "plants"),
-        ({"detection_episodes": 99}, "detection_episodes"),
-    ],
-)
-def test_impossible_settings_are_refused(values, message):
-    with refused(message) as raised:
-        evaluate(CONFIG, {"PID": STRONG}, settings=values)
-    assert "evaluation" in str(raised.value)
-    ProtocolSettings(leak_levels=(20.0,), plants=3, detection_episodes=100)
 
 
 @pytest.fixture(scope="module")

@@ -38,16 +38,6 @@ def test_every_window_has_its_row(alone):
     assert (alone.table("windows")["error_mm"] > 0.0).all()
 
 
-def test_a_run_is_used_again_and_another_detector_begins_anew(alone, tmp_path):
-    ran(folder=tmp_path)
-    files = list((tmp_path / JOBS_FOLDER).iterdir())
-    files[0].unlink()
-    again = ran(folder=tmp_path)
-    assert again.reused == len(files) - 1
-    assert_same(again, alone)
-    assert ran(detectors={"D": Spread(2.0)}, folder=tmp_path).reused == 0
-
-
 def test_the_threshold_comes_from_validation_windows_unless_the_detector_has_one(alone):
     row = alone.table("thresholds").iloc[0]
     assert row["windows"] == 20

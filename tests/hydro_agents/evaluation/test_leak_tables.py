@@ -1,9 +1,8 @@
 """Tables of the leakage protocol on a made-up run whose figures are known."""
 
 import numpy as np
-import pandas as pd
 import pytest
-from small_leaks import made_up_run, made_up_tables
+from small_leaks import made_up_tables
 
 from hydro_agents.detection.detector import VERDICTS
 
@@ -54,9 +53,3 @@ def test_the_calibration_error_is_the_distance_of_probability_and_frequency(made
     assert mine["probability"].tolist() == pytest.approx([0.2, 0.8])
     assert mine["frequency"].tolist() == [0.0, 1.0]
     assert mine["error"].iloc[0] == pytest.approx(0.2)
-
-
-def test_every_table_is_written(made, tmp_path):
-    made_up_run().write(tmp_path)
-    assert {file.stem for file in tmp_path.glob("*.csv")} == set(made)
-    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "thresholds.csv"), made["thresholds"].reset_index(drop=True))

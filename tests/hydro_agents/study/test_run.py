@@ -228,20 +228,6 @@ def test_what_cannot_work_stops_the_study_before_it_trains(algorithm, tmp_path, 
     assert not list(tmp_path.glob("out/controllers/*"))
 
 
-def test_evaluate_keeps_the_results_of_the_others(algorithm, tmp_path, capsys):
-    agents = ["broken=my_study_algorithm:Broken", "PPO=ppo"]
-    file = study_file(tmp_path, task={}, controllers={"PID": {"kind": "pid"}})
-    with refused(r"broken under task: .*out holds the other results"):
-        evaluate(tmp_path / "out", file, agents, plants=3, head=Path("none"))
-    status = pd.read_csv(tmp_path / "out" / "tables" / "status.csv").set_index("controller").loc["broken"]
-    assert status["message"].startswith("seed 2000000, reference step, leak 0.01 l/min, at 0.000 s: predict returned")
-    cases = pd.read_csv(tmp_path / "out" / "tables" / "cases.csv")
-    assert list(cases["controller"].unique()) == ["PID", "PPO"]
-    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
-    with refused("holds results already"):
-        evaluate(tmp_path / "out", file, agents)
-
-
 def test_a_controller_that_oscillates_at_rest_is_named_on_the_console_and_on_the_page(algorithm, tmp_path, capsys):
     entries = {"PID": {"kind": "pid", "settings": {"proportional": 1500.0}}, "calm": {"kind": "flow_linearising"}}
     file = tmp_path / "study.yaml"
@@ -257,42 +243,44 @@ def test_a_controller_that_oscillates_at_rest_is_named_on_the_console_and_on_the
     assert "PID does not come to rest" in page
 
 
-def test_evaluate_leaves_detection_out_and_joins_training_seeds(algorithm, tmp_path, capsys):
-    file, seeds = study_file(tmp_path), ["mine#0=pid", "mine#1=flow_linearising"]
-    evaluate(tmp_path / "out", file, seeds, head=Path("none"))
+def test_evaluate_joins_training_seeds_and_keeps_the_results_of_the_others(algorithm, tmp_path, capsys):
+    file, out = study_file(tmp_path), tmp_path / "out"
+    agents = ["mine#0=pid", "mine#1=flow_linearising", "broken=my_study_algorithm:Broken"]
+    with refused(r"broken under task: .*out holds the other results"):
+        evaluate(out, file, agents, head=Path("none"))
     assert "Detection, summary" not in capsys.readouterr().out
-    tables = tmp_path / "out" / "tables"
-    assert not (tables / "detection.csv").exists()
-    assert pd.read_csv(tables / "limit_cycle_summary.csv")["standstills"].tolist() == [16, 32]
-    cases = pd.read_csv(tables / "cases.csv")  # the seeds replace the study's controller, which has no weights
+    status = pd.read_csv(out / "tables" / "status.csv").set_index("controller").loc["broken"]
+    assert status["message"].startswith("seed 2000000, reference step, leak 0.01 l/min, at 0.000 s: predict returned")
+    assert not (out / "tables" / "detection.csv").exists()
+    assert pd.read_csv(out / "tables" / "limit_cycle_summary.csv")["standstills"].tolist() == [16, 32]
+    cases = pd.read_csv(out / "tables" / "cases.csv")  # the seeds replace the study's controller, which has no weights
     assert cases.groupby("controller", sort=False)["training_seed"].nunique().to_dict() == {"PID": 1, "mine": 2}
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "PID 1, mine 2" in page
+    assert (out / "report.html").stat().st_size > 10_000
+    with refused("holds results already"):
+        evaluate(out, file, agents, head=Path("none"))
     for options, message in (
         ({"head": Path("none"), "protocol": "quick"}, "--head: a protocol takes it from its file"),
-        ({"head": Path("none"), "agent": ["mine#a=pid"]}, r"'mine#a': must be NAME, or NAME#0"),
-        ({"head": Path("none"), "agent": ["mine#0=pid", "mine=pid"]}, "name the same training seed"),
+        ({"head": Path("none"), "config": file, "agent": ["mine#0=pid", "mine=pid"]}, "the same training seed"),
     ):
         with refused(message):
-            evaluate(tmp_path / "new", **{"config": file, **options} if "protocol" not in options else options)
+            evaluate(tmp_path / "new", **options)
     assert not (tmp_path / "new" / "tables").exists()
 
 
-def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
-    file = study_file(tmp_path)
-    train("MINE", tmp_path / "out", file, steps=7, seed=3)
+def test_train_takes_any_trained_controller_of_the_study_and_tunes_what_it_corrects(algorithm, tmp_path):
+    file = study_file(tmp_path, pid={"tune": {"evaluations": 14, "cases": 2}})
+    train("MINE", tmp_path / "out", file, rig="symmetric_eha", steps=7, seed=3)
     assert (algorithm.calls[-1]["steps"], algorithm.calls[-1]["seed"]) == (7, 3)
     assert (tmp_path / "out" / "policy.json").exists()
+    gains = yaml.safe_load((tmp_path / "out" / "gains.yaml").read_text())
+    assert algorithm.calls[0]["base"].gains.model_dump() == gains
     for what, options, message in (
         ("nothing", {}, "train 'nothing': unknown; this study trains: mine, head, pid, "),
         ("pid", {"resume": True}, "nothing to resume, there is no tuning.csv"),
-        ("pid", {"objective": "best"}, "train: objective = .best.: must be"),
+        ("pid", {"objective": "best"}, "controllers.pid.tune.objective = .best.: must be"),
         ("head", {"steps": 3}, "--steps: does not apply to hydro train head"),
-        ("mine", {"objective": "mean"}, "--objective: does not apply to hydro train mine"),
-        ("pid", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train pid"),
         ("mine", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train mine"),
         ("mine", {"resume": True}, "nothing to resume"),
-        ("head", {"resume": True}, "no weights of this kind|nothing to resume"),
     ):
         with refused(message):
             train(what, tmp_path / "new", file, **options)
@@ -329,15 +317,3 @@ def test_a_study_on_another_rig_tunes_first_and_can_be_resumed(algorithm, settin
     np.testing.assert_array_equal(again[both]["mean_error_mm"], result.table("cases")["mean_error_mm"])
     evaluate(tmp_path / "untuned", file, weights[:1], rig="symmetric_eha", head=folder / "leakage_head")
     assert "not tuned" not in capsys.readouterr().err
-
-
-def test_train_tunes_what_is_to_be_corrected(algorithm, tmp_path):
-    train(
-        "mine",
-        tmp_path / "out",
-        study_file(tmp_path, pid={"tune": {"evaluations": 14, "cases": 2}}),
-        rig="symmetric_eha",
-    )
-    gains = yaml.safe_load((tmp_path / "out" / "gains.yaml").read_text())
-    assert algorithm.calls[0]["base"].gains.model_dump() == gains
-    assert (tmp_path / "out" / "policy.json").exists()

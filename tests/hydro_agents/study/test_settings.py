@@ -6,13 +6,10 @@ from refusal import refused
 from hydro_agents.controllers.pid import PID
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_agents.study.settings import StudySettings, default_study
 from hydro_env import TaskConfig
-from hydro_env.files import read_yaml, validate
 from hydro_env.task.configuration import task_config
 
 POLICY = "PPO on flow linearisation"
@@ -165,30 +162,6 @@ def test_an_entry_takes_over_what_it_does_not_change(tmp_path):
     assert (wide.activation, wide.reversal_price) == ("tanh", 2.0)
     assert correction.activation == "relu"
     assert StudySettings(**found.model_dump(mode="json")) == found
-
-
-@pytest.mark.parametrize("name", ["alone", "baselines"])
-def test_the_trainings_that_ship_can_be_trained(name):
-    found = StudySettings.from_yaml(config_folder() / "studies" / f"{name}.yaml")
-    settings = {each: found.controllers[each].settings.model_dump() for each in found.trained}
-    published = validate(PPOSettings, read_yaml(config_folder() / "agents" / "ppo_direct.yaml"), "").model_dump()
-    lengths = {"total_steps", "validation_every"}
-    assert changed(settings["PPO alone"], published) <= lengths, "one set of settings for all pages"
-    if name == "alone":
-        whole = settings["1 million periods"]
-        assert changed(whole, published) == lengths
-        for each in found.trained[2:]:
-            own = changed(settings[each], whole)
-            assert own <= {"axes", "steps_per_rollout", "minibatches", "epochs"} or len(own) == 1
-    if name == "baselines":
-        assert {each["total_steps"] for each in settings.values()} == {1_000_000}
-        assert {entry.kind for entry in found.controllers.values()} >= set(TRAINERS)
-        ready = found.with_weights({}, leave_out=True)
-        assert [name for name in ready if "PPO" in name] == ["PPO on flow linearisation"]
-
-
-def changed(settings, others):
-    return {key for key in settings if settings[key] != others[key]}
 
 
 @pytest.mark.parametrize(("seeds", "expected"), [("CHOICES", VALIDATION_SEEDS), ("EVALUATION", TEST_SEEDS)])
