@@ -203,7 +203,7 @@ def native_model() -> tuple[OnPolicyAlgorithm, PPOSettings]:
     study = default_study()
     name = study.trained[0]
     base: Any = study.make(study.controllers[name].corrects or "")
-    ppo = study.training_settings(name)
+    ppo = study.controllers[name].settings
     assert isinstance(ppo, PPOSettings)
     return make_model(make_env(study.task, ppo, make_features(study.task, ppo, base), 0), ppo, 0), ppo
 
