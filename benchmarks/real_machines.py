@@ -1,4 +1,4 @@
-"""What `hydro identify` and `hydro diagnose` say about public recordings of real machines (docs/real_machines.md).
+"""What `hydro identify` and `hydro diagnose` say about public recordings of real machines (docs/leakage.md).
 
 Run: python benchmarks/real_machines.py FOLDER [--only festo speeds refusals] [--samples 2 4] [--fit 1 2]
 

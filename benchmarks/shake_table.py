@@ -1,4 +1,4 @@
-"""A servo-hydraulic shake table under earthquakes that the fit never saw, beside black boxes (docs/real_machines.md).
+"""A servo-hydraulic shake table under earthquakes that the fit never saw, beside black boxes (docs/leakage.md).
 
 Run: python benchmarks/shake_table.py DATASET [--every 8] [--position-alone]
 

@@ -58,7 +58,6 @@ nb_output_stderr = "remove"  # the notice that something is compiled
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline", "attrs_block"]
 myst_heading_anchors = 4
 myst_links_external_new_tab = False
-suppress_warnings = ["myst.header"]  # the docstring of the environment begins with a second-level heading
 
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"

@@ -5,7 +5,6 @@ the animation and the charts of the pages' own tables are made.
 """
 
 import hashlib
-import re
 import sys
 from collections.abc import Callable
 from io import BytesIO
@@ -122,13 +121,9 @@ def learning() -> None:
 
 
 def performance() -> None:
-    """Speed over the number of axes, from the tables of docs/performance.md."""
-    rows = [
-        line.split("|")[1:4]
-        for line in (DOCS / "performance.md").read_text(encoding="utf-8").splitlines()
-        if "|" in line
-    ]
-    values = {name.strip(): float(value.replace(",", "")) for name, _, value in rows if _is_number(value)}
+    """Speed over the number of axes, from the table of the benchmark."""
+    table = pd.read_csv(TABLES / "speed.csv", skiprows=1)
+    values = table.drop_duplicates("row").set_index("row")["median"]
     kinds = {"NextStep": "this environment", "CartPole-v1": "CartPole-v1, Gymnasium's fastest"}
     counts = [16, 64, 256, 1024, 4096, 16384]
     looks = looks_of(kinds)
@@ -146,25 +141,19 @@ def performance() -> None:
     save("chart_speed.svg", speed, 3.0)
 
 
-def _is_number(text: str) -> bool:
-    return re.fullmatch(r" *[0-9][0-9,.]* *", text) is not None
-
-
 CHARTS = {
     "chart_controllers.svg": "tables/robustness.csv",
     "chart_detectors.svg": "tables/detectors.csv",
     "chart_learning.svg": "tables/learning_curves.csv",
-    "chart_speed.svg": "performance.md",
+    "chart_speed.svg": "tables/speed.csv",
 }
 """Charts, and the file whose numbers each shows."""
 
 
 def data_mark(chart: str) -> str:
     """A comment at the end of a chart that names its numbers; tests/site/test_site.py compares it with the file."""
-    text = (DOCS / CHARTS[chart]).read_text(encoding="utf-8")
-    rows = [line.split("|")[1:4] for line in text.splitlines() if line.count("|") > 3]  # name, unit, value
-    numbers = "".join(map("|".join, rows)) or text
-    return f"<!-- {CHARTS[chart]} {hashlib.sha256(numbers.encode()).hexdigest()[:16]} -->\n"
+    numbers = (DOCS / CHARTS[chart]).read_bytes()
+    return f"<!-- {CHARTS[chart]} {hashlib.sha256(numbers).hexdigest()[:16]} -->\n"
 
 
 def save(chart: str, paint: Callable[[Figure], None], height: float) -> None:

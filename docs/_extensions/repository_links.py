@@ -36,8 +36,9 @@ def shown_files() -> dict[str, str]:
     found = {name: language for name, language in SINGLE_FILES.items() if (ROOT / name).is_file()}
     for folder in FOLDERS:
         for path in sorted((ROOT / folder).rglob("*")):
-            if path.suffix in LANGUAGES and "__pycache__" not in path.parts and path.stat().st_size < LARGEST:
-                found[path.relative_to(ROOT).as_posix()] = LANGUAGES[path.suffix]
+            language = "markdown" if path.parent.name == "notes" else LANGUAGES.get(path.suffix)
+            if language and "__pycache__" not in path.parts and path.is_file() and path.stat().st_size < LARGEST:
+                found[path.relative_to(ROOT).as_posix()] = language
     return found
 
 

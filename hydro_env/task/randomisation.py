@@ -126,7 +126,7 @@ PUBLISHED_RANGES = {
     "friction.coulomb_force": (50.0, 300.0),
     "supply.pressure": (60e5, 100e5),
 }
-"""SI; ranges of published rigs of the size of the paper's (docs/model.md, section 3)."""
+"""SI; ranges of published rigs of the size of the paper's (docs/model.md, Parameters)."""
 
 
 def own_value(plant: PlantParameters, path: str) -> float:

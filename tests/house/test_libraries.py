@@ -1,4 +1,4 @@
-"""What other people's libraries take of this project; docs/clients.md lists the programs that were tried by hand."""
+"""What other people's libraries take of this project; docs/own_controller.md lists them."""
 
 import inspect
 from pathlib import Path

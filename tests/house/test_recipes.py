@@ -1,4 +1,4 @@
-"""The recipes of CONTRIBUTING.md: their steps are read from the page, applied to a copy of the sources, and tried.
+"""The recipes of docs/extend.md: their steps are read from the page, applied to a copy of the sources, and tried.
 
 Run as a program, in a copy, this file carries out the ``try_…`` functions that it is given.
 """
@@ -34,9 +34,9 @@ MOST_SOURCE_FILES = {**PLANT_RECIPES, **TASK_RECIPES, **EVALUATION_RECIPES, **AG
 
 def steps_of(recipe: str) -> list[tuple[str, list[tuple[str, str]]]]:
     """The files that a recipe changes: name, and pairs of old text (empty in a new file) and new text."""
-    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
     section = re.search(rf"^### {re.escape(recipe)}\n(.*?)(?=^##|\Z)", page, re.M | re.S)
-    assert section, f"CONTRIBUTING.md has no recipe '{recipe}'"
+    assert section, f"docs/extend.md has no recipe '{recipe}'"
     steps = []
     for kind, header, body in re.findall(r"^```(diff|python)\n(.*?)\n(.*?)^```$", section[1], re.M | re.S):
         name = header.removeprefix("+++ " if kind == "diff" else "# ")
@@ -101,7 +101,7 @@ def test_a_recipe_fits_the_sources_and_takes_few_files(recipe, sources):
 
 
 def test_the_page_has_no_other_recipes():
-    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
     assert re.findall(r"^### (.*)$", page.split("## Recipes")[1], re.M) == list(MOST_SOURCE_FILES)
 
 

@@ -4,14 +4,16 @@ import re
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.learning.loading import load_controller
+from hydro_agents.learning.opponents import opponent
 from hydro_agents.study.settings import StudySettings
-from hydro_env import ServoHydraulicEnv, TaskConfig
+from hydro_env import PlantParameters, ServoHydraulicEnv, TaskConfig, simulate
+from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.plant.workable import refuse_unworkable
 from hydro_rig.export.c_files import c_compiler
 from hydro_rig.export.controller_folder import exported_files
 from hydro_rig.recordings.columns import read_map
@@ -26,28 +28,29 @@ BLOCKS = [
 ]
 
 
-def blocks(page, kind):
-    return [body for name, what, body in BLOCKS if (name, what) == (page, kind)]
+def blocks(page, kind="yaml", begins=""):
+    return [body for name, what, body in BLOCKS if (name, what) == (page, kind) and body.startswith(begins)]
+
+
+def written(text, folder):
+    file = folder / "file.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
 
 
 def test_every_block_has_a_test():
-    tested = {("circuit.md", "yaml")} | {  # tests/site/test_circuit_page.py
-        ("own_rig.md", "yaml"),
-        ("diagnose.md", "yaml"),
-        ("trend.md", "yaml"),
-        ("robustness.md", "yaml"),
-        ("results.md", "yaml"),
-        ("learning.md", "yaml"),
-        ("export.md", "c"),
-    }
-    assert {(page, kind) for page, kind, _ in BLOCKS} == tested
+    tested = {(f"{page}.md", "yaml") for page in ("own_rig", "diagnose", "trend", "own_controller", "learning")}
+    assert {(page, kind) for page, kind, _ in BLOCKS} == tested | {("export.md", "c")}
 
 
-@pytest.mark.parametrize("text", blocks("own_rig.md", "yaml"))
-def test_the_file_of_a_rig_makes_an_environment(text, tmp_path):
-    file = tmp_path / "rig.yaml"
-    file.write_text(text, encoding="utf-8")
-    given = yaml.safe_load(text)
+@pytest.mark.parametrize("text", [text for text in blocks("own_rig.md") if not text.startswith("# task:")])
+def test_a_rig_of_the_page_runs(text, tmp_path):
+    file, given = written(text, tmp_path), yaml.safe_load(text)
+    if not {"sensors", "randomisation"} & set(given):
+        plant = PlantParameters.from_yaml(file)
+        refuse_unworkable(plant)
+        run = simulate(plant, np.repeat([4.0, 0.0, -4.0], 10), 5e-3)
+        assert run.position.max() - run.position[0] > 2e-3
     env = ServoHydraulicEnv(rig=str(file))
     env.reset(seed=1)
     if "sensors" in given:
@@ -56,11 +59,34 @@ def test_the_file_of_a_rig_makes_an_environment(text, tmp_path):
     assert set(given.get("randomisation", {})) <= set(env.config.randomisation)
 
 
+def test_the_tasks_of_the_page_are_what_they_are_called(tmp_path):
+    def task(name):
+        (text,) = blocks("own_rig.md", begins=f"# task: {name}")
+        return TaskConfig.from_yaml(written(text, tmp_path))
+
+    env = ServoHydraulicEnv(task("another circuit, nothing drawn"))
+    env.reset(seed=1)
+    assert env.parameters.replace(leakage={"internal_resistance": 2e13}) == env.config.plant
+    env = ServoHydraulicEnv(task("leak through the throttle, exact sensors, no latency"))
+    observation, info = env.reset(seed=1)
+    assert env.parameters.leakage.orifice_gain > 0.0
+    column = env.observation_names.index("position")
+    assert observation[column] * env.observation_scale[column] == pytest.approx(info["position"], abs=1e-8)
+    poor = task("a poorer position sensor").sensors
+    assert (poor.position.noise, poor.position.high) == (1e-4, TaskConfig().sensors.position.high)
+    assert len(blocks("own_rig.md", begins="# task:")) == 3
+
+
+def test_the_parts_of_the_circuit_name_fields_that_exist():
+    page = (ROOT / "docs" / "own_rig.md").read_text(encoding="utf-8")
+    table = page.partition("## The parts of the circuit")[2]
+    named = set(re.findall(r"`((?:supply|valve|cylinder|lines|fluid|load|leakage)\.[a-z_]+)", table))
+    assert len(named) > 30
+    assert named <= set(PARAMETER_PATHS)
+
+
 def test_maps_of_columns_read_files(tmp_path):
-    file, maps = tmp_path / "map.yaml", []
-    for text in (*blocks("trend.md", "yaml"), *blocks("diagnose.md", "yaml")):
-        file.write_text(text, encoding="utf-8")
-        maps.append(read_map(file).columns())
+    maps = [read_map(written(text, tmp_path)).columns() for text in (*blocks("trend.md"), *blocks("diagnose.md"))]
     historian, whole, names = maps
     assert (historian["time"].unit, historian["oil_temperature"].column) == ("ns", "oil")
     assert names["pressure_b"].column == "Druck B"
@@ -68,45 +94,20 @@ def test_maps_of_columns_read_files(tmp_path):
     assert (whole["position"].offset, whole["spool_position"].gain) == (-200.0, 0.125)
 
 
-@pytest.fixture
-def with_lines(tmp_path):
-    """Write a shipped protocol with more lines beside links to what it names."""
+def test_the_detector_belongs_into_the_leak_protocol(tmp_path):
     (tmp_path / "agents").symlink_to(ROOT / "configs" / "agents")
     (tmp_path / "protocols").mkdir()
-
-    def write(name, change):
-        shipped = yaml.safe_load((ROOT / "configs" / "protocols" / f"{name}.yaml").read_text(encoding="utf-8"))
-        file = tmp_path / "protocols" / "mine.yaml"
-        file.write_text(yaml.safe_dump(shipped | change(shipped)), encoding="utf-8")
-        return file
-
-    return write
-
-
-def test_the_condition_belongs_into_a_protocol(with_lines):
-    (text,) = blocks("robustness.md", "yaml")
-    ((name, condition),) = yaml.safe_load(text).items()
-
-    def change(shipped):
-        assert condition["controllers"].items() <= shipped["conditions"][name]["controllers"].items()
-        return {"conditions": {name: condition}}
-
-    protocol = RobustnessProtocol.from_yaml(with_lines("robustness", change))
-    assert protocol.conditions[name].task == condition["task"]
-
-
-def test_the_detector_belongs_into_the_leak_protocol(with_lines):
-    (text,) = blocks("results.md", "yaml")
-    own = yaml.safe_load(text)["detectors"]
-    file = with_lines("leakage", lambda shipped: {"detectors": shipped["detectors"] | own})
-    assert LeakProtocol.from_yaml(file).detectors["mine"].windows == 1000
+    shipped = yaml.safe_load((ROOT / "configs" / "protocols" / "leakage.yaml").read_text(encoding="utf-8"))
+    shipped["detectors"] |= yaml.safe_load(blocks("own_controller.md")[0])["detectors"]
+    protocol = LeakProtocol.from_yaml(written(yaml.safe_dump(shipped), tmp_path / "protocols"))
+    assert protocol.detectors["mine"].windows == 1000
 
 
 def test_the_lines_of_c_compile(tmp_path):
     if c_compiler() is None:
         pytest.skip("this machine has no C compiler")
     task = TaskConfig()
-    files, _ = exported_files(load_controller("pid", task, "PID"), task, "hydro export pid")
+    files, _ = exported_files(opponent("pid", task, "PID"), task, "hydro export pid")
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
     (text,) = blocks("export.md", "c")
@@ -120,9 +121,11 @@ def test_the_lines_of_c_compile(tmp_path):
     assert subprocess.run([tmp_path / "page"], check=False).returncode == 0
 
 
-def test_the_trainings_of_the_page_are_a_study(tmp_path):
-    file = tmp_path / "study.yaml"
-    file.write_text(blocks("learning.md", "yaml")[0], encoding="utf-8")
-    study = StudySettings.from_yaml(file)
-    preview = study.controllers["with full preview"].settings
+def test_practice_and_trainings_of_the_page_are_those_of_a_study(tmp_path):
+    practice, study = blocks("learning.md")
+    found = StudySettings.from_yaml(written(study, tmp_path))
+    preview = found.training_settings("with full preview")
     assert (preview.full_preview, preview.total_steps, preview.discount) == (True, 1_000_000, 0.97)
+    settings = yaml.safe_load(study)["controllers"] | {"mine": {"kind": "ppo", "settings": yaml.safe_load(practice)}}
+    practised = StudySettings.from_yaml(written(yaml.safe_dump({"controllers": settings}), tmp_path))
+    assert practised.training_settings("mine").practice["disturbance"]["share"] == 0.3

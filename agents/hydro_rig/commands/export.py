@@ -184,7 +184,7 @@ def _controller(what: str, request: _Request) -> Job:
     _tell_distance(what, controller, config)
     origin = origin_of_gains(what, config) if what in CONTROLLERS else ""
     if origin not in ("", GainsOrigin.TUNED):
-        say(f"{what}: {origin}: {page('no_tuning.md')} says what they cost")
+        say(f"{what}: {origin}: {page('drawn_rigs.md')} says what they cost")
     return FILES, partial(exported_files, controller, config, command_line(), origin)
 
 

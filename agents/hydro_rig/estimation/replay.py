@@ -48,7 +48,7 @@ class Lag(NamedTuple):
 
 
 class Commands(NamedTuple):
-    """The commands of B recorded windows of T samples; see docs/estimation.md for the format."""
+    """The commands of B recorded windows of T samples; see docs/leak_detection.md for the format."""
 
     command: Floats  # (B, T), −1 to 1; column k acts until one latency after sample k
     boundary: Floats | None = None  # (B, 2, T), recorded supply and tank pressure, Pa; NaN, None: those of the plant

@@ -1,4 +1,4 @@
-"""Each correction of the printed equations (docs/model.md, section 3): the printed form misses a known answer."""
+"""Each correction of the printed equations (docs/model.md, Corrections): the printed form misses a known answer."""
 
 import math
 
