@@ -64,11 +64,13 @@ class RepositoryLinks(SphinxTransform):
         ]:
             if node.get("reftype") != "myst":
                 continue
-            if node.get("refdomain") == "doc":
-                if Path(node.astext()).name == f"{Path(node['reftarget']).name}.md":
-                    node["refexplicit"] = False  # the title of the page says more than its file name
-                continue
             target = (here / node["reftarget"]).resolve()
+            if node.get("refdomain") == "doc":
+                target = ROOT / f"{node['reftarget']}.md"
+                if node["reftarget"] in self.env.found_docs:
+                    if Path(node.astext()).name == target.name:
+                        node["refexplicit"] = False  # the title of the page says more than its file name
+                    continue
             if not target.exists() or not target.is_relative_to(ROOT):
                 continue
             path = target.relative_to(ROOT).as_posix()
