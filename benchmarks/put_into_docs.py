@@ -209,7 +209,6 @@ SOURCES = {
         _by_condition,
         _conditions,
     ),
-    "alone": Source("alone/tables/over_seeds.csv", keep=_trainings),
     "baselines": Source("baselines/tables/over_seeds.csv", TRAINED, keep=_trainings),
     "speed": Source(
         "benchmark/benchmark.csv",

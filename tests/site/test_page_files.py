@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.learning.opponents import opponent
+from hydro_agents.learning.loading import load_controller
 from hydro_agents.study.settings import StudySettings
 from hydro_env import PlantParameters, ServoHydraulicEnv, TaskConfig, simulate
 from hydro_env.plant.parameters import PARAMETER_PATHS
@@ -107,7 +107,7 @@ def test_the_lines_of_c_compile(tmp_path):
     if c_compiler() is None:
         pytest.skip("this machine has no C compiler")
     task = TaskConfig()
-    files, _ = exported_files(opponent("pid", task, "PID"), task, "hydro export pid")
+    files, _ = exported_files(load_controller("pid", task, "PID"), task, "hydro export pid")
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
     (text,) = blocks("export.md", "c")
