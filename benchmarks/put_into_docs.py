@@ -2,7 +2,7 @@
 
 Run: python benchmarks/put_into_docs.py [results]
 
-The folder holds what ``make figures`` wrote: ``study``, ``robustness``, ``benchmark`` and so on. What is absent keeps
+The folder holds what ``make figures`` wrote: ``study``, ``robustness``, ``speed`` and so on. What is absent keeps
 what it has. The first line of ``docs/tables/NAME.csv`` tells version, commit, date and command. A page holds
 ``<!-- table: NAME -->`` and ``<!-- end -->``; what stands between follows from that file.
 """
@@ -129,27 +129,25 @@ TRAINED = {
 }
 
 SPEED = {
-    ("single", "one axis, gym.make"): "one axis through `gym.make`",
-    ("vector", "NextStep, N = 16"): "16 axes, `gym.make_vec`",
-    ("vector", "NextStep, N = 256"): "256 axes",
-    ("vector", "NextStep, N = 4,096"): "4096 axes",
-    ("vector", "AsyncVectorEnv of single axes, N = 16"): "16 axes as processes of Gymnasium",
-    ("kernel", "65,536 plants, 2 threads"): "the integrator alone",
-    ("training", "PPO, native vector environment"): "training of PPO on flow linearisation, end to end",
-    ("memory", "arrays of one axis"): "memory of one axis",
-    ("start", "first step, warm cache"): "import, make, reset and first step",
-    ("start", "first step, cold cache"): "the same, everything compiled anew",
-    ("inference", "policy: median"): "one call of the policy in Python",
-    ("inference", "policy and leakage head: median"): "policy and leakage head",
+    "one axis": "one axis through `gym.make`",
+    "axes, N = 64": "64 axes, `gym.make_vec`",
+    "axes, N = 1,024": "1024 axes",
+    "axes, N = 16,384": "16 384 axes",
+    "AsyncVectorEnv of 16 single axes": "16 axes as processes of Gymnasium",
+    "plants: 4,096, 2 threads": "the integrator alone, two threads",
+    "PPO of stable-baselines3": "training of PPO on flow linearisation, end to end",
+    "first step, compiled before": "import, make, reset and first step",
+    "first step, empty cache": "the same, everything compiled anew",
+    "policy: median": "one call of the policy in Python",
 }
-"""Rows of the benchmark that the page shows, and what it calls them."""
+"""Rows of the measurement that the page shows, and what it calls them."""
 
 
 def _speed(table: pd.DataFrame) -> pd.DataFrame:
     """The rows of the page, the median with three digits, and the ratio to the row beside it."""
-    rows = table.set_index(["group", "row"]).loc[list(SPEED)].reset_index().assign(what=list(SPEED.values()))
+    rows = table.set_index("row").loc[list(SPEED)].assign(what=list(SPEED.values()))
     rows["median"] = rows["median"].map("{:.3g}".format).map(lambda text: f"{float(text):,g}" if "e" in text else text)
-    rows["beside"] = rows["ratio"].map("{:.2g} × ".format) + rows["against"]
+    rows["beside"] = rows["ratio"].map("{:.2g} × ".format) + rows["beside"]
     return rows.fillna({"beside": ""})
 
 
@@ -211,10 +209,10 @@ SOURCES = {
     ),
     "baselines": Source("baselines/tables/over_seeds.csv", TRAINED, keep=_trainings),
     "speed": Source(
-        "benchmark/benchmark.csv",
+        "speed/speed.csv",
         {"what": "{what}", "median": "{median} {unit}", "beside": "{beside}"},
         _speed,
-        lambda table: table[["group", "row", "unit", "median", "against", "ratio"]],
+        lambda table: table[["group", "row", "unit", "median", "beside", "ratio"]],
     ),
     "verdicts": Source(
         "reproduce/verdicts.csv",
@@ -231,7 +229,7 @@ def table_of(name: str) -> str:
     for _, row in source.rows(kept).iterrows():
         lines.append([_written(row, form) if form else row[heading] for heading, form in source.columns.items()])
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    command = origin_of(name).partition("`")[2].partition("`")[0]
+    command = origin_of(name).split("`")[-2]
     return f"{table}\n\n`{command}` ([kept with its date](tables/{name}.csv))"
 
 
