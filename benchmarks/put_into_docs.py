@@ -37,10 +37,9 @@ class Source(NamedTuple):
     keep: Callable[[pd.DataFrame], pd.DataFrame] = pd.DataFrame.copy  # from the file to what is kept
 
 
-def _interval(name: str, low: str = "", high: str = "") -> str:
+def _interval(name: str) -> str:
     """Format of a figure with its interval."""
-    low, high = low or f"{name}_low", high or f"{name}_high"
-    return f"{{{name}:.3f}} ({{{low}:.3f}} to {{{high}:.3f}})"
+    return f"{{{name}:.3f}} ({{{name}_low:.3f}} to {{{name}_high:.3f}})"
 
 
 def _written(row: pd.Series, form: str) -> str:
@@ -50,17 +49,23 @@ def _written(row: pd.Series, form: str) -> str:
         return "–"
     if "nan" in text:
         text = text.partition(" (")[0]
-    return text.replace(" ± nan", "")
+    return text
 
 
 def _errors(table: pd.DataFrame) -> pd.DataFrame:
-    """One row per controller: mean errors in both frames; every leak has the same number of cases."""
-    kept = table[table["metric"].isin(("mean_error_mm", "mean_error_sensor_mm"))]
+    """One row per controller: mean errors in both frames."""
+    kept = table[(table["group"] == "all") & table["metric"].isin(("mean_error_mm", "mean_error_sensor_mm"))]
     return kept.pivot_table("mean", "controller", "metric", sort=False).reset_index()
 
 
-def _study(table: pd.DataFrame) -> pd.DataFrame:
-    return table[(table["against"] == "PID") & (table["group"] == "all")]
+def _against_the_first(*names: str) -> Callable[[pd.DataFrame], pd.DataFrame]:
+    """Columns of the rows over all cases against the first controller."""
+
+    def kept(table: pd.DataFrame) -> pd.DataFrame:
+        first = table["against"].iloc[0]
+        return table.loc[(table["against"] == first) & (table["group"] == "all"), list(names)]
+
+    return kept
 
 
 def _detectors(table: pd.DataFrame) -> pd.DataFrame:
@@ -98,36 +103,6 @@ def _by_condition(table: pd.DataFrame) -> pd.DataFrame:
     return wide.assign(condition=[kinds[name]["label"] for name in wide.index])
 
 
-def _seeds(table: pd.DataFrame) -> pd.DataFrame:
-    """Of what was trained: mean errors; the head without the ranges of large leaks: "≥ 0.3 l/min"."""
-    trained = table["of"].isin(table.loc[table["figure"] == "training, s", "of"])
-    large = table["figure"].str.contains("leaks of (?:0.3–|0.5–|1–|2–)", regex=True)
-    return table[trained & table["group"].isin(("all", "equal_weight", "head")) & ~large].drop(columns=["group", "sd"])
-
-
-TRAININGS = {"all": "mean", "equal_weight": "geo", "valve_travel_per_s": "travel", "training": "gradient steps"}
-"""Groups of figures of a study over seeds that a page shows, with their columns."""
-
-
-def _trainings(table: pd.DataFrame) -> pd.DataFrame:
-    """One row per controller: the first figure of each group, and the standard deviations over the seeds."""
-    first = table[table["group"].isin(TRAININGS)].drop_duplicates(["of", "group"])
-    wide = first.pivot(index="of", columns="group").reindex(first["of"].unique())
-    seeds = sum(name.startswith("seed ") for name in table)
-    rows = wide["mean"].rename(columns=TRAININGS)
-    spread = wide["sd"].rename(columns=TRAININGS)[["mean", "geo"]].add_suffix(" sd")
-    counts = rows["gradient steps"].notna() * seeds
-    kept = pd.concat([counts.rename("seeds"), rows[list(TRAININGS.values())], spread], axis=1)
-    return kept.rename_axis("controller").reset_index()
-
-
-TRAINED = {
-    "controller": "{controller}",
-    "accuracy ÷ PID's": "{mean:.3f} ± {mean sd:.3f}",
-    "families weigh the same": "{geo:.3f} ± {geo sd:.3f}",
-    "valve travel ÷ PID's": "{travel:.2f}",
-}
-
 SPEED = {
     "one axis": "one axis through `gym.make`",
     "axes, N = 64": "64 axes, `gym.make_vec`",
@@ -153,7 +128,7 @@ def _speed(table: pd.DataFrame) -> pd.DataFrame:
 
 SOURCES = {
     "errors": Source(
-        "study/tables/levels.csv",
+        "study/tables/summary.csv",
         {
             "controller": "{controller}",
             "accuracy, mm": "{mean_error_mm:.3f}",
@@ -162,21 +137,29 @@ SOURCES = {
         keep=_errors,
     ),
     "study": Source(
-        "study/tables/ratios.csv",
+        "study/tables/comparison.csv",
         {
             "controller": "{controller}",
-            "accuracy ÷ PID's": _interval("ratio", "low", "high"),
+            "accuracy ÷ PID's": _interval("ratio"),
             "repeatability ÷ PID's": _interval("ratio_sensor"),
-            "better than the PID, share of cases": "{share_of_cases_better:.2f}",
+            "better than the PID, share of cases": "{share_better:.2f}",
         },
-        keep=_study,
+        keep=_against_the_first(
+            *("controller", "ratio", "ratio_low", "ratio_high", "share_better"),
+            *("ratio_sensor", "ratio_sensor_low", "ratio_sensor_high"),
+        ),
     ),
     "seeds": Source(
-        "seeds/tables/over_seeds.csv",
-        {"trained": "{of}", "figure": "{figure}", "mean over four seeds": "{mean:.4g} ({low:.4g} to {high:.4g})"},
-        keep=_seeds,
+        "seeds/tables/seeds.csv",
+        {
+            "controller": "{controller}",
+            "÷": "{against}",
+            "training seed": "{training_seed}",
+            "accuracy": "{ratio:.3f}",
+            "families weigh the same": "{equal_weight:.3f}",
+        },
+        keep=lambda table: table[["controller", "against", "training_seed", "ratio", "equal_weight"]],
     ),
-    "learning_curves": Source("seeds/tables/learning_curves.csv"),
     "robustness": Source(
         "robustness/tables/ranking.csv",
         {
@@ -207,7 +190,19 @@ SOURCES = {
         _by_condition,
         _conditions,
     ),
-    "baselines": Source("baselines/tables/over_seeds.csv", TRAINED, keep=_trainings),
+    "baselines": Source(
+        "baselines/tables/comparison.csv",
+        {
+            "controller": "{controller}",
+            "accuracy ÷ PID's": _interval("ratio"),
+            "families weigh the same": _interval("equal_weight"),
+            "valve travel ÷ PID's": "{travel_ratio:.2f}",
+        },
+        keep=_against_the_first(
+            *("controller", "ratio", "ratio_low", "ratio_high", "travel_ratio"),
+            *("equal_weight", "equal_weight_low", "equal_weight_high"),
+        ),
+    ),
     "speed": Source(
         "speed/speed.csv",
         {"what": "{what}", "median": "{median} {unit}", "beside": "{beside}"},

@@ -21,7 +21,6 @@ from hydro_agents.learning.loading import shipped
 from hydro_agents.report.canvas import GREY, WIDE, WIDTH, bars, dodge, level_axis, render, row_axis, ticks
 from hydro_agents.report.content import intervals
 from hydro_agents.report.palette import looks_of
-from hydro_agents.report.training_plots import learning_plots
 from hydro_env import TaskConfig
 from hydro_env.canvas import PAPER
 
@@ -111,15 +110,6 @@ def detectors() -> None:
     save("chart_detectors.svg", paint, 3.0)
 
 
-def learning() -> None:
-    """Error of the policy while it learns over that of the PID, with a band over the training seeds."""
-    curves = pd.read_csv(TABLES / "learning_curves.csv", skiprows=1)
-    for column in ("validation/mean_error_mm", "validation/base_mean_error_mm"):
-        curves[column] /= curves["first_mean_error_mm"]
-    (plot,) = learning_plots(curves, "PID", 1.0)
-    (FOLDER / "chart_learning.svg").write_bytes(plot.file + data_mark("chart_learning.svg").encode())
-
-
 def performance() -> None:
     """Speed over the number of axes, from the table of the benchmark."""
     table = pd.read_csv(TABLES / "speed.csv", skiprows=1)
@@ -144,7 +134,6 @@ def performance() -> None:
 CHARTS = {
     "chart_controllers.svg": "tables/robustness.csv",
     "chart_detectors.svg": "tables/detectors.csv",
-    "chart_learning.svg": "tables/learning_curves.csv",
     "chart_speed.svg": "tables/speed.csv",
 }
 """Charts, and the file whose numbers each shows."""
@@ -214,7 +203,6 @@ if __name__ == "__main__":
     animation()
     controllers()
     detectors()
-    learning()
     performance()
     if len(sys.argv) > 1:
         results(Path(sys.argv[1]) / "tables")

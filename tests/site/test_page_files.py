@@ -124,8 +124,8 @@ def test_the_lines_of_c_compile(tmp_path):
 def test_practice_and_trainings_of_the_page_are_those_of_a_study(tmp_path):
     practice, study = blocks("learning.md")
     found = StudySettings.from_yaml(written(study, tmp_path))
-    preview = found.training_settings("with full preview")
+    preview = found.controllers["with full preview"].settings
     assert (preview.full_preview, preview.total_steps, preview.discount) == (True, 1_000_000, 0.97)
     settings = yaml.safe_load(study)["controllers"] | {"mine": {"kind": "ppo", "settings": yaml.safe_load(practice)}}
     practised = StudySettings.from_yaml(written(yaml.safe_dump({"controllers": settings}), tmp_path))
-    assert practised.training_settings("mine").practice["disturbance"]["share"] == 0.3
+    assert practised.controllers["mine"].settings.practice["disturbance"]["share"] == 0.3
