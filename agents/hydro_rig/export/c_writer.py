@@ -28,8 +28,7 @@ _HELPERS = {
     "sign": "static {type} {name}({type} a) {{ return isgreater(a, 0) ? 1 : isless(a, 0) ? -1 : a; }}",
 }
 _EXACT = {"where", "cast", "maximum", "minimum", "absolute", "sign", "copysign", "negative"}
-LONGEST = 120
-"""Characters of the longest number that is written into the statement of another one."""
+LONGEST = 120  # characters of the longest number that is written into the statement of another one
 
 
 @dataclass

@@ -38,17 +38,13 @@ OUT_OF_RANGE = 0.025
 LOST_TRAVEL = 1e-3
 """m that the axis may travel at the present command after the first lost sample, which is always allowed."""
 
-LOST_TIME = 0.1
-"""s during which samples may be lost, even if the axis stands still."""
-
+LOST_TIME = 0.1  # s during which samples may be lost, even if the axis stands still
 LOST_RULE = (
     f"those in which the axis travels {1e3 * LOST_TRAVEL:g} mm at the present command, at least one, "
     f"and not more than {1e3 * LOST_TIME:g} ms"
 )
 
-STOPPING_TIME = 0.01
-"""s in which the voltage goes from full command to the one that holds the axis."""
-
+STOPPING_TIME = 0.01  # s in which the voltage goes from full command to the one that holds the axis
 _PREVIEW = "reference_preview_"
 SENSOR_MEANINGS = {
     "position": "measured, from the middle of the stroke; positive: extended",

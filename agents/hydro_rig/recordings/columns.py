@@ -18,9 +18,7 @@ from hydro_env.task.sensors import SENSORS
 from hydro_env.units import FULL_VOLTAGE, Number, unit_factor
 from hydro_env.units import UNITS as QUANTITIES
 
-MEASURED = (*SENSORS, "command")
-"""Names of the signals in a file, in the order of a window's rows."""
-
+MEASURED = (*SENSORS, "command")  # names of the signals in a file, in the order of a window's rows
 LOAD_PRESSURE = "load_pressure"
 
 ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_position"}

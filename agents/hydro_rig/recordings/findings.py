@@ -11,14 +11,9 @@ from numpy.typing import NDArray
 from hydro_agents.running.text import number
 from hydro_env.types import Floats
 
-MOST_MISSING = 0.9
-"""Largest share of missing readings of a sensor: every tenth row, by a slower program, tells enough."""
-
-MOST_MISSING_COMMANDS = 0.2
-"""The same for the command, without which the axis cannot be simulated."""
-
-Mask = NDArray[np.bool_]
-"""True where a finding is about a row, (n,)."""
+MOST_MISSING = 0.9  # largest share of missing readings of a sensor: every tenth row, by a slower program, tells enough
+MOST_MISSING_COMMANDS = 0.2  # the same for the command, without which the axis cannot be simulated
+Mask = NDArray[np.bool_]  # true where a finding is about a row, (n,)
 
 
 class Weight(StrEnum):

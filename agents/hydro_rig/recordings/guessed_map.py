@@ -25,10 +25,9 @@ WORDS = {
 }
 """Usual words of headings, English and German, by signal."""
 
-PRESSURE = r"p\w{0,2}|pressure|druck\w*|press|pt\d*"  # words that say that a column holds a pressure
+PRESSURE = r"p\w{0,2}|dp|pressure|druck\w*|press|pt\d*"  # words that say that a column holds a pressure
 WANTED = r"soll\w*|ref\w*|setpoint|desired|target|demand|führung\w*"  # of wanted values, which are not measured ones
-CHAMBERS = ("pressure_a", "pressure_b")
-UNDECIDED = 1.0  # least score of a guess
+OF_CHAMBERS = ("pressure_a", "pressure_b", "load_pressure")
 
 
 class UnknownHeadingsError(ConfigurationError):
@@ -47,22 +46,25 @@ def guessed_map(headings: Sequence[str], source: str) -> str:
 
     A wrong unit among the assumed ones is found when the recording is checked: no value then fits the rig.
     """
-    scores = {}
+    found: dict[str, int] = {}
     for signal in WORDS:
         for place, heading in enumerate(headings):
-            scores[signal, place] = _score(signal, heading)
-    found: dict[str, int] = {}
-    for signal, place in sorted(scores, key=lambda pair: (-scores[pair], pair[1])):
-        if scores[signal, place] >= UNDECIDED and signal not in found and place not in found.values():
-            found[signal] = place
-    lines = [f"# Guessed from the headings of {_plain(source)}. Check columns, units, signs, and where zero is."]
+            if place not in found.values() and _fits(signal, heading):
+                found[signal] = place
+                break
+    lines = [
+        f"# Guessed from the headings of {_plain(source)}. Check columns, units and signs.",
+        "# If zero is at the end of the stroke, an offset of minus half the stroke moves it to mid-stroke.",
+    ]
     for signal in UNITS:
         if signal in found:
             lines.append(_line(signal, found[signal], headings))
         elif signal in ("time", "command"):
             lines.append(f"# {signal}: which column? It is needed.")
     left = [heading for place, heading in enumerate(headings) if place not in found.values()]
-    return "\n".join([*lines, f"# not used: {_plain(', '.join(left))}"])
+    if left:
+        lines.append(f"# not used: {_plain(', '.join(left))}")
+    return "\n".join(lines)
 
 
 def _plain(text: str) -> str:
@@ -82,19 +84,19 @@ def _line(signal: str, place: int, headings: Sequence[str]) -> str:
     return f"{signal}: {text}{remark}"
 
 
-def _score(signal: str, heading: str) -> float:
-    """How well a heading fits a signal: its words and its unit; negative if the unit contradicts."""
+def _fits(signal: str, heading: str) -> bool:
+    """Whether a word of a heading, or all together, names a signal, and its unit does not contradict."""
     name, unit = split_heading(heading)
     name = re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", name)  # PressureA
     words = [word for word in re.split(r"[^a-z0-9äöüß]+", name.lower()) if word]
     if unit is not None and unit.replace("μ", "u").replace("µ", "u").strip() not in UNITS[signal]:
-        return -1.0
-    pressure = any(re.fullmatch(PRESSURE, word) for word in words) or (unit is not None and signal in CHAMBERS)
-    if not pressure and (signal in CHAMBERS or (signal == "load_pressure" and "dp" not in words)):
-        return -1.0
-    tried = [*words, "".join(words)] if len(words) > 1 else words
-    hits = sum(bool(re.fullmatch(WORDS[signal], word)) for word in tried)
-    if not hits:
-        return 0.0
-    wanted = any(re.fullmatch(WANTED, word) for word in words) and signal not in ("time", "command")
-    return hits + 0.5 * (unit is not None) + 0.25 * (len(words) == 1) - 2.0 * wanted
+        return False
+    if signal in OF_CHAMBERS and unit is None and not _any_is(words, PRESSURE):
+        return False
+    if signal not in ("time", "command") and _any_is(words, WANTED):
+        return False
+    return _any_is([*words, "".join(words)], WORDS[signal])
+
+
+def _any_is(words: Sequence[str], pattern: str) -> bool:
+    return any(re.fullmatch(pattern, word) for word in words)

@@ -16,8 +16,7 @@ SHORTEST_DISTANCE = 1e-7  # s between two rows; no rig logs faster, so the unit 
 PARTS = 8  # of a recording, over each of which the stamps are compared: one jump of the clock touches few of them
 COMMON = (0.2, 0.8)  # quantiles of these comparisons that count
 
-Spacing = tuple[float, float]
-"""Least and largest distance of rows that lie at equal distances, s."""
+Spacing = tuple[float, float]  # least and largest distance of rows that lie at equal distances, s
 
 
 def spacing_of(stamps: Floats) -> Spacing | None:

@@ -6,11 +6,11 @@ loop, is taken on its own grid instead: its rows, or of a fast log about one sam
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
@@ -173,31 +173,17 @@ def _own_grid(
     period = float(f"{rows * distance:.6g}")
     changed = place[1:][np.abs(np.diff(values[COMMAND])) > 0.0]
     first = int(np.bincount(changed % rows, minlength=rows).argmax())
-    around = (place - first + rows // 2) // rows
-    number = np.unique(around)
-    samples = _medians(values, np.searchsorted(number, around), len(number))
-    acting = (place - first) // rows + 1
-    inside = np.isin(acting, number)
-    commands = _medians(values[[COMMAND]][:, inside], np.searchsorted(number, acting[inside]), len(number))[0]
-    if len(number) > 1 and number[1] == number[0] + 1 and np.isnan(commands[0]):
-        commands[0] = values[COMMAND, 0]  # what acted before the first row
-    samples[COMMAND] = commands
+    samples = pd.DataFrame(values.T).groupby((place - first + rows // 2) // rows).median()
+    number = samples.index.to_numpy()
+    acting = pd.Series(values[COMMAND]).groupby((place - first) // rows + 1).median()
+    samples[COMMAND] = acting.reindex(number)
+    if len(number) > 1 and number[1] == number[0] + 1 and np.isnan(samples[COMMAND].iloc[0]):
+        samples.iloc[0, COMMAND] = values[COMMAND, 0]  # what acted before the first row
     what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for command and readings in the control "
     what += "period; taken on its own grid" + (f", each sample the median of {rows} rows" if rows > 1 else "")
     findings.append(Finding("time", what, Weight.NOTE))
     number = number - number[0]
-    return number, time[0] + number * period, samples, period, True
-
-
-def _medians(values: Floats, group: NDArray[np.int64], count: int) -> Floats:
-    """Medians (channels, count) of the values (channels, n) of each group (n,), rising; NaN where there are none."""
-    place = np.arange(len(group)) - np.searchsorted(group, group)
-    filled = np.full((len(values), count, int(place.max(initial=0)) + 1), np.nan)
-    filled[:, group, place] = values
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a group without a reading
-        medians: Floats = np.nanmedian(filled, axis=2)
-    return medians
+    return number, time[0] + number * period, samples.to_numpy().T.copy(), period, True
 
 
 def on_grid(config: TaskConfig, period: float) -> TaskConfig:
