@@ -182,9 +182,9 @@ def main() -> None:
     test = sorted((arguments.dataset / "test").glob("*.csv"))
     columns = COLUMNS.model_copy(update={"load_pressure": None}) if arguments.position_alone else COLUMNS
     with ProgressDisplay() as display:
-        found = identify(
-            [*paths, *test], task_config(rig=RIG), read_rig(RIG), columns, display.update, [str(one) for one in test]
-        )
+        files = [*paths, *test]
+        maps = [columns] * len(files)
+        found = identify(files, task_config(rig=RIG), read_rig(RIG), maps, display.update, [str(one) for one in test])
     print(f"\n{found.verdict()}\n")
     results = judged(found)
     plant = results["identified plant"]

@@ -76,7 +76,7 @@ def read_columns(path: Path) -> Columns:
     kind = path.suffix.lower()
     if kind == ".parquet":
         with library_errors(path, "pyarrow.parquet"):
-            columns = of_table(pd.read_parquet(path))
+            columns = of_table(pd.read_parquet(path, partitioning=None))
     elif kind == ".mat":
         with library_errors(path, "scipy.io"):
             columns = of_channels(read_mat(path))
