@@ -9,8 +9,8 @@ import pytest
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.learning.loading import load_controller
+from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_env import TaskConfig
-from hydro_env.task.nameplates import answers_from, new_rig
 from hydro_rig.export.controller import ControllerGraph, controller_graph
 from hydro_rig.export.controller_folder import exported_files
 
