@@ -340,7 +340,7 @@ def main() -> None:
     task = task_config(given.task)
     size = {"plants": given.plants, "leak_levels": given.leak, "standstill_plants": 0}
     controllers = {**shipped_controllers(task), "best found": BestFound(task)}
-    cases = evaluate(task, controllers, settings=size).cases
+    cases = evaluate(task, controllers, settings=size).table("cases")
     for column in (ERROR_SENSOR, ERROR, "valve_travel_per_s"):
         for by in ("family", "leakage_flow_lpm"):
             means = cases.pivot_table(column, by, "controller", sort=False)
