@@ -142,32 +142,23 @@ def train(
     the classical one first.
     """
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.learning.tuning import EVALUATIONS
-    from hydro_agents.study.settings import StudySettings, default_study
-    from hydro_env.files import read_yaml, validate
+    from hydro_agents.study.settings import default_study
 
     study = default_study(config, task, rig)
     seed = study.seed if seed is None else seed
-    part = what.lower()
+    part, folder = what.lower(), Claim(output, resume, overwrite)
     classical = part in CONTROLLERS
     _refuse("--steps", steps is not None and part == "head", part)
     _refuse("--agent", agent is not None and part != "head", part)
-    for option, value in (("--objective", objective), ("--start", start)):
-        _refuse(option, value is not None and not classical, part)
-    folder = Claim(output, resume, overwrite)
+    _refuse("--objective", objective is not None and not classical, part)
+    _refuse("--start", start is not None and not classical, part)
     if part == "head":
         file = _head(study, folder, seed, named_agents(agent))
     elif classical:
-        entry: dict[str, Any] = {"kind": part, "settings": {} if start is None else read_yaml(start)}
-        entry["tune"] = {"objective": objective or "equal", "evaluations": steps or EVALUATIONS}
-        values = {"task": study.task, "controllers": {part: entry}, "leakage_head": None}
-        file = _gains(validate(StudySettings, values, "train"), part, folder, seed)
+        file = _gains(_of_gains(study, part, objective, steps, start), part, folder, seed)
     else:
         name = _named(study, what)
-        if steps is not None:
-            entries = study.controllers | {name: _with_steps(study.controllers[name], steps)}
-            study = study.model_copy(update={"controllers": entries})
-        file = _controller(study, name, folder, seed)
+        file = _controller(study if steps is None else _with_steps(study, name, steps), name, folder, seed)
     say(f"written: {file}")
 
 
@@ -194,11 +185,30 @@ def _named(study: StudySettings, what: str) -> str:
     )
 
 
-def _with_steps(entry: ControllerEntry, steps: int) -> ControllerEntry:
+def _with_steps(study: StudySettings, name: str, steps: int) -> StudySettings:
+    """The study with another length of a training."""
     from hydro_env.files import validate
 
-    values = {**entry.settings.model_dump(), "total_steps": steps}
-    return entry.changed(settings=validate(type(entry.settings), values, "--steps"))
+    entry = study.controllers[name]
+    settings = validate(type(entry.settings), {**entry.settings.model_dump(), "total_steps": steps}, "--steps")
+    return study.model_copy(update={"controllers": study.controllers | {name: entry.changed(settings=settings)}})
+
+
+def _of_gains(
+    study: StudySettings, kind: str, objective: str | None, steps: int | None, start: Path | None
+) -> StudySettings:
+    """A study that tunes one classical controller for the task of another one."""
+    from hydro_agents.learning.tuning import EVALUATIONS
+    from hydro_agents.study.settings import StudySettings as Study
+    from hydro_env.files import read_yaml, validate
+
+    entry: dict[str, Any] = {
+        "kind": kind,
+        "tune": {"objective": objective or "equal", "evaluations": steps or EVALUATIONS},
+    }
+    if start is not None:
+        entry["settings"] = read_yaml(start)
+    return validate(Study, {"task": study.task, "controllers": {kind: entry}, "leakage_head": None}, "train")
 
 
 class Claim(NamedTuple):
