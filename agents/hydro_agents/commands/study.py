@@ -31,7 +31,7 @@ from hydro_env.mistakes import did_you_mean
 if TYPE_CHECKING:
     from hydro_agents.evaluation.runner import Results
     from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.study.settings import ControllerEntry, StudySettings
+    from hydro_agents.study.settings import StudySettings
 
 
 @side_by_side

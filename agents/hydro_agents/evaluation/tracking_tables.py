@@ -92,19 +92,18 @@ def comparison(results: Results) -> pd.DataFrame:
 
 @table("seeds")
 def seeds(results: Results) -> pd.DataFrame:
-    """Each training seed of a controller with several against the first controller, over all cases."""
+    """Each training seed of each controller against the first one, over all cases; empty if none has several."""
     cases, rows = results.part("tracking"), []
     baseline, *others = results.grid.controllers
     first = cases[cases["controller"] == baseline]
+    if cases.groupby("controller")["training_seed"].nunique().max() < 2:
+        return pd.DataFrame()
     for controller in others:
-        own = cases[cases["controller"] == controller]
-        trained = own["training_seed"].unique()
-        for seed in trained if len(trained) > 1 else ():
-            chosen = own[own["training_seed"] == seed]
-            grid = Grid(pd.concat([first, chosen], ignore_index=True))
+        for seed, own in cases[cases["controller"] == controller].groupby("training_seed", sort=False):
+            grid = Grid(pd.concat([first, own], ignore_index=True))
             row = grid.compare(controller, baseline, grid.all_plants, grid.all_situations)
             known = {"controller": controller, "against": baseline, "training_seed": seed}
-            rows.append({**known, **row, "failures": int(chosen["failed"].sum())})
+            rows.append({**known, **row, "failures": int(own["failed"].sum())})
     return pd.DataFrame(rows)
 
 
