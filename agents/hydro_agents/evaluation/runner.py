@@ -69,8 +69,14 @@ class Results:
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Every table of this kind of protocol by the name of its CSV file; without those that are empty."""
-        made = {name: self.table(name) for name in tables_of(self.protocol.kind)} | self.further
-        return {name: table for name, table in made.items() if not table.empty}
+        made = {}
+        for name in tables_of(self.protocol.kind):
+            if not self.table(name).empty:
+                made[name] = self.table(name)
+        for name, table in self.further.items():
+            if not table.empty:
+                made[name] = table
+        return made
 
     def write(self, folder: Path) -> None:
         """Write the tables as CSV.
@@ -119,8 +125,11 @@ def status(results: Results) -> pd.DataFrame:
 def tables_of(kind: str) -> dict[str, TableFunction]:
     """Tables of a kind of protocol by name: the rows of its parts, then those that are made of them."""
     module = import_module(f"{__package__}.{_MODULES[kind]}").__name__
-    rows = {part.table: methodcaller("part", name) for name, part in PARTS.items() if part.kind == kind}
-    return {**rows, **_TABLES[__name__], **_TABLES[module]}
+    tables: dict[str, TableFunction] = {}
+    for name, part in PARTS.items():
+        if part.kind == kind:
+            tables[part.table] = methodcaller("part", name)
+    return {**tables, **_TABLES[__name__], **_TABLES[module]}
 
 
 def run(
@@ -188,22 +197,24 @@ def collect(
 
     A participant that failed in one part has no rows of this condition in the others.
     """
+    failed: dict[tuple[str, str, str], str] = {}  # the first error by part, participant and condition
+    for part, cell, jobs in planned:
+        for key, _ in jobs:
+            if answers[key].error:
+                failed.setdefault((part, cell.participant, cell.condition), answers[key].error)
+    without_rows = {key[1:] for key in failed}
     frames: dict[str, list[pd.DataFrame]] = {}
     refused, ran = [], []
-    failed = set()
-    for _, cell, jobs in planned:
-        if any(answers[key].error for key, _ in jobs):
-            failed.add((cell.participant, cell.condition))
     for part, cell, jobs in planned:
-        own = [answers[key] for key, _ in jobs]
-        error = next((answer.error for answer in own if answer.error), "")
+        error = failed.get((part, cell.participant, cell.condition), "")
         if cell.refused:
             refused.append((cell.participant, cell.condition, NOT_APPLICABLE, cell.refused))
             continue
         if cell.condition or error:
             ran.append((cell.participant, cell.condition or part, FAILED if error else DONE, error))
-        if own and (cell.participant, cell.condition) not in failed:
-            columns = {name: np.concatenate([answer.metrics[name] for answer in own]) for name in own[0].metrics}
+        if jobs and (cell.participant, cell.condition) not in without_rows:
+            own = [answers[key].metrics for key, _ in jobs]
+            columns = {name: np.concatenate([metrics[name] for metrics in own]) for name in own[0]}
             frames.setdefault(part, []).append(pd.DataFrame({**cell.known, **columns}))
     rows = {part: pd.concat(each, ignore_index=True) for part, each in frames.items()}
     # One row per participant and condition: the first failure if any part failed.
