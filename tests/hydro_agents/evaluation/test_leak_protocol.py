@@ -150,16 +150,13 @@ def test_a_condition_chooses_its_detectors():
         ({"base": "absent"}, "base: unknown condition 'absent'"),
         ({"bound_conditions": ["absent"]}, "bound_conditions: unknown condition 'absent'"),
         ({"conditions": {"plain": {"acting": "nobody"}}}, "unknown controller 'nobody'; known: PID"),
-        ({"conditions": {"plain": {"motion": "flying"}}}, "unknown motion 'flying'; known: ordinary"),
         ({"conditions": {"plain": {"faults": {"rust": 1.0}}}}, "unknown fault 'rust'"),
         ({"conditions": {"plain": {"faults": {"valve_flow": 3.0}}}}, "must be within -0.9 to 0.9"),
         ({"conditions": {"plain": {"detectors": ["X"]}}}, "unknown detector 'X'"),
-        ({"conditions": {"plain": {"levels": [99.0]}}}, "levels"),
         (
             {"conditions": {"plain": {"begins": "anywhere", "task": {"leakage": {"schedule": "onset"}}}}},
             "begin at rest",
         ),
-        ({"conditions": {"plain": {"task": {"unknown": 1}}}}, "conditions.plain: "),
     ],
 )
 def test_a_wrong_protocol_is_refused_in_one_line(changes, message, tmp_path):

@@ -55,6 +55,10 @@ def test_a_detector_of_numpy_is_judged_without_the_rooms_that_learn(tmp_path):
     assert answer.returncode == 0, answer.stderr
     table = pd.read_csv(tmp_path / "out" / "tables" / "detection.csv")
     assert table["windows"].tolist() == [4, 4]
+    printed = next(line.split() for line in answer.stdout.splitlines() if line.split()[:1] == ["mine"])
+    assert [float(share) for share in printed[1:]] == (100.0 * table["flagged"]).tolist()
+    facts = pd.read_csv(tmp_path / "out" / "tables" / "protocol.csv").set_index("key")["value"]
+    assert facts["sha256"] in (tmp_path / "out" / "leakage.html").read_text(encoding="utf-8")
     loaded = answer.stdout.splitlines()[-1].removeprefix("loaded: ").split()
     assert not LIBRARIES & {name.partition(".")[0] for name in loaded}
     own = [name for name in loaded if name.startswith(("hydro_env.", "hydro_agents.", "hydro_rig."))]

@@ -13,18 +13,6 @@ from command_line import COMMAND, assert_one_clear_line, done, environment, hydr
 from published import assert_published
 from small_protocol import SMALL
 
-OWN_LEAKS = {
-    "kind": "leakage",
-    "levels": [0, 1.0],
-    "detectors": {"head": {"kind": "head", "windows": 6, "validation_windows": 20, "batch": 20}},
-    "base": "plain",
-    "conditions": {
-        "plain": {"group": "levels", "label": "ordinary motion", "levels": [0, 1.0, -1]},
-        "short": {"group": "motion", "label": "0.2 s", "duration": 0.2},
-        "null": {"group": "fault", "label": "valve null", "faults": {"valve_null_shift": 0.01}},
-    },
-}
-LEAKS = ("evaluate", "--protocol", "leaks.yaml", "-j", "1")
 OWN = ("evaluate", "--protocol", "own.yaml", "-c", "study.yaml", "-j", "1")
 
 AGENTS = """
@@ -42,8 +30,7 @@ class Wild(Calm):
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """A folder with a small protocol of each kind and a module of agents."""
-    (tmp_path / "leaks.yaml").write_text(yaml.safe_dump(OWN_LEAKS, sort_keys=False))
+    """A folder with a small protocol and a module of agents."""
     (tmp_path / "own.yaml").write_text(yaml.safe_dump(SMALL, sort_keys=False))
     (tmp_path / "study.yaml").write_text("controllers:\n  PID: {kind: pid}\n")
     (tmp_path / "robust_agents.py").write_text(AGENTS)
@@ -80,33 +67,13 @@ def test_a_failing_agent_is_named_and_resuming_uses_the_finished_jobs(place):
     pd.testing.assert_frame_equal(cases[cases["controller"] == "PID"].reset_index(drop=True), first, check_exact=True)
 
 
-def test_tables_page_and_the_shares_found_on_the_console(place):
-    answer = done(*LEAKS)
-    folder = place / "results" / "leaks"
-    windows = pd.read_csv(folder / "tables" / "windows.csv")
-    assert len(windows) == 6 * (3 + 2)
-    status = pd.read_csv(folder / "tables" / "status.csv").set_index("condition")["status"]
-    assert status["short"] == "not applicable"
-    facts = pd.read_csv(folder / "tables" / "protocol.csv").set_index("key")["value"]
-    assert facts["sha256"] in (folder / "leakage.html").read_text(encoding="utf-8")
-    table = pd.read_csv(folder / "tables" / "detection.csv")
-    shares = table[(table["condition"] == "plain") & (table["level"] >= 0.0)].sort_values("level")["flagged"]
-    printed = next(line.split() for line in answer.stdout.splitlines() if line.split()[:1] == ["head"])
-    assert [float(share) for share in printed[1:]] == pytest.approx(100.0 * shares, abs=0.05)
-    assert hydro(*LEAKS).returncode == 2  # the folder holds results
-    done(*LEAKS, "--resume")
-    pd.testing.assert_frame_equal(pd.read_csv(folder / "tables" / "windows.csv"), windows, check_exact=True)
-
-
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
         (("--protocol", "robst"), ("protocol 'robst': unknown", "quick, robustness")),
-        (("--protocol", "own.yaml", "--rig", "nowhere"), ("rig 'nowhere': unknown", "symmetric_eha")),
         (("--rig", "drawn"), ("--rig drawn: draws rigs, and a command needs one",)),
         (("--protocol", "own.yaml", "--plants", "9"), ("--plants", "from its file")),
-        (("--protocol", "own.yaml", "--agent", "mine=nowhere:Agent"), ("mine", "nowhere")),
-        (("--protocol", "leaks.yaml", "--agent", "x=pid"), ("--agent: a protocol takes it from its file",)),
+        (("--protocol", "leakage_quick", "--agent", "x=pid"), ("--agent: a protocol takes it from its file",)),
     ],
 )
 def test_what_is_wrong_is_one_line_and_writes_nothing(place, arguments, parts):

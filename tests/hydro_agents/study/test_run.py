@@ -228,21 +228,6 @@ def test_what_cannot_work_stops_the_study_before_it_trains(algorithm, tmp_path, 
     assert not list(tmp_path.glob("out/controllers/*"))
 
 
-def test_a_controller_that_oscillates_at_rest_is_named_on_the_console_and_on_the_page(algorithm, tmp_path, capsys):
-    entries = {"PID": {"kind": "pid", "settings": {"proportional": 1500.0}}, "calm": {"kind": "flow_linearising"}}
-    file = tmp_path / "study.yaml"
-    file.write_text(yaml.safe_dump({**VALUES, "controllers": entries, "leakage_head": None}))
-    run_study(default_study(file), tmp_path / "out", seed=0)
-    warned = [line for line in capsys.readouterr().out.splitlines() if "ratios to it compare" in line]
-    assert len(warned) == 1
-    assert re.fullmatch(
-        r"PID: limit cycle at 16 of 16 standstills, up to 1\.\d mm: ratios to it compare with .*",
-        warned[0],
-    )
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "PID does not come to rest" in page
-
-
 def test_evaluate_joins_training_seeds_and_keeps_the_results_of_the_others(algorithm, tmp_path, capsys):
     file, out = study_file(tmp_path), tmp_path / "out"
     agents = ["mine#0=pid", "mine#1=flow_linearising", "broken=my_study_algorithm:Broken"]
