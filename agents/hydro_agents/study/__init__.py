@@ -1,1 +1,5 @@
-"""A study: its settings, training and comparison of its controllers, and how it resumes."""
+"""A study: a protocol whose controllers and leakage head are tuned and trained before they are compared.
+
+Comes in: a YAML file (``settings.py``); goes out: weights, gains, and the results of the comparison. Open ``run.py``
+first; ``training.py`` shows the progress of each training.
+"""
