@@ -17,11 +17,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar, cast
 
-import pandas as pd
 from pydantic import Field, StringConstraints, model_validator
 
 from hydro_agents.running.cases import ControllerError
-from hydro_agents.running.jobs import Columns, Job
+from hydro_agents.running.jobs import Job
 from hydro_agents.running.tasks import Surroundings, mappings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
@@ -53,12 +52,6 @@ class Cell:
     known: Mapping[str, Any] = field(default_factory=dict)  # first columns of its rows: one value, or one per row
     jobs: tuple[Job, ...] = ()  # their columns follow each other
     refused: str = ""
-
-
-def columns_of(table: pd.DataFrame) -> Columns:
-    """The columns of a table as the result of a job; texts as arrays of fixed width, which a file can hold."""
-    columns = {str(name): table[name].to_numpy() for name in table}
-    return {name: values.astype(str) if values.dtype == object else values for name, values in columns.items()}
 
 
 class Part(NamedTuple):
