@@ -87,15 +87,19 @@ def evaluate(
         return
     file = config_file("protocols", protocol)
     options = Options(task, rig, output or Path("results") / file.stem, resume, overwrite, command_line())
-    about_leaks = read_yaml(file).get("kind") == "leakage"
-    foreign = {"--agent": agent, "--config": config} if about_leaks else {"--head": head}
-    for option, value in {**foreign, "--plants": plants}.items():
-        if value is not None:
-            raise ConfigurationError(f"{option}: a protocol takes it from its file")
-    if about_leaks:
+    _of_the_file("--plants", plants)
+    if read_yaml(file).get("kind") == "leakage":
+        _of_the_file("--agent", agent)
+        _of_the_file("--config", config)
         _evaluate_detectors(file, head, options)
     else:
+        _of_the_file("--head", head)
         _evaluate_controllers(file, named_agents(agent), config, options)
+
+
+def _of_the_file(option: str, value: object) -> None:
+    if value is not None:
+        raise ConfigurationError(f"{option}: a protocol takes it from its file")
 
 
 def _evaluate_controllers(file: Path, agents: dict[str, str], study_file: Path | None, options: Options) -> None:

@@ -212,13 +212,14 @@ def read(detector: Detector, config: TaskConfig, known: TaskConfig, acting: str,
     """
     with beginning():
         signals, columns = simulated_windows(config, acting, cases, samples)
+        for name in (*READ, "otherwise"):
+            columns[name] = np.full(len(cases), np.nan)
         good = np.flatnonzero(columns["failed"] == 0.0)
-        reading = detector.read(Windows.of(signals[good]), known) if len(good) else None
-    for name in (*READ, "otherwise"):
-        columns[name] = np.full(len(cases), np.nan)
-        if reading is not None:
-            values = reading.cause if name == "otherwise" else np.where(reading.answers, getattr(reading, name), np.nan)
-            columns[name][good] = values
+        if len(good):
+            reading = detector.read(Windows.of(signals[good]), known)
+            for name in READ:
+                columns[name][good] = np.where(reading.answers, getattr(reading, name), np.nan)
+            columns["otherwise"][good] = reading.cause
     return columns
 
 

@@ -39,7 +39,9 @@ def parts_of(results: Results) -> Iterator[tuple[str, str, Mask, Mask]]:
     """
     grid, cases = results.grid, results.part("tracking")
     leaks = cases.loc[cases["group"] == LEAK_GROUP, "condition"].unique()
-    return grid.parts(np.isin(grid.condition, leaks) if len(leaks) else grid.all_situations)
+    if len(leaks):
+        return grid.parts(np.isin(grid.condition, leaks))
+    return grid.parts(grid.all_situations)
 
 
 @table("summary")
@@ -112,6 +114,8 @@ def ranking(results: Results) -> pd.DataFrame:
     """Controllers in the order of their equally weighted ratio, with their costs."""
     grid, compared = results.grid, results.table("comparison")
     cases, cycles, baseline = results.part("tracking"), results.part("standstill"), grid.controllers[0]
+    if cycles.empty:
+        cycles = pd.DataFrame({"controller": [], "limit_cycle": []})
     statuses = results.status[results.status["condition"].isin(list(results.protocol.conditions))]
     best = cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack().idxmin(axis=1)
     equal = [f"equal_weight{frame}{end}" for frame in ("", "_sensor") for end in ("", "_low", "_high")]
@@ -123,7 +127,7 @@ def ranking(results: Results) -> pd.DataFrame:
     rows = []
     for controller in grid.controllers:
         own = cases[cases["controller"] == controller]
-        still = cycles[cycles["controller"] == controller] if len(cycles) else pd.DataFrame({"limit_cycle": []})
+        still = cycles[cycles["controller"] == controller]
         mine = statuses[statuses["controller"].str.partition(SEED_MARK)[0] == controller]
         rows.append(
             {
@@ -185,7 +189,9 @@ def growth(results: Results) -> pd.DataFrame:
 def limit_cycle_summary(results: Results) -> pd.DataFrame:
     """Number and largest amplitude of the limit cycles at rest, per controller."""
     cycles, rows = results.part("standstill"), []
-    for name, own in cycles.groupby("controller", sort=False) if len(cycles) else ():
+    if cycles.empty:
+        return cycles
+    for name, own in cycles.groupby("controller", sort=False):
         rows.append({"controller": name, **counted(own)})
     return pd.DataFrame(rows)
 
@@ -194,11 +200,15 @@ def limit_cycle_summary(results: Results) -> pd.DataFrame:
 def rates(results: Results) -> pd.DataFrame:
     """Share of episodes flagged, by class and size of the leak."""
     episodes = results.part("episodes")
-    return episodes if episodes.empty else detection_rates(episodes, results.protocol.task)
+    if episodes.empty:
+        return episodes
+    return detection_rates(episodes, results.protocol.task)
 
 
 @table("detection_summary")
 def detected(results: Results) -> pd.DataFrame:
     """Areas under the curves, rates, and errors of the size, per controller."""
-    episodes, head = results.part("episodes"), results.participants.head
-    return episodes if episodes.empty else detection_summary(episodes, head.settings.threshold, results.protocol.task)
+    episodes = results.part("episodes")
+    if episodes.empty:
+        return episodes
+    return detection_summary(episodes, results.participants.head.settings.threshold, results.protocol.task)
