@@ -185,13 +185,18 @@ def _evaluate_study(
 
 
 def _trained_beside(config: Path | None, study: StudySettings) -> dict[str, str]:
-    """By controller, the weights that a study has trained, if the settings are the file in the folder of this study."""
+    """By controller (or NAME#SEED), the weights of a study, if the settings are the file in the folder of this study."""
+    from hydro_agents.evaluation.participants import split_name
     from hydro_agents.running.weights import weight_files
 
     if config is None or not config.is_file():  # none, or a name in configs/studies
         return {}
-    weights = {name: config.parent / "controllers" / name / "policy" for name in study.trained}
-    return {name: str(path) for name, path in weights.items() if weight_files(path)[1].is_file()}
+    agents = {}
+    for folder in sorted((config.parent / "controllers").glob("*")):
+        weights = folder / "policy"
+        if split_name(folder.name)[0] in study.trained and weight_files(weights)[1].is_file():
+            agents[folder.name] = str(weights)
+    return agents
 
 
 def _watching(head: Path | None, task: TaskConfig) -> LeakageHead | None:
