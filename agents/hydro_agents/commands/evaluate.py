@@ -185,7 +185,7 @@ def _evaluate_study(
 
 
 def _trained_beside(config: Path | None, study: StudySettings) -> dict[str, str]:
-    """By controller (or NAME#SEED), the weights of a study, if the settings are the file in the folder of this study."""
+    """By controller (or NAME#SEED), the weights of a study, if the settings are the file in the folder of it."""
     from hydro_agents.evaluation.participants import split_name
     from hydro_agents.running.weights import weight_files
 
