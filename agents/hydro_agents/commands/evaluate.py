@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,6 +25,7 @@ from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
     from hydro_agents.commands.protocols import Options
+    from hydro_agents.controllers.base import Controller
     from hydro_agents.detection.head import LeakageHead
     from hydro_agents.study.settings import StudySettings
     from hydro_env import TaskConfig
@@ -114,6 +116,7 @@ def _evaluate_controllers(file: Path, agents: dict[str, str], study_file: Path |
 
     protocol = options.moved(RobustnessProtocol.from_yaml(file))
     sections_named(protocol.sections, f"{file}: sections")
+    controllers: Mapping[str, Controller | str]
     if study_file is None:
         replaced = {split_name(name)[0] for name in agents}
         shipped = shipped_controllers(protocol.task)

@@ -177,7 +177,8 @@ class Grid:
 
 def _places(known: pd.DataFrame, rows: pd.DataFrame) -> NDArray[np.intp]:
     """For each row the place of its values among known ones of the same columns."""
-    return pd.MultiIndex.from_frame(known).get_indexer(pd.MultiIndex.from_frame(rows[list(known)]))
+    places = pd.MultiIndex.from_frame(known).get_indexer(pd.MultiIndex.from_frame(rows[list(known)]))
+    return np.asarray(places)
 
 
 def _ratios(mine: Sample, theirs: Sample, kinds: list[tuple[Mask, Mask]]) -> Floats:

@@ -119,8 +119,9 @@ def _row(content: Content, condition: str, column: str) -> Row:
     """Label, error of the baseline, and a cell per controller: coloured if its interval is on one side of 1."""
     values = [interval(content.against(name, condition), column) for name in content.controllers[1:]]
     least = min((value.value for value in values if np.isfinite(value.value)), default=np.nan)
-    group, value = (ALL, "") if condition == ALL else ("condition", condition)
-    place = {"controller": content.baseline, "group": group, "value": value}
+    place = {"controller": content.baseline, "group": ALL}
+    if condition != ALL:
+        place = {"controller": content.baseline, "group": "condition", "value": condition}
     error = content.row("summary", **place, metric="mean_error_mm")
     cells = []
     for value in values:

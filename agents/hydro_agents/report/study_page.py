@@ -141,8 +141,8 @@ def overview(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     means, frame = runs.mean(numeric_only=True), {}
     compared = compared_with(tables, names[0])
     ratios = compared[compared["group"] == ALL].set_index("controller")
-    for (metric, word), ratio in zip(FRAMES.items(), ("ratio", "ratio_sensor"), strict=True):
-        frame[word, "mean error, mm"] = means[metric]
+    for (error, word), ratio in zip(FRAMES.items(), ("ratio", "ratio_sensor"), strict=True):
+        frame[word, "mean error, mm"] = means[error]
         if len(ratios):
             frame[word, f"÷ {names[0]}'s"] = with_interval(ratios, ratio).reindex(means.index).fillna("1")
     frame["worst", "error, mm"] = runs["mean_error_mm"].max()
