@@ -62,7 +62,7 @@ def test_the_readme_gives_the_numbers_of_the_tables():
     ratios = pd.read_csv(DOCS / "tables" / "study.csv", skiprows=1).set_index("controller")
     for row in errors.iloc[1:].itertuples():
         ratio = ratios.loc[row.controller]
-        accuracy = f"{row.mean_error_mm:.3f} | {ratio.ratio:.3f} ({ratio.low:.3f} to {ratio.high:.3f})"
+        accuracy = f"{row.mean_error_mm:.3f} | {ratio.ratio:.3f} ({ratio.ratio_low:.3f} to {ratio.ratio_high:.3f})"
         assert f"| {row.controller.lower()} | {accuracy} | {row.mean_error_sensor_mm:.3f} |" in readme
 
 
