@@ -1,4 +1,4 @@
-"""Drawings of the figures."""
+"""Drawings of the figures: each function gets a table and returns the panels."""
 
 from __future__ import annotations
 
@@ -9,200 +9,153 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from hydro_agents.report.canvas import GREY, INK, PALE, PAPER, ticks
-from hydro_agents.report.palette import COLOURS, LINES, looks_of
-from hydro_agents.report.palette import LEAK_LOOKS as LOOKS
-from hydro_agents.running.text import number, setting
-from hydro_env import resistance_from_flow
+from hydro_agents.report.kit import GREY, INK, WIDE
+from hydro_agents.running.text import setting
 from paper.force_rate import DRAWN, DRIVE, TERMS
 from paper.loop import NYQUIST
 from paper.moves import FIRST_STOP
-from paper.rig import FEW_LEAKS, LAWS, LEAKS, TIGHT, VOLTAGE, flow
+from paper.rig import FEW_LEAKS, LAWS, LEAKS, VOLTAGE, flow
 from paper.settling import FRICTION_SHARES, SCAN_LEAKS, friction_words
 
 ENLARGED = (0.01, 1.0, 4.0)
 """Leaks whose stop is enlarged."""
 
-TIME_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-
-MINUS_3_DB = math.sqrt(0.5)
+SECONDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 
-def legend_inside(axes: Axes, **options: Any) -> None:
-    """Add a legend with a white background, which covers the lines behind it."""
-    axes.legend(**({"fontsize": 8.0, "frameon": True, "framealpha": 0.9, "edgecolor": "none"} | options))
+def grid(rows: int, columns: int, height: float, **options: Any) -> Any:
+    """Panels (rows, columns) as wide as the page; height in inches, ``options`` of ``subplots``."""
+    figure = Figure(figsize=(WIDE, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure.subplots(rows, columns, squeeze=False, **options)
 
 
 def leak_lines(
-    axes: Axes, table: pd.DataFrame, x: str, y: str, leaks: Sequence[float] = LEAKS, unit: float = 1.0, **options: Any
+    axes: Axes, table: pd.DataFrame, x: str, y: str, leaks: Sequence[float] = LEAKS, mark: bool = False
 ) -> None:
-    """A line per leak: column ``y`` times ``unit`` over column ``x``; with a ``markersize``, the leak's marker too."""
-    for leak in leaks:
-        part, look = table[table["leak_lpm"] == leak], LOOKS[leak]
-        marker = look.marker if "markersize" in options else ""
-        axes.plot(part[x], unit * part[y], label=flow(leak), marker=marker, **look.stroke, **options)
+    """A line per leak: column ``y`` over column ``x``."""
+    for index, leak in enumerate(leaks):
+        part = table[table["leak_lpm"] == leak]
+        options = {} if mark else {"marker": ""}
+        axes.plot(part[x], part[y], label=f"leak {flow(leak)}", color=f"C{index}", **options)
 
 
-def paint_displacement(figure: Figure, table: pd.DataFrame) -> None:
-    """Draw the whole move, and an enlarged time after the first stop, with and without friction."""
-    parts: Any = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
-    frictions = [bool(friction) for friction in table["friction"].unique()]
-    whole, panels = parts[0].subplots(), parts[1].subplots(1, len(frictions), sharey=True, squeeze=False)[0]
-    first = table[table["friction"] == frictions[0]]
-    leak_lines(whole, first, "time_s", "recorded_position_mm", linewidth=1.2)
-    command = first[first["leak_lpm"] == TIGHT]
-    volts = command["command_v"].abs()
-    bottom, top = whole.get_ylim()
-    moving = (volts > 0.9 * volts.max()).tolist()
-    whole.fill_between(command["time_s"], bottom, top, where=moving, color=INK, alpha=0.06, linewidth=0)
-    whole.set(xlabel="time, s", ylabel="recorded position, mm", ylim=(bottom, top), xlim=(0.0, command["time_s"].max()))
-    whole.set_title(f"Start–stop moves (grey: valve open, +{VOLTAGE:g} V twice, then −{VOLTAGE:g} V)")
-    legend_inside(whole, title="leak at 100 bar", loc="upper right", handlelength=3.0)
-    stop, low, high = FIRST_STOP, 0.0, 0.0
-    for friction, axes in zip(frictions, panels, strict=True):
+def paint_displacement(table: pd.DataFrame) -> list[Axes]:
+    """The whole move, and an enlarged time after the first stop, with and without friction."""
+    panels = list(grid(3, 1, 7.5)[:, 0])
+    leak_lines(panels[0], table[table["friction"]], "time_s", "recorded_position_mm")
+    panels[0].set(xlabel="time, s", ylabel="recorded position, mm")
+    panels[0].text(0.0, 1.0, f"valve +{VOLTAGE:g} V twice, then −{VOLTAGE:g} V", transform=panels[0].transAxes)
+    for friction, axes in zip((True, False), panels[1:], strict=True):
         for leak in ENLARGED:
             part = table[(table["leak_lpm"] == leak) & (table["friction"] == friction)]
-            time, position = part["time_s"].to_numpy() - stop, part["recorded_position_mm"].to_numpy()
-            window = (time >= -0.01) & (time <= 0.15)
+            time, position = part["time_s"].to_numpy() - FIRST_STOP, part["recorded_position_mm"].to_numpy()
             position = position - position[(time > 0.02) & (time < 0.05)].mean()
-            axes.plot(1e3 * time[window], position[window], **LOOKS[leak].stroke, linewidth=1.0)
-            later = position[window & (time > 0.005)]
-            low, high = min(low, float(later.min())), max(high, float(later.max()))
-        axes.set(xlabel="time after the first stop command, ms", xlim=(-10, 150))
-        axes.set_title(f"After the first stop, {'with' if friction else 'no'} friction")
-    panels[0].set_ylim(1.5 * low, 1.15 * high)
-    panels[0].set_ylabel("recorded position, mm\n(from where it stopped)")
+            window = (time >= 0.005) & (time <= 0.15)
+            axes.plot(1e3 * time[window], position[window], color=f"C{LEAKS.index(leak)}", marker="", linewidth=1.0)
+        axes.set(xlabel="time after the first stop command, ms", ylabel="from where it\nstopped, mm")
+        axes.set_title(f"{'With' if friction else 'Without'} friction")
+    return panels
 
 
-def paint_settling(figure: Figure, table: pd.DataFrame) -> None:
-    """Two laws by friction models; zero-lapped valve and null leakage in colours; signal as points, theory dashed."""
-    models, underlaps = list(table["friction"].unique()), list(table["valve_null_leakage"].unique())
-    grid = figure.subplots(len(LAWS), len(models), sharex=True, sharey=True, squeeze=False)
-    for (row, column), axes in np.ndenumerate(grid):
+def paint_settling(table: pd.DataFrame) -> list[Axes]:
+    """Two laws by friction models: noise-free lines, points from the accelerometer, the theory dashed."""
+    models = list(table["friction"].unique())
+    panels = grid(len(LAWS), len(models), 6.0, sharex=True, sharey=True)
+    for (row, column), axes in np.ndenumerate(panels):
         law, model = list(LAWS)[row], models[column]
-        for look, underlap in zip(looks_of(underlaps).values(), underlaps, strict=True):
-            part = table[
-                (table["friction"] == model) & (table["valve_null_leakage"] == underlap) & (table["law"] == law)
-            ]
+        shown = table[(table["friction"] == model) & (table["law"] == law)]
+        for colour, (underlap, part) in zip(("C0", "C1"), shown.groupby("valve_null_leakage"), strict=False):
             ohm, signal = part["resistance_pa_s_m3"], part["signal_s"]
-            axes.plot(ohm, part["clean_s"], color=look.colour)
+            label = "valve with null leakage" if underlap else "zero-lapped valve"
+            axes.plot(ohm, part["clean_s"], color=colour, marker="", linestyle="-", label=f"{label}, noise-free")
             spread = [signal - part["signal_low_s"], part["signal_high_s"] - signal]
-            axes.errorbar(ohm, signal, yerr=spread, fmt=look.marker, mfc=PAPER, color=look.colour, markersize=4.0)
+            axes.errorbar(ohm, signal, yerr=spread, fmt="o", mfc="none", color=colour, label=f"{label}, accelerometer")
             if model == "none":
-                axes.plot(ohm, part["theory_s"], color=look.colour, linestyle=(0, (4, 2)), linewidth=1.0)
-        axes.set(xscale="log", yscale="log")
-        ticks(axes.yaxis, TIME_TICKS)
-        axes.set_title(f"{LAWS[law]},\n{friction_words(model)}")
+                axes.plot(
+                    ohm, part["theory_s"], color=colour, marker="", linestyle=":", label=f"{label}, linear theory"
+                )
+        axes.set(xscale="log", yscale="log", title=f"{LAWS[law]},\n{friction_words(model)}")
+        axes.set_yticks(SECONDS, [setting(tick) for tick in SECONDS])
         axes.set_xlabel("leakage resistance at 100 bar, Pa s/m³" if row else "")
-        axes.set_ylabel("settling time, s" if column == 0 else "")
-        for leak in (0.01, 0.1, 1.0, 4.0):  # the same in l/min, along the lower edge
-            place, label = resistance_from_flow(leak), flow(leak) if leak == TIGHT else f"{leak:g}"
-            axes.axvline(place, color=PALE, linewidth=0.6, zorder=0)
-            side = {"ha": "right" if leak == TIGHT else "left", "fontsize": 7.0, "color": GREY}
-            axes.annotate(label, (place, 0.02), xycoords=("data", "axes fraction"), **side)
-    bottom, top = grid[0, 0].get_ylim()  # room for these labels below the lowest line
-    grid[0, 0].set_ylim(bottom * (bottom / top) ** 0.06, top)
-    valves = ("zero-lapped valve", "valve with null leakage")[: len(underlaps)]
-    handles = [
-        *(Line2D([], [], color=look.colour, marker=look.marker, mfc=PAPER, label=valve, markersize=4.0)
-          for valve, look in looks_of(valves).items()),
-        Line2D([], [], color=INK, label="noise-free"),
-        Line2D([], [], color=INK, marker="o", mfc=PAPER, linestyle="none", label="from the accelerometer"),
-        Line2D([], [], color=INK, linestyle=(0, (4, 2)), linewidth=1.0, label="linear theory (no friction)"),
-    ]  # fmt: skip
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8.0, columnspacing=1.2)
+        axes.set_ylabel("" if column else "settling time, s")
+    first = panels[0, 0]
+    first.get_figure(root=True).legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    for axes in panels.flat:
+        for line in [*axes.lines, *axes.containers]:
+            line.set_label("_none")
+    return list(panels.flat)
 
 
-def paint_force_rate(figure: Figure, table: pd.DataFrame) -> None:
-    """Stacked terms with their sum, the leakage terms enlarged, the pressure difference; move and stop."""
-    grid = figure.subplots(3, 2, sharex="col", sharey="row", height_ratios=[2.2, 1.2, 1.0])
+def paint_force_rate(table: pd.DataFrame) -> list[Axes]:
+    """Stacked terms with their sum, the leakage terms alone, the pressure difference; move and stop."""
+    panels = grid(3, 2, 6.8, sharex="col", sharey="row", height_ratios=[2.2, 1.2, 1.0])
     part = table[table["leak_lpm"] == DRAWN]
     for column, (start, event) in enumerate(((0.0, "move"), (DRIVE, "stop"))):
         after = 1e3 * (part["time_s"] - start)
         rows = part[(after >= -10) & (after <= 100)]
         time = after[rows.index].to_numpy()
-        stack, leaks, difference = grid[:, column]
+        stack, leaks, difference = panels[:, column]
         _stacked(stack, time, rows)
-        stack.set_title("Start of the move" if event == "move" else "Stop")
-        for term, colour, line in zip(list(TERMS)[2:], ("green", "purple"), LINES, strict=False):
-            leaks.plot(time, 1e-3 * rows[term], color=COLOURS[colour], linestyle=line)
-        difference.plot(time, rows["pressure_difference_bar"], color=INK)
-        difference.axhline(0.0, color=GREY, linewidth=0.7)
+        for index, term in enumerate(TERMS):
+            if term.endswith("leakage_n_s"):
+                leaks.plot(time, 1e-3 * rows[term], color=f"C{index}", marker="", linestyle="-")
+        difference.plot(time, rows["pressure_difference_bar"], color=INK, marker="")
         difference.set_xlabel(f"time after the command to {event}, ms")
-        difference.set_xlim(-10, 100)
     labels = ("terms of dF/dt, kN/s", "leakage terms\nalone, kN/s", "P_a − P_b, bar")
-    for axes, label in zip(grid[:, 0], labels, strict=True):
+    for axes, label in zip(panels[:, 0], labels, strict=True):
         axes.set_ylabel(label)
-    figure.align_ylabels(grid[:, 0])
-    figure.legend(*grid[0, 1].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8.0)
+    return list(panels.flat)
 
 
 def _stacked(axes: Axes, time: np.ndarray, rows: pd.DataFrame) -> None:
     """Stack positive parts above zero and negative ones below: upper edge plus lower edge is the sum."""
     above, below = np.zeros(len(rows)), np.zeros(len(rows))
-    for colour, hatch, (name, words) in zip(COLOURS.values(), ("", "", "////", "...."), TERMS.items(), strict=False):
+    for index, (name, words) in enumerate(TERMS.items()):
         values = 1e-3 * rows[name].to_numpy()
         up, down = np.maximum(values, 0.0), np.minimum(values, 0.0)
-        fill: Any = {"facecolor": colour, "alpha": 0.75, "linewidth": 0, "hatch": hatch, "edgecolor": PAPER}
-        axes.fill_between(time, above, above + up, label=words, **fill)
-        axes.fill_between(time, below, below + down, **fill)
+        axes.fill_between(time, above, above + up, label=words, facecolor=f"C{index}", alpha=0.75)
+        axes.fill_between(time, below, below + down, facecolor=f"C{index}", alpha=0.75)
         above, below = above + up, below + down
-    axes.plot(time, 1e-3 * rows["sum_n_s"], color=INK, linewidth=1.3, label="sum = dF/dt")
+    axes.plot(time, 1e-3 * rows["sum_n_s"], color=INK, linewidth=1.3, marker="", linestyle="-", label="sum = dF/dt")
 
 
-def paint_share(figure: Figure, table: pd.DataFrame) -> None:
+def paint_share(table: pd.DataFrame) -> list[Axes]:
     """Share over pressure difference, one panel per law."""
-    panels = figure.subplots(1, len(LAWS), sharey=True)
+    panels = list(grid(1, len(LAWS), 3.6, sharey=True)[0])
     middle = 0.5 * (table["difference_low_bar"] + table["difference_high_bar"])
     drawn = table.assign(middle_bar=middle, percent=100.0 * table["leakage_share"])
     for axes, law in zip(panels, LAWS, strict=True):
-        part = drawn[drawn["law"] == law]
-        leak_lines(axes, part, "middle_bar", "percent", FEW_LEAKS, markersize=4.0)
-        axes.set(yscale="log", xlabel="size of the pressure difference, bar")
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axes.set_title(LAWS[law])
+        leak_lines(axes, drawn[drawn["law"] == law], "middle_bar", "percent", FEW_LEAKS, mark=True)
+        axes.set(yscale="log", xlabel=f"{LAWS[law]}: size of the pressure difference, bar")
     panels[0].set_ylabel("leakage's share of the terms of dF/dt, %")
-    handles = panels[0].get_legend_handles_labels()
-    figure.legend(
-        *handles, title="leak at 100 bar", loc="outside lower center", ncols=4, fontsize=8.0, handlelength=3.0
-    )
+    return panels
 
 
-def paint_closed_bode(figure: Figure, table: pd.DataFrame) -> None:
+def paint_closed_bode(table: pd.DataFrame) -> list[Axes]:
     """Gain above phase, reference to position."""
-    gain, phase = figure.subplots(2, 1, sharex=True, height_ratios=[1.4, 1.0])
+    gain, phase = grid(2, 1, 5.0, sharex=True)[:, 0]
     leak_lines(gain, table, "frequency_hz", "gain")
-    leak_lines(phase, table, "frequency_hz", "phase_deg")
-    lowest = float(table["frequency_hz"].min())
-    gain.set(xscale="log", yscale="log", ylabel="gain, mm per mm", xlim=(lowest, NYQUIST))
+    leak_lines(phase, table.assign(leak_lpm=table["leak_lpm"]), "frequency_hz", "phase_deg")
+    for line in phase.lines:
+        line.set_label("_none")
+    gain.set(xscale="log", yscale="log", ylabel="gain, mm per mm", xlim=(table["frequency_hz"].min(), NYQUIST))
+    gain.axhline(math.sqrt(0.5), color=GREY, linewidth=0.7)
     phase.set(xlabel="frequency, Hz", ylabel="phase, degrees")
-    for axis in (gain.yaxis, phase.xaxis):
-        axis.set_major_locator(LogLocator(base=10, numticks=6))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: number(value, digits=1)))
-        axis.set_minor_formatter(NullFormatter())
-    bottom = 90 * int(np.floor(table["phase_deg"].min() / 90))
-    ticks(phase.yaxis, range(bottom, 1, 90 if bottom >= -450 else 180))
-    gain.set_title("From reference to position, loop closed")
-    gain.axhline(MINUS_3_DB, color=GREY, linewidth=0.7, linestyle=(0, (4, 2)))
-    gain.annotate("−3 dB", (lowest, MINUS_3_DB), xytext=(3, -9), textcoords="offset points", fontsize=7.5)
-    legend_inside(gain, title="leak at 100 bar", loc="lower left", handlelength=3.0)
-    figure.align_ylabels()
+    return [gain, phase]
 
 
-def paint_friction_scan(figure: Figure, table: pd.DataFrame) -> None:
+def paint_friction_scan(table: pd.DataFrame) -> list[Axes]:
     """Settling time over friction."""
-    axes = figure.subplots()
-    positive = [100 * share for share in FRICTION_SHARES if share > 0.0]
-    zero = 0.5 * positive[0]
-    drawn = table.assign(percent=np.maximum(100 * table["friction_share"], zero))
-    leak_lines(axes, drawn, "percent", "settling_s", SCAN_LEAKS, markersize=4)
-    axes.set(xscale="log", yscale="log", xlabel="friction, % of what is assumed", ylabel="settling time, s")
-    ticks(axes.xaxis, [zero, *positive], lambda value: "0" if value == zero else setting(value))
-    low, high = axes.get_ylim()
-    ticks(axes.yaxis, [tick for tick in TIME_TICKS if low <= tick <= high])
-    axes.set_title("Settling time against friction")
-    legend_inside(axes, title="leak at 100 bar", loc="best", handlelength=3.0)
+    axes = grid(1, 1, 3.6)[0, 0]
+    drawn = table.assign(percent=100.0 * table["friction_share"])
+    leak_lines(axes, drawn, "percent", "settling_s", SCAN_LEAKS, mark=True)
+    shares = [100.0 * share for share in FRICTION_SHARES]
+    axes.set_xscale("symlog", linthresh=shares[1], linscale=0.3)
+    axes.set_xticks(shares, [setting(share) for share in shares])
+    axes.set(yscale="log", xlabel="friction, % of what is assumed", ylabel="settling time, s")
+    axes.set_yticks(SECONDS, [setting(tick) for tick in SECONDS])
+    return [axes]

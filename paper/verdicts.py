@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from hydro_agents.running.text import Table, number, setting, span
+from hydro_agents.running.text import number, span
 from paper.force_rate import shares
 from paper.loop import closed_bode_summary
 from paper.moves import displacement_summary
@@ -42,26 +42,13 @@ class Verdict(NamedTuple):
 class Shown(NamedTuple):
     """What a figure shows."""
 
-    table: Table
+    table: pd.DataFrame
     verdicts: tuple[Verdict, ...] = ()
 
 
-def by_leak(
-    summary: pd.DataFrame, columns: Mapping[str, tuple[str, int]], groups: tuple[tuple[str, int], ...] = ()
-) -> Table:
-    """A table with one row per leak.
-
-    Args:
-        summary: by leak.
-        columns: heading and decimals of each column.
-        groups: titles above the headings, each with its number of columns.
-    """
-    rows = [
-        (setting(leak), *(number(row[name], decimals) for name, (_, decimals) in columns.items()))
-        for leak, row in summary.iterrows()
-    ]
-    header = ("leak, l/min at 100 bar", *(heading for heading, _ in columns.values()))
-    return Table("", header, rows, groups)
+def by_leak(summary: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
+    """A table with one row per leak: ``summary`` is indexed by it, ``columns`` has the headings by name."""
+    return summary[list(columns)].rename(columns=columns).rename_axis("leak, l/min at 100 bar")
 
 
 def _ends(first: float, last: float, decimals: int) -> str:
@@ -91,14 +78,13 @@ def displacement(table: pd.DataFrame) -> Shown:
         ),
     )
     columns = {
-        "move_mm": ("length", 1),
-        "back_mm": ("back", 2),
-        "forth_mm": ("forth", 2),
-        "swing_mm": ("as assumed", 3),
-        "free_mm": ("no friction", 3),
+        "move_mm": "length of the first move, mm",
+        "back_mm": "creep back, mm",
+        "forth_mm": "creep forth, mm",
+        "swing_mm": "oscillation as assumed, mm",
+        "free_mm": "oscillation without friction, mm",
     }
-    groups = (("first move, mm", 1), ("creep after it, mm", 2), ("oscillation, mm", 2))
-    return Shown(by_leak(rows, columns, groups), verdicts)
+    return Shown(by_leak(rows, columns), verdicts)
 
 
 def settling(table: pd.DataFrame) -> Shown:
@@ -115,12 +101,11 @@ def settling(table: pd.DataFrame) -> Shown:
         f"settling time without friction, s; it falls at every step in {falls.sum()} of {len(falls)} combinations",
         _ends(free.iloc[0], free.iloc[-1], 3),
     )
-    rows = [
-        (friction_words(friction), "null leakage" if underlap else "zero-lapped", law, *(number(t, 3) for t in row))
-        for (friction, underlap, law), row in zip(times.index, times.to_numpy(), strict=True)
-    ]
-    header = ("friction", "valve", "leak", *map(flow, times.columns))
-    return Shown(Table("Settling time in s of every combination", header, rows, style="words"), (verdict,))
+    names = []
+    for friction, underlap, law in times.index:
+        names.append(f"{friction_words(friction)}, {'null leakage' if underlap else 'zero-lapped'}, {law}")
+    shown = times.set_axis(names, axis=0).rename(columns=lambda leak: f"settling at {flow(leak)}, s")
+    return Shown(shown, (verdict,))
 
 
 def terms(table: pd.DataFrame) -> Shown:
@@ -144,13 +129,11 @@ def terms(table: pd.DataFrame) -> Shown:
             span(1e-3 * leakage.min(), 1e-3 * leakage.max(), 1),
         ),
     )
-    merged: dict[str, pd.Series] = {}
-    columns: dict[str, tuple[str, int]] = {}
-    for window in ("move", "stop"):
-        merged[window] = 100.0 * windows.loc[window]["leakage_share"]
-        merged[f"{window}_bar"] = windows.loc[window]["mean_size_of_difference_bar"]
-        columns |= {window: ("share of leakage, %", 3), f"{window}_bar": ("mean |P_a − P_b|, bar", 1)}
-    return Shown(by_leak(pd.DataFrame(merged), columns, (("in the move", 2), ("after the stop", 2))), verdicts)
+    merged = {}
+    for window, when in (("move", "in the move"), ("stop", "after the stop")):
+        merged[f"share of leakage {when}, %"] = 100.0 * windows.loc[window]["leakage_share"]
+        merged[f"mean |P_a − P_b| {when}, bar"] = windows.loc[window]["mean_size_of_difference_bar"]
+    return Shown(pd.DataFrame(merged), verdicts)
 
 
 def throttle(table: pd.DataFrame) -> Shown:
@@ -180,16 +163,15 @@ def share(table: pd.DataFrame) -> Shown:
             f"{number(ratio.min(), digits=2)} to {number(ratio.max(), digits=2)}",
         ),
     )
-    rows = []
+    rows = {}
     for (law, leak), end in ends.iterrows():
-        cells = [LAWS[law], setting(leak)]
-        for side in ("first", "last"):
-            cells.append(span(end["difference_low_bar", side], end["difference_high_bar", side], 1))
-            cells.append(number(100.0 * end["leakage_share", side], digits=2))
-        rows.append(tuple(cells))
-    header = ("law", "leak, l/min at 100 bar", "bar", "share, %", "bar", "share, %")
-    groups = (("", 1), ("lowest |P_a − P_b|", 2), ("highest", 2))
-    return Shown(Table("", header, rows, groups), verdicts)
+        rows[f"{LAWS[law]}, {flow(leak)}"] = {
+            "share at the lowest |P_a − P_b|, %": 100.0 * end["leakage_share", "first"],
+            "up to, bar": end["difference_high_bar", "first"],
+            "share at the highest, %": 100.0 * end["leakage_share", "last"],
+            "from, bar": end["difference_low_bar", "last"],
+        }
+    return Shown(pd.DataFrame.from_dict(rows, orient="index"), verdicts)
 
 
 def closed_loop(table: pd.DataFrame) -> Shown:
@@ -210,19 +192,26 @@ def closed_loop(table: pd.DataFrame) -> Shown:
             _ends(first["hump"], last["hump"], 2),
         ),
     )
-    columns = {"bandwidth_hz": ("bandwidth, Hz", 2), "peak": ("largest gain", 3), "peak_hz": ("at, Hz", 2)}
-    columns |= {"hump": ("peak of the oil column", 3), "at_rest": ("gain at rest", 4)}
-    columns |= {"largest_gain_per_m": ("largest stable gain here, 1/m", 1)}
+    columns = {
+        "bandwidth_hz": "bandwidth, Hz",
+        "peak": "largest gain",
+        "peak_hz": "at, Hz",
+        "hump": "peak of the oil column",
+        "at_rest": "gain at rest",
+        "largest_gain_per_m": "largest stable gain here, 1/m",
+    }
     return Shown(by_leak(summary, columns), verdicts)
 
 
 def friction_scan(table: pd.DataFrame) -> Shown:
     """Settling times over friction with a tight seal and a moderate leak."""
     scan = table.pivot(index="friction_share", columns="leak_lpm", values="settling_s")
-    force = PLANT.friction.coulomb_force
-    rows = []
-    for part, row in scan.iterrows():
-        times = (number(row[TIGHT], 3), number(row[MODERATE], 3), number(row[TIGHT] / row[MODERATE], 1))
-        rows.append((setting(100 * part), number(part * force, 1), *times))
-    header = ("friction, % of what is assumed", "Coulomb force, N", f"settling at {flow(TIGHT)}, s")
-    return Shown(Table("", (*header, f"at {flow(MODERATE)}, s", "ratio"), rows))
+    shown = pd.DataFrame(
+        {
+            "Coulomb force, N": scan.index * PLANT.friction.coulomb_force,
+            f"settling at {flow(TIGHT)}, s": scan[TIGHT],
+            f"at {flow(MODERATE)}, s": scan[MODERATE],
+            "ratio": scan[TIGHT] / scan[MODERATE],
+        }
+    )
+    return Shown(shown.set_axis(100.0 * scan.index, axis=0))

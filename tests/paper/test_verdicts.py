@@ -80,7 +80,7 @@ def test_the_share_of_leakage(laminar, throttle, negligible, grows):
 
 
 def test_without_figures_there_is_no_verdict():
-    assert list(verdict_table([]).columns) == ["figure", "conclusion", "verdict", "measured", "here"]
+    assert list(verdict_table({}).columns) == ["figure", "conclusion", "verdict", "measured", "here"]
 
 
 def test_the_command_writes_what_the_documentation_shows(folder):
