@@ -23,20 +23,20 @@ CELLS = CASES["cells"] | CASES["other cells"]
 
 def damage(draw: random.Random, path: Path) -> tuple[str, bool]:
     """Damage a file in place; how, and whether what is there is wrong beyond doubt."""
-    if draw.random() < 0.4 or path.suffix == ".py":
+    if draw.random() < 0.4:
         return _bytes(draw, path)
     return {".yaml": _settings, ".json": _settings, ".safetensors": _tensors}.get(path.suffix, _table)(draw, path)
 
 
 def _bytes(draw: random.Random, path: Path) -> tuple[str, bool]:
     content, kind = path.read_bytes(), path.suffix
-    code, coded, settings = kind == ".py", kind in (".safetensors", ".parquet"), kind in (".yaml", ".json")
+    coded, settings = kind in (".safetensors", ".parquet"), kind in (".yaml", ".json")
     ways: dict[str, tuple[bytes, bool]] = {
-        "empty": (b"", not code),
-        "noise": (b"\xff" + draw.randbytes(300), not code),
+        "empty": (b"", True),
+        "noise": (b"\xff" + draw.randbytes(300), True),
         "cut": (content[: draw.randrange(len(content))], coded or kind == ".json"),
         "nul": (content[:9] + b"\0" + content[9:], settings),
-        "utf-16": (content.decode("latin-1").encode("utf-16"), not code and kind != ".mat"),
+        "utf-16": (content.decode("latin-1").encode("utf-16"), kind != ".mat"),
         "mark": (b"\xef\xbb\xbf" + content, coded),
         "flipped": (bytes(byte ^ 1 if draw.random() < 0.01 else byte for byte in content), False),
         "magic": (b"PAR1\0\0CDF" + content[4:], coded or kind == ".mat"),
@@ -45,7 +45,7 @@ def _bytes(draw: random.Random, path: Path) -> tuple[str, bool]:
         "doubled": (re.sub(rb"(.+)\n", rb"\1,\1\n", content), False),
         "twice": (content + b"\n" + content, settings),
         "a key twice": (content.replace(b"{", b'{"zzz": 1, "zzz": 2, ', 1), False),
-        "text": (draw.choice([*CASES["texts"], *LONG_TEXTS]).encode(), not code),
+        "text": (draw.choice([*CASES["texts"], *LONG_TEXTS]).encode(), True),
         "missing": (b"", True),
         "folder": (b"", True),
     }
@@ -105,7 +105,7 @@ def _table(draw: random.Random, path: Path) -> tuple[str, bool]:
         "one": (table[:1], recording),
         "reversed": (table[::-1], False),
         "again": (table.loc[table.index.repeat(2)], False),
-        "gone": (table.drop(columns=name), word in ("time", "command", "score", "verdict")),
+        "gone": (table.drop(columns=name), word in ("time", "command", "verdict")),
         "unit": (table.rename(columns={name: f"{word} [furlong]"}), with_unit),
         "bare": (table.rename(columns={name: word}), with_unit and word != "time"),
     }
@@ -117,9 +117,8 @@ def _table(draw: random.Random, path: Path) -> tuple[str, bool]:
         value = table[name].iloc[0] if way == "same" else CELLS[way]
         table[name] = table[name].astype(object)
         table.iloc[rows, list(table).index(name)] = value
-        needed = word in ("time", "command", "score", "recording") and rows == slice(None)
+        needed = word in ("time", "command") and rows == slice(None)
         wrong = needed and way in CASES["cells"] and (recording or way == "text")
-    wrong &= path.suffix != ".mf4" or "time" not in name or way not in ("gone", "unit")  # its channels have stamps
     write_table(table, path)
     return f"{way} {name}", wrong
 

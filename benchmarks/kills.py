@@ -1,4 +1,4 @@
-"""Ends study, evaluate, trend and record --benchmark at random moments; the same command must then finish, bit-equal.
+"""Ends study, evaluate and trend at random moments; the same command must then finish, bit-equal.
 
 ``python benchmarks/kills.py FOLDER --count 20 --seed 0`` prints a line per kill. Bad are an orphan process, more than
 one line after Ctrl-C or SIGTERM, a half-written file, and a result that differs from that of an uninterrupted run.
@@ -26,7 +26,6 @@ JOBS = {  # without --resume first, and where nothing was kept
     "study": f"study --config {ROOT}/benchmarks/kills_study.yaml -o OUT --jobs 2 --resume",
     "evaluate": f"evaluate --protocol {ROOT}/benchmarks/kills_protocol.yaml -o OUT --jobs 2 --resume",
     "trend": "trend axes --append OUT/trend.csv --jobs 2",
-    "record": "record --benchmark OUT --count 9 --jobs 2",
 }
 MARK = str(os.getpid())  # of the commands, as a variable of their environment
 FINISHED = (0, 10, 11, 12, 13, 14)  # exit codes

@@ -155,7 +155,6 @@ def simulate(
         float, typer.Option(help="Amplitude in V, −10 to 10, added to the voltage that holds the initial position.")
     ] = 3.0,
     duration: Annotated[float, typer.Option(help="Length in s.")] = 1.0,
-    sample_time: Annotated[float, typer.Option(help="Time in s for which each voltage is held.")] = 1e-3,
     leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar, instead of the rig's own.")] = None,
     position: Annotated[
         float | None,
@@ -170,4 +169,4 @@ def simulate(
     """
     from hydro_agents.rigs.simulation import simulate_to_folder
 
-    say(*simulate_to_folder(output, rig, signal, voltage, duration, sample_time, leakage, position, overwrite))
+    say(*simulate_to_folder(output, rig, signal, voltage, duration, leakage, position, overwrite))

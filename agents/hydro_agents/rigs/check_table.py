@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -92,15 +91,17 @@ def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:
     return watch
 
 
-def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[tuple[str, list[str]]]:
+def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> dict[str, list[str]]:
     """Fields that the content of a rig's file lacks, with their default values, by group."""
-    own, unset = parameters.model_dump(), []
+    own = parameters.model_dump()
+    unset: dict[str, list[str]] = {}
     for path in PARAMETER_PATHS:
         group, field = path.split(".")
+        value = own[group][field]
         if field not in (values.get(group) or {}):
-            value = own[group][field]
-            unset.append((group, f"{field} = {value:.4g}" if isinstance(value, float) else f"{field} = {value}"))
-    return [(group, [entry for _, entry in entries]) for group, entries in groupby(unset, key=lambda pair: pair[0])]
+            text = f"{value:.4g}" if isinstance(value, float) else str(value)
+            unset.setdefault(group, []).append(f"{field} = {text}")
+    return unset
 
 
 def check_to_console(
@@ -135,8 +136,10 @@ def check_to_console(
     for line in (title, *warnings):
         console.print(line, soft_wrap=True)
     console.print(facts)
-    for entry in _assumed(rig, given.plant):
-        console.print(entry)
+    if rig is not None:
+        console.print("Not in the file, taken from the paper's rig (SI units):")
+        for group, entries in assumed(read_yaml(rig), given.plant).items():
+            console.print(Padding(f"{group}: {', '.join(entries)}", (0, 0, 0, 2)))
     first = {row.group: place for place, row in reversed(list(enumerate(rows)))}
     cells = [(row.quantity, row.at, row.text(4), row.unit) for row in rows]
     table = Table("", HEADINGS, cells, breaks={place: group for group, place in first.items()})
@@ -165,16 +168,6 @@ def _summary(rig: Rig) -> str:
         f"own leak {leak_at_test_pressure(parameters):.3g} l/min at 100 bar",
     ]
     return ", ".join([*facts, *(f"no sensor for {name}" for name in absent)])
-
-
-def _assumed(rig: Path | None, parameters: PlantParameters) -> list[Padding | str]:
-    if rig is None:
-        return []
-    groups = assumed(read_yaml(rig), parameters)
-    if not groups:
-        return ["", "The file gives every value."]
-    lines = [Padding(f"{group}: {', '.join(entries)}", (0, 0, 0, 2)) for group, entries in groups]
-    return ["", "Not in the file, taken from the paper's rig (SI units):", *lines]
 
 
 def check_csv(rows: list[Row]) -> str:

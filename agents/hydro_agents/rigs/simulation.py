@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
-from hydro_agents.report.canvas import WIDE, render
-from hydro_agents.report.palette import looks_of
+from hydro_agents.report.kit import drawn, figure_of, panels, picture
 from hydro_agents.rigs.check import resting_place
 from hydro_agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, simulate
@@ -29,7 +27,7 @@ CSV_FILE = "trajectory.csv"
 PICTURE_FILE = "trajectory.png"
 RIG_FILE = "rig.yaml"
 FILES = (CSV_FILE, PICTURE_FILE, RIG_FILE)
-MOST_SAMPLES = 1_000_000
+SAMPLE_TIME = 1e-3  # s, for which each voltage is held
 LONGEST_RUN = 3600.0
 LARGEST_VOLTAGE = 10.0
 SHAPES = ("step", "sine", "sweep", "stop")
@@ -62,7 +60,6 @@ def simulate_to_folder(
     signal: str,
     voltage: float,
     duration: float,
-    sample_time: float,
     leakage: float | None,
     position: float | None,
     overwrite: bool,
@@ -77,34 +74,26 @@ def simulate_to_folder(
     """
     if signal not in SHAPES:
         raise ConfigurationError(f"--input {signal}: {unknown(signal, SHAPES)}")
-    source = str(rig) if rig is not None else "rig"
-    parameters = read_rig(rig).plant if rig is not None else PlantParameters()
+    if not abs(voltage) <= LARGEST_VOLTAGE:
+        raise ConfigurationError(f"--voltage = {voltage:g} V: must be within -10 to 10 V")
+    if not SAMPLE_TIME <= duration <= LONGEST_RUN:
+        raise ConfigurationError(f"--duration = {duration:g} s: must be {SAMPLE_TIME:g} to {LONGEST_RUN:g} s")
+    parameters = PlantParameters()
+    if rig is not None:
+        parameters = read_rig(rig).plant
     if leakage is not None:
         if not 0.0 <= leakage <= LEAKAGE_LIMIT:
             raise ConfigurationError(f"--leakage = {leakage:g} l/min: must be within 0 to {LEAKAGE_LIMIT:g} l/min")
         parameters = parameters.replace(leakage=leak_past_piston(leakage, "laminar"))
-    if not abs(voltage) <= LARGEST_VOLTAGE:
-        raise ConfigurationError(f"--voltage = {voltage:g} V: must be within -10 to 10 V")
-    if not sample_time > 0.0:
-        raise ConfigurationError(f"--sample-time = {sample_time:g} s: must be above 0 s")
-    samples = duration / sample_time
-    if not (0.5 < samples <= MOST_SAMPLES and samples * sample_time <= LONGEST_RUN):
-        raise ConfigurationError(
-            f"--duration = {duration:g} s with --sample-time = {sample_time:g} s: must be 1 to {MOST_SAMPLES:,} "
-            f"samples and at most {LONGEST_RUN:g} s"
-        )
-    refuse_unworkable(parameters, source)
+    refuse_unworkable(parameters, str(rig or "rig"))
     if position is None:
         position = resting_place(parameters)
     _, holding = equilibrium(parameters, position)
-    inputs = input_voltage(signal, voltage, max(round(samples), 1), sample_time, holding)
-    run = simulate(parameters, inputs, sample_time, {"position": position})
-    if rig is not None and rig.resolve() in {(folder / name).resolve() for name in FILES}:
-        raise ConfigurationError(f"{rig}: would be replaced by the results; choose another --output")
+    inputs = input_voltage(signal, voltage, round(duration / SAMPLE_TIME), SAMPLE_TIME, holding)
+    run = simulate(parameters, inputs, SAMPLE_TIME, {"position": position})
     with output_folder(folder, "simulate", FILES, overwrite=overwrite):
         write_text(folder / CSV_FILE, trajectory_csv(run))
-        (picture,) = render(lambda figure: paint_trajectory(figure, run), (WIDE, 10.5), "png")
-        write_whole(folder / PICTURE_FILE, picture)
+        write_whole(folder / PICTURE_FILE, trajectory_png(run))
         parameters.to_yaml(folder / RIG_FILE)
     return [
         f"start: {1e3 * position:g} mm from mid-stroke",
@@ -121,27 +110,31 @@ def trajectory_csv(run: Trajectory) -> str:
     return text
 
 
-def paint_trajectory(figure: Figure, run: Trajectory) -> None:
-    """Draw command and spool, position, pressures, flows and acceleration over time."""
-    axes = figure.subplots(5, 1, sharex=True)
-    flow = 1.0 / LITRE_PER_MINUTE
-    pressures = {"a (bore)": run.pressure_a, "b (rod)": run.pressure_b, "supply": run.supply_pressure}
-    panels = [
-        ("valve, %", [("command", 10 * run.voltage), ("spool", 100 * run.spool_position)]),
-        ("position, mm", [("position", 1e3 * run.position)]),
-        ("pressure, bar", [(name, pressure / 1e5) for name, pressure in pressures.items()]),
-        (
-            "flow, l/min",
-            [("into a", flow * run.flow_a), ("out of b", flow * run.flow_b), ("leakage a→b", flow * run.leakage_flow)],
-        ),
-        ("acceleration, m/s²", [("acceleration", run.acceleration)]),
-    ]
-    for axis, (label, lines) in zip(axes, panels, strict=True):
-        for (name, values), look in zip(lines, looks_of(range(3)).values(), strict=False):
-            axis.plot(run.time, values, label=name, linewidth=1.2, **look.stroke)
-        axis.set_ylabel(label)
-        if len(lines) > 1:
-            # Above the panel: inside it would cover a line.
-            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=len(lines), frameon=False)
+@drawn
+def trajectory_png(run: Trajectory) -> bytes:
+    """A picture of command and spool, position, pressures, flows and acceleration over time."""
+    flow, bar = 1.0 / LITRE_PER_MINUTE, 1e-5
+    shown = {
+        "valve, %": {"command": 10 * run.voltage, "spool": 100 * run.spool_position},
+        "position, mm": {"position": 1e3 * run.position},
+        "pressure, bar": {
+            "a (bore)": bar * run.pressure_a,
+            "b (rod)": bar * run.pressure_b,
+            "supply": bar * run.supply_pressure,
+        },
+        "flow, l/min": {
+            "into a": flow * run.flow_a,
+            "out of b": flow * run.flow_b,
+            "leakage a→b": flow * run.leakage_flow,
+        },
+        "acceleration, m/s²": {"acceleration": run.acceleration},
+    }
+    axes = panels(len(shown), height=10.5)
+    for panel, (label, lines) in zip(axes, shown.items(), strict=True):
+        for name, values in lines.items():
+            panel.plot(run.time, values, label=name, marker="", linewidth=1.2)
+        panel.set_ylabel(label)
     axes[-1].set_xlabel("time, s")
-    figure.suptitle(f"internal leakage {leak_at_test_pressure(run.parameters):.3g} l/min at 100 bar", fontsize=10)
+    leak = leak_at_test_pressure(run.parameters)
+    figure_of(axes).suptitle(f"internal leakage {leak:.3g} l/min at 100 bar", fontsize=10)
+    return picture(axes, "png")

@@ -11,7 +11,7 @@ from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydr
 
 from hydro_agents.rigs.check_table import position_accuracy
 from hydro_agents.rigs.rig_file import QUESTIONS, answers_from, new_rig
-from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
@@ -157,9 +157,6 @@ def test_the_accuracy_of_the_position_is_asked_for_written_and_told(given, tmp_p
     row = position_accuracy(rig, task)
     assert row.value == pytest.approx(largest)
     assert row.at == f"{'from the file' if given else 'assumed'}: {share} % of stroke"
-    if given is None:
-        printed = " ".join(hydro("check-rig", "--rig", tmp_path / "rig.yaml").stdout.split())
-        assert "assumed: 0.02 % of stroke" in printed
 
 
 def test_every_question_has_an_answer_that_is_read(tmp_path):
@@ -182,46 +179,33 @@ def test_the_command_writes_a_file_that_check_rig_reads(tmp_path):
     file = tmp_path / "mine.yaml"
     answer = hydro("new-rig", *words(LEAST), "--output", file)
     assert answer.returncode == 0, answer.stderr
-    assert answer.stdout.splitlines()[0].startswith(f"{file}: 6 values given")
     checked = hydro("check-rig", "--rig", file)
     assert checked.returncode == 0, checked.stderr
-    assert "63/36 x 500 mm" in checked.stdout
-    assert_one_clear_line(hydro("new-rig", *words(LEAST), "--output", file), "exists; --overwrite replaces it")
+    assert_one_clear_line(hydro("new-rig", *words(LEAST), "--output", file), "--overwrite")
     short = words(LEAST | {"pressure_range": "10 bar"})
     assert hydro("new-rig", *short, "--output", file, "--overwrite").returncode == 0
-    assert "warning: sensors.pressure_a reads to 10 bar, the supply" in hydro("check-rig", "--rig", file).stdout
+    assert "warning: sensors.pressure_a" in hydro("check-rig", "--rig", file).stdout
 
 
 WRONG = {
-    "decimal comma": ({"bore": "63,5 mm"}, "such as 63 mm; decimals need a point"),
-    "missing": ({"bore": None}, "bore: must be given"),
-    "no unit": ({"rod": "36"}, "rod '36': needs a unit, such as 36 mm"),
-    "no number": ({"mass": "heavy"}, "mass 'heavy': must be a number with its unit, such as 200 kg"),
-    "negative": ({"stroke": "-1 m"}, "stroke '-1 m': must not be negative"),
-    "zero": ({"step_time": "0 ms"}, "step-time '0 ms': must be above 0"),
+    "decimal comma": ({"bore": "63,5 mm"}, "such as 63 mm"),
+    "missing": ({"bore": None}, "bore"),
+    "no unit": ({"rod": "36"}, "rod '36'"),
+    "negative": ({"stroke": "-1 m"}, "stroke '-1 m'"),
     "too strong a force": ({"external_force": "90 kN"}, "load.external_force = 90000 N"),
-    "no pump": ({"accumulator": "4 l"}, "accumulator: needs pump-flow"),
-    "half a line": ({"line_length": "2 m"}, "line-length: needs line-diameter"),
-    "a share without a unit": ({"overlap": "20"}, "overlap '20': needs a unit, such as 10 %"),
-    "more than everything": ({"overlap": "120 %"}, "overlap '120 %': must be within 0 to 100 %"),
-    "an accuracy beyond the stroke": (
-        {"position_accuracy": "120 %"},
-        "position-accuracy '120 %': must be within 0 to 100 %",
-    ),
-    "an accuracy in mm": ({"position_accuracy": "1 mm"}, "position-accuracy '1 mm': unit 'mm': must be one of %"),
-    "an accuracy of nothing": ({"pressure_accuracy": "0.5 %"}, "pressure-accuracy: needs pressure-range"),
-    "an unknown sensor": ({"absent": "position"}, "absent 'position': 'position': must be one of pressure_a"),
+    "no pump": ({"accumulator": "4 l"}, "pump-flow"),
+    "more than everything": ({"overlap": "120 %"}, "0 to 100 %"),
+    "an accuracy of nothing": ({"pressure_accuracy": "0.5 %"}, "pressure-range"),
+    "an unknown sensor": ({"absent": "position"}, "absent 'position'"),
 }
 
 
-@pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)
-def test_wrong_figures_get_one_line_and_leave_no_file(changes, message, tmp_path):
+@pytest.mark.parametrize(("changes", "part"), WRONG.values(), ids=WRONG)
+def test_wrong_figures_get_one_line_and_leave_no_file(changes, part, tmp_path):
     texts = {key: text for key, text in (LEAST | changes).items() if text is not None}
     answer = hydro("new-rig", *words(texts), "--output", tmp_path / "rig.yaml")
-    assert_one_clear_line(answer, message)
+    assert_one_clear_line(answer, part)
     assert not list(tmp_path.iterdir())
-    with pytest.raises(ConfigurationError):
-        new_rig(answers_from(texts), "rig.yaml")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a POSIX shell closes the input")
@@ -257,19 +241,6 @@ def typed_on_a_terminal(lines, file):
 
 
 @NEEDS_A_TERMINAL
-def test_answers_on_a_terminal_are_not_lost_when_they_contradict_each_other(tmp_path):
-    typed = LEAST | {"pump_flow": "60 l/min", "accumulator": "4 l", "precharge": "300 bar"}
-    code, _, errors = typed_on_a_terminal(
-        [typed.get(question.key, "") for question in QUESTIONS], tmp_path / "rig.yaml"
-    )
-    assert code == 2
-    assert not list(tmp_path.iterdir())
-    again = " ".join(f'{question.name}="{typed[question.key]}"' for question in QUESTIONS if question.key in typed)
-    assert f"Your answers, to go on with: hydro new-rig {again}" in errors
-    assert "precharge_pressure" in errors.splitlines()[-1]
-
-
-@NEEDS_A_TERMINAL
 def test_on_a_terminal_it_asks_again_until_it_can_read_the_answer(tmp_path):
     typed = {**LEAST, "absent": "spool_position"}
     file = tmp_path / "rig.yaml"
@@ -277,7 +248,6 @@ def test_on_a_terminal_it_asks_again_until_it_can_read_the_answer(tmp_path):
     code, shown, _ = typed_on_a_terminal(["63", *answers], file)
     assert code == 0
     assert read_rig(file).plant.cylinder.rod_diameter == 0.036
-    assert "bore '63': needs a unit, such as 63 mm" in shown
     assert shown.count("Diameter of the bore. (required, such as 63 mm)") == 2
     assert read_rig(file).plant.cylinder.bore_diameter == 0.063
     assert read_rig(file).sensors == {"sensors.spool_position.fitted": False}

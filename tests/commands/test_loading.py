@@ -1,0 +1,40 @@
+"""A command loads what it needs: no learning for a diagnosis, no torch for a help, and few files."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from command_line import environment
+
+COUNT = """
+import contextlib, io, json, sys
+from hydro_agents.commands.application import main
+sys.argv = ["hydro", *sys.argv[1:]]
+with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
+    main()
+print(json.dumps(sorted(sys.modules)))
+"""
+LEARNING = ("torch", "stable_baselines3", "hydro_agents.learning.training", "hydro_agents.study")
+"""What only a training needs."""
+
+
+@pytest.mark.parametrize(
+    ("line", "most", "absent"),
+    [
+        ("--help", 50, (*LEARNING, "numba", "scipy", "pandas", "matplotlib")),
+        ("check-rig", 75, (*LEARNING, "hydro_rig")),
+        ("simulate --duration 0.02 --output run", 65, (*LEARNING, "hydro_rig")),
+        ("identify absent.csv --rig kovari_2015 --output new", 110, LEARNING),
+        ("diagnose absent.csv --output new", 110, LEARNING),
+    ],
+)
+def test_a_command_loads_few_files_and_no_library_without_need(line, most, absent, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", COUNT, *line.split()],
+        cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    loaded = json.loads(done.stdout)
+    own = [name for name in loaded if name.split(".")[0] in ("hydro_env", "hydro_agents", "hydro_rig")]
+    assert not set(absent) & set(loaded)
+    assert len(own) <= most, own
