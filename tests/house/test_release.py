@@ -1,4 +1,4 @@
-"""What a release adds: the README for the package index, the pages in the wheel, and the files of a public forge."""
+"""What a release adds: the README for the package index, and the files of a public forge."""
 
 import importlib.util
 import re
@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-
-from hydro_env import folders
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -51,14 +49,6 @@ def test_the_readme_has_no_dead_link_with_and_without_an_address_and_loses_no_wo
     hook.root = str(ROOT)
     with pytest.raises(ValueError, match="must be an address such as"):
         hook.update({})
-
-
-def test_messages_name_pages_that_a_user_can_open(monkeypatch, tmp_path):
-    assert (ROOT / folders.page("diagnose.md")).is_file()
-    (tmp_path / "docs").mkdir()
-    (tmp_path / "docs/diagnose.md").touch()
-    monkeypatch.setattr(folders, "_PACKAGE", tmp_path)
-    assert folders.page("diagnose.md") == str(tmp_path / "docs/diagnose.md")
 
 
 def test_workflows_classifiers_and_the_release_name_the_same_versions_of_python():

@@ -64,9 +64,13 @@ class Cases:
     def part(self, first: int, last: int) -> Cases:
         """The cases from ``first`` to before ``last``."""
         chosen = slice(first, last)
-        leak = self.leakage_flow_lpm[chosen] if self.leakage_flow_lpm is not None else None
-        families = self.families[chosen] if self.families is not None else None
-        faults = {name: sizes[chosen] for name, sizes in self.faults.items()} if self.faults is not None else None
+        leak, families, faults = self.leakage_flow_lpm, self.families, self.faults
+        if leak is not None:
+            leak = leak[chosen]
+        if families is not None:
+            families = families[chosen]
+        if faults is not None:
+            faults = {name: sizes[chosen] for name, sizes in faults.items()}
         return Cases(self.seeds[chosen], leak, families, self.parameters, faults)
 
     def chunks(self, size: int) -> list[Cases]:
@@ -239,25 +243,17 @@ def _act(
 ) -> tuple[NDArray[Any], Any]:
     """Commands (N, 1) of the controller, checked; an axis that has failed gets 0."""
     when = f"in a batch of {len(cases)} from {cases.describe(0)}, at {time:.3f} s"
-    answer: Any
     try:
-        answer = controller.predict(observation, memory, started, True)
+        commands, memory = controller.predict(observation, memory, started, True)
+        action = np.asarray(commands, dtype=np.float64)
     except (Exception, SystemExit) as error:  # sys.exit() in a controller must not end the command as if all were well
-        raise ControllerError(f"{when}: predict raised {reason(error)}") from error
-    if not isinstance(answer, tuple) or len(answer) != 2:
-        raise ControllerError(f"{when}: predict returned {type(answer).__name__}, not a pair (commands, state)")
-    try:
-        action = np.asarray(answer[0], dtype=np.float64)
-        kind = f"of shape {action.shape}"
-    except (TypeError, ValueError, RuntimeError):
-        action, kind = np.zeros(0), f"that are not numbers ({type(answer[0]).__name__})"
+        raise ControllerError(f"{when}: predict gave no pair of commands and state: {reason(error)}") from error
     if action.shape != (len(cases), 1):
-        must = f"for observations of shape {observation.shape}; must be ({len(cases)}, 1)"
-        raise ControllerError(f"{when}: predict returned commands {kind} {must}")
+        raise ControllerError(f"{when}: predict gave commands of shape {action.shape}, must be ({len(cases)}, 1)")
     bad = np.flatnonzero(alive & ~np.isfinite(action[:, 0]))
     if len(bad):
-        raise ControllerError(f"{cases.describe(bad[0])}, at {time:.3f} s: predict returned {action[bad[0], 0]}")
-    return np.where(alive[:, None], action, 0.0), answer[1]
+        raise ControllerError(f"{cases.describe(bad[0])}, at {time:.3f} s: predict gave {action[bad[0], 0]}")
+    return np.where(alive[:, None], action, 0.0), memory
 
 
 def _families(config: TaskConfig) -> list[str]:

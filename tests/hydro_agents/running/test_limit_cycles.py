@@ -12,7 +12,6 @@ from hydro_agents.running.limit_cycles import (
     comes_to_rest,
     counted,
     find_limit_cycle,
-    rest_text,
     rest_warning,
     standstill_metrics,
     standstill_task,
@@ -100,18 +99,6 @@ def test_standstills_are_counted_with_the_largest_limit_cycle():
     assert comes_to_rest(none)
     assert rest_warning("PID", none, baseline=True) == ""
     assert not comes_to_rest(counted(standstills([], failed=1)))
-
-
-@pytest.mark.parametrize(
-    ("amplitudes", "failed"), [([45.0], 0), ([199.0] * 16, 0), ([201.0] * 8, 0), ([], 9), ([20.0], 7)]
-)
-def test_a_warning_counts_limit_cycles_and_failures(amplitudes, failed):
-    found = counted(standstills(amplitudes, failed))
-    assert not comes_to_rest(found)
-    for part in [f"{len(amplitudes)} of 16"] * bool(amplitudes) + [f"{failed} of 16"] * bool(failed):
-        assert part in rest_text(found)
-    assert rest_warning("PID", found, baseline=False) == f"PID: {rest_text(found)}"
-    assert len(rest_warning("PID", found, baseline=True)) > len(rest_warning("PID", found, baseline=False))
 
 
 def test_an_evaluation_finds_the_limit_cycles_of_a_high_gain_and_none_of_flow_linearisation():
