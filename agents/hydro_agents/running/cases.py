@@ -247,12 +247,12 @@ def _act(
         commands, memory = controller.predict(observation, memory, started, True)
         action = np.asarray(commands, dtype=np.float64)
     except (Exception, SystemExit) as error:  # sys.exit() in a controller must not end the command as if all were well
-        raise ControllerError(f"{when}: predict gave no pair of commands and state: {reason(error)}") from error
+        raise ControllerError(f"{when}: predict returned no pair of commands and state: {reason(error)}") from error
     if action.shape != (len(cases), 1):
-        raise ControllerError(f"{when}: predict gave commands of shape {action.shape}, must be ({len(cases)}, 1)")
+        raise ControllerError(f"{when}: predict returned commands of shape {action.shape}, must be ({len(cases)}, 1)")
     bad = np.flatnonzero(alive & ~np.isfinite(action[:, 0]))
     if len(bad):
-        raise ControllerError(f"{cases.describe(bad[0])}, at {time:.3f} s: predict gave {action[bad[0], 0]}")
+        raise ControllerError(f"{cases.describe(bad[0])}, at {time:.3f} s: predict returned {action[bad[0], 0]}")
     return np.where(alive[:, None], action, 0.0), memory
 
 
