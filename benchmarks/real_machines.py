@@ -1,9 +1,10 @@
 """What `hydro identify` and `hydro diagnose` say about public recordings of real machines (docs/leakage.md).
 
-Run: python benchmarks/real_machines.py FOLDER [--only festo speeds refusals] [--samples 2 4] [--fit 1 2]
+Run: python benchmarks/real_machines.py FOLDER [--only festo shake refusals] [--samples 2 4] [--fit 1 2]
 
-FOLDER holds the folders that the page names; what is absent is left out. The Festo axis is identified from steps of
-some voltages and predicted at the others.
+FOLDER holds the folders that benchmarks/notes names; what is absent is left out. The Festo axis is identified from
+steps of some voltages and predicted at the others. The shake table (github.com/SJ-Chuang/TD3-Shake-Table-System) is
+identified from its training runs; each forecast of a test run lasts 2 s and begins at a measured state.
 """
 
 from __future__ import annotations
@@ -21,17 +22,18 @@ from hydro_env import HydroError, TaskConfig
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
+from hydro_env.task.sensors import POSITION, PRESSURE_A
 from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.identification.found_rig import shown
 from hydro_rig.identification.held_back import HeldBack
 from hydro_rig.identification.identify import identify
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.recording import read_recording
-from hydro_rig.recordings.sampling import Sampled, sampled
 
 RIG = Path(__file__).parent / "festo_tp511.yaml"
 FESTO = "festo_tp511"  # the folder with the MAT files
-PARTS = ["festo", "speeds", "refusals"]
+SHAKE_RIG = RIG.with_name("shake_table.yaml")
+SHAKE = "td3_shake_table"  # the folder with its folders train and test
+PARTS = ["festo", "shake", "refusals"]
 MOVING = 0.3  # of the largest speed
 
 OTHERS = {
@@ -108,37 +110,6 @@ def festo(folder: Path, samples: list[int], fitted: list[int]) -> None:
     print(markdown(header, lines, left=(0, 1)))
 
 
-def runs_of(folder: Path, volts: int, chamber: str, samples: list[int]) -> list[Sampled]:
-    """The recordings of a step with the transducer at one chamber."""
-    config = task_config(None, rig=RIG)
-    paths = [folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat" for sample in samples]
-    return [sampled(read_recording(path, festo_map(chamber.lower())), config) for path in paths]
-
-
-def speeds(folder: Path, samples: list[int]) -> None:
-    """Print the measured speeds, and how far a straight line through those of 1 and 2 V misses the others."""
-    lines = []
-    for chamber in "AB":
-        middle = {}
-        for volts in range(1, 6):
-            found = np.array([steady_speeds(run) for run in runs_of(folder, volts, chamber, samples)])
-            middle[volts] = np.median(found, axis=0)
-            line = middle[1] + (volts - 1) * (middle[min(volts, 2)] - middle[1])
-            missed = [f"{100 * ratio:+.1f} %" if volts > 2 else "–" for ratio in line / middle[volts] - 1.0]
-            ranges = [f"{low:.1f} to {high:.1f}" for low, high in 1e3 * np.array([found.min(0), found.max(0)]).T]
-            lines.append((f"{volts} V", chamber.lower(), *ranges, *missed))
-    header = ("step", "chamber", "speed out, mm/s", "speed in, mm/s", "line through 1 and 2 V: out", "in")
-    print(f"\n{markdown(header, lines, left=(0, 1, 2, 3))}")
-
-
-def steady_speeds(samples: Sampled) -> tuple[float, float]:
-    """Speed out and in, m/s, in the middle of the stroke."""
-    inside, command = np.abs(samples.signals[0]) < 0.055, samples.signals[4]
-    parts = inside & (command > 0.0), inside & (command < 0.0)
-    out, back = (abs(float(np.polyfit(samples.time[part], samples.signals[0, part], 1)[0])) for part in parts)
-    return out, back
-
-
 def moving_errors(part: HeldBack, channel: int) -> tuple[float, float]:
     """Median of simulated minus measured pressure, Pa, while both move out, and while both move in."""
     position = np.stack([part.measured[0], part.simulated[0]])
@@ -147,6 +118,38 @@ def moving_errors(part: HeldBack, channel: int) -> tuple[float, float]:
     error = (part.simulated[channel] - part.measured[channel])[25:-25]
     out, back = (np.all(sign * speed > least, axis=0) for sign in (1.0, -1.0))
     return float(np.nanmedian(error[out])), float(np.nanmedian(error[back]))
+
+
+def shake(folder: Path) -> None:
+    """Identify the shake table from one of eight training runs, and forecast its test runs over 2 s."""
+    columns = ColumnMap.model_validate(
+        {
+            "time": {"column": "Time", "unit": "s"},
+            "command": {"column": "Voltage command", "unit": "V"},
+            "position": {"column": "Table disp", "unit": "mm"},
+            "load_pressure": {"column": "Delta P", "unit": "MPa"},  # assumed: neither unit nor sign is published
+        }
+    )
+    training, test = (sorted((folder / name).glob("*.csv")) for name in ("train", "test"))
+    with ProgressDisplay() as display:
+        found = identify(
+            [*training[::8], *test],
+            task_config(rig=SHAKE_RIG),
+            read_rig(SHAKE_RIG),
+            columns,
+            display.update,
+            [str(one) for one in test],
+        )
+    print(f"\n{found.verdict()}\n")
+    length = round(2.0 / found.config.control_period)
+    for channel, name in ((POSITION, "position"), (PRESSURE_A, "load pressure")):
+        shares = []
+        for part in found.held_back:
+            measured, simulated = part.forecasts[:, :, channel, :length]
+            whole = np.isfinite(measured).all(axis=1)
+            away = measured[whole] - measured[whole].mean(axis=1, keepdims=True)
+            shares.append(1.0 - ((measured - simulated)[whole] ** 2).sum() / (away**2).sum())
+        print(f"{name}: share of the variance over 2 s, median {np.median(shares):.3f}, worst {np.min(shares):.3f}")
 
 
 def refusals(folder: Path) -> None:
@@ -177,15 +180,15 @@ def main() -> None:
     parser.add_argument("--fit", type=int, nargs="+", default=[1, 2], help="voltages of the steps that are fitted")
     parser.add_argument("--samples", type=int, nargs="+", default=[2, 4])
     given = parser.parse_args()
-    axis = given.folder / FESTO
     parts: dict[str, Callable[[], None]] = {
         "refusals": lambda: refusals(given.folder),
-        "speeds": lambda: speeds(axis, given.samples),
-        "festo": lambda: festo(axis, given.samples, given.fit),
+        "festo": lambda: festo(given.folder / FESTO, given.samples, given.fit),
+        "shake": lambda: shake(given.folder / SHAKE),
     }
-    for name, part in parts.items():
-        if name in given.only and (name == "refusals" or axis.is_dir()):
-            part()
+    needed = {"refusals": given.folder, "festo": given.folder / FESTO, "shake": given.folder / SHAKE}
+    for name in given.only:
+        if needed[name].is_dir():
+            parts[name]()
 
 
 if __name__ == "__main__":
