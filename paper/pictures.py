@@ -33,6 +33,16 @@ def grid(rows: int, columns: int, height: float, **options: Any) -> Any:
     return figure.subplots(rows, columns, squeeze=False, **options)
 
 
+def legend_below(panels: Sequence[Axes], columns: int) -> list[Axes]:
+    """One legend of the first panel's lines below all panels, which need no own one; returns the panels."""
+    handles, labels = panels[0].get_legend_handles_labels()
+    panels[0].get_figure(root=True).legend(handles, labels, loc="outside lower center", ncols=columns)
+    for axes in panels:
+        for artist in [*axes.lines, *axes.collections, *axes.containers]:
+            artist.set_label("_none")
+    return list(panels)
+
+
 def leak_lines(
     axes: Axes, table: pd.DataFrame, x: str, y: str, leaks: Sequence[float] = LEAKS, mark: bool = False
 ) -> None:
@@ -82,12 +92,7 @@ def paint_settling(table: pd.DataFrame) -> list[Axes]:
         axes.set_yticks(SECONDS, [setting(tick) for tick in SECONDS])
         axes.set_xlabel("leakage resistance at 100 bar, Pa s/m³" if row else "")
         axes.set_ylabel("" if column else "settling time, s")
-    first = panels[0, 0]
-    first.get_figure(root=True).legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-    for axes in panels.flat:
-        for line in [*axes.lines, *axes.containers]:
-            line.set_label("_none")
-    return list(panels.flat)
+    return legend_below(list(panels.flat), 2)
 
 
 def paint_force_rate(table: pd.DataFrame) -> list[Axes]:
@@ -108,7 +113,7 @@ def paint_force_rate(table: pd.DataFrame) -> list[Axes]:
     labels = ("terms of dF/dt, kN/s", "leakage terms\nalone, kN/s", "P_a − P_b, bar")
     for axes, label in zip(panels[:, 0], labels, strict=True):
         axes.set_ylabel(label)
-    return list(panels.flat)
+    return legend_below(list(panels.flat), 5)
 
 
 def _stacked(axes: Axes, time: np.ndarray, rows: pd.DataFrame) -> None:
@@ -132,20 +137,18 @@ def paint_share(table: pd.DataFrame) -> list[Axes]:
         leak_lines(axes, drawn[drawn["law"] == law], "middle_bar", "percent", FEW_LEAKS, mark=True)
         axes.set(yscale="log", xlabel=f"{LAWS[law]}: size of the pressure difference, bar")
     panels[0].set_ylabel("leakage's share of the terms of dF/dt, %")
-    return panels
+    return legend_below(panels, 4)
 
 
 def paint_closed_bode(table: pd.DataFrame) -> list[Axes]:
     """Gain above phase, reference to position."""
     gain, phase = grid(2, 1, 5.0, sharex=True)[:, 0]
     leak_lines(gain, table, "frequency_hz", "gain")
-    leak_lines(phase, table.assign(leak_lpm=table["leak_lpm"]), "frequency_hz", "phase_deg")
-    for line in phase.lines:
-        line.set_label("_none")
+    leak_lines(phase, table, "frequency_hz", "phase_deg")
     gain.set(xscale="log", yscale="log", ylabel="gain, mm per mm", xlim=(table["frequency_hz"].min(), NYQUIST))
     gain.axhline(math.sqrt(0.5), color=GREY, linewidth=0.7)
     phase.set(xlabel="frequency, Hz", ylabel="phase, degrees")
-    return [gain, phase]
+    return legend_below([gain, phase], 5)
 
 
 def paint_friction_scan(table: pd.DataFrame) -> list[Axes]:
