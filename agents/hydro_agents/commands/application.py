@@ -51,7 +51,7 @@ GROUPS = {
         "new-rig": "hydro_agents.commands.rig:new_rig",
         "check-rig": "hydro_agents.commands.rig:check_rig",
         "simulate": "hydro_agents.commands.rig:simulate",
-        "record": "hydro_rig.commands.datasets:record",
+        "record": "hydro_rig.commands.recording:record",
         "identify": "hydro_rig.commands.identify:identify",
         "export": "hydro_rig.commands.export:export",
     },
@@ -60,7 +60,6 @@ GROUPS = {
         "leak-test": "hydro_rig.commands.leak_testing:leak_test",
         "trend": "hydro_rig.commands.diagnosing:trend",
         "alarms": "hydro_rig.commands.alarms:alarms",
-        "score": "hydro_rig.commands.datasets:score",
     },
 }
 """All commands under the headings of the help: by name the module and its function."""

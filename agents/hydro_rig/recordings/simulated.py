@@ -122,13 +122,13 @@ def check_dataset(name: str) -> None:
         import minari
         from minari.dataset.minari_dataset import parse_dataset_id
     except ImportError:
-        raise ConfigurationError('--minari needs Minari: pip install "hydro_env[minari]"') from None
+        raise ConfigurationError('a data set needs Minari: pip install "hydro_env[minari]"') from None
     try:
         parse_dataset_id(name)
     except (TypeError, ValueError):  # TypeError: a name without a version
-        raise ConfigurationError(f"--minari {name}: must be NAME-v0 or FOLDER/NAME-v0") from None
+        raise ConfigurationError(f"{name}: must be NAME-v0 or FOLDER/NAME-v0") from None
     if name in minari.list_local_datasets():
-        raise ConfigurationError(f"--minari {name}: exists; choose another name, or run: minari delete {name}")
+        raise ConfigurationError(f"{name}: exists; choose another name, or run: minari delete {name}")
 
 
 def record_dataset(
@@ -158,7 +158,7 @@ def record_dataset(
     import minari
 
     if not 1 <= episodes <= MOST_EPISODES:
-        raise ConfigurationError(f"--count {episodes}: must be within 1 to {MOST_EPISODES}")
+        raise ConfigurationError(f"episodes {episodes}: must be within 1 to {MOST_EPISODES}")
     buffers = []
     with gym.make("hydro_env:ServoHydraulic-v0", config=config.model_dump(mode="json"), info="flat") as env:
         for number in range(episodes):

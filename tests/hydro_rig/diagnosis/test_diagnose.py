@@ -115,7 +115,7 @@ def test_an_axis_at_rest_with_worn_edges_must_be_moved_unless_its_leak_is_sure(t
 def test_bad_input_leaves_nothing_behind(tmp_path):
     (tmp_path / "a.csv").write_text("a,b\n1,2\n")
     (tmp_path / "map.yaml").write_text("time: a\n")
-    for options in ((), ("--map", tmp_path / "map.yaml"), ("--map", tmp_path / "absent.yaml"), ("--task", "absent")):
+    for options in ((), ("--map", tmp_path / "map.yaml"), ("--map", tmp_path / "absent.yaml"), ("--rig", "absent")):
         assert_one_clear_line(hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out", *options))
     assert not (tmp_path / "out").exists()
     wrong = {"--fault": ("x=1", "external_leak", "external_leak=x", "external_leak=99"), "--duration": ("1e9",)}

@@ -3,9 +3,11 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from command_line import hydro
+from refusal import refused
 
-import hydro_env  # noqa: F401
+from hydro_agents.learning.loading import shipped
+from hydro_env import TaskConfig
+from hydro_rig.recordings.simulated import check_dataset, record_dataset
 
 minari = pytest.importorskip("minari", reason="the extra 'minari' brings it")
 NAME = "hydraulic/pid-v0"
@@ -15,13 +17,12 @@ NAME = "hydraulic/pid-v0"
 def dataset(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MINARI_DATASETS_PATH", str(tmp_path_factory.mktemp("minari")))
-        arguments = ("record", "--minari", NAME, "--count", 3, "--duration", 0.1, "--seed", 7)
-        done = hydro(*arguments, "--leakage", 1.5, "--family", "step", "--fault", "valve_null_shift=0.01")
-        assert done.returncode == 0, done.stderr
-        assert f"{NAME}: 3 episodes, 60 steps" in done.stdout
-        again = hydro(*arguments)
-        assert again.returncode == 2
-        assert "exists; choose another name" in again.stderr
+        task = TaskConfig(episode_duration=0.1)
+        options = {"leakage_flow_lpm": 1.5, "reference": "step", "faults": {"valve_null_shift": 0.01}}
+        steps, _ = record_dataset(NAME, task, shipped("pid", task), "pid", 3, 7, options)
+        assert steps == 60
+        with refused("exists; choose another name"):
+            check_dataset(NAME)
         yield minari.load_dataset(NAME)
 
 
@@ -43,19 +44,7 @@ def test_its_task_needs_no_file(dataset):
     assert gym.make(dataset.spec.env_spec).unwrapped.config.episode_duration == 0.1
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--minari", "no version"), "must be NAME-v0"),
-        (("--minari", "x"), "must be NAME-v0"),
-        (("--minari", "a-v0", "--count", 0), "--count 0: must be within 1 to"),
-        (("--minari", "a-v0", "--output", "a.csv"), "needs one of --output FILE, --minari NAME or --benchmark FOLDER"),
-        ((), "needs one of --output FILE, --minari NAME or --benchmark FOLDER"),
-    ],
-)
-def test_impossible_options_are_named(options, message, tmp_path, monkeypatch):
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    refused = hydro("record", *options)
-    assert refused.returncode == 2
-    assert message in refused.stderr
-    assert not list(tmp_path.rglob("*.hdf5"))
+@pytest.mark.parametrize("name", ["no version", "x"])
+def test_a_name_without_a_version_is_refused(name):
+    with refused("must be NAME-v0"):
+        check_dataset(name)

@@ -1,0 +1,70 @@
+"""``hydro record``: a recording of a simulated axis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydro_agents.commands.options import (
+    Faults,
+    OverwriteFile,
+    PlantSeed,
+    Rig,
+    check_new_file,
+    command_line,
+    exact_task,
+    say,
+)
+
+
+def record(
+    output: Annotated[Path, typer.Option("--output", "-o", help="CSV file to write.")],
+    rig: Rig = None,
+    controller: Annotated[
+        str,
+        typer.Option("--controller", help="A kind (pid, ppo, …), module:attribute, or the path of weights or gains."),
+    ] = "pid",
+    leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar; default: drawn.")] = None,
+    fault: Faults = None,
+    duration: Annotated[float, typer.Option(help="Length in s.")] = 20.0,
+    family: Annotated[
+        str | None,
+        typer.Option(help="Kind of reference, such as sine, step or point_to_point; default: drawn."),
+    ] = None,
+    seed: PlantSeed = 0,
+    overwrite: OverwriteFile = False,
+) -> None:
+    """Record a simulated axis: time, position, pressures, spool and command as its sensors measure them.
+
+    `hydro diagnose` reads the file. The first line is a comment with this command and the true leak. With `--rig` the
+    axis has the parameters of its file; without, those of the paper's rig that are not known exactly are drawn.
+    """
+    from hydro_agents.learning.loading import GainsOrigin, load_controller, origin_of_gains, shipped
+    from hydro_agents.learning.rig_gains import chosen_gains
+    from hydro_agents.running.tasks import named_faults
+    from hydro_env import ConfigurationError
+    from hydro_env.task.configuration import task_config
+    from hydro_env.task.reference_signals import FAMILIES
+    from hydro_rig.recordings.simulated import record_axis
+
+    if family is not None and family not in FAMILIES:
+        raise ConfigurationError(f"--family '{family}': must be one of {', '.join(FAMILIES)}")
+    check_new_file(output, overwrite)
+    usual = task_config(exact_task(None, rig), rig=rig)
+    config = task_config(usual, episode_duration=duration)
+    by_pid = controller == "pid"
+    origin = GainsOrigin.TUNED
+    if by_pid:  # its gains need no episodes as long as the recording
+        mover = shipped(controller, config, lambda kind, _: chosen_gains(kind, usual))
+        origin = origin_of_gains(controller, config)
+    else:
+        mover = load_controller(controller, config, "--controller")
+    done = record_axis(output, config, mover, seed, leakage, family, named_faults(fault or []), command_line())
+    if origin != GainsOrigin.TUNED:
+        say(f"{output}: gains of the PID: {origin}")
+    end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
+    drawn = f"; parameters of the plant drawn by --seed {seed}" if config.randomisation else ""
+    leak = f"leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"
+    say(f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}")
