@@ -40,6 +40,7 @@ check: lint types test
 
 # The documentation as a site that opens from disk; a warning or a broken link is an error.
 docs: $(VENV)/.installed-dev
+	$(BIN)/python docs/playground/build_page.py
 	$(BIN)/python -m sphinx -q -W --keep-going -c docs . build/site -d build/doctrees
 	$(BIN)/python docs/check_links.py build/site
 

@@ -1,4 +1,4 @@
-"""``hydro export``: the plant, a controller, the leak detector or its alarm for other tools, or the playground."""
+"""``hydro export``: the plant, a controller, the leak detector or its alarm for other tools."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FMU_FILE = "hydro_axis.fmu"
 JOB = "export"
-OWN_PARTS = ("plant", "leakage_head", "alarm", "playground")
+OWN_PARTS = ("plant", "leakage_head", "alarm")
 
 
 def export(
@@ -28,8 +28,8 @@ def export(
         str,
         typer.Argument(
             help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector, or the path of your "
-            "own. alarm: the alarm over time, or the alarm.yaml of hydro alarms. playground: a page to try out. Or a "
-            "controller: results/study/controllers/NAME of a study on your rig; as shipped: flow_linearising, ppo or "
+            "own. alarm: the alarm over time, or your own YAML. Or a controller: "
+            "results/study/controllers/NAME of a study on your rig; as shipped: flow_linearising, ppo or "
             "pid, for any rig; adrc, lqg or mpc, for the paper's; a file of gains, weights, or module:attribute.",
             show_default=False,
         ),
@@ -58,10 +58,6 @@ def export(
     probability and size of a leak; with `--rig` and `--period` on your rig, without training.
     `hydro export study/leakage_head` does so for your own.
     `hydro export alarm` writes the shipped alarm as C99: baseline, sum, latch, cause and reset, with test vectors.
-    `hydro export results/alarms/alarm.yaml` does so for your own.
-
-    `hydro export playground` writes `playground.html`: one page, without server or network, on which three axes move
-    in real time while you turn leak, supply, load and gains. It needs `pip install 'hydro_env[playground]'`.
     """
     from hydro_agents.running.folders import output_folder, refuse_taken
     from hydro_rig.export.controller_folder import FILES
@@ -69,7 +65,7 @@ def export(
     part = _part(what)
     if part not in ("", "leakage_head") and (period is not None or latency is not None):
         raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
-    if part in ("alarm", "playground") and (task is not None or rig is not None):
+    if part == "alarm" and (task is not None or rig is not None):
         raise ConfigurationError(f"export {what}: takes no --task and no --rig; {part} has its own")
     match part:
         case "plant":
@@ -78,8 +74,6 @@ def export(
             names, make = _head(what, _Request(task, rig, period, latency))
         case "alarm":
             names, make = _alarm(what)
-        case "playground":
-            names, make = _playground()
         case _:
             refuse_taken(output, JOB, FILES, overwrite)  # before a simulation of the rig searches gains
             names, make = _controller(what, _Request(task, rig, period, latency))
@@ -161,13 +155,6 @@ def _alarm(what: str) -> Job:
 
     settings = AlarmSettings.load(config_folder() / "agents" / "alarm.yaml" if what == "alarm" else what)
     return FILES, partial(exported_alarm, settings, command_line())
-
-
-def _playground() -> Job:
-    from hydro_rig.export.playground import PAGE_FILE, playground_page, web_compiler
-
-    web_compiler()  # report a missing package at the start
-    return (PAGE_FILE,), lambda: ({PAGE_FILE: playground_page()}, ())
 
 
 def _controller(what: str, request: _Request) -> Job:

@@ -1,4 +1,6 @@
-"""The playground: three axes with the shipped controllers, in C, in one HTML file without server and network.
+"""Builds ``docs/playground.html``: three axes with the shipped controllers, in C, in one file without network.
+
+    python docs/playground/build_page.py   # `make docs` runs it; it needs pip install 'hydro_env[playground]'
 
 Sensors, noise and the transducers' lag are translated from the functions that the environment compiles, with the same
 counter-based random numbers: an axis of the page measures what an axis of the environment measures.
@@ -8,7 +10,6 @@ from __future__ import annotations
 
 import base64
 import gzip
-import importlib.util
 import json
 import sys
 from collections.abc import Sequence
@@ -16,14 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from matplotlib.colors import to_rgb
-
 from hydro_agents.controllers.base import search_space
 from hydro_agents.detection.head import LeakageEstimate, LeakageHead
 from hydro_agents.learning.loading import shipped
-from hydro_agents.report.palette import LEAK_LOOKS, css_rules
 from hydro_agents.running.folders import pretrained_folder
-from hydro_env import ConfigurationError, TaskConfig, __version__
+from hydro_env import TaskConfig, __version__
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
@@ -41,7 +39,8 @@ from hydro_rig.export.leakage_head import head_code
 from hydro_rig.export.plant import plant_code
 from hydro_rig.export.translator import Translator
 
-TEMPLATES = Path(__file__).parent / "playground"
+TEMPLATES = Path(__file__).parent
+PAGE = TEMPLATES.with_suffix(".html")
 AXES = 3
 
 VIEW = (
@@ -57,7 +56,10 @@ VIEW = (
 _SENSOR = ("noise", "low", "high", "resolution")
 CENTRE = 0.02  # m; about the middle of the range that the supply can hold against the spring
 SEED = 20151
-PAGE_FILE = "playground.html"
+LEAK_COLOURS = ("#14213d", "#47207a", "#8a2387", "#bf2f5f", "#d1493a", "#de6a10")
+"""From the smallest leak to the largest one, as ``style.css`` names them."""
+
+COMPILER = [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]
 
 
 RIG_SLIDERS: tuple[dict[str, Any], ...] = tuple(
@@ -177,8 +179,7 @@ def playground_page() -> str:
     """The page: the rig of the default task, with the shipped controllers and leakage head.
 
     Raises:
-        ConfigurationError: the package ziglang is not installed.
-        HydroError: the compiler failed.
+        HydroError: the compiler failed, or is not installed.
     """
     head = LeakageHead.load(pretrained_folder() / "leakage_head")
     config = head.settings.task
@@ -199,7 +200,7 @@ def playground_page() -> str:
         "testPressure": LEAKAGE_TEST_PRESSURE,
         "litrePerMinute": LITRE_PER_MINUTE,
         "rigSliders": [{**slider, "value": own[slider["parameter"]] / slider["scale"]} for slider in RIG_SLIDERS],
-        "leakColours": [[round(255 * part) for part in to_rgb(look.colour)] for look in LEAK_LOOKS.values()],
+        "leakColours": [list(bytes.fromhex(colour[1:])) for colour in LEAK_COLOURS],
         "oil": OIL,
         "axes": [{"name": name, "controller": n} for n, name in enumerate(("PID", "Flow linearisation", "Mine"))],
         "controllers": [{"kind": kind, "name": name} for kind, name in CHOICES.items()],
@@ -208,10 +209,10 @@ def playground_page() -> str:
         "threshold": head.settings.threshold,
         "window": window,
     }
-    module = compiled(axis_sources(config, controllers, head), ["-s", *WARNINGS], web_compiler())
+    module = compiled(axis_sources(config, controllers, head), ["-s", *WARNINGS], COMPILER)
     values: dict[str, Any] = {
         **{file.stem: file.read_text(encoding="utf-8") for file in TEMPLATES.glob("*.js")},
-        "style": f"{css_rules()}\n{(TEMPLATES / 'style.css').read_text(encoding='utf-8')}",
+        "style": (TEMPLATES / "style.css").read_text(encoding="utf-8"),
         "facts": json.dumps(facts, ensure_ascii=False, separators=(",", ":"), default=float),
         "wasm": base64.b64encode(gzip.compress(module, 9, mtime=0)).decode(),
         "window": f"{window:g}",
@@ -220,14 +221,5 @@ def playground_page() -> str:
     return render("playground.html.j2", values, TEMPLATES)
 
 
-def web_compiler() -> list[str]:
-    """Command of the compiler for WebAssembly.
-
-    Raises:
-        ConfigurationError: the package ziglang is not installed.
-    """
-    if importlib.util.find_spec("ziglang") is None:
-        raise ConfigurationError(
-            "the playground is compiled by the package ziglang: pip install 'hydro_env[playground]'"
-        )
-    return [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]
+if __name__ == "__main__":
+    PAGE.write_text(playground_page(), encoding="utf-8")
