@@ -27,12 +27,12 @@ from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import TREND_CALIBRATION, TRENDS
 from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
-from hydro_rig.monitoring.oil import GRADES, Oil
-from hydro_rig.monitoring.trend import WINDOW, Settings, row_of
-from hydro_rig.monitoring.trend_summary import DAY, State, trends_of
-from hydro_rig.monitoring.trend_table import SIZES, TEXTS, stamp
 from hydro_rig.recordings.liveliest import liveliest
 from hydro_rig.recordings.recording import Recording
+from hydro_rig.watching.oil import GRADES, Oil
+from hydro_rig.watching.reading import WINDOW, row_of
+from hydro_rig.watching.table import TEXTS, stamp
+from hydro_rig.watching.trend import DAY, State, trend_of
 
 LENGTH, LOST = 30.0, 0.05  # s of a day that are recorded; share of lost rows
 FAMILIES = ("point_to_point", "multi_sine", "staircase", "ramp", "start_stop", "sine", "step")
@@ -80,7 +80,6 @@ def table_of(controller: Controller, seed: int, axis: Axis, windows: int) -> pd.
     leak = axis.leak / true_oil.factor(axis.warm)
     signals, _ = measured_run(task, controller, Cases(np.full(days, seed), leak, names))
     known, off = TaskConfig(), random.normal(0.0, 1.0)
-    how = Settings(oil, (20.0, 60.0), windows=windows)
     rows = []
     for day in range(days):
         first = round(SHIFT * (day // len(FAMILIES) % WEEKS) / task.control_period)
@@ -90,9 +89,9 @@ def table_of(controller: Controller, seed: int, axis: Axis, windows: int) -> pd.
         time = (kept - kept[0]) * task.control_period
         begun = START + DAY * day
         recording = Recording("day", time, part[:, kept], {}, [], warm, begun)
-        row = row_of(f"{seed}", liveliest(recording, WINDOW, known, how.windows), known, how)
-        when = {"time": stamp(begun), "until": stamp(begun)}
-        rows.append(row._asdict() | when | {"repaired": "x" if day in axis.repairs else ""})
+        row = row_of(liveliest(recording, WINDOW, known, windows), known, oil)
+        mark = "x" if day in axis.repairs else ""
+        rows.append({"time": stamp(begun), "until": stamp(begun), **row, "repaired": mark})
     return pd.DataFrame(rows)
 
 
@@ -112,15 +111,15 @@ def judge(kept: Path, controller: Controller, seed: int, days: int, grows: bool,
     since = axis.repairs[0]
     crossing = since + np.log10(LIMIT / axis.leak[since]) / GROWTH if grows else np.inf
     for day in range(SLOWEST - 1, days):
-        trend = trends_of(table.iloc[: day + 1], {f"{seed}": LIMIT}, Oil.of("46"))[0]
+        trend = trend_of(f"{seed}", table.iloc[: day + 1], LIMIT, Oil.of("46"), "")
         if not grows:
-            raised += trend.state in (State.LEAK, State.OTHER) or trend.dated or trend.growth.ahead.value == 0.0
+            raised += trend.states[0] in (State.LEAK, State.OTHER) or trend.dated or trend.growth.ahead.value == 0.0
         elif since <= day < min(crossing, axis.repairs[1]) and axis.leak[day] >= 0.5 * LIMIT:
             left, ahead = crossing - day, trend.growth.ahead
             holds.append(trend.dated and ahead.low <= left <= ahead.high)
             early.append(trend.growth.not_before <= left)
             at_half = float(holds[-1]) if len(holds) == 1 else at_half
-    value, low, high = (table[name].to_numpy() for name in [*SIZES][-3:])
+    value, low, high = (table[name].to_numpy() for name in ("size_40", "low_40", "high_40"))
     answered, inside = np.isfinite(value), (low <= axis.leak) & (axis.leak <= high)
     return {
         "seed": seed,

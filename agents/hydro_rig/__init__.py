@@ -1,1 +1,1 @@
-"""Everything that touches a machine: recordings, identification, diagnosis, monitoring, and code for a PLC."""
+"""Everything that touches a machine: recordings, identification, diagnosis, watching, and code for a PLC."""

@@ -33,7 +33,7 @@ ROOMS = (
     "hydro_rig/export/",
     "hydro_rig/identification/",
     "hydro_rig/diagnosis/",
-    "hydro_rig/monitoring/",
+    "hydro_rig/watching/",
     "hydro_rig/",
 )
 """From the bottom to the top: a room imports from itself and from rooms before it."""

@@ -276,10 +276,9 @@ def try_agents() -> None:
 def try_detector() -> None:
     from hydro_agents.detection.detector import Windows
     from hydro_agents.detection.detectors import make_detector
-    from hydro_agents.detection.looks import looks_at
     from hydro_agents.evaluation.leak_protocol import LeakProtocol, simulated_windows
 
-    # In the protocol, a leak scores higher on the same plants, and a window with motion has no answer; in an alarm too.
+    # In the protocol, a leak scores higher on the same plants, and a window with motion has no answer.
     protocol = LeakProtocol.from_yaml("configs/protocols/leakage.yaml")
     detector = make_detector(protocol.detectors["held"])
     task, signals = protocol.known_task("standing"), {}
@@ -291,7 +290,6 @@ def try_detector() -> None:
     assert (leaking.score > 2.0 * healthy.score).all()
     moving = simulated_windows(protocol.task_in("ordinary"), "PID", protocol.cases_in("ordinary", 1.0, 3), 400)[0]
     assert not detector.read(Windows.of(moving), task).answers.all()
-    np.testing.assert_array_equal(looks_at(signals[1.0], task, detector, 0.5).score[:, 0], leaking.score)
     assert "needs the position" in detector.refuses(task_config(sensors={"spool_position": {"fitted": False}}), 400)
 
 

@@ -59,7 +59,6 @@ GROUPS = {
         "diagnose": "hydro_rig.commands.diagnosing:diagnose",
         "leak-test": "hydro_rig.commands.leak_testing:leak_test",
         "trend": "hydro_rig.commands.diagnosing:trend",
-        "alarms": "hydro_rig.commands.alarms:alarms",
     },
 }
 """All commands under the headings of the help: by name the module and its function."""

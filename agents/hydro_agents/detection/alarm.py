@@ -13,21 +13,19 @@ standard deviation for a look, it replaces σ.
 The baseline is the mean of the axis's first looks, without outliers, but never above the baselines of healthy axes
 (``highest_baseline``). An axis that leaks from the first look on is therefore compared with healthy axes, any other
 with itself. In an activity without ``learning`` every axis is compared with healthy axes.
-
-The C code of ``hydro export alarm`` is traced from :meth:`LeakAlarm.update`: both give the same numbers.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from hydro_agents.detection.activity import Activity
 from hydro_agents.detection.detector import Cause, Reading
-from hydro_agents.detection.looks import Activity, Looks
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.types import Floats
 
@@ -64,7 +62,7 @@ class Scales(Group):
 
 
 class AlarmSettings(Group):
-    """Settings of an alarm; ``hydro alarms`` computes them."""
+    """Settings of an alarm, as in ``configs/agents/alarm.yaml``."""
 
     detector: str = Field("", description="the detector of the calibration")
     interval: float = Field(4.0, gt=0.0, le=3600.0, description="s; between looks")
@@ -111,13 +109,13 @@ class Alarm(NamedTuple):
 
 
 class LeakAlarm:
-    """N alarms with the same settings: ``begin``, then one ``update`` per look; ``follow`` takes all looks at once.
+    """N alarms with the same settings: ``begin``, then one ``update`` per look.
 
     Example:
         >>> import numpy as np
         >>> from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
         >>> from hydro_agents.detection.detector import Reading
-        >>> from hydro_agents.detection.looks import Activity
+        >>> from hydro_agents.detection.activity import Activity
         >>> from hydro_env.folders import config_folder
         >>> alarm = LeakAlarm(AlarmSettings.load(config_folder() / "agents" / "alarm.yaml"))
         >>> state, moving = alarm.begin(count=2), np.full(2, Activity.MOVING)
@@ -129,9 +127,8 @@ class LeakAlarm:
 
     def __init__(self, settings: AlarmSettings) -> None:
         self.settings = settings
-        self._highest, self._spread, self._shift = (
-            settings.table(field) for field in ("highest_baseline", "spread", "shift")
-        )
+        self._highest, self._spread = settings.table("highest_baseline"), settings.table("spread")
+        self._shift = settings.table("shift")
         learning = settings.table("learning")
         self._learning = np.where(learning > 0, learning, np.inf)
 
@@ -156,49 +153,33 @@ class LeakAlarm:
             activity: of each axis, (N,).
             state: memory after the previous look.
         """
-        return self.step(look.score, look.sigma, look.cause, activity, state)
-
-    def step(self, score: Any, sigma: Any, cause: Any, activity: Any, state: AlarmState) -> tuple[Alarm, AlarmState]:
-        """The same from the fields of a reading; only with operations that :mod:`hydro_rig.export.tracing` knows."""
-        counts = (np.absolute(score) < np.inf) & (cause < int(Cause.UNKNOWN))
-        here = activity.reshape(-1, 1) == np.arange(len(Activity))
-        score = np.where(counts, score, 0.0)
-        spread = (here * self._spread).sum(axis=1)
-        shift = (here * self._shift).sum(axis=1)
-        highest = (here * self._highest).sum(axis=1)
-        mean = (here * state.mean).sum(axis=1)
-        seen = (here * state.seen).sum(axis=1)
-        learning = np.where(here, self._learning, 0.0).sum(axis=1)
-        learnt = seen >= learning
+        axes = np.arange(len(activity))
+        counts = look.answers
+        score = np.where(counts, look.score, 0.0)
+        spread, shift, highest = self._spread[activity], self._shift[activity], self._highest[activity]
+        mean, seen = state.mean[axes, activity], state.seen[axes, activity]
+        learnt = seen >= self._learning[activity]
         baseline = np.where(learnt, np.minimum(mean, highest), highest)
-        sigma = np.where(sigma > spread, sigma, spread)
+        sigma = np.fmax(look.sigma, spread)
         design = shift / sigma
         evidence = design * ((score - baseline) / sigma - 0.5 * design)
-        evidence = np.minimum(np.maximum(evidence, -self.settings.clip), self.settings.clip)
+        evidence = np.clip(evidence, -self.settings.clip, self.settings.clip)
         total = np.where(counts, np.maximum(state.total + evidence, 0.0), state.total)
         alarm = state.alarm | (total > self.settings.threshold)
 
         reach = np.where(seen > 0.0, OUTLIER * spread, np.inf)  # the first look is the mean
-        change = np.minimum(np.maximum(score - mean, -reach), reach) / (seen + 1.0)
-        learns = here & (counts & np.logical_not(learnt)).reshape(-1, 1)
-        votes = (cause != int(Cause.UNDETERMINED)).reshape(-1, 1)
-        named = cause.reshape(-1, 1) == np.array(VOTED, dtype=np.int64)
-        causes = np.where(votes, state.causes + (named - state.causes) / CAUSE_LOOKS, state.causes)
-        largest, which = np.full(alarm.shape, LEAST_SHARE), np.zeros(alarm.shape, dtype=np.int64)
-        share = causes / np.maximum(causes.sum(axis=1), LEAST_WEIGHT).reshape(-1, 1)
-        for each in NAMED:
-            more = share[:, VOTED.index(each)] > largest
-            which = np.where(more, int(each), which)
-            largest = np.where(more, share[:, VOTED.index(each)], largest)
-        memory = AlarmState(
-            mean=np.where(learns, state.mean + change.reshape(-1, 1), state.mean),
-            seen=state.seen + learns,
-            total=total,
-            alarm=alarm,
-            causes=causes,
-        )
-        known = (here * memory.seen).sum(axis=1) >= learning
-        return Alarm(alarm, total / self.settings.threshold, which, known), memory
+        learns = counts & ~learnt
+        after = AlarmState(state.mean.copy(), state.seen.copy(), total, alarm, state.causes.copy())
+        after.mean[axes, activity] += np.where(learns, np.clip(score - mean, -reach, reach) / (seen + 1.0), 0.0)
+        after.seen[axes, activity] += learns
+        named = look.cause[:, None] == np.array(VOTED)
+        votes = look.cause != Cause.UNDETERMINED
+        after.causes[votes] += (named - state.causes)[votes] / CAUSE_LOOKS
+        share = after.causes / np.maximum(after.causes.sum(axis=1), LEAST_WEIGHT)[:, None]
+        others = share[:, [VOTED.index(cause) for cause in NAMED]]
+        cause = np.where(others.max(axis=1) > LEAST_SHARE, np.array(NAMED)[others.argmax(axis=1)], Cause.NONE)
+        known = after.seen[axes, activity] >= self._learning[activity]
+        return Alarm(alarm, total / self.settings.threshold, cause, known), after
 
     def reset(self, state: AlarmState, axes: Flags, relearn: bool = False) -> AlarmState:
         """Acknowledge the alarms of some axes (N,): their evidence starts at zero again.
@@ -206,19 +187,10 @@ class LeakAlarm:
         ``relearn`` forgets their baselines too, as after a repair.
         """
         fresh = self.begin(len(state.alarm))
-        kept = () if relearn else ("mean", "seen")
-        chosen: dict[str, Any] = {
-            name: np.where(axes.reshape(-1, *[1] * (old.ndim - 1)), new, old)
-            for name, old, new in zip(state._fields, state, fresh, strict=True)
-            if name not in kept
-        }
-        return state._replace(**chosen)
-
-    def follow(self, looks: Looks, state: AlarmState | None = None) -> tuple[Alarm, AlarmState]:
-        """Process all looks of a recording or of simulated axes in order; returns arrays (N, L) and the memory."""
-        state = state if state is not None else self.begin(len(looks.score))
-        results: list[Any] = []
-        for number in range(len(looks.time)):
-            result, state = self.update(looks.reading(number), looks.activity[:, number], state)
-            results.append(result)
-        return Alarm(*(np.stack(values, axis=1) for values in zip(*results, strict=True))), state
+        chosen = {}
+        for name in state._fields:
+            old = getattr(state, name).copy()
+            if relearn or name not in ("mean", "seen"):
+                old[axes] = getattr(fresh, name)[axes]
+            chosen[name] = old
+        return AlarmState(**chosen)

@@ -41,7 +41,7 @@ from hydro_env.files import write_whole
 JOBS_FOLDER = "jobs"
 RESULT_FILES = f"{JOBS_FOLDER}/*.npz"
 _AGENTS = tuple(f"hydro_agents/{room}" for room in ("controllers", "running", "learning", "detection", "evaluation"))
-_RIG = ("estimation", "recordings", "export", "identification", "diagnosis", "monitoring")
+_RIG = ("estimation", "recordings", "export", "identification", "diagnosis", "watching")
 ROOMS = (*_AGENTS, *(f"hydro_rig/{room}" for room in _RIG))
 """Rooms whose code may change the result of a job; each uses only those before it."""
 

@@ -14,27 +14,17 @@ from hydro_agents.commands.options import (
     Json,
     Output,
     Overwrite,
-    OwnTask,
     Recording,
     Rig,
     command_line,
     say,
-    side_by_side,
 )
 from hydro_rig.commands.guesses import reading
-
-Oil = Annotated[
-    str,
-    typer.Option(
-        metavar="GRADE", help="ISO VG grade, or mm²/s at 40 and 100 °C from the oil's data sheet, such as 46/8.1."
-    ),
-]
 
 
 def diagnose(
     recording: Recording,
     columns: Columns = None,
-    task: OwnTask = None,
     rig: Rig = None,
     detector: Annotated[
         str | None,
@@ -45,7 +35,6 @@ def diagnose(
             help="Detector beside the estimator: weights of a leakage head, or your own; default: the shipped head.",
         ),
     ] = None,
-    window: Annotated[float, typer.Option(min=0.2, max=60.0, help="Length of one reading in s.")] = 2.0,
     as_json: Json = False,
     output: Output = Path("results/diagnose"),
     overwrite: Overwrite = False,
@@ -68,17 +57,16 @@ def diagnose(
     from hydro_rig.recordings.columns import read_map
 
     refuse_taken(output, JOB, FILES, overwrite)
-    config = task_config(task, rig=rig)
+    config = task_config(None, rig=rig)
     companion = Companion.named(detector)
     mapped = read_map(columns) if columns is not None else None
     with reading(as_json) as progress:
-        diagnosis = diagnose_recording(recording, config, companion, mapped, window, progress)
+        diagnosis = diagnose_recording(recording, config, companion, mapped, progress=progress)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line())
     say(*([json.dumps(in_json(diagnosis), indent=1, ensure_ascii=False)] if as_json else lines))
     raise typer.Exit(EXIT_CODES[diagnosis.verdict.kind])
 
 
-@side_by_side
 def trend(
     recordings: Annotated[
         list[Path],
@@ -94,36 +82,42 @@ def trend(
         list[str] | None,
         typer.Option("--map", metavar="[PATTERN=]FILE", help="Map of the columns, for all files or by file name."),
     ] = None,
-    task: OwnTask = None,
     rig: Annotated[
         list[str] | None,
         typer.Option(metavar="[AXIS=]NAME|FILE", help="A rig, for all axes or one; repeat it. Default: the paper's."),
     ] = None,
-    oil: Oil = "46",
-    temperature: Annotated[
-        str, typer.Option(metavar="LOW..HIGH", help="Oil temperature in °C where none was recorded.")
-    ] = "20..60",
+    oil: Annotated[
+        str, typer.Option(metavar="GRADE", help="ISO VG grade, or mm²/s at 40 and 100 °C such as 46/8.1.")
+    ] = "46",
     limit: Annotated[
         float | None,
         typer.Option(min=1e-3, max=100.0, help="Leak in l/min at 100 bar and 40 °C whose date is told; default: 0.3."),
     ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Files that are read side by side.")] = 1,
     as_json: Json = False,
 ) -> None:
     """Watch axes over weeks: one row per recording, the growth of the leak, and the date of a limit.
 
-    Each file that the table does not hold yet is read: its liveliest windows, with
-    the estimator of `hydro diagnose`. Sizes are referred to 100 bar and 40 °C. Writes the table and a page. Ctrl-C
-    keeps all finished files; the same command goes on. `docs/trend.md` shows timers and files of historians.
+    Each file that the table does not hold yet is read: its liveliest windows, with the estimator of `hydro diagnose`.
+    Sizes are referred to 100 bar and 40 °C. Writes the table and a page. Ctrl-C keeps all finished files; the same
+    command goes on. `docs/trend.md` shows timers and files of historians.
 
     Exit codes: 0 all healthy and fresh, 10 an axis leaks, 11 something else, 12 cannot tell, 13 unread, 14 stale,
     2 wrong input.
     """
-    from hydro_rig.monitoring.trend_job import Watch, watch
+    from hydro_agents.running.machine import Origin
+    from hydro_rig.watching.page import trend_page
+    from hydro_rig.watching.watch import watch
 
-    given = Watch(append, columns or [], task, rig or [], oil, temperature, limit)
     with reading(as_json) as progress:
-        found = watch(recordings, given, command_line(), progress)
-    for line in filter(None, [*found.left_out, found.ignored]):
+        found = watch(recordings, append, columns or [], rig or [], oil, limit, jobs, progress)
+    page = append.with_suffix(".html")
+    trend_page(found.trends, append.name, found.left_out).write(page, Origin.now(command_line()))
+    for line in found.left_out:
         print(f"hydro: left out: {line}", file=sys.stderr)
-    say(*([json.dumps(found.json(), indent=1, ensure_ascii=False)] if as_json else found.lines()))
+    if as_json:
+        say(json.dumps(found.facts(), indent=1, ensure_ascii=False))
+    else:
+        done = f"{append}: {found.read} files read, {found.known} known, {len(found.left_out)} left out"
+        say(*(one.line() for one in found.trends), done, page)
     raise typer.Exit(found.exit_code)

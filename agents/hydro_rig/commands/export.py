@@ -1,4 +1,4 @@
-"""``hydro export``: the plant, a controller, the leak detector or its alarm for other tools."""
+"""``hydro export``: the plant, a controller or the leak detector for other tools."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FMU_FILE = "hydro_axis.fmu"
 JOB = "export"
-OWN_PARTS = ("plant", "leakage_head", "alarm")
+OWN_PARTS = ("plant", "leakage_head")
 
 
 def export(
@@ -28,7 +28,7 @@ def export(
         str,
         typer.Argument(
             help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector, or the path of your "
-            "own. alarm: the alarm over time, or your own YAML. Or a controller: "
+            "own. Or a controller: "
             "results/study/controllers/NAME of a study on your rig; as shipped: flow_linearising, ppo or "
             "pid, for any rig; adrc, lqg or mpc, for the paper's; a file of gains, weights, or module:attribute.",
             show_default=False,
@@ -41,7 +41,7 @@ def export(
     latency: Latency = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write the plant, a controller, the leakage head or its alarm for other tools, or for your own C program.
+    """Write the plant, a controller or the leakage head for other tools, or for your own C program.
 
     `hydro export plant` writes `hydro_axis.fmu` (FMI 2.0 co-simulation for Simulink, Amesim, OpenModelica and others,
     with the binary of this platform and its sources; it needs a C compiler) and `plant.c`, `plant.h` (C99, no library
@@ -57,7 +57,6 @@ def export(
     `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to the
     probability and size of a leak; with `--rig` and `--period` on your rig, without training.
     `hydro export study/leakage_head` does so for your own.
-    `hydro export alarm` writes the shipped alarm as C99: baseline, sum, latch, cause and reset, with test vectors.
     """
     from hydro_agents.running.folders import output_folder, refuse_taken
     from hydro_rig.export.controller_folder import FILES
@@ -65,15 +64,11 @@ def export(
     part = _part(what)
     if part not in ("", "leakage_head") and (period is not None or latency is not None):
         raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
-    if part == "alarm" and (task is not None or rig is not None):
-        raise ConfigurationError(f"export {what}: takes no --task and no --rig; {part} has its own")
     match part:
         case "plant":
             names, make = _plant(task, rig)
         case "leakage_head":
             names, make = _head(what, _Request(task, rig, period, latency))
-        case "alarm":
-            names, make = _alarm(what)
         case _:
             refuse_taken(output, JOB, FILES, overwrite)  # before a simulation of the rig searches gains
             names, make = _controller(what, _Request(task, rig, period, latency))
@@ -87,12 +82,9 @@ def _part(what: str) -> str:
     """The one of :data:`OWN_PARTS` that a name or a path means; empty: a controller."""
     from hydro_agents.detection.head import KIND
     from hydro_agents.running.weights import kind_of_weights
-    from hydro_env.files import read_yaml
 
     if what in OWN_PARTS:
         return what
-    if Path(what).suffix == ".yaml" and Path(what).is_file():
-        return "alarm" if "scales" in read_yaml(what) else ""
     return "leakage_head" if ":" not in what and kind_of_weights(what) == KIND else ""
 
 
@@ -146,15 +138,6 @@ def _tell_distance(what: str, trained: object, config: TaskConfig) -> None:
 
     if far := outside_training(trained, config):
         print(f"hydro: {what}: outside the rigs of the training: {far}", file=sys.stderr)
-
-
-def _alarm(what: str) -> Job:
-    from hydro_agents.detection.alarm import AlarmSettings
-    from hydro_env.folders import config_folder
-    from hydro_rig.export.alarm import FILES, exported_alarm
-
-    settings = AlarmSettings.load(config_folder() / "agents" / "alarm.yaml" if what == "alarm" else what)
-    return FILES, partial(exported_alarm, settings, command_line())
 
 
 def _controller(what: str, request: _Request) -> Job:

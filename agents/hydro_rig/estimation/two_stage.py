@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.activity import Activity, activity_of
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
-from hydro_agents.detection.looks import Activity, activity_of
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import TaskConfig
 from hydro_env.types import Floats

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.looks import MOVING_FROM
+from hydro_agents.detection.activity import MOVING_FROM
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import COMMAND, POSITION

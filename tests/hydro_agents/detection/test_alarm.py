@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
-from hydro_agents.detection.detector import Cause
-from hydro_agents.detection.looks import Activity, Looks
+from hydro_agents.detection.activity import Activity
+from hydro_agents.detection.alarm import Alarm, AlarmSettings, LeakAlarm
+from hydro_agents.detection.detector import Cause, Reading
 
 SCALE = {"highest_baseline": 0.0, "learning": 5, "spread": 1.0, "shift": 1.0}
 
@@ -16,12 +16,18 @@ def alarm(learning=5, **changes):
     return LeakAlarm(AlarmSettings(**{"clip": 1e6, "scales": scales, "threshold": 3.0, **changes}))
 
 
-def looks(score, cause=Cause.NONE, activity=Activity.MOVING, sigma=np.nan):
-    """Looks of N axes, (N, L), at 1 s distance."""
+def follow(watch, score, state=None, cause=Cause.NONE, activity=Activity.MOVING, sigma=np.nan):
+    """Looks at N axes, (N, L), one after the other: what the alarms say, (N, L), and their memory."""
     score = np.atleast_2d(np.asarray(score, dtype=float))
-    full = np.full(score.shape, np.nan)
-    kinds = [np.broadcast_to(np.asarray(kind, dtype=np.int8), score.shape) for kind in (cause, activity)]
-    return Looks(np.arange(score.shape[1], dtype=float), score, np.zeros(score.shape) + sigma, full, *kinds, full)
+    state = watch.begin(len(score)) if state is None else state
+    fields = [np.broadcast_to(values, score.shape) for values in (sigma, cause, activity)]
+    said = []
+    for now in range(score.shape[1]):
+        sigmas, causes, activities = (values[:, now] for values in fields)
+        look = Reading.of(score[:, now], causes, sigma=sigmas)
+        answer, state = watch.update(look, np.asarray(activities, dtype=np.int8), state)
+        said.append(answer)
+    return Alarm(*(np.stack(values, axis=1) for values in zip(*said, strict=True))), state
 
 
 def learnt(watch, count):
@@ -38,7 +44,7 @@ def first_alarm(raised):
 def test_run_length_of_the_cusum_is_that_of_siegmund(mean, drift):
     watch = alarm()
     score = np.random.default_rng(1).normal(mean, 1.0, (2000, 1200 if mean == 0.0 else 100))
-    result, _ = watch.follow(looks(score), learnt(watch, len(score)))
+    result, _ = follow(watch, score, learnt(watch, len(score)))
     boundary = 3.0 + 1.166  # Siegmund, Sequential Analysis (1985), (2.57)
     expected = (np.exp(-2.0 * drift * boundary) + 2.0 * drift * boundary - 1.0) / (2.0 * drift**2)
     assert first_alarm(result.alarm).mean() == pytest.approx(expected, rel=0.06)
@@ -54,16 +60,16 @@ def test_run_length_of_the_cusum_is_that_of_siegmund(mean, drift):
 )
 def test_totals_by_hand(score, sigma, total):
     watch = alarm(threshold=1.0)
-    result, _ = watch.follow(looks(score, sigma=np.array([sigma])), learnt(watch, 1))
+    result, _ = follow(watch, score, learnt(watch, 1), sigma=np.array([sigma]))
     np.testing.assert_allclose(result.total[0], total)
-    _, state = watch.follow(looks(score))
+    _, state = follow(watch, score)
     assert state.seen[0, Activity.MOVING] == np.isfinite(score).sum()
 
 
 def test_an_axis_is_judged_against_its_own_baseline():
     watch = alarm(threshold=5.0)
     quiet, noise = np.full(30, -4.0), np.zeros(30)
-    result, _ = watch.follow(looks([np.append(quiet, quiet + 2.0), np.append(noise, noise)]))
+    result, _ = follow(watch, [np.append(quiet, quiet + 2.0), np.append(noise, noise)])
     assert not result.alarm[:, :30].any()
     assert result.alarm[:, -1].tolist() == [True, False], "a rise of two design leaks, and none"
     assert result.total[0, -1] == pytest.approx(30 * 1.5 / 5.0)
@@ -73,7 +79,7 @@ def test_the_baseline_is_robust():
     watch = alarm(clip=2.0, threshold=5.0)
     score = np.full(40, -4.0)
     score[2] = 50.0
-    result, state = watch.follow(looks(score))
+    result, state = follow(watch, score)
     # It counts as 3 standard deviations of the third look; the two looks after it draw the mean back.
     assert state.mean[0, Activity.MOVING] == pytest.approx(-4.0 + 1.0 * 3 / 5)
     assert not result.alarm.any(), "one outlier counts no more than the clip"
@@ -81,7 +87,7 @@ def test_the_baseline_is_robust():
 
 @pytest.mark.parametrize(("learning", "threshold", "first"), [(5, 3.0, 7), (0, 5.0, 11)])
 def test_a_leak_that_is_there_from_the_start_is_found_with_and_without_learning(learning, threshold, first):
-    result, _ = alarm(learning, threshold=threshold).follow(looks([np.full(40, 1.0), np.full(40, -0.1)]))
+    result, _ = follow(alarm(learning, threshold=threshold), [np.full(40, 1.0), np.full(40, -0.1)])
     assert result.alarm[:, -1].tolist() == [True, False]
     assert first_alarm(result.alarm)[0] == first, "half the design leak a look, against healthy axes"
     assert result.learnt.any() == (learning > 0)
@@ -90,7 +96,7 @@ def test_a_leak_that_is_there_from_the_start_is_found_with_and_without_learning(
 def test_slow_drift_is_not_learnt_away():
     drift = np.concatenate([np.full(20, -3.0), np.linspace(-3.0, -1.0, 400)])
     small = np.concatenate([np.full(20, -3.0), np.linspace(-3.0, -2.6, 400)])
-    result, _ = alarm().follow(looks([drift, small]))
+    result, _ = follow(alarm(), [drift, small])
     assert result.alarm[0, -1], "a drift of two design leaks"
     assert not result.alarm[1].any(), "a drift of less than half a design leak"
 
@@ -99,7 +105,7 @@ def test_activities_have_baselines_of_their_own():
     watch = alarm(learning=3)
     activity = np.tile([Activity.STANDING, Activity.MOVING], 20)
     score = np.where(activity == Activity.MOVING, -6.0, -1.0)
-    result, state = watch.follow(looks(score, activity=activity[None]))
+    result, state = follow(watch, score, activity=activity[None])
     np.testing.assert_array_equal(state.mean[0], [-1.0, 0.0, -6.0])
     assert not result.alarm.any()
     assert result.learnt[0].tolist() == [False] * 4 + [True] * 36
@@ -108,7 +114,7 @@ def test_activities_have_baselines_of_their_own():
 def test_alarm_latches_until_reset():
     watch = alarm()
     score = np.concatenate([np.full(10, -1.0), np.full(10, 3.0), np.full(30, -9.0)])
-    _, state = watch.follow(looks([score, np.full(50, -1.0)]))
+    _, state = follow(watch, [score, np.full(50, -1.0)])
     assert state.total[0] == 0.0
     assert state.alarm.tolist() == [True, False]
     again = watch.reset(state, np.array([True, True]))
@@ -124,7 +130,7 @@ def test_what_the_detector_cannot_explain_raises_no_alarm_and_a_named_fault_is_p
     score = np.append(np.full(20, -3.0), np.full(80, 9.0))
     for cause, raised in ((Cause.UNKNOWN, False), (Cause.VALVE, True)):
         causes = np.append(np.zeros(20), np.full(80, cause))
-        result, _ = alarm(interval=1.0).follow(looks(score, cause=causes[None]))
+        result, _ = follow(alarm(interval=1.0), score, cause=causes[None])
         assert result.alarm.any() == raised
         assert result.cause[0, 19] == Cause.NONE
         assert result.cause[0, -1] == cause
@@ -136,14 +142,14 @@ def test_a_cause_needs_a_share_of_the_last_looks():
     rare[::12], often[::4] = Cause.SENSOR, Cause.EXTERNAL_LEAK
     often[1::8] = Cause.VALVE
     quiet = np.full((2, 90), -1.0)
-    result, _ = watch.follow(looks(quiet, cause=np.stack([rare, often])))
+    result, _ = follow(watch, quiet, cause=np.stack([rare, often]))
     assert result.cause[:, -1].tolist() == [Cause.NONE, Cause.EXTERNAL_LEAK]
     few = np.full(90, Cause.UNDETERMINED)
     few[[20, 40]] = Cause.RETURN_LINE
-    seldom, _ = watch.follow(looks(np.full(90, np.nan), cause=few[None]))
+    seldom, _ = follow(watch, np.full(90, np.nan), cause=few[None])
     assert seldom.cause[0, [30, 89]].tolist() == [Cause.NONE, Cause.RETURN_LINE], "one look is none, two are one"
     silent = np.full((2, 90), np.nan)
-    unread, _ = watch.follow(looks(silent, cause=np.full((2, 90), Cause.UNDETERMINED)))
+    unread, _ = follow(watch, silent, cause=np.full((2, 90), Cause.UNDETERMINED))
     assert (unread.cause == Cause.NONE).all(), "a look that nobody read names nothing"
 
 

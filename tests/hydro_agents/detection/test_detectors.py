@@ -10,7 +10,6 @@ from refusal import refused
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, SIGNALS, VERDICTS, Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.features import LABELS
-from hydro_agents.detection.looks import looks_at
 from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.evaluation.leak_protocol import simulated_windows as simulated
@@ -166,7 +165,5 @@ def test_the_detector_of_the_page_works_in_the_protocol_and_under_an_alarm(tmp_p
     detector = make_detector(DetectorChoice(kind="my_detector:AlikePressures"))
     tight, leaking = (detector.read(made("none", leak, 400), CONFIG) for leak in (0.01, 10.0))
     assert leaking.score.mean() > tight.score.mean()
-    looks = looks_at(made("none", 10.0, 400).signals, CONFIG, detector, 0.5)
-    np.testing.assert_array_equal(looks.score[:, 0], leaking.score)
     blind = TaskConfig(sensors={"pressure_a": {"fitted": False}})
     assert "needs both pressures" in detector.refuses(blind, 400)

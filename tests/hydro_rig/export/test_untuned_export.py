@@ -86,7 +86,7 @@ def test_in_c_it_takes_over_an_axis_in_motion(task, in_c):
     [
         (("flow_linearising", "--period", "2 bar"), "export flow_linearising: --period = '2 bar': unit 'bar'"),
         (("flow_linearising", "--latency", "26ms"), "--latency = 0.026 s must not exceed 5 times --period = 0.005 s"),
-        (("alarm", "--latency", "1ms"), "export alarm: takes no --period and no --latency"),
+        (("plant", "--latency", "1ms"), "export plant: takes no --period and no --latency"),
     ],
 )
 def test_bad_input_is_one_line(arguments, what, tmp_path):

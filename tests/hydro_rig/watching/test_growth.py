@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_rig.monitoring.growth import growth
+from hydro_rig.watching.growth import growth
 
 DAYS = np.arange(30.0)
 RATE = 1.0 / 40.0  # decades per day

@@ -1,0 +1,37 @@
+"""The activity of an axis during a window: it stands, moves slowly, or moves; a leak shows differently in each."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.detection.detector import SIGNALS
+
+STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3
+"""Travel per second in m/s: below the first value the axis stands, from the second on it moves."""
+
+_SPAN = 0.1  # averaging time in s of the position before its travel is computed, which removes the noise
+
+
+class Activity(IntEnum):
+    """Activity of an axis during a window."""
+
+    STANDING = 0
+    SLOW = 1
+    MOVING = 2
+
+
+def activity_of(signals: NDArray[Any], control_period: float) -> NDArray[np.int8]:
+    """:class:`Activity` (N,) during windows of signals (N, 5, T) in SI units; lost samples are left out."""
+    position = np.asarray(signals[:, SIGNALS.index("position")], dtype=np.float64)
+    count = max(round(_SPAN / control_period), 1)
+    blocks = position[:, : position.shape[1] // count * count].reshape(len(position), -1, count)
+    present = np.isfinite(blocks)
+    means = np.where(present, blocks, 0.0).sum(axis=2) / np.maximum(present.sum(axis=2), 1)
+    known = np.asarray(present.any(axis=2))
+    travel = np.where(known, means, -np.inf).max(axis=1) - np.where(known, means, np.inf).min(axis=1)
+    speed = np.where(known.any(axis=1), travel, 0.0) / (position.shape[1] * control_period)
+    return np.asarray((speed >= STANDING_BELOW).astype(np.int8) + (speed >= MOVING_FROM), dtype=np.int8)

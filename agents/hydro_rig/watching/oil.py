@@ -1,0 +1,99 @@
+"""Viscosity of the oil, and leaks at one temperature.
+
+A gap passes a laminar flow in proportion to 1/viscosity: the same worn seal leaks three times as much at 60 °C as at
+30 °C. Sizes that are compared over weeks are therefore those at 100 bar and :data:`REFERENCE` °C.
+
+The viscosity follows ASTM D341 (Walther): log10 log10(ν + 0.7) = A − B log10 T, with ν in mm²/s and T in K. Two values
+fix A and B: those at 40 °C (the number of the ISO VG grade, ISO 3448) and at 100 °C. The density, which falls by 0.7 %
+per 10 K, is left out.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hydro_agents.detection.detector import HALF_WIDTH
+from hydro_env import ConfigurationError
+from hydro_env.types import Floats
+from hydro_rig.diagnosis.verdict import Leak
+
+REFERENCE = 40.0  # °C, to which leaks are referred
+COLDEST, HOTTEST, WITHIN = 20.0, 60.0, 0.9  # °C, of an oil without a thermometer, with the probability of 0.9
+THERMOMETER = 1.5
+"""K, standard deviation by which the oil in the gap differs from what a thermometer in tank or line reads; assumed."""
+KELVIN = 273.15
+
+GRADES = {10: 2.66, 15: 3.41, 22: 4.29, 32: 5.36, 46: 6.76, 68: 8.73, 100: 11.4, 150: 15.0, 220: 19.4, 320: 25.0}
+"""mm²/s at 100 °C by ISO VG grade, of a mineral oil of viscosity index 100 (ASTM D2270, column H)."""
+
+
+class Oil(NamedTuple):
+    """Kinematic viscosity in mm²/s at 40 and 100 °C.
+
+    Example:
+        >>> from hydro_rig.watching.oil import Oil
+        >>> [round(float(value)) for value in Oil.of("46").viscosity([20.0, 40.0, 60.0])]
+        [134, 46, 21]
+    """
+
+    at_40: float
+    at_100: float
+
+    @classmethod
+    def of(cls, text: str) -> Oil:
+        """From an ISO VG grade (``46``), or from both values of a data sheet (``46/8.1``).
+
+        Raises:
+            ConfigurationError: the grade is unknown, or the values are impossible.
+        """
+        cold, _, hot = text.upper().removeprefix("ISO").strip().removeprefix("VG").strip().partition("/")
+        try:
+            oil = cls(float(cold), float(hot) if hot else GRADES[int(cold)])
+        except (ValueError, KeyError):
+            oil = cls(np.nan, np.nan)
+        if not 1.0 <= oil.at_100 < oil.at_40 <= 5000.0:
+            raise ConfigurationError(
+                f"--oil {text}: must be an ISO VG grade ({', '.join(map(str, GRADES))}), or mm²/s at 40 °C and at "
+                "100 °C, the second smaller, within 1 to 5000, such as 46/8.1"
+            )
+        return oil
+
+    def viscosity(self, temperature: ArrayLike) -> Floats:
+        """mm²/s at temperatures in °C, any shape."""
+        cold, hot = np.log10(np.log10(np.array(self) + 0.7))
+        places = np.log10(np.array([40.0, 100.0]) + KELVIN)
+        slope = (cold - hot) / (places[1] - places[0])
+        double = cold - slope * (np.log10(np.asarray(temperature, dtype=np.float64) + KELVIN) - places[0])
+        return np.asarray(10.0**10.0**double - 0.7)
+
+    def factor(self, temperature: ArrayLike) -> Floats:
+        """What a leak measured at temperatures in °C is multiplied by to be that at the reference."""
+        return self.viscosity(temperature) / self.viscosity(REFERENCE)
+
+
+def likely(temperature: float) -> tuple[float, float]:
+    """The likely temperature of the oil, and its standard deviation, from that measured in °C; NaN: unknown."""
+    if np.isfinite(temperature):
+        return temperature, THERMOMETER
+    return 0.5 * (COLDEST + HOTTEST), 0.5 * WITHIN * (HOTTEST - COLDEST) / HALF_WIDTH
+
+
+def common_error(oil: Oil, temperature: float) -> float:
+    """Standard deviation, in decades, of the error of the temperature (°C; NaN: unknown) that all sizes share."""
+    middle, deviation = likely(temperature)
+    return float(0.5 * np.log10(oil.factor(middle - deviation) / oil.factor(middle + deviation)))
+
+
+def referred(leak: Leak, oil: Oil, temperature: float) -> Leak:
+    """Leaks with their intervals, numbers or arrays, at the reference temperature instead of the measured one, °C."""
+    middle, deviation = likely(temperature)
+    reach = HALF_WIDTH * deviation
+    factor, size = oil.factor(middle), np.maximum(leak.value, 0.0)
+    down, up = (factor - oil.factor(middle + reach)) * size, (oil.factor(middle - reach) - factor) * size
+    value: Any = factor * leak.value
+    low = value - np.hypot(factor * (leak.value - leak.low), down)
+    high = value + np.hypot(factor * (leak.high - leak.value), up)
+    return Leak(value, low, high)

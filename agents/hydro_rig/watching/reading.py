@@ -1,0 +1,104 @@
+"""One reading of a recording: the verdict of ``hydro diagnose`` on its liveliest windows, with the leak at 40 °C."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_agents.detection.detector import Windows
+from hydro_env import TaskConfig
+from hydro_rig.diagnosis.diagnose import read_windows
+from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged
+from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, combined
+from hydro_rig.diagnosis.volume_balance import Blocks, leak_of_blocks
+from hydro_rig.recordings.columns import ColumnMap
+from hydro_rig.recordings.files import read_columns
+from hydro_rig.recordings.findings import Weight
+from hydro_rig.recordings.liveliest import Lively, liveliest, sampled_windows
+from hydro_rig.recordings.quality import check_samples
+from hydro_rig.recordings.recording import recording_of
+from hydro_rig.recordings.sampling import Sampled, cut, on_grid
+from hydro_rig.watching.oil import Oil, referred
+
+MOST_WINDOWS = 12  # of a reading; more take longer and add little
+WINDOW = 2.0  # s
+FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
+
+_DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
+
+
+def row_of_file(path: Path, config: TaskConfig, columns: ColumnMap | None, oil: Oil) -> dict[str, Any]:
+    """The row of a file: its first and last stamp (s since 1970), and what :func:`row_of` reads.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or holds no rows.
+    """
+    rows = recording_of(read_columns(path), str(path), columns)
+    live = liveliest(rows, WINDOW, config, MOST_WINDOWS)
+    clock = _clock(path, rows.begin)
+    row = row_of(live, config, oil, list(flow_blocks(rows)))
+    return {"time": clock + live.first, "until": clock + live.last, **row}
+
+
+def _clock(path: Path, first: float) -> float:
+    """What is added to the stamps of a file to give s since 1970: dates in it, its name, or its age."""
+    if FIRST_DATE <= first <= LAST_DATE:
+        return 0.0
+    begin, found = path.stat().st_mtime, _DATE.search(path.name)
+    if found is not None:
+        with suppress(ValueError):  # the 45th of a month
+            begin = datetime(*(int(part or 0) for part in found.groups()), tzinfo=UTC).timestamp()  # type: ignore[arg-type,misc]
+    return begin - first
+
+
+def row_of(live: Lively, config: TaskConfig, oil: Oil, blocks: Sequence[Blocks] = ()) -> dict[str, Any]:
+    """Verdict, leak at 40 °C and oil temperature from the best windows, and from the blocks of a measured flow."""
+    row = {"verdict": Kind.UNKNOWN.value, "temperature": np.nan, **_sizes(Leak(np.nan, np.nan, np.nan))}
+    if not live.windows:
+        return row | {"reason": "the recording is shorter than one window"}
+    rows = [candidate.rows for candidate in live.windows]
+    samples = sampled_windows(live.windows, WINDOW, config)
+    config = on_grid(config, samples.period)
+    warm = np.concatenate([one.auxiliary.get("oil_temperature", np.full(1, np.nan)) for one in rows])
+    temperature = float(warm[np.isfinite(warm)].mean()) if np.isfinite(warm).any() else np.nan
+    balance = leak_of_blocks(blocks)
+    if balance is not None:
+        at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, temperature)
+        balance = balance._replace(**at_40._asdict())
+
+    def choose(samples: Sampled) -> Windows:
+        windows = cut(samples, round(WINDOW / config.control_period))
+        commanded = np.isfinite(windows.signal("previous_command")).mean(axis=1)
+        return windows.part(commanded > 0.5)  # without the margins
+
+    def read(windows: Windows) -> Read:
+        if not len(windows):
+            return Read()
+        measured, fitted = read_windows(windows, config, threads=1)
+        at_40 = referred(Leak(measured.flow_lpm, measured.low_lpm, measured.high_lpm), oil, temperature)
+        sizes = {"flow_lpm": at_40.value, "low_lpm": at_40.low, "high_lpm": at_40.high}
+        return Read(measured._replace(**sizes), fitted=fitted)
+
+    checked = check_samples(samples, live.findings, config)
+    found = judged(checked, config, choose=choose, read=read, rows=rows, balance=balance, window=WINDOW)
+    verdict = found.verdict
+    if verdict.detector == BALANCE and verdict.leak is not None:
+        row |= _sizes(verdict.leak)
+    elif found.read.estimator is not None:
+        row |= _sizes(combined(found.read.estimator)[0])
+    reasons = [verdict.why]
+    for finding in found.checked.findings:
+        if finding.weight is Weight.FAULT or finding.signal == "clock":
+            reasons.append(finding.line())
+    reason = "; ".join(dict.fromkeys(filter(None, reasons)))
+    return row | {"verdict": verdict.kind.value, "temperature": temperature, "reason": reason}
+
+
+def _sizes(leak: Leak) -> dict[str, float]:
+    return {"size_40": leak.value, "low_40": leak.low, "high_40": leak.high}

@@ -1,0 +1,137 @@
+"""The table of ``hydro trend``: one CSV file with a row per reading.
+
+It is written as a whole after each file, so that an interruption loses nothing. It may be edited by hand: a mark in the
+column ``repaired`` says that the seal was new from that row on, and further columns stay.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from hydro_env import ConfigurationError
+from hydro_env.types import Floats
+from hydro_rig.diagnosis.verdict import Kind
+
+NUMBERS = ("size_40", "low_40", "high_40", "temperature", "bytes")
+TEXTS = ("time", "until", "axis", "file", "verdict", "reason", "repaired")
+COLUMNS = ("time", "until", "axis", "file", "verdict", *NUMBERS, "reason", "repaired")
+"""Sizes with the ends of their 90 % intervals in l/min at 100 bar and 40 °C; ``temperature`` of the oil in °C;
+``bytes`` of the file: a file that has grown is read again; ``repaired``: any mark."""
+
+SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mat")
+
+_DATE_FOLDERS = re.compile(r"(?:^|/)20\d\d(?:[-_./ ]?W?\d\d?){0,2}(?=/|$)")  # 2026-10-03, 2026/10/03
+_DATE = re.compile(r"(?<!\d)20\d\d(?:[-_.:T ]*\d\d)*(?!\d)")  # in the name of a file, with or without a time
+
+
+class File(NamedTuple):
+    """A recording."""
+
+    path: Path
+    axis: str
+    name: str  # in the table: axis, and path within its folder
+    size: int  # bytes
+    changed: float  # s since 1970
+
+
+def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
+    """The recordings in folders, and single ones, in the order of their names; and what else the folders hold.
+
+    What begins with ``.`` or ``_`` is hidden.
+
+    Raises:
+        ConfigurationError: a place does not exist, holds no recording, or holds a file of the same name as another.
+    """
+    found: dict[str, File] = {}
+    others: Counter[str] = Counter()
+    own = {table.resolve(), table.with_suffix(".html").resolve()}
+    for place in places:
+        if not place.exists():
+            raise ConfigurationError(f"{place}: does not exist")
+        folder = place if place.is_dir() else place.parent
+        recordings = 0
+        for path in sorted(place.rglob("*")) if place.is_dir() else [place]:
+            hidden = any(part.startswith((".", "_")) for part in path.relative_to(place).parts)
+            if hidden or not path.is_file() or path.resolve() in own:
+                continue
+            if path.suffix.lower() not in SUFFIXES and path != place:
+                others[path.suffix or path.name] += 1
+                continue
+            recordings += 1
+            axis, name = axis_of(path, folder)
+            facts = path.stat()
+            same = found.setdefault(name, File(path, axis, name, facts.st_size, facts.st_mtime))
+            if same.path.resolve() != path.resolve():
+                raise ConfigurationError(f"{path}: {same.path} is '{name}' as well; give the folder above both")
+        if not recordings:
+            raise ConfigurationError(f"{place}: holds no recording ({', '.join(SUFFIXES)})")
+    told = ", ".join(f"{count} {ending}" for ending, count in sorted(others.items()))
+    return [found[name] for name in sorted(found)], f"files that are no recordings: {told}" if told else ""
+
+
+def axis_of(path: Path, folder: Path) -> tuple[str, str]:
+    """The axis of a file, and the name of the file in the table.
+
+    The axis is the path of the file's folder below the given one, without dates (``axis=3`` is 3). Without such a
+    folder it is the name of the file without its date, or of the given folder if no letter is left.
+    """
+    folders = path.relative_to(folder).parts[:-1]
+    axis = _DATE_FOLDERS.sub("", "/".join(part.split("=", 1)[-1] for part in folders)).strip("/")
+    if not axis:
+        stem = _DATE.sub("", path.stem).strip(" -_.")
+        axis = stem if any(map(str.isalpha, stem)) else folder.resolve().name or "axis"
+    dates = [part for part in folders if part.split("=", 1)[-1] not in axis.split("/")]
+    return axis, "/".join([axis, *dates, path.name])
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """The rows so far; none if the file does not exist.
+
+    Raises:
+        ConfigurationError: the file is no such table.
+    """
+    if not path.exists():
+        return pd.DataFrame({name: pd.Series(dtype=str if name in TEXTS else float) for name in COLUMNS})
+    try:
+        table = pd.read_csv(path, dtype=dict.fromkeys(TEXTS, str), keep_default_na=False, na_values=[""])
+        table = table.fillna(dict.fromkeys(TEXTS, ""))
+        table[list(NUMBERS)] = table[list(NUMBERS)].astype(np.float64)
+        seconds(table["time"]), seconds(table["until"])
+        if not set(table["verdict"]) <= set(Kind) or (table[["axis", "file"]] == "").any(axis=None):
+            raise ValueError("an axis, a file or a verdict is missing")
+    except (ValueError, KeyError) as error:
+        raise ConfigurationError(f"{path}: is no table of hydro trend: {' '.join(str(error).split())[:200]}") from None
+    return table
+
+
+def with_row(table: pd.DataFrame, file: File, found: dict[str, Any]) -> pd.DataFrame:
+    """The table with the row of a file, in place of an older one of the same file; in the order of axis and time."""
+    row = found | {"axis": file.axis, "file": file.name, "bytes": file.size}
+    row |= {"time": stamp(found["time"]), "until": stamp(found["until"])}
+    old = table[table["file"] == file.name]
+    row["repaired"] = "".join(old["repaired"][:1])
+    rest = table.drop(old.index)
+    fresh = pd.DataFrame([row]).round(5)
+    whole = pd.concat([rest, fresh], ignore_index=True) if len(rest) else fresh
+    names = [*COLUMNS, *(name for name in table if name not in COLUMNS)]
+    return whole.reindex(columns=names).sort_values(["axis", "time"], kind="stable", ignore_index=True)
+
+
+def stamp(time: float) -> str:
+    """Seconds since 1970 as ``2026-10-03T08:00:00``."""
+    return datetime.fromtimestamp(float(time), UTC).strftime("%Y-%m-%dT%H:%M:%S")
+
+
+def seconds(stamps: pd.Series) -> Floats:
+    """Seconds since 1970 of ``2026-10-03T08:00:00`` or ``2026-10-03``; ValueError: a text is no date."""
+    when = pd.to_datetime(stamps, utc=True, format="ISO8601")
+    found: Floats = (when - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=np.float64)
+    return found
