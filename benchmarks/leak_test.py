@@ -24,17 +24,17 @@ from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig
 from hydro_env.files import write_text
 from hydro_env.task.configuration import task_config
-from hydro_rig.diagnosis.leak_test_plan import FIND, Plan, plan, simulated
+from hydro_rig.diagnosis.leak_test_plan import LeakTestSettings, Plan, plan, simulated
 from hydro_rig.diagnosis.leak_test_reading import read_leak_test
-from hydro_rig.diagnosis.leak_test_steps import LeakTestSettings
 from hydro_rig.recordings.simulated import recording_csv
 
+FIND = 2.326  # quantile of the normal distribution: 1 % false alarms
 HEADER = ("leak", "axes", "answered", "found", "error, median", "largest", "in 90 % interval", "bound")
 
 
 def reading(config: TaskConfig, test: Plan, seed: int, leak: float, folder: Path) -> dict[str, float]:
     """Run the test on one axis and read it."""
-    axis = simulated(test.task, test.best.steps, 1, leak, range(seed, seed + 1))
+    axis = simulated(test.task, test.steps, 1, leak, range(seed, seed + 1))
     recording = folder / f"{seed}.csv"
     time_stamps = config.control_period * np.arange(axis.signals.shape[2], dtype=np.float64)
     write_text(recording, recording_csv(time_stamps, axis.signals[0]))
@@ -76,8 +76,7 @@ def main() -> None:
     given = parser.parse_args()
     config = task_config(None)
     test = plan(config, LeakTestSettings.of(config, duration=given.duration))
-    best = test.best
-    print(f"{best.form.name}; bound {best.mean_bound:.2g}, worst {best.largest_bound:.2g} l/min at 100 bar")
+    print(test.line())
     leaks: dict[int, float] = {}  # by seed; every leak has axes of its own
     for place, leak in enumerate(given.leak):
         leaks |= dict.fromkeys(LEAK_TESTS.take(given.axes, 1000 * place), leak)

@@ -1,48 +1,47 @@
-"""The plan of a leak test: steps of the valve opening, within limits, from which the leak is read most exactly.
+"""The plan of a leak test: steps of the valve opening, within limits, from which a leak can be read.
 
 The axis is pressed against its stops at several openings, stands there with the valve closed, and makes short moves off
 the stop. At a stop all oil that enters a chamber leaks: past the seal, whose flow changes its direction from one stop
 to the other, and past the edges of the valve, whose flow changes with the opening. All steps run in open loop.
 
-Several tests of this form are simulated on plants with worn valves. The plan is the one with the lowest Cramér–Rao
-bound (:mod:`hydro_rig.estimation.information`).
+The largest opening is the one at which simulated axes with worn valves keep the limits; the Cramér–Rao bound
+(:mod:`hydro_rig.estimation.information`) says how exactly the leak can be read from them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_agents.rigs.check import resting_place
 from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.tasks import own_reference
+from hydro_agents.running.text import number
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group, validate
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
 from hydro_env.types import Floats
-from hydro_rig.diagnosis.leak_test_steps import (
-    FORMS,
-    STOPS,
-    Form,
-    LeakTestSettings,
-    Step,
-    commands_of,
-    rounded,
-    steps_of,
-)
 from hydro_rig.estimation.information import bound as smallest_deviation
 from hydro_rig.estimation.known_windows import KnownWindows, known_windows, leak_cases
 from hydro_rig.estimation.replay import Commands, Rows, replay
 from hydro_rig.estimation.unknowns import Prior, priors_of
 from hydro_rig.identification.fit import unknowns_of
 
-Progress = Callable[[str, int, int], None]
+MOVE = 0.5  # s, of each part of a short move
+RAMP = 2.0  # full strokes per second with which the opening changes: a sudden change makes the axis swing
+SHARES = (1.0, 0.3, 0.1, 0.0)  # of the largest opening, one after the other at each stop; 0: the valve is closed
+MOVES = 2  # short moves off each stop
+STOPS = {"both": (1.0, -1.0), "extended": (1.0,), "retracted": (-1.0,)}
 
 WEAR = {
     "valve.null_shift": (-0.02, 0.02),
@@ -54,56 +53,113 @@ WEAR = {
 WEAR_FACTORS = {"valve.rated_flow": (0.75, 1.25), "valve.edge_ratio": (0.85, 1.18)}
 """By what wear of the edges multiplies a parameter."""
 
+PLANTS = 6  # simulated ones, of the training seeds
 ARRIVED = 0.9  # share of the way to where the axis comes to rest, at which it counts as arrived
 MOST_TRAVEL_TIME = 0.7  # largest share of the test that the axis may need to reach the stops
 SAFETY = 0.95  # of the limit of speed, which the largest opening reaches
 SIMULATED_LEAK = 0.01  # l/min at 100 bar, of the simulated axes
 ATTEMPTS = 5  # to find the largest opening
 UNLIMITED = {"end_stop_speed": 100.0, "pressure_rating": 2e8}  # of a trial whose peaks are still to be measured
-FIND, MISS = 2.326, 1.645  # quantiles of the normal distribution: 1 % false alarms, and 95 % found
+
+
+class LeakTestSettings(Group):
+    """Limits of the test, SI."""
+
+    duration: float = Field(60.0, ge=2.0, le=600.0, description="s")
+    opening: float = Field(0.3, gt=0.0, le=1.0, description="largest opening of the valve, of full stroke")
+    speed: float = Field(gt=0.0, le=100.0, description="m/s, also against an end stop")
+    stop: Literal["both", "extended", "retracted"] = Field("both", description="stops that it presses against")
+
+    @classmethod
+    def of(cls, config: TaskConfig, **given: Any) -> LeakTestSettings:
+        """Some of the settings; the others are as usual, the speed that of the task.
+
+        Raises:
+            ConfigurationError: a value is out of its bounds.
+        """
+        return validate(cls, {"speed": config.failure.end_stop_speed} | given, "leak-test")
+
+
+class Step(NamedTuple):
+    """A constant opening."""
+
+    opening: float  # of full stroke; positive extends the axis
+    seconds: float
+    what: str
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A form of the test, and how the simulated axes run it."""
-
-    form: Form
-    steps: tuple[Step, ...]
-    bound: Floats  # (plants,), smallest standard deviation of the leak, l/min at 100 bar
-    signals: Floats  # (plants, 5, T), measured
-    position: Floats  # (plants, T), m, without noise
-    pressures: Floats  # (plants, 2, T), Pa
-    speed: float  # m/s, the largest
-    beyond: int  # axes that went beyond a limit
-
-    @property
-    def mean_bound(self) -> float:
-        """Geometric mean of the bound over the axes, l/min at 100 bar."""
-        return float(np.exp(np.log(self.bound).mean()))
-
-    @property
-    def largest_bound(self) -> float:
-        """The bound on the worst simulated axis, l/min at 100 bar."""
-        return float(self.bound.max())
-
-
-class Plan(NamedTuple):
-    """The test."""
+class Plan:
+    """The test, and how N simulated axes run it."""
 
     task: TaskConfig  # with a worn valve
-    settings: LeakTestSettings
-    trials: Sequence[Trial]
-    best: Trial
+    steps: Sequence[Step]
+    bound: Floats  # (N,), smallest standard deviation of the leak, l/min at 100 bar
+    signals: Floats  # (N, 5, T), measured
+    position: Floats  # (N, T), m, without noise
+    pressures: Floats  # (N, 2, T), Pa
+    speed: float  # m/s, the largest
 
     @property
     def commands(self) -> Floats:
         """Openings, one per control period, (T,)."""
-        return commands_of(self.best.steps, self.task.control_period)
+        return commands_of(self.steps, self.task.control_period)
 
-    @property
-    def smallest(self) -> float:
-        """The leak that an estimate at the bound finds in 95 % of the tests at 1 % false alarms, l/min at 100 bar."""
-        return (FIND + MISS) * self.best.largest_bound
+    def facts(self) -> dict[str, Any]:
+        """The plan as numbers."""
+        return {
+            "steps": [step._asdict() for step in self.steps],
+            "largest_bound_lpm": float(self.bound.max()),
+            "largest_speed": self.speed,
+            "positions": [float(self.position.min()), float(self.position.max())],
+            "largest_pressure": float(self.pressures.max()),
+        }
+
+    def line(self) -> str:
+        """The plan in one sentence."""
+        seconds = sum(step.seconds for step in self.steps)
+        largest = 100 * max(abs(step.opening) for step in self.steps)
+        reach = number(HALF_WIDTH * float(self.bound.max()), digits=2)
+        return (
+            f"a test of {seconds:.0f} s, the valve at most {largest:.2g} % open; 90 % interval of the leak at the "
+            f"bound ±{reach} l/min at 100 bar"
+        )
+
+
+def plan(config: TaskConfig, settings: LeakTestSettings) -> Plan:
+    """The test within the limits.
+
+    Raises:
+        ConfigurationError: no test is possible within the limits.
+    """
+    task = worn_task(config)
+    opening = min(settings.opening, settings.speed / max(speed_limits(task.plant)))
+    for _ in range(ATTEMPTS):
+        steps = steps_of(task, settings, opening, _travel_times(task, settings, opening))
+        windows = simulated(task, steps, PLANTS)
+        position, pressures = _true_course(task, windows)
+        fastest = float(np.abs(np.gradient(position, task.control_period, axis=1)).max())
+        if fastest <= settings.speed:
+            break
+        opening *= SAFETY * settings.speed / fastest
+    else:
+        raise ConfigurationError(
+            f"--speed {1e3 * settings.speed:g} mm/s: some simulated axes are faster even with the valve nearly closed; "
+            "raise --speed"
+        )
+    limits = {"end_stop_speed": settings.speed, "pressure_rating": config.failure.pressure_rating}
+    try:
+        kept = len(simulated(task, steps, PLANTS, limits=limits).case)
+    except ConfigurationError:  # not one reaches the end
+        kept = 0
+    if kept < PLANTS:
+        raise ConfigurationError(
+            f"leak-test: {PLANTS - kept} of {PLANTS} simulated axes go beyond a limit of the rig; they reach "
+            f"{1e-5 * pressures.max():.0f} bar: lower --opening or --speed, or test another --stop"
+        )
+    fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
+    bound = smallest_deviation(task, windows, priors_of_test(task, fitted))
+    return Plan(task, steps, bound, windows.signals, position, pressures, fastest)
 
 
 def worn_task(config: TaskConfig) -> TaskConfig:
@@ -126,6 +182,48 @@ def priors_of_test(config: TaskConfig, measured: NDArray[np.bool_]) -> dict[str,
     return priors_of(config, unknowns_of(config, config.randomisation, measured))
 
 
+def commands_of(steps: Sequence[Step], period: float) -> Floats:
+    """Openings, one per control period, (T,); each step begins with a ramp from the opening before."""
+    ends = np.round(np.cumsum([step.seconds for step in steps]) / period).astype(int)
+    openings, before, begin = np.zeros(int(ends[-1])), 0.0, 0
+    for step, end in zip(steps, ends.tolist(), strict=True):
+        most = RAMP * period * np.arange(end - begin + 1)
+        course = before + np.clip(step.opening - before, -most, most)
+        openings[begin:end], before, begin = course[:-1], float(course[-1]), end
+    return openings
+
+
+def steps_of(task: TaskConfig, settings: LeakTestSettings, opening: float, travel: Sequence[float]) -> list[Step]:
+    """The steps of the test; shares of the opening count from the end of the valve's dead band.
+
+    Args:
+        task: of the rig.
+        settings: the limits.
+        opening: the largest one.
+        travel: s, to each stop in order.
+    """
+    overlap = task.plant.valve.overlap
+    dead = overlap if overlap < opening else 0.0
+    signs = STOPS[settings.stop]
+    rest = (settings.duration - sum(travel)) / len(signs) - 2 * MOVE * MOVES
+    each = rest / len(SHARES)
+    steps = []
+    for sign, seconds in zip(signs, travel, strict=True):
+        name = "extended" if sign > 0.0 else "retracted"
+        steps.append(Step(sign * opening, seconds + each, f"press against the {name} stop"))
+        for share in SHARES[1:]:
+            less = sign * (dead + share * (opening - dead))
+            steps.append(Step(less, each, "press less") if share else Step(0.0, each, "valve closed"))
+        for _ in range(MOVES):
+            steps += [Step(-0.5 * sign * opening, MOVE, "move off the stop"), Step(0.5 * sign * opening, MOVE, "back")]
+    period = task.control_period
+    rounded = []
+    for step in steps:  # whole control periods, and openings of four decimals
+        seconds = max(round(step.seconds / period), 1) * period
+        rounded.append(Step(round(step.opening, 4), float(f"{seconds:.9g}"), step.what))
+    return rounded
+
+
 class Played:
     """Plays openings (T,), one per call, on all axes."""
 
@@ -139,66 +237,6 @@ class Played:
         opening = self.openings[self._step] if self._step < len(self.openings) else 0.0
         self._step += 1
         return np.full((len(observation), 1), opening, dtype=np.float32), state
-
-
-def plan(config: TaskConfig, settings: LeakTestSettings, progress: Progress | None = None) -> Plan:
-    """The test with the lowest bound within the limits.
-
-    Args:
-        config: the task of the rig.
-        settings: the limits.
-        progress: called with phase, done, total.
-
-    Raises:
-        ConfigurationError: no test is possible within the limits.
-    """
-    task = worn_task(config)
-    _check_positions(task, settings)
-    report = progress or (lambda phase, done, total: None)
-    report("plan", 0, len(FORMS) + 1)
-    opening, travel = _largest_opening(task, settings)
-    trials = []
-    for number, form in enumerate(FORMS, 1):
-        report("plan", number, len(FORMS) + 1)
-        trials.append(_tried(task, settings, form, opening, travel))
-    report("plan", len(FORMS) + 1, len(FORMS) + 1)
-    within = [trial for trial in trials if not trial.beyond]
-    if not within:
-        least = min(trials, key=lambda trial: trial.beyond)
-        lowest, highest = 1e3 * least.position.min(), 1e3 * least.position.max()
-        raise ConfigurationError(
-            f"leak-test: {least.beyond} of {len(least.position)} simulated axes go beyond a limit in every test; they "
-            f"reach {lowest:.0f} to {highest:.0f} mm, {1e-5 * least.pressures.max():.0f} bar: widen --between or "
-            "--pressure, lower --opening or --duration, or test another --stop"
-        )
-    return Plan(task, settings, trials, min(within, key=lambda trial: trial.mean_bound))
-
-
-def _tried(task: TaskConfig, settings: LeakTestSettings, form: Form, opening: float, travel: Sequence[float]) -> Trial:
-    """A form of the test on simulated axes."""
-    steps = rounded(steps_of(form, task.plant, settings, opening, travel), task.control_period)
-    windows = simulated(task, steps, settings.plants)
-    position, pressures = _true_course(task, windows)
-    fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
-    bound = smallest_deviation(task, windows, priors_of_test(task, fitted))
-    try:
-        limits = {"end_stop_speed": settings.speed, "pressure_rating": settings.pressure}
-        kept = simulated(task, steps, settings.plants, limits=limits).case
-    except ConfigurationError:  # not one reaches the end
-        kept = np.zeros(0, np.int64)
-    speeds = _speeds(task, position)
-    within = np.isin(np.arange(len(position)), kept) & (speeds <= settings.speed)
-    within &= (position.min(axis=1) >= settings.low) & (position.max(axis=1) <= settings.high)
-    return Trial(
-        form=form,
-        steps=steps,
-        bound=bound,
-        signals=windows.signals,
-        position=position,
-        pressures=pressures,
-        speed=float(speeds.max()),
-        beyond=int((~within).sum()),
-    )
 
 
 def simulated(
@@ -218,65 +256,28 @@ def simulated(
 
 
 def _true_course(task: TaskConfig, windows: KnownWindows) -> tuple[Floats, Floats]:
-    """Position (plants, T) and pressures (plants, 2, T) of simulated axes, without noise."""
+    """Position (N, T) and pressures (N, 2, T) of simulated axes, without noise."""
     commands, rows = Commands(windows.signals[:, COMMAND]), np.arange(len(windows.signals))
     read = replay(task, commands, Rows(rows, windows.physical, windows.start, windows.latency))
     return read[:, POSITION], read[:, [PRESSURE_A, PRESSURE_B]]
-
-
-def _speeds(task: TaskConfig, position: Floats) -> Floats:
-    """Largest speed of each axis, m/s, (plants,)."""
-    return np.asarray(np.abs(np.gradient(position, task.control_period, axis=1)).max(axis=1))
-
-
-def _check_positions(task: TaskConfig, settings: LeakTestSettings) -> None:
-    """Check that the allowed positions lie within the stroke, and the start between them."""
-    half, start = 0.5 * task.plant.cylinder.stroke, resting_place(task.plant)
-    for name, place in (("low", settings.low), ("high", settings.high)):
-        if np.isfinite(place) and not -half <= place <= half:
-            raise ConfigurationError(
-                f"--between: {name} end {1e3 * place:g} mm: must be within the stroke, {-1e3 * half:g} to "
-                f"{1e3 * half:g} mm"
-            )
-    if not settings.low < start < settings.high:
-        raise ConfigurationError(f"--between: {1e3 * start:g} mm, where the axis rests, must lie between its ends")
-
-
-def _largest_opening(task: TaskConfig, settings: LeakTestSettings) -> tuple[float, Sequence[float]]:
-    """The largest opening with which no simulated axis is too fast, and the times of :func:`_travel_times`."""
-    opening = min(settings.opening, settings.speed / max(speed_limits(task.plant)))
-    for _ in range(ATTEMPTS):
-        travel = _travel_times(task, settings, opening)
-        # The last form moves fastest: off a stop, the pressures of both chambers drive the axis.
-        steps = steps_of(FORMS[-1], task.plant, settings, opening, travel)
-        position, _ = _true_course(task, simulated(task, steps, settings.plants))
-        fastest = float(_speeds(task, position).max())
-        if fastest <= settings.speed:
-            return opening, travel
-        opening *= SAFETY * settings.speed / fastest
-    raise ConfigurationError(
-        f"--speed {1e3 * settings.speed:g} mm/s: some simulated axes are faster even with the valve nearly closed; "
-        "raise --speed"
-    )
 
 
 def _travel_times(task: TaskConfig, settings: LeakTestSettings, opening: float) -> Sequence[float]:
     """Seconds that the slowest simulated axis needs to each stop of the test, in order."""
     signs = STOPS[settings.stop]
     steps = [Step(sign * opening, settings.duration, "trial") for sign in signs]
-    position, _ = _true_course(task, simulated(task, steps, settings.plants))
+    position, _ = _true_course(task, simulated(task, steps, PLANTS))
     length = round(settings.duration / task.control_period)
     times = []
-    for number in range(len(signs)):
-        part = position[:, number * length : (number + 1) * length]
+    for place in range(len(signs)):
+        part = position[:, place * length : (place + 1) * length]
         way = np.abs(part - part[:, :1])
         arrived = way >= ARRIVED * way[:, -1:]
         times.append(task.control_period * float(arrived.argmax(axis=1).max()))
     needed = sum(times) / MOST_TRAVEL_TIME
     if needed > settings.duration:
-        stops, one = ("stop", "") if len(signs) == 1 else ("stops", ", or test one stop (--stop extended)")
         raise ConfigurationError(
-            f"--duration {settings.duration:g} s: the axis needs {sum(times):.0f} s to reach the {stops} at an opening "
-            f"of {100 * opening:.2g} %; allow {np.ceil(needed):.0f} s, raise --speed or --opening{one}"
+            f"--duration {settings.duration:g} s: the axis needs {sum(times):.0f} s to reach the stops at an opening "
+            f"of {100 * opening:.2g} %; allow {math.ceil(needed)} s, raise --speed or --opening, or test one --stop"
         )
     return times

@@ -6,14 +6,11 @@ All windows of the recording share leak, plant and wear; each has its own start.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
 from hydro_agents.running.jobs import Report
@@ -25,27 +22,13 @@ from hydro_env.plant.parts.valve import edge_openings, smooth_root
 from hydro_env.task.sensors import COMMAND, SENSORS
 from hydro_env.types import Floats
 from hydro_env.units import LITRE_PER_MINUTE
-from hydro_rig.diagnosis.leak_test_plan import Progress, priors_of_test, worn_task
+from hydro_rig.diagnosis.leak_test_plan import priors_of_test, worn_task
 from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged
-from hydro_rig.diagnosis.verdict import Leak, Limits
+from hydro_rig.diagnosis.verdict import EXIT_CODES, Leak
 from hydro_rig.diagnosis.volume_balance import leak_of_blocks
 from hydro_rig.estimation.estimator import SURE, WEAR, healthy_range
-from hydro_rig.estimation.first_guess import first_values
-from hydro_rig.estimation.model import Indices
-from hydro_rig.estimation.unknowns import LEAKAGE, Prior
-from hydro_rig.identification.common_fit import (
-    WELL_FITTED,
-    Common,
-    common_fit,
-    costs_of,
-    descend,
-    fit_together,
-    fitted_alone,
-    replayed,
-    shared_and_own,
-    trials_of,
-    without_outliers,
-)
+from hydro_rig.estimation.unknowns import LEAKAGE
+from hydro_rig.identification.common_fit import WELL_FITTED, Common, common_fit
 from hydro_rig.identification.fit import COVERAGE
 from hydro_rig.identification.intervals import spread_of
 from hydro_rig.recordings.columns import ColumnMap
@@ -55,11 +38,13 @@ from hydro_rig.recordings.sampling import Sampled, cut, on_grid
 
 WINDOW = 4.0  # s; the windows share all unknowns but their start
 MOST_WINDOWS = 30  # a longer recording is read from the first change of the command on
-FIRST = 4  # windows that are first fitted alone
-ENOUGH = 0.6  # share of explained windows with which a quick fit is believed
 BEFORE = 1.0  # s of rest before the first change of the command that are read
 APART = 3.0  # uncertainty of the leak over that of its sum with the flow of the edges, up to which they are apart
 STEP = 0.01  # of the differences of the flow of the edges, in standard deviations of the priors
+
+
+def silent(phase: str, done: int, total: int) -> None:
+    """Shows no progress."""
 
 
 class Quantity(NamedTuple):
@@ -89,12 +74,6 @@ class LeakFit(NamedTuple):
         """Whether the test tells the leak of the seal from the flow through the edges."""
         return self.seal.deviation <= APART * self.both.deviation
 
-    def simulated(self) -> Floats:
-        """What the sensors of the fitted model read in the windows that were used, (B, sensors, T), SI."""
-        model = self.common.model
-        read: Floats = model.readings(self.common.joint.scaled) * model.noise[:, None]
-        return read
-
 
 @dataclass(frozen=True)
 class LeakTest(Judged):
@@ -103,13 +82,35 @@ class LeakTest(Judged):
     recording: Recording
     fit: LeakFit | None  # None: nothing was read
 
+    def line(self) -> str:
+        """The leak of the seal beside the flow through the edges of the valve; empty: nothing was read."""
+        if self.fit is None:
+            return ""
+        seal, edges, both = (one.leak.text() for one in (self.fit.seal, self.fit.edges, self.fit.both))
+        if not self.fit.apart:
+            return f"seal and edges of the valve cannot be told apart: together {both}"
+        bound = number(self.fit.seal.bound, digits=2)
+        return f"past the seal {seal} (bound ±{bound}); through the edges of the closed valve {edges}"
+
+    def facts(self) -> dict[str, Any]:
+        """The result as numbers: leaks in l/min at 100 bar, others in SI."""
+        found: dict[str, Any] = {
+            "verdict": self.verdict.kind.value,
+            "line": self.verdict.line(),
+            "exit_code": EXIT_CODES[self.verdict.kind],
+            "findings": [finding.line() for finding in self.checked.findings],
+            "windows": len(self.windows),
+        }
+        if self.fit is not None:
+            parts = {"seal_lpm": self.fit.seal, "edges_lpm": self.fit.edges, "both_lpm": self.fit.both}
+            for name, quantity in (parts | self.fit.quantities).items():
+                found[name] = quantity.leak._asdict() | {"bound": quantity.bound}
+            found |= {"apart": self.fit.apart, "explained": self.fit.common.explained}
+        return found
+
 
 def read_leak_test(
-    path: Path,
-    config: TaskConfig,
-    columns: ColumnMap | None = None,
-    limit: float | None = None,
-    progress: Progress | None = None,
+    path: Path, config: TaskConfig, columns: ColumnMap | None = None, report: Report = silent
 ) -> LeakTest:
     """Read the recording of a leak test.
 
@@ -117,8 +118,7 @@ def read_leak_test(
         path: the recording.
         config: the task of the rig.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
-        limit: leak from which the seal is faulty, l/min at 100 bar; default: that of the task.
-        progress: called with phase, done, total.
+        report: called with phase, done, total.
 
     Raises:
         ConfigurationError: the recording cannot be read at all.
@@ -133,8 +133,7 @@ def read_leak_test(
         if len(windows) < 2:
             return Read(Reading.of([np.nan], why=Why.FEW_WINDOWS))
         measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
-        common = _fit(windows, task, measured, progress or (lambda phase, done, total: None))
-        fit = _quantities(common, task)
+        fit = quantities(common_fit(windows, task, priors_of_test(task, measured), report), task)
         return Read(_reading(fit, config))
 
     result = judged(
@@ -145,7 +144,6 @@ def read_leak_test(
         rows=[recording],
         balance=leak_of_blocks(flow_blocks(recording)),
         window=WINDOW,
-        limits=None if limit is None else Limits(limit, limit),
     )
     return LeakTest(**vars(result), recording=recording, fit=fit)
 
@@ -162,17 +160,7 @@ def _windows(samples: Sampled, config: TaskConfig) -> Windows:
     return windows.part(chosen[first : first + MOST_WINDOWS])
 
 
-def _fit(windows: Windows, task: TaskConfig, measured: NDArray[np.bool_], report: Progress) -> Common:
-    """The common fit from the windows with the most different commands; the thorough one if it explains too little."""
-    priors, span = priors_of_test(task, measured), np.ptp(windows.signals[:, COMMAND], axis=1)
-    common = quick_fit(windows, np.sort(np.argsort(-span, kind="stable")[:FIRST]), task, priors, report)
-    if common.explained >= ENOUGH * len(windows):
-        return common
-    again = common_fit(windows, task, priors, report)
-    return max(common, again, key=lambda fit: fit.explained)
-
-
-def _quantities(common: Common, task: TaskConfig) -> LeakFit:
+def quantities(common: Common, task: TaskConfig) -> LeakFit:
     """What wears, by unknown; and the leak of the seal, the flow through the edges, and their sum."""
     joint, model = common.joint, common.model
     names = [model.names[place] for place in joint.shared]
@@ -247,36 +235,3 @@ def _reading(fit: LeakFit, config: TaskConfig) -> Reading:
         fault=" and ".join(faults),
         why=np.where(holds, Why.ANSWERED, Why.MISFIT),
     )
-
-
-MOST_ROUNDS = 2  # in which windows are left out
-
-
-def quick_fit(
-    windows: Windows, chosen: Indices, config: TaskConfig, priors: Mapping[str, Prior], report: Report
-) -> Common:
-    """As :func:`common_fit`, for windows that one start describes: only ``chosen`` ones are first fitted alone.
-
-    It takes a third of the time. The caller tries :func:`common_fit` if windows stay unexplained.
-    """
-    report("windows", 0, len(chosen))
-    alone = fitted_alone(windows.part(chosen), config, priors)
-    report("windows", len(chosen), len(chosen))
-    problem = replayed(windows, config, priors)
-    model, (shared, _) = problem.model, shared_and_own(problem.model)
-    guess = model.scaled(first_values(windows.signals, config, priors))
-    trials = trials_of(guess, shared, alone.scaled[:, shared])
-    progress = partial(report, "common fit")
-    first = trials[int(np.argmin(costs_of(problem, trials)))]
-    rough, _ = descend(problem, first, progress)
-    joint = fit_together(problem, rough, progress)
-    kept = np.arange(len(windows))
-    for _ in range(MOST_ROUNDS):  # without windows in a local minimum, as where the axis sticks and slips
-        still = without_outliers(joint.misfit)
-        if len(still) == len(kept):
-            break
-        kept = kept[still]
-        problem = replayed(windows.part(kept), config, priors)
-        joint = fit_together(problem, joint.scaled[still], progress)
-    report("common fit", 1, 1)
-    return Common.of(len(windows), kept, problem, joint)

@@ -8,15 +8,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, done, hydro
-from refusal import refused
 
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
-from hydro_rig.diagnosis.leak_test_page import commands_csv, reading_facts
-from hydro_rig.diagnosis.leak_test_plan import plan, priors_of_test, simulated, worn_task
+from hydro_rig.diagnosis.leak_test_plan import (
+    RAMP,
+    LeakTestSettings,
+    Step,
+    commands_of,
+    plan,
+    priors_of_test,
+    simulated,
+    worn_task,
+)
 from hydro_rig.diagnosis.leak_test_reading import Quantity, edge_flow, read_leak_test
-from hydro_rig.diagnosis.leak_test_steps import FORMS, RAMP, LeakTestSettings, Step, commands_of
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.estimation.model import Model
 from hydro_rig.recordings.simulated import recording_csv
@@ -33,12 +39,6 @@ STEPS = (
 """A test of 8 s on an axis with a spring."""
 
 
-@pytest.fixture(scope="module")
-def small_plan():
-    """A short plan of two plants."""
-    return plan(CONFIG, LeakTestSettings.of(CONFIG, duration=10.0, opening=0.2, stop="extended", plants=2))
-
-
 def test_a_step_begins_with_a_ramp():
     openings = commands_of((Step(0.5, 1.0, ""), Step(-0.1, 0.5, "")), 0.1)
     rising = np.minimum(RAMP * 0.1 * np.arange(10), 0.5)
@@ -46,20 +46,13 @@ def test_a_step_begins_with_a_ramp():
     np.testing.assert_allclose(openings, [*rising, *falling], atol=1e-12)
 
 
-def test_the_plan_keeps_the_limits_and_takes_the_lowest_bound(small_plan):
-    best = small_plan.best
-    assert best.beyond == 0
-    assert best.speed <= small_plan.settings.speed == CONFIG.failure.end_stop_speed
-    assert best.mean_bound == min(trial.mean_bound for trial in small_plan.trials if not trial.beyond)
-    assert [trial.form for trial in small_plan.trials] == list(FORMS)
-    assert np.abs(small_plan.commands).max() <= 0.2
-    assert len(small_plan.commands) == pytest.approx(10.0 / CONFIG.control_period, abs=20)
-
-
-def test_the_commands_stand_in_the_table(small_plan):
-    rows = np.loadtxt(commands_csv(small_plan).splitlines(), delimiter=",", skiprows=1)
-    np.testing.assert_allclose(rows[:, 1], small_plan.commands, atol=1e-6)
-    np.testing.assert_allclose(rows[:, 2], 10.0 * small_plan.commands, atol=1e-5)
+def test_the_plan_keeps_the_limits_and_says_its_bound():
+    planned = plan(CONFIG, LeakTestSettings.of(CONFIG, duration=10.0, opening=0.2, stop="extended"))
+    assert planned.speed <= CONFIG.failure.end_stop_speed
+    assert planned.pressures.max() <= CONFIG.failure.pressure_rating
+    assert (planned.bound < 0.02).all()
+    assert np.abs(planned.commands).max() <= 0.2
+    assert len(planned.commands) == pytest.approx(10.0 / CONFIG.control_period, abs=20)
 
 
 def test_a_worn_task_widens_the_ranges_of_a_rig_and_keeps_wider_ones():
@@ -111,7 +104,7 @@ def test_the_reading_finds_leak_and_wear(tmp_path):
     assert seal.bound <= seal.deviation < 0.03
     shift = found.fit.quantities["valve.null_shift"]
     assert shift.value == pytest.approx(float(axis.value("valve.null_shift")[0]), abs=5.0 * shift.deviation)
-    facts = reading_facts(found)
+    facts = found.facts()
     assert facts["exit_code"] == EXIT_CODES[Kind.LEAK] == 10
     assert facts["seal_lpm"]["low"] < 0.3 < facts["seal_lpm"]["high"] or abs(seal.value - 0.3) < 0.02
     json.dumps(facts)
@@ -122,40 +115,27 @@ def test_the_interval_of_a_quantity_is_that_of_90_percent():
     assert (low, high) == pytest.approx((1.0 - 0.1645, 1.0 + 0.1645), abs=1e-4)
 
 
-def test_the_command_writes_plan_commands_and_header(tmp_path):
+def test_the_command_writes_commands_and_a_recording_that_it_reads(tmp_path):
     out = tmp_path / "plan"
-    limits = ("--duration", 8, "--opening", 20, "--stop", "extended", "--between", "-60..", "--json")
-    answer = done("leak-test", *limits, "--output", out)
-    facts = json.loads(answer.stdout)
-    assert facts["largest_speed"] <= 0.05
-    assert facts["positions"][0] >= -0.06
-    assert facts["bound_lpm"] < 0.02
-    assert sum(step["seconds"] for step in facts["steps"]) == pytest.approx(8.0, abs=0.2)
-    for name in ("plan.html", "commands.csv", "simulated.csv"):
-        assert (out / name).stat().st_size > 0
+    done("leak-test", "--duration", 8, "--opening", 20, "--stop", "extended", "--output", out)
+    rows = np.loadtxt(out / "commands.csv", delimiter=",", skiprows=1)
+    assert np.abs(rows[:, 1]).max() <= 0.2
+    np.testing.assert_allclose(rows[:, 2], 10.0 * rows[:, 1], atol=1e-5)
+    assert (out / "plan.html").stat().st_size > 0
+    answer = hydro("leak-test", out / "simulated.csv", "--output", tmp_path / "reading")
+    assert answer.returncode == json.loads((tmp_path / "reading/leak_test.json").read_text())["exit_code"]
+    assert "past the seal" in (tmp_path / "reading/leak_test.html").read_text(encoding="utf-8") + answer.stdout
 
 
 @pytest.mark.parametrize(
     ("options", "parts"),
     [
-        (("--between", "-900..60"), ("-900 mm", "-200 to 200 mm")),
         (("--duration", 0), ("duration",)),
         (("--opening", "nan"), ("opening",)),
         (("--duration", 5), ("--duration 5 s", "raise --speed")),
-        (("--between", "10.."), ("0 mm", "between")),
-        (("--between", "wide"), ("--between wide", "-60..60")),
-        (("none.csv", "--between", "-60..60"), ("--between", "plan")),
-        (("none.csv", "--speed", 20), ("--speed", "plan")),
         (("none.csv",), ("none.csv",)),
-        (("none.csv", "--limit", -1), ("--limit",)),
     ],
 )
 def test_leak_test_refuses_in_one_line(tmp_path, options, parts):
     assert_one_clear_line(hydro("leak-test", *options, "--output", tmp_path / "out"), *parts)
     assert not (tmp_path / "out").exists()
-
-
-def test_limits_that_no_test_keeps_are_said():
-    tight = LeakTestSettings.of(CONFIG, duration=8.0, opening=0.2, stop="extended", high=0.02, plants=2)
-    with refused("go beyond a limit in every test"):
-        plan(CONFIG, tight)
