@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from hydro_agents.report.kit import BLUE, GOLD, GREEN, GREY, INK, ORANGE, Page, drawn, panels
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
+from hydro_agents.report.kit import BLUE, GOLD, GREEN, GREY, INK, ORANGE, Page, drawn, panels
 from hydro_agents.running.text import number
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.watching.trend import DAY, AxisTrend, State
