@@ -1,8 +1,8 @@
 """What a leak detector is: it reads windows of measured signals and gives one reading for each.
 
-A detector is any object with ``threshold``, ``refuses`` and ``read`` (:class:`Detector`). The leakage protocol and
-``hydro alarms`` take any detector through this interface, and ``hydro diagnose --detector`` one beside its estimator. A
-detector of your own::
+A detector is any object with ``threshold``, ``refuses`` and ``read`` (:class:`Detector`). The leakage protocol
+takes any detector through this interface, and ``hydro diagnose --detector`` one beside its estimator. A detector of
+your own::
 
     class PressureDrop:
         threshold = None  # the leakage protocol computes it
@@ -295,9 +295,7 @@ class Reading(NamedTuple):
 class Detector(Protocol):
     """Anything that reads windows of measured signals.
 
-    A detector with a memory of earlier windows is copied with ``deepcopy`` before it reads another run. ``hydro
-    alarms`` gives windows of ``window`` control periods to a detector with such an attribute, and windows of 2 s to any
-    other.
+    A detector with a memory of earlier windows is copied with ``deepcopy`` before it reads another run.
     """
 
     threshold: float | None

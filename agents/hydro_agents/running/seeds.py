@@ -83,7 +83,7 @@ BENCHMARK_TEST = SeedRange(2_320_000, 80_000, "test recordings of that benchmark
 LEAKAGE = SeedRange(2_400_000, 50_000, "the windows of the leakage protocol")
 DETECTION = SeedRange(2_500_000, 200_000, "the episodes that a leakage head watches")
 ANY_AXIS = SeedRange(2_450_000, 50_000, "plants of drawn test rigs")
-ALARMS = SeedRange(2_700_000, 100_000, "the test of hydro alarms")
+ALARMS = SeedRange(2_700_000, 100_000, "the test of alarms")
 EXPERIMENT_AXES = SeedRange(2_900_000, 50_000, "experiments, and the example of a study")
 
 LEDGER = {name: each for name, each in vars().items() if isinstance(each, SeedRange)}

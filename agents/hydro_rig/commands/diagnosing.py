@@ -35,6 +35,7 @@ def diagnose(
             help="Detector beside the estimator: weights of a leakage head, or your own; default: the shipped head.",
         ),
     ] = None,
+    window: Annotated[float, typer.Option(min=0.2, max=60.0, help="Length of one reading in s.")] = 2.0,
     as_json: Json = False,
     output: Output = Path("results/diagnose"),
     overwrite: Overwrite = False,
@@ -61,7 +62,7 @@ def diagnose(
     companion = Companion.named(detector)
     mapped = read_map(columns) if columns is not None else None
     with reading(as_json) as progress:
-        diagnosis = diagnose_recording(recording, config, companion, mapped, progress=progress)
+        diagnosis = diagnose_recording(recording, config, companion, mapped, window, progress)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line())
     say(*([json.dumps(in_json(diagnosis), indent=1, ensure_ascii=False)] if as_json else lines))
     raise typer.Exit(EXIT_CODES[diagnosis.verdict.kind])

@@ -22,7 +22,6 @@ def leak_test(
     columns: Columns = None,
     duration: Annotated[float, typer.Option(help="Of the plan, s.")] = 60.0,
     speed: Annotated[float | None, typer.Option(help="Largest speed of the plan in mm/s; default: 50.")] = None,
-    opening: Annotated[float, typer.Option(help="Largest opening of the valve in the plan, %.")] = 30.0,
     stop: Annotated[str, typer.Option(metavar="both|extended|retracted", help="Stops to press against.")] = "both",
     output: Annotated[
         Path | None,
@@ -50,7 +49,7 @@ def leak_test(
     if recording is None:
         folder = output or Path("results/leak_test_plan")
         refuse_taken(folder, pages.JOB, pages.PLAN_FILES, overwrite)
-        given: dict[str, object] = {"duration": duration, "opening": 1e-2 * opening, "stop": stop}
+        given: dict[str, object] = {"duration": duration, "stop": stop}
         if speed is not None:
             given["speed"] = 1e-3 * speed
         planned = plan(config, LeakTestSettings.of(config, **given))

@@ -171,23 +171,23 @@ def read_windows(
 
     ``threads`` is that of :class:`~hydro_rig.estimation.estimator.EstimatorDetector`.
     """
-    detector = EstimatorDetector(threads=threads)
     commanded = np.flatnonzero(windows.commanded)
     first = commanded[lively(windows.part(commanded), FIRST_WINDOWS)]
+    others = np.setdiff1d(np.arange(len(windows)), first)
+    detector = EstimatorDetector(threads=threads)
     if not len(first):
         return detector.read_and_fit(windows, config)
     hasty = EstimatorDetector(threads=threads, restarts=1)
     reading, fitted = hasty.read_and_fit(windows.part(first), config, progress)
-    others = np.setdiff1d(np.arange(len(windows)), first)
-    if not len(others):
-        return reading, fitted
-    if fitted is None or not fitted.holds.any():
-        rest = Reading.of(np.full(len(others), np.nan), Cause.UNKNOWN, why=Why.NOT_READ)
-    else:
+    rest = Reading.of(np.full(len(others), np.nan), Cause.UNKNOWN, why=Why.NOT_READ)
+    if len(others) and fitted is not None and fitted.holds.any():
         later = None if progress is None else lambda done: progress(2 * len(first) + done)
         rest, more = detector.read_and_fit(windows.part(others), config, later)
-        fitted = fitted if more is None else join([fitted, more])
-    return reading.among(first, len(windows), Why.NOT_READ).replaced(others, rest), fitted
+        if more is not None:
+            fitted = join([fitted, more])
+    both = Reading(*map(np.concatenate, zip(reading, rest, strict=True)))
+    in_time = np.argsort(np.concatenate([first, others]))
+    return both.part(in_time), fitted
 
 
 def _about_auxiliary(recording: Recording) -> list[Finding]:

@@ -53,6 +53,7 @@ WEAR = {
 WEAR_FACTORS = {"valve.rated_flow": (0.75, 1.25), "valve.edge_ratio": (0.85, 1.18)}
 """By what wear of the edges multiplies a parameter."""
 
+LARGEST_OPENING = 0.3  # of full stroke
 PLANTS = 6  # simulated ones, of the training seeds
 ARRIVED = 0.9  # share of the way to where the axis comes to rest, at which it counts as arrived
 MOST_TRAVEL_TIME = 0.7  # largest share of the test that the axis may need to reach the stops
@@ -66,7 +67,6 @@ class LeakTestSettings(Group):
     """Limits of the test, SI."""
 
     duration: float = Field(60.0, ge=2.0, le=600.0, description="s")
-    opening: float = Field(0.3, gt=0.0, le=1.0, description="largest opening of the valve, of full stroke")
     speed: float = Field(gt=0.0, le=100.0, description="m/s, also against an end stop")
     stop: Literal["both", "extended", "retracted"] = Field("both", description="stops that it presses against")
 
@@ -133,7 +133,7 @@ def plan(config: TaskConfig, settings: LeakTestSettings) -> Plan:
         ConfigurationError: no test is possible within the limits.
     """
     task = worn_task(config)
-    opening = min(settings.opening, settings.speed / max(speed_limits(task.plant)))
+    opening = min(LARGEST_OPENING, settings.speed / max(speed_limits(task.plant)))
     for _ in range(ATTEMPTS):
         steps = steps_of(task, settings, opening, _travel_times(task, settings, opening))
         windows = simulated(task, steps, PLANTS)
@@ -155,7 +155,7 @@ def plan(config: TaskConfig, settings: LeakTestSettings) -> Plan:
     if kept < PLANTS:
         raise ConfigurationError(
             f"leak-test: {PLANTS - kept} of {PLANTS} simulated axes go beyond a limit of the rig; they reach "
-            f"{1e-5 * pressures.max():.0f} bar: lower --opening or --speed, or test another --stop"
+            f"{1e-5 * pressures.max():.0f} bar: lower --speed, or test another --stop"
         )
     fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
     bound = smallest_deviation(task, windows, priors_of_test(task, fitted))
@@ -278,6 +278,6 @@ def _travel_times(task: TaskConfig, settings: LeakTestSettings, opening: float) 
     if needed > settings.duration:
         raise ConfigurationError(
             f"--duration {settings.duration:g} s: the axis needs {sum(times):.0f} s to reach the stops at an opening "
-            f"of {100 * opening:.2g} %; allow {math.ceil(needed)} s, raise --speed or --opening, or test one --stop"
+            f"of {100 * opening:.2g} %; allow {math.ceil(needed)} s, raise --speed, or test one --stop"
         )
     return times

@@ -17,7 +17,7 @@ from hydro_env import HydroError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B
-from hydro_rig.diagnosis.verdict import Limits, Verdict, by_volume, judge
+from hydro_rig.diagnosis.verdict import Case, Limits, Verdict, by_volume, judge
 from hydro_rig.diagnosis.volume_balance import BLOCK, Blocks, VolumeLeak, blocks_of
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.identification.data_sheet import contradictions, worst_signal
@@ -84,24 +84,26 @@ def judged(
         checked.findings.append(Finding("flow", what, Weight.NOTE))
     windows = choose(samples)
     result, residual = Read(), ""
-    if checked.severe:
-        # A balance has no commands: it may decide once the rows need not fit the control period.
-        decides = not any(check_recording(one, config, own_grid=True).severe for one in rows)
-    else:
+    refused = bool(checked.severe)
+    if not refused:
         result = _read(windows, read)
         checked.findings.extend(result.findings)
-        if result.fitted is not None:
-            checked.findings.extend(contradictions(result.fitted, config))
-            residual = worst_signal(result.fitted, config)
-            errors = np.hypot(result.fitted.slow, result.fitted.white)
-            if samples.own_clock and (errors > OTHER_CLOCK).any(axis=1).mean() >= 0.5:
-                what = "acts between the rows, by another clock than that of the log; record at the control period"
-                checked.findings.append(Finding("command", what, Weight.SEVERE))
-        decides = not checked.severe
-    readings = result.estimator, result.companion
-    verdict = judge(checked.findings, *readings, limits, window, residual, companion)
-    if balance is not None and decides:
-        verdict = by_volume(verdict, balance, limits)
+    if result.fitted is not None:
+        checked.findings.extend(contradictions(result.fitted, config))
+        residual = worst_signal(result.fitted, config)
+        errors = np.hypot(result.fitted.slow, result.fitted.white)
+        if samples.own_clock and (errors > OTHER_CLOCK).any(axis=1).mean() >= 0.5:
+            what = "acts between the rows, by another clock than that of the log; record at the control period"
+            checked.findings.append(Finding("command", what, Weight.SEVERE))
+    nothing = Reading.of(np.zeros(0))
+    readings = result.estimator or nothing, result.companion or nothing
+    verdict = judge(Case(checked.findings, *readings, limits, window, residual, companion))
+    if balance is not None:
+        # A balance has no commands: it may decide where the rows do not fit the control period, if nothing else is
+        # severe on a grid of their own.
+        parts = [check_recording(one, config, own_grid=True) for one in rows] if refused else [checked]
+        if not any(part.severe for part in parts):
+            verdict = by_volume(verdict, balance, limits)
     return Judged(config, checked, windows, result, limits, verdict)
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -86,93 +88,169 @@ class Verdict(NamedTuple):
         return f"{self.kind.value}: {self.why}{seal}"
 
 
-def judge(
-    findings: Sequence[Finding],
-    estimator: Reading | None,
-    companion: Reading | None,
-    limits: Limits,
-    window: float = 2.0,
-    residual: str = "",
-    companion_name: str = "leakage head",
-) -> Verdict:
-    """The verdict on a recording: that of the first rule which applies.
+@dataclass(frozen=True)
+class Case:
+    """What the rules of the verdict look at."""
 
-    1. A severe finding about the recording → **cannot tell**: what was found.
-    2. The estimator's model explains less than half of the windows → **cannot tell**: the model does not describe this
-       rig. No sensor is blamed then: a model that does not explain the other channels is no witness against one.
-    3. The estimator has read windows, and none determines the leak; or no detector has read a window → **something
-       else** if a sensor sticks or loses readings while the model explains the others, otherwise **cannot tell**: why.
-    4. The interval of the leak lies above the largest leak of a healthy seal → **internal leak** of that size; any
-       other fault is named too. **Cannot tell** if there is one and neither pressure was recorded.
-    5. A sensor sticks or loses readings, or most windows show another fault → **something else**: which.
-    6. The interval lies below the smallest leak that counts as a fault → **healthy**; **cannot tell** if neither
-       pressure was recorded, or if the model differs slowly from several signals.
-    7. The interval contains healthy and faulty leaks → **cannot tell**.
+    findings: Sequence[Finding]  # about the recording
+    estimator: Reading  # of the estimator in the order of time; empty: it was not used
+    companion: Reading  # of the detector beside it; empty: it was not used
+    limits: Limits
+    window: float = 2.0  # s, length of a window
+    residual: str = ""  # which signal differs from the model; for the reason where it does not hold
+    companion_name: str = "leakage head"
 
-    Where the model differs slowly from several signals, by more than their noise, it names no fault.
+    def of_weight(self, weight: Weight) -> list[str]:
+        """The findings of a weight, a line each."""
+        return [finding.line() for finding in self.findings if finding.weight is weight]
 
-    The estimator decides if it has run, because its model shows when it is not valid, and its intervals what a
-    recording does not determine; the detector beside it decides only where the estimator has not run.
+    @property
+    def tried(self) -> int:
+        """Windows that the estimator has tried to explain."""
+        return int((~np.isin(self.estimator.why, (Why.NO_COMMANDS, Why.NOT_READ))).sum())
 
-    Args:
-        findings: about the recording.
-        estimator: readings of the estimator in the order of time; ``None``: it was not used.
-        companion: those of the detector beside it; ``None``: it was not used.
-        limits: of leaks.
-        window: s, length of a window.
-        residual: which signal differs from the model; for the reason where it does not hold.
-        companion_name: of the detector beside the estimator.
+    @property
+    def missed(self) -> int:
+        """Those of them that its model does not explain."""
+        tried = ~np.isin(self.estimator.why, (Why.NO_COMMANDS, Why.NOT_READ))
+        return int((self.estimator.cause[tried] == Cause.UNKNOWN).sum())
+
+    @property
+    def leader(self) -> str:
+        """The detector that decides: the estimator if it has run.
+
+        Its model shows when it is not valid, and its intervals what a recording does not determine.
+        """
+        ran = (self.estimator.why != Why.NO_COMMANDS).any()
+        return "estimator" if ran else self.companion_name
+
+    @property
+    def reading(self) -> Reading:
+        """That of the leader."""
+        return self.estimator if self.leader == "estimator" else self.companion
+
+    @property
+    def blamed(self) -> str:
+        """A faulty sensor and an axis that oscillates, for reasons: they may be why a model does not hold."""
+        return "".join(f"; {line}" for line in (*self.of_weight(Weight.FAULT)[:1], *self.driven))
+
+    @property
+    def driven(self) -> list[str]:
+        """Findings about the axis itself."""
+        return [finding.line() for finding in self.findings if finding.signal == AXIS]
+
+    @cached_property
+    def leak(self) -> Leak:
+        """The leak of the recording."""
+        return combined(self.reading)[0]
+
+    @property
+    def fault(self) -> str:
+        """What else than the seal is faulty; where the model differs slowly from several signals, it names no fault."""
+        stuck = self.of_weight(Weight.FAULT)
+        if stuck:
+            return f"{Cause.SENSOR.word}: {stuck[0]}"
+        return "" if self.of_weight(Weight.DOUBT) else named_fault(self.reading)
+
+    @property
+    def blind(self) -> bool:
+        """Whether neither pressure was recorded."""
+        return {"pressure_a", "pressure_b"} <= {finding.signal for finding in self.findings if finding.absent}
+
+    def answer(self, kind: Kind, why: str = "") -> Verdict:
+        """A verdict by the leader, with the leak."""
+        return Verdict(kind, why, self.leak, self.leader)
+
+
+def severe_finding(case: Case) -> Verdict | None:
+    """A severe finding about the recording → cannot tell: what was found."""
+    severe = case.of_weight(Weight.SEVERE)
+    if not severe:
+        return None
+    more = f" (and {len(severe) - 1} more)" if len(severe) > 1 else ""
+    return Verdict(Kind.UNKNOWN, "; ".join([severe[0] + more, *case.driven]), None, "")
+
+
+def other_rig(case: Case) -> Verdict | None:
+    """The model explains less than half of the windows → cannot tell: it does not describe this rig.
+
+    No sensor is blamed then: a model that does not explain the other channels is no witness against one.
     """
-    nothing = Reading.of(np.zeros(0))
-    estimator, companion = estimator or nothing, companion or nothing
-    severe, stuck = ([one for one in findings if one.weight is weight] for weight in (Weight.SEVERE, Weight.FAULT))
-    lacking = "; ".join(finding.line() for finding in findings if finding.weight is Weight.DOUBT)
-    driven = "".join(f"; {finding.line()}" for finding in findings if finding.signal == AXIS)
-    blamed = "".join(f"; {finding.line()}" for finding in stuck[:1]) + driven
-    if severe:  # rule 1
-        more = f" (and {len(severe) - 1} more)" if len(severe) > 1 else ""
-        return Verdict(Kind.UNKNOWN, f"{severe[0].line()}{more}{driven}", None, "")
+    if case.missed <= MOST * case.tried:
+        return None
+    why = f"the model does not describe this rig: it explains too little in {case.missed} of the {case.tried} windows "
+    why += "that were read"
+    if case.residual:
+        why += f"; {case.residual}"
+    return Verdict(Kind.UNKNOWN, f"{why}; check --rig{case.blamed}", None, "estimator")
 
-    tried = ~np.isin(estimator.why, (Why.NO_COMMANDS, Why.NOT_READ))
-    missed = int((estimator.cause[tried] == Cause.UNKNOWN).sum())
-    share = missed / max(int(tried.sum()), 1)
-    if share > MOST:  # rule 2
-        why = f"the model does not describe this rig: it explains too little in {missed} of the {tried.sum()} windows "
-        why += f"that were read{f'; {residual}' if residual else ''}; check --rig{blamed}"
-        return Verdict(Kind.UNKNOWN, why, None, "estimator")
 
-    ran = bool((estimator.why != Why.NO_COMMANDS).any())
-    reading, leader = (estimator, "estimator") if ran else (companion, companion_name)
-    fault = f"{Cause.SENSOR.word}: {stuck[0].line()}" if stuck else "" if lacking else named_fault(reading)
-    if not reading.sized.any():  # rule 3
-        if stuck and tried.any() and share < MOST:
-            return Verdict(Kind.OTHER, fault, None, leader)
-        return Verdict(Kind.UNKNOWN, _why_nothing(window, estimator, companion) + blamed, None, "")
+def no_size(case: Case) -> Verdict | None:
+    """No window gives a size → something else if a sensor is faulty while the model explains the others.
 
-    leak, change = combined(reading)
-    absent = {finding.signal for finding in findings if finding.absent}
-    blind = {"pressure_a", "pressure_b"} <= absent
-    size = f"the leak past the piston is {leak.text()}"
-    if leak.low > limits.healthy and blind and fault:
-        why = f"{size}, besides {fault}, but without pressures another machine than "
-        why += "that of the rig file looks the same; record one pressure at least, or check the file by hydro identify"
-        return Verdict(Kind.UNKNOWN, why, leak, leader)
-    if leak.low > limits.healthy:  # rule 4
-        parts = [change, f"besides, {fault}" if fault else ""]
-        return Verdict(Kind.LEAK, "; ".join(part for part in parts if part), leak, leader)
-    if fault:  # rule 5
-        return Verdict(Kind.OTHER, fault, leak, leader)
-    if leak.high >= limits.fault:  # rule 7
-        advice = f"the {lacking}" if lacking else "record more motion, or run the leak test (hydro leak-test)"
-        why = f"{size}, which may be healthy or faulty; {advice}"
-        return Verdict(Kind.UNKNOWN, why, leak, leader)
-    if blind:
-        why = f"{size}, but without pressures a faulty seal can look healthy; record one pressure at least"
-        return Verdict(Kind.UNKNOWN, why, leak, leader)
-    if lacking:
-        why = f"{size}, but the {lacking}"
-        return Verdict(Kind.UNKNOWN, why, leak, leader)
-    return Verdict(Kind.HEALTHY, "", leak, leader)  # rule 6
+    Otherwise → cannot tell: why.
+    """
+    if case.reading.sized.any():
+        return None
+    if case.of_weight(Weight.FAULT) and case.missed < MOST * case.tried:
+        return Verdict(Kind.OTHER, case.fault, None, case.leader)
+    why = _why_nothing(case.window, case.estimator, case.companion)
+    return Verdict(Kind.UNKNOWN, why + case.blamed, None, "")
+
+
+def leaks(case: Case) -> Verdict | None:
+    """The interval lies above the largest leak of a healthy seal → internal leak; another fault is named too.
+
+    Cannot tell if there is one, and neither pressure was recorded.
+    """
+    if case.leak.low <= case.limits.healthy:
+        return None
+    if case.blind and case.fault:
+        why = f"the leak past the piston is {case.leak.text()}, besides {case.fault}, but without pressures another "
+        why += "machine than that of the rig file looks the same; record one pressure at least, or check the file by "
+        return case.answer(Kind.UNKNOWN, why + "hydro identify")
+    besides = f"besides, {case.fault}" if case.fault else ""
+    return case.answer(Kind.LEAK, "; ".join(filter(None, [combined(case.reading)[1], besides])))
+
+
+def other_fault(case: Case) -> Verdict | None:
+    """A sensor is faulty, or most windows show another fault → something else: which."""
+    return case.answer(Kind.OTHER, case.fault) if case.fault else None
+
+
+def both_fit(case: Case) -> Verdict | None:
+    """The interval contains healthy and faulty leaks → cannot tell."""
+    if case.leak.high < case.limits.fault:
+        return None
+    doubt = "; ".join(case.of_weight(Weight.DOUBT))
+    advice = f"the {doubt}" if doubt else "record more motion, or run the leak test (hydro leak-test)"
+    why = f"the leak past the piston is {case.leak.text()}, which may be healthy or faulty; {advice}"
+    return case.answer(Kind.UNKNOWN, why)
+
+
+def tight(case: Case) -> Verdict:
+    """What is left → healthy; cannot tell if neither pressure was recorded, or if the model differs slowly."""
+    doubt = "; ".join(case.of_weight(Weight.DOUBT))
+    if case.blind:
+        doubt = "without pressures a faulty seal can look healthy; record one pressure at least"
+    elif doubt:
+        doubt = f"the {doubt}"
+    if doubt:
+        return case.answer(Kind.UNKNOWN, f"the leak past the piston is {case.leak.text()}, but {doubt}")
+    return case.answer(Kind.HEALTHY)
+
+
+RULES = (severe_finding, other_rig, no_size, leaks, other_fault, both_fit)
+"""The rules in their order; each gives a verdict, or ``None`` if it does not apply."""
+
+
+def judge(case: Case) -> Verdict:
+    """The verdict of the first of :data:`RULES` that applies; :func:`tight` if none does."""
+    for rule in RULES:
+        verdict = rule(case)
+        if verdict is not None:
+            return verdict
+    return tight(case)
 
 
 def by_volume(verdict: Verdict, balance: VolumeLeak, limits: Limits) -> Verdict:

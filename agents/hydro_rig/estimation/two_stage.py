@@ -33,11 +33,10 @@ class TwoStageDetector:
 
     With ``remembers`` the estimator is asked in motion too, and reads an axis at rest with what the last motion has
     shown of valve, return line and sensors. A wide reading is no answer then, and an axis that was never read in motion
-    gets none at rest. ``hydro alarms`` goes without.
+    gets none at rest.
     """
 
     threshold: float | None = None
-    ration = RATION  # `hydro alarms` reads it: answers at rest are rare, and sizes
 
     def __init__(self, head: HeadDetector, estimator: EstimatorDetector | None = None, remembers: bool = False):
         self.head, self.estimator, self.remembers = head, estimator or EstimatorDetector(), remembers

@@ -6,7 +6,7 @@ import pytest
 from hydro_agents.detection.detector import Cause, Reading, Why
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_rig.diagnosis.verdict import Kind, Limits, combined, judge
+from hydro_rig.diagnosis.verdict import Case, Kind, Limits, combined, judge
 from hydro_rig.recordings.findings import Finding, Weight
 
 LIMITS = Limits(0.03, 0.1)
@@ -29,6 +29,7 @@ def misfit(count=4):
     return reading(*[0.5] * count, cause=Cause.UNKNOWN, why=Why.MISFIT)
 
 
+NOTHING = Reading.of(np.zeros(0))
 HEALTHY, LEAK = reading(0.01, 0.012, 0.011), reading(1.0, 1.02, 0.99)
 UNDETERMINED = reading(0.2, 0.2, cause=Cause.UNDETERMINED, why=Why.UNDETERMINED)
 GAPS = reading(0.2, cause=Cause.UNDETERMINED, why=Why.NO_COMMANDS)
@@ -109,7 +110,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_rule(case):
     findings, estimator, head, kind, words = CASES[case]
-    verdict = judge(findings, estimator, head, LIMITS)
+    verdict = judge(Case(findings, estimator or NOTHING, head or NOTHING, LIMITS))
     assert verdict.kind is kind
     assert words in verdict.line()
     assert "\n" not in verdict.line()
@@ -117,8 +118,8 @@ def test_rule(case):
 
 
 def test_the_advice_is_not_the_option_that_was_just_used():
-    assert "--window 0.5" in judge([], GAPS, None, LIMITS, window=2.0).line()
-    assert judge([], GAPS, None, LIMITS, window=0.5).line().endswith("record without gaps")
+    assert "--window 0.5" in judge(Case([], GAPS, NOTHING, LIMITS, window=2.0)).line()
+    assert judge(Case([], GAPS, NOTHING, LIMITS, window=0.5)).line().endswith("record without gaps")
 
 
 def test_limits_grow_with_the_flow_of_the_rig_and_stay_if_the_task_gives_its_own():
