@@ -50,11 +50,6 @@ class HeadDetector:
         usual = pretrained_folder() / HEAD_FILE
         return cls(LeakageHead.load(usual), usual.with_name(f"{HEAD_FILE}_any_axis"))
 
-    @property
-    def window(self) -> int:
-        """Control periods of a window; 0: of the usual duration, on any rig."""
-        return 0 if self.head.for_any_axis or self._elsewhere is not None else self.head.settings.window
-
     def on(self, task: TaskConfig) -> LeakageHead:
         """The head on the rig of a task.
 

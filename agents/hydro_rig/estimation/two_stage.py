@@ -40,7 +40,6 @@ class TwoStageDetector:
 
     def __init__(self, head: HeadDetector, estimator: EstimatorDetector | None = None, remembers: bool = False):
         self.head, self.estimator, self.remembers = head, estimator or EstimatorDetector(), remembers
-        self.window = self.head.window
         self._asked: Floats = np.empty(0)  # s, end of the last window of each axis that the estimator read
         self._named: NDArray[np.int8] = np.empty(0, dtype=np.int8)  # the cause that it then named
         self._shown: list[dict[str, Prior]] = []  # by each axis in its last motion
