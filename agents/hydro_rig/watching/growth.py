@@ -80,7 +80,7 @@ def growth(
     level, slope = _drawn((when[kept] - now) / span, y[kept], error[kept], common)
     left = np.log10(limit) - level
     ahead = np.full(DRAWS, np.inf)
-    rises = left < FARTHEST * np.maximum(slope, 0.0)
+    rises = (slope > 0.0) & (left < FARTHEST * slope)
     ahead[rises] = span * left[rises] / slope[rises]
     ahead[left <= 0.0] = 0.0
     return Growth(
