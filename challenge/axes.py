@@ -20,9 +20,7 @@ from hydro_env.task.drawn_rigs import drawn_task
 from hydro_env.task.law import FIRST_SEEDS, RigLaw
 from hydro_env.task.paces import full_speed
 
-KNOWN, NEW, FIRST_NEW = 24, 12, 1000
-"""Axes of every split, axes of the test split alone, and the number of the first of these."""
-
+KNOWN, NEW, FIRST_NEW = 24, 12, 1000  # axes of every split, of the test split alone, and the number of their first
 NEW_AXES = range(FIRST_NEW, FIRST_NEW + NEW)
 LAW = RigLaw(periods={5.0: 0.6, 10.0: 0.4}, preview_paces=())
 FIRST_SEED = FIRST_SEEDS["test"] + 20_000  # no training, choice or test of this project draws rigs from here

@@ -39,9 +39,7 @@ from hydro_env.types import Floats
 from hydro_rig.recordings.columns import MEASURED, factor
 from hydro_rig.recordings.simulated import WRITTEN_UNITS, heading
 
-SHARES = {"train": 0.5, "validation": 0.2, "test": 0.3}
-"""Of the recordings, by split."""
-
+SHARES = {"train": 0.5, "validation": 0.2, "test": 0.3}  # of the recordings
 SEEDS = {"train": BENCHMARK_TRAINING, "validation": BENCHMARK_VALIDATION, "test": BENCHMARK_TEST}
 
 BLOCK, CREWS = 300, 8
@@ -54,12 +52,10 @@ SCHEDULES = ("constant", "onset", "growth")  # of a leak
 SOUND, OTHER, LEAKING = range(3)  # states of an axis
 MOVING = list(DISTURBANCES)
 DAMAGED = ["lost rows", "spikes"]
-
-FAULTS = (
+FAULTS = (  # kinds of other faults; they act from the start
     *("valve_null_shift", "valve_underlap", "valve_flow", "external_leak", "tank_pressure"),
     *("sensor_offset", "sensor_gain", "sensor_dropout"),
 )
-"""Kinds of other faults; they act from the start."""
 
 
 class Tier(NamedTuple):
@@ -73,7 +69,7 @@ class Tier(NamedTuple):
     unseen: tuple[str, ...] = ()  # names in ACTING that only the test split has
 
 
-TIERS = {
+TIERS = {  # 1 a well-kept machine, 2 an ordinary one, 3 a difficult one
     1: Tier((0.4, 0.0, 0.6), ("PID", "flow-linearising"), ("ordinary",)),
     2: Tier(
         (0.3, 0.3, 1.0 - 0.3 - 0.3),
@@ -90,7 +86,6 @@ TIERS = {
         ("sliding mode", "three-step switch"),
     ),
 }
-"""The tiers: 1 a well-kept machine, 2 an ordinary one, 3 a difficult one."""
 
 
 class Crew(NamedTuple):

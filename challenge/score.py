@@ -18,9 +18,7 @@ from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.running.statistics import interval, plant_weights, poisson_interval, share_interval
 from hydro_env.types import Floats
 
-BUDGETS = (1.0, 2.0, 5.0, 10.0, 20.0)
-"""False alarms per hour of the ranked figure."""
-
+BUDGETS = (1.0, 2.0, 5.0, 10.0, 20.0)  # false alarms per hour of the ranked figure
 SHOWN_BUDGET = 2.0  # false alarms per hour at which misses and delay are shown
 RESAMPLES = 200
 
