@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.ndimage import median_filter
 
 from hydro_agents.running.statistics import Interval
 from hydro_env.types import Floats
@@ -30,8 +29,8 @@ STRAIGHT = 0.5  # probability beforehand of no knee, and of no lasting errors
 AFTER_KNEE = 3  # fewest readings after the knee
 KNOWN_FREEDOM = 4.0  # degrees of freedom that standard deviations of the readings are worth
 FARTHEST = 100.0  # time to the limit that counts as never, as a multiple of the time of the readings
-NEIGHBOURS, FAR, MOST_USUAL = 9, 4.0, 0.7
-"""Readings with whose median one is compared; largest distance in standard deviations; least share inside."""
+NEIGHBOURS, FAR, MOST_USUAL = 8, 4.0, 0.7
+"""Readings with whose line one is compared; largest distance in standard deviations; least share inside."""
 LEAST_ERROR = 0.01  # decades, standard deviation that no reading beats
 DRAWS = 20_000  # of level and slope
 
@@ -71,8 +70,8 @@ def growth(
     when, what, sigma = (np.asarray(values, dtype=np.float64) for values in (time, size, deviation))
     root = np.hypot(what, 0.02 * limit)
     y, error = np.log10(0.5 * (what + root)), np.hypot(sigma / root / np.log(10.0), LEAST_ERROR)
-    kept = np.flatnonzero(np.isfinite(what) & np.isfinite(sigma))
-    kept = kept[_usual(y[kept], error[kept])][-MOST:]
+    kept = np.flatnonzero(np.isfinite(what) & np.isfinite(sigma))[-MOST:]
+    kept = kept[_usual(when[kept], y[kept], error[kept])]
     if len(kept) < FEWEST or np.ptp(when[kept]) <= 0.0:
         return NO_GROWTH
     now = float(when[-1]) if now is None else now
@@ -92,13 +91,20 @@ def growth(
     )
 
 
-def _usual(y: Floats, error: Floats) -> NDArray[np.bool_]:
-    """Readings that are not far from the median of their neighbours."""
-    if not len(y):
-        return np.zeros(0, dtype=np.bool_)
-    rest = np.abs(y - median_filter(y, NEIGHBOURS, mode="nearest"))
-    inside = np.asarray(rest <= FAR * np.maximum(1.483 * np.median(rest), error))
-    return inside if inside.mean() >= MOST_USUAL else np.ones(len(y), dtype=np.bool_)
+def _usual(x: Floats, y: Floats, error: Floats) -> NDArray[np.bool_]:
+    """Readings that are not far from the line through their neighbours (Theil and Sen: medians of slope and level)."""
+    everyone = np.ones(len(x), dtype=np.bool_)
+    if len(x) <= NEIGHBOURS:
+        return everyone
+    rest, (one, two) = np.empty(len(x)), np.triu_indices(NEIGHBOURS, 1)
+    for k in range(len(x)):
+        first = min(max(k - NEIGHBOURS // 2, 0), len(x) - 1 - NEIGHBOURS)
+        near = np.delete(np.arange(first, first + NEIGHBOURS + 1), k - first)
+        step, rise = x[near][two] - x[near][one], y[near][two] - y[near][one]
+        slope = float(np.median(rise[step > 0.0] / step[step > 0.0])) if (step > 0.0).any() else 0.0
+        rest[k] = abs(y[k] - np.median(y[near] - slope * (x[near] - x[k])))
+    inside = rest <= FAR * np.maximum(1.483 * np.median(rest), error)
+    return inside if inside.mean() >= MOST_USUAL else everyone
 
 
 def _drawn(x: Floats, y: Floats, error: Floats, common: float) -> tuple[Floats, Floats]:
