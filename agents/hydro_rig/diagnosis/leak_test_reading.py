@@ -90,6 +90,7 @@ class LeakTest(Judged):
         if not self.fit.apart:
             return f"seal and edges of the valve cannot be told apart: together {both}"
         bound = number(self.fit.seal.bound, digits=2)
+        edges = edges.removesuffix(" at 100 bar")  # at the supply pressure
         return f"past the seal {seal} (bound ±{bound}); through the edges of the closed valve {edges}"
 
     def facts(self) -> dict[str, Any]:
