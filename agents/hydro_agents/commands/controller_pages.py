@@ -10,15 +10,10 @@ import numpy as np
 from hydro_agents.commands.protocols import PageOf
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results
-from hydro_agents.report.content import Content
+from hydro_agents.report.controllers_page import Example, controllers_page, detection_table
 from hydro_agents.report.kit import as_text
-from hydro_agents.report.robustness import PAGE_FILE, ROBUSTNESS
-from hydro_agents.report.sections import render_page
-from hydro_agents.report.study_page import Example, detection_table
-from hydro_agents.report.study_page import study_page as draw_study
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.limit_cycles import rest_warning
-from hydro_agents.running.machine import Origin
 from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.text import Table
 
@@ -30,11 +25,9 @@ def robustness_page() -> PageOf:
     """The page of a robustness protocol."""
 
     def draw(results: Results, file: Path) -> None:
-        protocol = results.protocol
-        content = Content(results.tables(), protocol.task)
-        render_page(protocol.title, protocol.sections or ROBUSTNESS, content).write(file)
+        controllers_page(results.protocol.title, results.tables()).write(file)
 
-    return PageOf(PAGE_FILE, draw, summary, remarks)
+    return PageOf("robustness.html", draw, summary, remarks)
 
 
 def study_page(configuration: str, timings: Mapping[str, float] | None = None) -> PageOf:
@@ -46,14 +39,14 @@ def study_page(configuration: str, timings: Mapping[str, float] | None = None) -
     """
 
     def draw(results: Results, file: Path) -> None:
-        page = draw_study(
+        page = controllers_page(
             results.protocol.title,
             results.tables(),
             examples=example_traces(results),
             timings=timings,
             configuration=configuration,
         )
-        page.write(file, Origin.of(dict(results.facts)))
+        page.write(file)
 
     return PageOf(REPORT_FILE, draw, summary, remarks)
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from hydro_agents.commands.protocols import PageOf
 from hydro_agents.evaluation.leak_protocol import DRAWN
 from hydro_agents.evaluation.runner import Results
-from hydro_agents.report.content import Content, interval
-from hydro_agents.report.leakage import LEAKAGE, PAGE_FILE, level_text
-from hydro_agents.report.sections import render_page
-from hydro_agents.running.text import Table, number
+from hydro_agents.report.kit import as_text
+from hydro_agents.report.leakage_page import PAGE_FILE
+from hydro_agents.report.leakage_page import leakage_page as draw_leakage
+from hydro_agents.running.text import Table, setting
 
 
 def leakage_page() -> PageOf:
@@ -19,26 +19,14 @@ def leakage_page() -> PageOf:
     return PageOf(PAGE_FILE, _draw, _shares)
 
 
-def _content(results: Results) -> Content:
-    protocol = results.protocol
-    return Content(results.tables(), protocol.task, {"base": protocol.base})
-
-
 def _draw(results: Results, file: Path) -> None:
-    protocol = results.protocol
-    render_page(protocol.title, protocol.sections or LEAKAGE, _content(results)).write(file)
+    draw_leakage(results.protocol.title, results.tables(), results.protocol.base).write(file)
 
 
 def _shares(results: Results) -> Iterator[Table]:
     """Share of windows that each detector reports under the base condition, by size of the leak."""
-    content, protocol = _content(results), results.protocol
-    levels = sorted(level for level in protocol.levels_in(protocol.base) if level != DRAWN)
-    rows = []
-    for name in content.detectors:
-        cells = []
-        for level in levels:
-            row = content.row("detection", detector=name, condition=protocol.base, level=level)
-            cells.append(number(interval(row, "flagged", 100.0).value, 1))
-        rows.append((name, *cells))
-    title = f"Windows reported as a leak, %: {content.label(protocol.base)}"
-    yield Table(title, ("detector", *map(level_text, levels)), rows)
+    found, base = results.table("detection"), results.protocol.base
+    found = found[(found["condition"] == base) & (found["level"] != DRAWN)]
+    rates = 100.0 * found.pivot(index="detector", columns="level", values="flagged").loc[found["detector"].unique()]
+    names = {level: f"{setting(level)} l/min" if level > 0.0 else "healthy" for level in rates}
+    yield as_text(rates.rename(columns=names), f"Windows reported as a leak, %: {base}")

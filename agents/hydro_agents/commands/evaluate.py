@@ -111,11 +111,9 @@ def _evaluate_controllers(file: Path, agents: dict[str, str], study_file: Path |
     from hydro_agents.evaluation.conditions import file_sha256
     from hydro_agents.evaluation.participants import participants, shipped_controllers, split_name
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-    from hydro_agents.report.sections import sections_named
     from hydro_env.folders import config_file
 
     protocol = options.moved(RobustnessProtocol.from_yaml(file))
-    sections_named(protocol.sections, f"{file}: sections")
     controllers: Mapping[str, Controller | str]
     if study_file is None:
         replaced = {split_name(name)[0] for name in agents}
@@ -139,10 +137,8 @@ def _evaluate_detectors(file: Path, head: Path | None, options: Options) -> None
     from hydro_agents.detection.detectors import make_detector
     from hydro_agents.evaluation.conditions import file_sha256
     from hydro_agents.evaluation.leak_protocol import LeakProtocol
-    from hydro_agents.report.sections import sections_named
 
     protocol = options.moved(LeakProtocol.from_yaml(file))
-    sections_named(protocol.sections, f"{file}: sections")
     own = None
     if head is not None:
         from hydro_agents.detection.monitor import HeadDetector

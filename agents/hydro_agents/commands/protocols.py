@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, TypeVar
 
 from hydro_agents.evaluation.conditions import Protocol
 from hydro_agents.evaluation.runner import Results, run
-from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import RESULT_FILES
@@ -46,7 +45,7 @@ class PageOf(NamedTuple):
 
 def page_files(page: PageOf) -> list[str]:
     """Names of the files that :func:`write_results` may write."""
-    return ["tables/*.csv", page.file, FIGURE_FILES]
+    return ["tables/*.csv", page.file]
 
 
 def facts_of(command: str, **more: str) -> Sequence[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""A protocol as data: named conditions, the parts that are measured under them, and the sections of its page.
+"""A protocol as data: named conditions, and the parts that are measured under them.
 
 :class:`Protocol` has what every protocol has. Each kind of file adds its own keys:
 :class:`~hydro_agents.evaluation.robustness_protocol.RobustnessProtocol` for controllers and
@@ -117,7 +117,6 @@ class Protocol(Group, Generic[AnyCondition]):
     title: str
     task: TaskConfig = Field(default_factory=TaskConfig)
     parts: tuple[str, ...] = Field((), description="what is measured; default: what the other keys ask for")
-    sections: tuple[str, ...] = Field((), description="of the page, in order; default: those of the kind")
     conditions: dict[Name, AnyCondition] = Field(min_length=1)
 
     @model_validator(mode="after")

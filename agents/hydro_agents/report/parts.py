@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.evaluation.metrics import COMPARED
-from hydro_agents.report.kit import GREY, INK, Page, draw, panel, with_interval
-from hydro_agents.running.limit_cycles import comes_to_rest
+from hydro_agents.report.kit import GREY, INK, Page, draw, panel
 from hydro_agents.running.seeds import SEED_MARK
-from hydro_agents.running.text import duration, number
-
-COSTS = {column: metric for column, metric in COMPARED.items() if metric.cost}
-"""Columns of a comparison with what a small error may cost."""
+from hydro_agents.running.text import duration
 
 LOG_STEPS = "time/total_timesteps"  # column of stable-baselines3's log that is ``steps`` in a curve
 
@@ -25,66 +18,14 @@ BASE_ERROR = "validation/base_mean_error_mm"
 """Error of the controller that is corrected, on the same plants."""
 
 
-def best(page: Page, baseline: str, ratios: pd.DataFrame, column: str, at_rest: pd.DataFrame) -> None:
-    """The controller that is clearly better than the baseline, if there is one; a baseline that does not come to rest.
-
-    Args:
-        page: to which this is added.
-        baseline: the controller of the comparison.
-        ratios: one row per other controller, with the interval of ``column``.
-        column: ratio of errors.
-        at_rest: the counts of limit cycles (:func:`~hydro_agents.running.limit_cycles.counted`), if there are any.
-    """
-    for row in at_rest[at_rest.get("controller") == baseline].to_dict("records") if len(at_rest) else ():
-        if not comes_to_rest(row):
-            page.text(
-                f"{baseline} does not come to rest: ratios to it compare with a controller in this state.", "caution"
-            )
-    if ratios.empty:
-        return
-    first = ratios.sort_values(column).iloc[0]
-    if first.get(f"{column}_high", first.get("high", np.nan)) < 1.0:
-        share = number(100.0 * first[column], 0)
-        page.verdict(f"{first['controller']} positions best: {share} % of the error of {baseline}.", "good")
-    else:
-        page.verdict(f"No controller is clearly better than {baseline}.", "doubtful")
-
-
-def corrections(page: Page, table: pd.DataFrame) -> None:
-    """Each policy that corrects another controller than the baseline, against this controller."""
-    if table.empty:
-        return
-    names = {"ratio": "mean error", "equal_weight": "equal weights", "ratio_sensor": "repeatability"}
-    frame = pd.DataFrame({"policy": table["controller"], "corrects": table["against"]})
-    for column, name in names.items():
-        frame[name] = with_interval(table, column)
-    frame["better in, %"] = 100.0 * table["share_better"]
-    for column, metric in COSTS.items():
-        frame[metric.word.lower()] = table[column]
-    page.table(frame.set_index("policy"), "A policy ÷ what it corrects, on the same runs", {"better in, %": 0})
-
-
-def problems(page: Page, status: pd.DataFrame, who: str, labels: Mapping[str, str]) -> None:
-    """What failed or did not apply."""
-    left_out = status[status["status"].isin(["failed", "not applicable"])] if len(status) else status
-    if left_out.empty:
-        return
-    table = pd.DataFrame({who: left_out[who], "under": left_out["condition"].map(lambda name: labels.get(name, name))})
-    table["reason"] = left_out["message"]
-    with page.fold("Some parts did not run", opened=(left_out["status"] == "failed").any()):
-        page.table(table.set_index(who), words=True)
-
-
-def learning(page: Page, curve: pd.DataFrame, baseline: str, error_mm: float, names: Sequence[str]) -> None:
-    """Error on validation plants over training; nothing without a curve or the error of the baseline (mm)."""
-    if ERROR in curve and np.isfinite(error_mm):
-        page.heading("Training")
-        note = (
-            "On validation plants; no policy is trained on them. Line: median of the training seeds; bars: their range."
-        )
-        page.figure(
-            learning_axes(curve, baseline, error_mm, names), f"Error while learning, over that of {baseline}", note
-        )
+def problems(page: Page, status: pd.DataFrame, who: str, conditions: pd.DataFrame) -> None:
+    """What failed or did not apply, from the tables ``status`` and ``conditions``."""
+    table = status[status["status"].isin(["failed", "not applicable"])] if len(status) else status
+    if len(table):
+        labels = conditions.set_index("condition")["label"]
+        table = table.replace({"condition": labels.to_dict()}).set_index(who)
+        with page.fold("Some parts did not run", opened=(table["status"] == "failed").any()):
+            page.table(table[["condition", "status", "message"]], words=True)
 
 
 def learning_axes(curve: pd.DataFrame, baseline: str, error_mm: float, names: Sequence[str] = ()) -> Axes:
@@ -115,11 +56,28 @@ def learning_axes(curve: pd.DataFrame, baseline: str, error_mm: float, names: Se
     return axes
 
 
-def run_facts(page: Page, facts: Mapping[str, Any], timings: Mapping[str, float], configuration: str = "") -> None:
-    """Facts, durations and settings of the run."""
+def facts_of(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
+    """Keys and values of a run, from its table ``protocol``."""
+    table = tables.get("protocol", pd.DataFrame(columns=["key", "value"]))
+    return dict(zip(table["key"].astype(str), table["value"].astype(str), strict=True))
+
+
+def run_facts(
+    page: Page,
+    facts: Mapping[str, str],
+    timings: Mapping[str, float] | None = None,
+    configuration: str = "",
+    conditions: pd.DataFrame | None = None,
+) -> None:
+    """Facts, durations (s), settings (YAML text) and conditions of the run."""
     page.heading("This run")
-    rows = {**facts, **{f"time to {phase}": duration(seconds) for phase, seconds in timings.items()}}
+    rows = {**facts, **{f"time to {phase}": duration(seconds) for phase, seconds in (timings or {}).items()}}
     page.table(pd.DataFrame({"value": pd.Series(rows, dtype=object)}), words=True)
     if configuration:
         with page.fold("Configuration"):
             page.code(configuration)
+    if conditions is not None:
+        with page.fold("All conditions"):
+            page.table(
+                conditions.set_index("condition").dropna(axis=1, how="all").astype(object).fillna(""), words=True
+            )

@@ -29,8 +29,8 @@ from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
 
 TEMPLATE = Path(__file__).parent / "page.html.j2"
-PARTS = ("shared", "recorded", "training_plots")
-MODULES = tuple(f"hydro_agents.report.{name}" for name in (*PARTS, "robustness", "leakage"))
+PARTS = ("recorded", "training_plots")
+MODULES = tuple(f"hydro_agents.report.{name}" for name in PARTS)
 """Modules whose sections any list may name; parts of pages first, as a page's own module is loaded with its command."""
 
 

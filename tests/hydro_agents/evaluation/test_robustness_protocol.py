@@ -9,7 +9,7 @@ from small_protocol import SMALL, named, small
 from hydro_agents.evaluation.conditions import file_sha256
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.report.robustness import GROUPS
+from hydro_agents.report.controllers_page import GROUPS
 from hydro_agents.running.seeds import ROBUSTNESS
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 
