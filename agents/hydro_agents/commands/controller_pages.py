@@ -14,6 +14,7 @@ from hydro_agents.report.controllers_page import Example, controllers_page, dete
 from hydro_agents.report.kit import as_text
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.limit_cycles import rest_warning
+from hydro_agents.running.machine import Origin
 from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.text import Table
 
@@ -25,7 +26,8 @@ def robustness_page() -> PageOf:
     """The page of a robustness protocol."""
 
     def draw(results: Results, file: Path) -> None:
-        controllers_page(results.protocol.title, results.tables()).write(file)
+        page = controllers_page(results.protocol.title, results.tables())
+        page.write(file, Origin.of(dict(results.facts)))
 
     return PageOf("robustness.html", draw, summary, remarks)
 
@@ -46,7 +48,7 @@ def study_page(configuration: str, timings: Mapping[str, float] | None = None) -
             timings=timings,
             configuration=configuration,
         )
-        page.write(file)
+        page.write(file, Origin.of(dict(results.facts)))
 
     return PageOf(REPORT_FILE, draw, summary, remarks)
 

@@ -11,6 +11,7 @@ from hydro_agents.evaluation.runner import Results
 from hydro_agents.report.kit import as_text
 from hydro_agents.report.leakage_page import PAGE_FILE
 from hydro_agents.report.leakage_page import leakage_page as draw_leakage
+from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, setting
 
 
@@ -20,7 +21,8 @@ def leakage_page() -> PageOf:
 
 
 def _draw(results: Results, file: Path) -> None:
-    draw_leakage(results.protocol.title, results.tables(), results.protocol.base).write(file)
+    page = draw_leakage(results.protocol.title, results.tables(), results.protocol.base)
+    page.write(file, Origin.of(dict(results.facts)))
 
 
 def _shares(results: Results) -> Iterator[Table]:

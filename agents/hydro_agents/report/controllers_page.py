@@ -18,7 +18,6 @@ from hydro_agents.evaluation.metrics import COMPARED, ERROR, FRAMES_TEXT, METRIC
 from hydro_agents.report.kit import INK, Page, draw, drawn, height_of, leak_axis, panel, panels, signal, with_interval
 from hydro_agents.report.parts import facts_of, learning_axes, problems, run_facts
 from hydro_agents.running.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text, comes_to_rest
-from hydro_agents.running.machine import Origin
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_agents.running.statistics import RESAMPLES
 from hydro_agents.running.text import capitalised, family_name, number, setting, span
@@ -91,7 +90,7 @@ def controllers_page(
         configuration: YAML text.
     """
     facts = facts_of(tables)
-    page, names = Page(title, Origin.of(facts)), names_of(tables)
+    page, names = Page(title), names_of(tables)
     verdict(page, tables)
     page.text(
         f"Simulated: a servo axis whose piston seal leaks. {names[0]} is the baseline; every controller runs on the "
@@ -340,7 +339,10 @@ def single_runs(page: Page, examples: Sequence[Example]) -> None:
 
 def example_axes(example: Example) -> list[Axes]:
     """Position and reference, error in mm, command in V of one episode under every controller."""
-    axes = panels(("position, mm", "error, mm", "command, V"), height=4.6)
+    axes = panels(3, height=4.6)
+    for one, label in zip(axes, ("position, mm", "error, mm", "command, V"), strict=True):
+        one.set_ylabel(label)
+    axes[-1].set_xlabel("time, s")
     for name, position in example.position.items():
         error = 1e3 * (example.reference - position)
         label = f"{name}, mean error {number(float(np.abs(error).mean()))} mm"

@@ -90,9 +90,8 @@ class Page:
         (True, True)
     """
 
-    def __init__(self, title: str, origin: Origin | None = None, sources: str = "") -> None:
+    def __init__(self, title: str, sources: str = "") -> None:
         self.title = title
-        self.origin = origin  # command, date and version
         self.sources = sources  # the files that hold the numbers
         self.headings: dict[str, str] = {}  # by their anchors
         self._parts: list[str] = []
@@ -168,7 +167,7 @@ class Page:
         self._add('<figure class="{}"><figcaption><strong>{}</strong> {}</figcaption>', wide, title, note)
         self._parts.append(f'<div class="scroll">{inline_svg(axes, f"f{len(self._parts)}-", title)}</div></figure>')
 
-    def html(self, template: Path | None = None, **values: Any) -> str:
+    def html(self, origin: Origin | None = None, template: Path | None = None, **values: Any) -> str:
         """The page as a file; a ``template`` with ``values`` takes the place of what was added."""
         own = Path(__file__).parent / "kit.html.j2"
         template = template or own
@@ -180,16 +179,16 @@ class Page:
             lstrip_blocks=True,
         )
         environment.filters.update({"n": number, "s": setting})
-        body = Markup("\n".join(self._parts))
-        return environment.get_template(template.name).render(page=self, body=body, colours=COLOURS, **values)
+        values |= {"page": self, "body": Markup("\n".join(self._parts)), "origin": origin, "colours": COLOURS}
+        return environment.get_template(template.name).render(values)
 
-    def write(self, path: Path) -> None:
+    def write(self, path: Path, origin: Origin | None = None) -> None:
         """Write the page.
 
         Raises:
             ConfigurationError: the file cannot be written.
         """
-        write_whole(path, self.html().encode())
+        write_whole(path, self.html(origin).encode())
 
 
 def shown(value: Any, decimals: int | None = None) -> str:
@@ -238,20 +237,16 @@ def interval_of(table: pd.DataFrame, column: str) -> tuple[str, str]:
 
 def panel(width: float = NARROW, height: float = 3.0, **options: Any) -> Axes:
     """A figure of one panel (inches); ``options`` of ``Axes.set``, such as labels and limits."""
-    (axes,) = panels([""], width, height)
-    axes.set(**{"xlabel": "", **options})
+    (axes,) = panels(1, width, height)
+    axes.set(**options)
     return axes
 
 
-def panels(labels: Sequence[str], width: float = WIDE, height: float = 7.5, **options: Any) -> list[Axes]:
-    """A figure of signals over time (s), one panel below the other, by their labels; ``options`` of ``subplots``."""
+def panels(count: int, width: float = WIDE, height: float = 7.5, **options: Any) -> list[Axes]:
+    """A figure of several panels below each other that share the horizontal axis; ``options`` of ``subplots``."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = list(figure.subplots(len(labels), 1, sharex=True, squeeze=False, **options)[:, 0])
-    for one, label in zip(axes, labels, strict=True):
-        one.set_ylabel(label)
-    axes[-1].set_xlabel("time, s")
-    return axes
+    return list(figure.subplots(count, 1, sharex=True, squeeze=False, **options)[:, 0])
 
 
 def draw(

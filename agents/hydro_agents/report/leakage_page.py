@@ -10,7 +10,6 @@ import pandas as pd
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.kit import GREY, INK, Page, draw, drawn, height_of, leak_axis, panel, with_interval
 from hydro_agents.report.parts import facts_of, problems, run_facts
-from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import listed, number, setting
 
 PAGE_FILE = "leakage.html"
@@ -32,7 +31,7 @@ def leakage_page(title: str, tables: Mapping[str, pd.DataFrame], base: str) -> P
         tables: of the run, by the names of their CSV files.
         base: the condition with all leaks.
     """
-    page = Page(title, Origin.of(facts_of(tables)))
+    page = Page(title)
     found, conditions = tables["detection"], tables["conditions"].set_index("condition")
     names = [str(name) for name in found["detector"].unique()]
     smallest = pd.Series({name: smallest_found(found, name, base) for name in names}).min()
@@ -82,7 +81,7 @@ def leakage_page(title: str, tables: Mapping[str, pd.DataFrame], base: str) -> P
             "tuning or threshold used them.",
             "Threshold at 1 % false alarms: from healthy windows of validation seeds. Threshold in use: the detector's "
             "own, if it has one. False alarms per hour: for consecutive windows without gaps.",
-            "Size error: root mean square of log10(estimate ÷ truth) over windows with an estimate; 0.05 is about 12 %.",
+            "Size error: root mean square of log10(estimate ÷ truth) over windows with an estimate; 0.05: 12 %.",
             "Bound: Cramér–Rao, median over axes, with all drawn quantities of the task unknown.",
             "Shares: 95 % Wilson intervals.",
         ]

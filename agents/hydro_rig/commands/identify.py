@@ -58,7 +58,7 @@ def identify(
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
     from hydro_env.task.rig import read_rig
-    from hydro_rig.identification.identification_page import FILES, JOB, identify_to_folder
+    from hydro_rig.identification.files import FILES, JOB, identify_to_folder
     from hydro_rig.identification.identify import identify as identify_recordings
     from hydro_rig.recordings.columns import maps_of
 

@@ -40,7 +40,7 @@ TABLE = pd.DataFrame(
 
 @drawn
 def made():
-    page = Page("Trial <one>", Origin("hydro study <x>", "today", "0.2"))
+    page = Page("Trial <one>")
     page.verdict(f"{ODD_NAME} is best", "good")
     page.heading("Errors")
     frame = TABLE.assign(text=with_interval(TABLE, "error")).set_index("controller")
@@ -53,7 +53,7 @@ def made():
         draw(axes, TABLE, "leak", "error", ["PID", ODD_NAME])
         leak_axis(axes, TABLE["leak"])
         page.figure(axes, title)
-    rows = panels(["position, mm", "error, mm"])
+    rows = panels(2)
     signal(rows[0], np.arange(9.0), np.arange(9.0), label="position")
     page.figure(rows, "Position over time, of a wide figure")
     return page
@@ -61,7 +61,7 @@ def made():
 
 @pytest.fixture(scope="module")
 def html():
-    return made().html()
+    return made().html(Origin("hydro study <x>", "today", "0.2"))
 
 
 def test_cells_are_those_of_the_frame_and_texts_are_escaped(html):
@@ -99,7 +99,7 @@ def test_the_page_stands_alone_and_its_figures_follow_the_theme(html):
 def test_the_same_numbers_give_the_same_bytes_and_the_user_s_settings_stay(html, tmp_path):
     matplotlib.rcParams["xtick.direction"] = "in"
     try:
-        assert made().html() == html
+        assert made().html(Origin("hydro study <x>", "today", "0.2")) == html
         assert matplotlib.rcParams["xtick.direction"] == "in"
     finally:
         matplotlib.rcdefaults()

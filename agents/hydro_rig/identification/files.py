@@ -1,0 +1,109 @@
+"""The files of an identification: page, rig and numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from pydantic_core import to_jsonable_python
+
+from hydro_agents.running.folders import output_folder
+from hydro_agents.running.machine import Origin
+from hydro_env import ConfigurationError, __version__
+from hydro_env.files import read_yaml, write_text
+from hydro_env.task.sensors import SENSORS
+from hydro_env.types import Floats
+from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE
+from hydro_rig.identification.found_rig import rig_yaml
+from hydro_rig.identification.identification_page import identification_page
+from hydro_rig.identification.identify import Identification
+
+PAGE_FILE, RIG_FILE, RESULT_FILE = FILES = ("identification.html", "rig.yaml", "identification.json")
+JOB = "identify"
+
+
+def identify_to_folder(folder: Path, found: Identification, overwrite: bool, command: str) -> list[str]:
+    """Write page, numbers and, if the model describes the axis, the rig; returns the lines for the user.
+
+    Raises:
+        ConfigurationError: the folder cannot be written, or the model does not describe the axis; in this case page and
+            numbers are written, but no rig.
+    """
+    with output_folder(folder, JOB, FILES, overwrite=overwrite):
+        write_text(folder / RESULT_FILE, json.dumps(as_json(found, command), indent=1, allow_nan=False) + "\n")
+        identification_page(found).write(folder / PAGE_FILE, Origin.now(command))
+        if found.describes:
+            notes = [
+                f"Found by: {command}",
+                f"hydro_env {__version__}; {found.verdict()}.",
+                "Ranges: 95 % intervals; an undetermined parameter keeps its range, or the part beyond its known end.",
+            ]
+            text = rig_yaml(read_yaml(found.rig.source), found.fit, found.config, found.rig.randomisation, notes)
+            write_text(folder / RIG_FILE, text)
+    if not found.describes:
+        first, *others = (recording.source for recording in found.recordings)
+        more = f" and {len(others)} more" if others else ""
+        raise ConfigurationError(f"{first}{more}: {found.verdict()}; see {folder / PAGE_FILE}")
+    findings = [finding.line() for finding in found.findings]
+    names = ", ".join(one.name for one in found.undetermined)
+    left = [f"Not determined: {names}"] if names else []
+    return [*findings, *found.noted, *left, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
+
+
+def as_json(found: Identification, command: str) -> Any:
+    """The result for programs; SI units, leaks in l/min at 100 bar; ``None`` if there is no number."""
+    fit, sources = found.fit, [recording.source for recording in found.recordings]
+
+    def by_sensor(values: Floats, what: str = "") -> dict[str, float]:
+        return {f"{name}{what}": value for name, value in zip(SENSORS, values.tolist(), strict=True)}
+
+    unknowns = {}
+    for one in fit.unknowns:
+        unknowns[one.name] = {
+            "value": one.value,
+            "low": one.low,
+            "high": one.high,
+            "unit": "l/min at 100 bar" if one.name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI",
+            "remaining": one.remaining,
+            "determined": fit.knows(one),
+            "known_ends": {0: "both", 1: "low", -1: "high"}[one.side],
+            "widening": one.widening,
+        }
+    parts = [
+        {
+            "recording": sources[part.recording],
+            "from_s": part.begin,
+            "to_s": part.begin + float(part.time[-1]),
+            "share_of_variance": by_sensor(part.share),
+            **by_sensor(part.error, "_rms"),
+            "speed_rms": part.speed_error,
+            **dict(zip(("speed_out", "speed_in"), part.speed_ratios, strict=True)),
+        }
+        for part in found.held_back
+    ]
+    forecasts = [
+        {"over_s": over, "speed_rms": forecast.speed_error}
+        | by_sensor(forecast.share, "_share_of_variance")
+        | by_sensor(forecast.error, "_rms")
+        for over, forecast in found.tested.items()
+    ]
+    whole = {
+        "command": command,
+        "hydro_env": __version__,
+        "recordings": sources,
+        "rig": found.rig.source,
+        "describes": found.describes,
+        "verdict": found.verdict(),
+        "share_of_variance": by_sensor(found.tested[math.inf].share),
+        "forecasts": forecasts,
+        "held_back": {"why": found.parts.reason, "parts": parts},
+        "windows": len(fit.misfit),
+        "windows_explained": int(fit.explained.sum()),
+        "another_minimum": fit.second,
+        "unknowns": unknowns,
+        "findings": [finding.line() for finding in found.findings],
+        "notes": found.noted,
+    }
+    return to_jsonable_python(whole, inf_nan_mode="null", fallback=lambda value: value.tolist())
