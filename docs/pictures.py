@@ -6,30 +6,27 @@ the animation and the charts of the pages' own tables are made.
 
 import hashlib
 import sys
-from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
 from hydro_agents.learning.loading import shipped
-from hydro_agents.report.canvas import GREY, WIDE, WIDTH, bars, dodge, level_axis, render, row_axis, ticks
-from hydro_agents.report.content import intervals
-from hydro_agents.report.palette import looks_of
+from hydro_agents.report.kit import GREY, INK, WIDE, draw, drawn, leak_axis, panel, picture
 from hydro_env import TaskConfig
 from hydro_env.canvas import PAPER
-
-POLICY = "PPO on flow linearisation"
 
 DOCS = Path(__file__).parent
 FOLDER, TABLES = DOCS / "images", DOCS / "tables"
 
 
+@drawn
 def results(tables: Path) -> None:
     """Ratio of the tracking errors over the leak, and the share of leaks that is flagged.
 
@@ -38,28 +35,19 @@ def results(tables: Path) -> None:
     ratios = pd.read_csv(tables / "comparison.csv", dtype={"value": str})
     rates = pd.read_csv(tables / "detection_rates.csv")
     base, names = ratios["against"].iloc[0], list(rates["controller"].unique())
-    looks = looks_of(names)
-
-    def paint(figure: Figure) -> None:
-        left, right = figure.subplots(1, 2)
-        left.axhline(1.0, color=looks[base].colour, label=base)
-        for index, name in enumerate(names[1:]):
-            rows = ratios[(ratios["controller"] == name) & (ratios["group"] == "level")]
-            places = level_axis(left, [float(value) for value in rows["value"]])
-            at = np.array(list(places.values())) + dodge(len(names) - 1, index, 0.05)
-            bars(left, at, intervals(rows, "ratio"), looks[name], name)
-        left.set(title="Positioning", ylabel=f"mean error over that of the {base}", ylim=(0.0, 1.15))
-        for index, name in enumerate(names):
-            own = rates[(rates["controller"] == name) & (rates["group"] == "range")]
-            own = own[~own["value"].str.startswith("≥")]
-            places = np.arange(len(own)) + dodge(len(names), index, 0.24)
-            bars(right, places, intervals(own, "flagged_share", factor=100.0), looks[name], f"under {name}", "points")
-        right.set_xticks(range(len(own)), own["value"])
-        right.set(title="Leaks flagged within 2 s", xlabel="leak, l/min at 100 bar", ylabel="%", ylim=(0, 104))
-        left.legend(loc="lower right")
-        right.legend(loc="lower right")
-
-    (FOLDER / "results.png").write_bytes(render(paint, (WIDE, 3.4), "png")[0])
+    left, right = Figure(figsize=(WIDE, 3.4), layout="constrained").subplots(1, 2)
+    rows = ratios[(ratios["group"] == "level") & (ratios["against"] == base)]
+    rows = rows.assign(leak=rows["value"].astype(float))
+    draw(left, rows, "leak", "ratio", names)
+    leak_axis(left, rows["leak"])
+    left.axhline(1.0, color=INK, label=base)
+    left.set(title="Positioning", ylabel=f"mean error over that of the {base}", ylim=(0.0, 1.15))
+    rows = rates[(rates["group"] == "range") & ~rates["value"].str.startswith("≥")]
+    draw(right, rows, "value", "flagged_share", names, factor=100.0, kind="points")
+    right.set(title="Leaks flagged within 2 s", xlabel="leak, l/min at 100 bar", ylabel="%", ylim=(0, 104))
+    for axes in (left, right):
+        axes.legend(loc="lower right")
+    (FOLDER / "results.png").write_bytes(picture([left, right], "png"))
 
 
 def axis() -> None:
@@ -75,60 +63,42 @@ def axis() -> None:
     env.close()
 
 
+@drawn
 def controllers() -> None:
     """Error of each controller over that of the PID under all conditions of the robustness protocol."""
-    table = pd.read_csv(TABLES / "robustness.csv", skiprows=1)
-    looks = looks_of(dict.fromkeys(["PID", "Flow linearisation", POLICY, *table["controller"][::-1]]))
-
-    def paint(figure: Figure) -> None:
-        axes = figure.subplots()
-        for place, (name, row) in enumerate(intervals(table, "equal_weight", "controller").iterrows()):
-            bars(axes, [place], row.to_frame().T, looks[name], "", "rows")
-        row_axis(axes, list(table["controller"]))
-        axes.axvline(1.0, color=GREY, linewidth=1.0)
-        axes.set(xlabel="error over the PID's", xlim=(0.0, 1.1))
-
-    save("chart_controllers.svg", paint, 2.6)
+    table = pd.read_csv(TABLES / "robustness.csv", skiprows=1).assign(of="")
+    axes = panel(height=2.6, xlabel="error over the PID's", xlim=(0.0, 1.1))
+    draw(axes, table, "controller", "equal_weight", [""], "of", kind="rows")
+    axes.axvline(1.0, color=GREY, linewidth=1.0)
+    save("chart_controllers.svg", axes)
 
 
+@drawn
 def detectors() -> None:
     """Share of leaks that each detector finds at 1 % false alarms, over the leak."""
     table = pd.read_csv(TABLES / "detectors.csv", skiprows=1)
-    names = list(table["detector"].unique())
-    looks = looks_of(names)
-
-    def paint(figure: Figure) -> None:
-        axes = figure.subplots()
-        places = level_axis(axes, sorted(table["level"].unique()))
-        for index, name in enumerate(names):
-            part = table[table["detector"] == name]
-            at = np.array([places[level] for level in part["level"]]) + dodge(len(names), index, 0.04)
-            bars(axes, at, intervals(part, "at_1_percent", factor=100.0), looks[name], name)
-        axes.set(ylabel="found, %", ylim=(0, 104))
-        axes.legend(loc="lower right")
-
-    save("chart_detectors.svg", paint, 3.0)
+    axes = panel(ylabel="found, %", ylim=(0, 104))
+    draw(axes, table, "level", "at_1_percent", list(table["detector"].unique()), "detector", 100.0)
+    leak_axis(axes, table["level"])
+    axes.legend(loc="lower right")
+    save("chart_detectors.svg", axes)
 
 
+@drawn
 def performance() -> None:
     """Speed over the number of axes, from the table of the benchmark."""
     table = pd.read_csv(TABLES / "speed.csv", skiprows=1)
     values = table.drop_duplicates("row").set_index("row")["median"]
     kinds = {"axes": "this environment", "CartPole-v1": "CartPole-v1, Gymnasium's fastest"}
     counts = [64, 1024, 4096, 16384]
-    looks = looks_of(kinds)
-
-    def speed(figure: Figure) -> None:
-        axes = figure.subplots()
-        for kind, label in kinds.items():
-            steps = [values[f"{kind}, N = {count:,}"] for count in counts]
-            axes.plot(counts, steps, marker=looks[kind].marker, label=label, **looks[kind].stroke)
-        axes.set(xscale="log", yscale="log", xlabel="axes side by side", ylabel="steps per second")
-        ticks(axes.xaxis, counts, lambda value: f"{value:,.0f}")
-        axes.set_ylim(top=5.0 * axes.get_ylim()[1])  # room for the legend above the lines
-        axes.legend(loc="upper left")
-
-    save("chart_speed.svg", speed, 3.0)
+    axes = panel(xscale="log", yscale="log", xlabel="axes side by side", ylabel="steps per second")
+    for kind, label in kinds.items():
+        axes.plot(counts, [values[f"{kind}, N = {count:,}"] for count in counts], label=label)
+    axes.set_xticks(counts, [f"{count:,}" for count in counts])
+    axes.set_xticks([], minor=True)
+    axes.set_ylim(top=5.0 * axes.get_ylim()[1])  # room for the legend above the lines
+    axes.legend(loc="upper left")
+    save("chart_speed.svg", axes)
 
 
 CHARTS = {
@@ -145,9 +115,9 @@ def data_mark(chart: str) -> str:
     return f"<!-- {CHARTS[chart]} {hashlib.sha256(numbers).hexdigest()[:16]} -->\n"
 
 
-def save(chart: str, paint: Callable[[Figure], None], height: float) -> None:
+def save(chart: str, axes: Axes) -> None:
     """Write a chart of one panel."""
-    (FOLDER / chart).write_bytes(render(paint, (WIDTH, height), "svg")[0] + data_mark(chart).encode())
+    (FOLDER / chart).write_bytes(picture(axes, "svg") + data_mark(chart).encode())
 
 
 CONTROLLERS = {"left: PID, tuned": "pid", "right: flow linearisation": "flow_linearising"}
@@ -172,26 +142,24 @@ def animation() -> None:
             if step % EVERY == 0:
                 frames[name].append(Image.fromarray(env.render()).crop(DRAWN))
         env.close()
-    looks, time = looks_of(CONTROLLERS), task.control_period * np.arange(1, task.steps + 1)
+    time = task.control_period * np.arange(1, task.steps + 1)
     width, height = DRAWN[2] - DRAWN[0] + GAP, DRAWN[3] - DRAWN[1]
 
-    def picture(steps: int) -> Image.Image:
-        def paint(figure: Figure) -> None:
-            axes = figure.subplots()
-            for name, look in looks.items():
-                axes.plot(time[:steps], errors[name][:steps], color=look.colour, linestyle=look.line, label=name)
-            axes.set(xlim=(0, time[-1]), ylim=(-0.6, 0.6), xlabel="time, s", ylabel="error, mm")
-            axes.legend(loc="upper right")
-
-        return Image.open(BytesIO(render(paint, (2 * width / 120, 1.7), "png")[0])).convert("RGB")
+    @drawn
+    def below(steps: int) -> Image.Image:
+        axes = panel(2 * width / 120, 1.7, xlim=(0, time[-1]), ylim=(-0.6, 0.6), xlabel="time, s", ylabel="error, mm")
+        for name in CONTROLLERS:
+            axes.plot(time[:steps], errors[name][:steps], marker="", label=name)
+        axes.legend(loc="upper right")
+        return Image.open(BytesIO(picture(axes, "png"))).convert("RGB")
 
     pages = []
     for index in range(len(next(iter(frames.values())))):
-        below = picture(index * EVERY + 1)
-        page = Image.new("RGB", (2 * width, height + below.height), PAPER)
+        plot = below(index * EVERY + 1)
+        page = Image.new("RGB", (2 * width, height + plot.height), PAPER)
         for column, name in enumerate(CONTROLLERS):
             page.paste(frames[name][index], (column * width, 0))
-        page.paste(below, (0, height))
+        page.paste(plot, (0, height))
         pages.append(page)
     more = {"save_all": True, "append_images": pages[1:], "duration": 5 * EVERY, "loop": 0, "quality": 60, "method": 6}
     pages[0].save(FOLDER / "leak.webp", **more)

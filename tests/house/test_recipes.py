@@ -297,9 +297,7 @@ def try_evaluation() -> None:
     from hydro_agents.evaluation.participants import participants
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
     from hydro_agents.evaluation.runner import run as run_protocol
-    from hydro_agents.report.content import Content
-    from hydro_agents.report.robustness import ROBUSTNESS, absolute_table, ranking_table
-    from hydro_agents.report.sections import render_page
+    from hydro_agents.report.controllers_page import controllers_page, overview
     from hydro_agents.running.text import number
 
     # The condition of the file, which no controller knows.
@@ -319,18 +317,17 @@ def try_evaluation() -> None:
     for name in ("comparison", "ranking"):
         assert "saturation_ratio" in tables[name]
     assert "saturated_share" in set(tables["summary"]["metric"])
-    assert "saturation" in ranking_table(Content(tables))[0].header
-    assert "Command at its limit, % of the time" in absolute_table(Content(tables)).header
+    assert "command at its limit, % of the time" in overview(tables)["cost"]
 
     # The section: on the page at its place, and not without its table.
-    page = render_page("Mine", ROBUSTNESS, Content(tables)).html
-    named = re.findall(r'<section id="(\w+)"', page)
-    assert named[named.index("peaks") - 1 : named.index("peaks") + 2] == ["costs", "peaks", "method"]
+    page = controllers_page("Mine", tables)
+    named = list(page.headings)
+    assert named[named.index("largest-errors") - 1] == "by-kind-of-reference"
     worst = tables["worst_cases"].query("controller == 'Flow linearisation'").nlargest(1, "peak_error_mm").iloc[0]
-    where = conditions[worst["condition"]].label
-    assert f"<td>{number(worst['peak_error_mm'])}</td><td>{where}</td>" in page
+    cells = [number(worst["peak_error_mm"]), worst["condition"]]
+    assert ">".join(cells) in re.sub(r"</td>\s*<td[^>]*", "", page.html())
     rest = {name: table for name, table in tables.items() if name != "worst_cases"}
-    assert "Largest errors" not in render_page("Mine", ROBUSTNESS, Content(rest)).html
+    assert "largest-errors" not in controllers_page("Mine", rest).headings
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Presentation of results: figures, numbers, sentences, pages.
+"""Presentation of results: pages with tables and figures.
 
-Comes in: the tables of a run by the names of their CSV files (``content.Content``). Goes out: one HTML page with its
-figures. Open ``sections.py`` first: a page is a list of sections, each a function from content to blocks.
+Comes in: data frames, by the names of their CSV files. Goes out: one HTML page. Open ``kit.py`` first: a page is built
+from headings, verdicts, tables and figures, from the top down.
 """

@@ -97,7 +97,7 @@ def controllers_page(
         "same plants, references and sensor noise. In brackets: 95 % intervals.",
         "soft",
     )
-    page.table(overview(tables), "Errors and costs over all runs", {("error", "better in, %"): 0})
+    page.table(overview(tables), "Errors and costs over all runs")
     corrections(page, tables)
     conditions = tables.get("conditions", pd.DataFrame(columns=["condition", "label"]))
     problems(page, tables.get("status", pd.DataFrame()), "controller", conditions)
@@ -164,11 +164,11 @@ def overview(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     ratios = rows_of(tables, "comparison", ALL).set_index("controller").reindex(names)
     frame = {("error", "mean, mm"): means[ERROR], ("error", "worst run, mm"): worst}
     if len(names) > 1:
-        columns = {"equal_weight": "equal weights", "equal_weight_sensor": "repeatability", "ratio": "mean"}
-        for column, name in columns.items():
-            frame[f"error ÷ {names[0]}'s", name] = with_interval(ratios, column, 2)
-        frame[f"error ÷ {names[0]}'s", "worst case"] = ratios["worst_ratio"]
-        frame["error", "better in, %"] = 100.0 * ratios["share_better"]
+        above = f"error ÷ {names[0]}'s"
+        frame[above, "accuracy"] = with_interval(ratios, "equal_weight", 2)
+        frame[above, "repeatability"] = with_interval(ratios, "equal_weight_sensor", 2)
+        frame[above, "worst case"] = ratios["worst_ratio"]
+        frame[above, "better in, %"] = 100.0 * ratios["share_better"]
     for metric in COSTS:
         if metric.name in means:
             label = f"{metric.word.lower()}, {metric.shown_unit or metric.unit}"

@@ -146,7 +146,7 @@ def test_a_protocol_shows_its_conditions_and_what_did_not_run():
     assert ["sha256", "41b35ac0"] in found.rows
     assert ["Leak past the piston", "0.01 l/min", "0.200", "0.50", "0.80"] in found.rows
     assert "nan" not in found.text.lower()
-    ratios = overview(protocol_tables())["error ÷ PID's"]["equal weights"].tolist()
+    ratios = overview(protocol_tables())["error ÷ PID's"]["accuracy"].tolist()
     assert ratios == ["–", "0.70 (0.60 to 0.80)", "0.95 (0.85 to 1.05)"]
 
 

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from recorded import CONFIG, changed, healthy
 
-from hydro_agents.report.recorded import findings_frame
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
 from hydro_rig.recordings.channels import check_driving
-from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.quality import balance, check_recording, flow_into_a
 from hydro_rig.recordings.recording import Recording
 from hydro_rig.recordings.sampling import bridged, cut, on_grid, sampled
@@ -364,7 +363,3 @@ def test_motion_at_one_speed_is_judged_by_its_mean(sign):
     speed = flow_into_a(signals, CONFIG).mean() / c.area_a
     signals[0] = sign * (speed * (time - 1.0) + 2e-3 * np.sin(3.0 * time))
     assert balance(signals, CONFIG).slope == pytest.approx(sign, rel=0.05)
-
-
-def test_a_page_says_what_each_weight_of_a_finding_means():
-    assert len(findings_frame([Finding("model", "differs", weight) for weight in Weight])) == len(Weight)
