@@ -141,7 +141,8 @@ def verdict(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
         first = ratios.sort_values("equal_weight").iloc[0]
         if first["equal_weight_high"] < 1.0:
             share = number(100.0 * first["equal_weight"], 0)
-            page.verdict(f"{first['controller']} positions best: {share} % of the error of {baseline}.", "good")
+            error = f"{share} % of the error of {baseline}, every kind of reference with the same weight"
+            page.verdict(f"{first['controller']} positions best: {error}.", "good")
         else:
             page.verdict(f"No controller is clearly better than {baseline}.", "doubtful")
     for row in tables.get("limit_cycle_summary", pd.DataFrame()).to_dict("records"):
@@ -165,12 +166,12 @@ def overview(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     frame = {("error", "mean, mm"): means[ERROR], ("error", "worst run, mm"): worst}
     if len(names) > 1:
         above = f"error ÷ {names[0]}'s"
-        frame[above, "accuracy"] = with_interval(ratios, "equal_weight", 2)
-        frame[above, "repeatability"] = with_interval(ratios, "equal_weight_sensor", 2)
+        frame[above, "equal weights"] = with_interval(ratios, "equal_weight", 2)
+        frame[above, "of repeatability"] = with_interval(ratios, "equal_weight_sensor", 2)
         frame[above, "worst case"] = ratios["worst_ratio"]
         frame[above, "better in, %"] = 100.0 * ratios["share_better"]
     for metric in COSTS:
-        if metric.name in means:
+        if metric.name in means and means[metric.name].any():
             label = f"{metric.word.lower()}, {metric.shown_unit or metric.unit}"
             frame["cost", label] = metric.factor * means[metric.name]
     cycles = tables.get("limit_cycle_summary", pd.DataFrame()).to_dict("records")
