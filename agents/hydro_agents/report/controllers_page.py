@@ -14,13 +14,25 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.comparison import ALL
-from hydro_agents.evaluation.metrics import COMPARED, ERROR, FRAMES_TEXT, METRICS
-from hydro_agents.report.kit import INK, Page, draw, drawn, height_of, leak_axis, panel, panels, signal, with_interval
-from hydro_agents.report.parts import facts_of, learning_axes, problems, run_facts
-from hydro_agents.running.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text, comes_to_rest
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.evaluation.metrics import ERROR, FRAMES_TEXT, METRICS
+from hydro_agents.report.kit import (
+    GREY,
+    INK,
+    Page,
+    draw,
+    drawn,
+    height_of,
+    leak_axis,
+    panel,
+    panels,
+    signal,
+    with_interval,
+)
+from hydro_agents.report.parts import problems, run_facts
+from hydro_agents.running.limit_cycles import JUDGED, LEAST_CYCLES, comes_to_rest
+from hydro_agents.running.seeds import SEED_MARK, TEST_SEEDS
 from hydro_agents.running.statistics import RESAMPLES
-from hydro_agents.running.text import capitalised, family_name, number, setting, span
+from hydro_agents.running.text import capitalised, family_name, number, setting
 from hydro_env.types import Floats
 
 FEW_PLANTS = 12
@@ -46,17 +58,17 @@ GROUPS = {
 FOLDED = GROUPS["parameter"]  # because it has many conditions
 
 DETECTION = {
-    "auroc": ("Area under the ROC curve", 1.0),
-    "threshold": ("Threshold of the leak probability", 1.0),
-    "false_alarm_rate": ("False alarms at this threshold, %", 100.0),
-    "detection_rate_moderate": ("Moderate and severe leaks flagged at this threshold, %", 100.0),
-    "detection_rate_moderate_at_1_percent": ("The same at a threshold with 1 % false alarms here, %", 100.0),
-    "median_size_error_factor": ("Size: factor of error, half of the leaks within", 1.0),
-    "p90_size_error_factor": ("Size: factor of error, nine in ten within", 1.0),
-    "healthy_episodes": ("Healthy episodes", 1),
-    "leaking_episodes": ("Leaking episodes", 1),
+    "auroc": "Area under the ROC curve",
+    "threshold": "Threshold of the leak probability",
+    "false_alarm_rate": "False alarms at this threshold, %",
+    "detection_rate_moderate": "Moderate and severe leaks flagged at this threshold, %",
+    "detection_rate_moderate_at_1_percent": "The same at a threshold with 1 % false alarms here, %",
+    "median_size_error_factor": "Size: factor of error, half of the leaks within",
+    "p90_size_error_factor": "Size: factor of error, nine in ten within",
+    "healthy_episodes": "Healthy episodes",
+    "leaking_episodes": "Leaking episodes",
 }
-"""Rows of the summary of the detection: name, and factor."""
+"""Rows of the summary of the detection; % means that the table holds a share."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +101,6 @@ def controllers_page(
         timings: s, by phase.
         configuration: YAML text.
     """
-    facts = facts_of(tables)
     page, names = Page(title), names_of(tables)
     verdict(page, tables)
     page.text(
@@ -98,10 +109,13 @@ def controllers_page(
         "soft",
     )
     page.table(overview(tables), "Errors and costs over all runs")
-    corrections(page, tables)
-    conditions = tables.get("conditions", pd.DataFrame(columns=["condition", "label"]))
-    problems(page, tables.get("status", pd.DataFrame()), "controller", conditions)
-    if len(conditions) > 1 and "comparison" in tables:
+    compared = tables.get("comparison", pd.DataFrame({"against": []}))
+    corrected = compared[compared["against"] != names[0]]
+    if len(corrected):
+        index = corrected["controller"] + " ÷ " + corrected["against"]
+        page.table(ratios_of(corrected).set_axis(index), "A policy over what it corrects, on the same runs")
+    problems(page, tables, "controller")
+    if len(tables.get("conditions", ())) > 1 and "comparison" in tables:
         comparison(page, tables)
     by_leak(page, tables)
     by_kind(page, tables)
@@ -109,13 +123,9 @@ def controllers_page(
     if "detection_summary" in tables:
         detection(page, tables)
     if "training_curve" in tables:
-        curve = tables["training_curve"]
-        page.heading("Training")
-        axes = learning_axes(curve, names[0], float(curve["first_mean_error_mm"].iloc[0]), names)
-        note = "Plants of the validation. Line: median of the training seeds; bars: from the lowest to the highest."
-        page.figure(axes, f"Error while learning, over that of {names[0]}", note)
+        training(page, tables["training_curve"], names)
     method(page, tables)
-    run_facts(page, facts, timings, configuration, tables.get("conditions"))
+    run_facts(page, tables, timings, configuration)
     return page
 
 
@@ -165,76 +175,54 @@ def overview(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     ratios = rows_of(tables, "comparison", ALL).set_index("controller").reindex(names)
     frame = {("error", "mean, mm"): means[ERROR], ("error", "worst run, mm"): worst}
     if len(names) > 1:
-        above = f"error ÷ {names[0]}'s"
-        frame[above, "equal weights"] = with_interval(ratios, "equal_weight", 2)
-        frame[above, "of repeatability"] = with_interval(ratios, "equal_weight_sensor", 2)
-        frame[above, "worst case"] = ratios["worst_ratio"]
-        frame[above, "better in, %"] = 100.0 * ratios["share_better"]
+        for name, column in ratios_of(ratios).items():
+            frame[f"error ÷ {names[0]}'s", name] = column
     for metric in COSTS:
         if metric.name in means and means[metric.name].any():
             label = f"{metric.word.lower()}, {metric.shown_unit or metric.unit}"
             frame["cost", label] = metric.factor * means[metric.name]
-    cycles = tables.get("limit_cycle_summary", pd.DataFrame()).to_dict("records")
-    if cycles:
-        texts = {row["controller"]: _at_rest(row) for row in cycles}
-        frame["at rest", "limit cycles"] = pd.Series(texts).reindex(names)
+    if "limit_cycle_summary" in tables:
+        cycles = tables["limit_cycle_summary"].set_index("controller").reindex(names)
+        for column, name in {"limit_cycles": "limit cycles", "standstills": "of", "failures": "failed"}.items():
+            frame["at rest", name] = cycles[column]
+        frame["at rest", "largest, µm"] = cycles["largest_amplitude_um"]
     return pd.DataFrame(frame)
 
 
-def _at_rest(row: Mapping[str, float]) -> str:
-    size = f" (to {amplitude_text(row['largest_amplitude_um'])})" if row["limit_cycles"] else ""
-    failed = f", {row['failures']} failed" if row["failures"] else ""
-    return f"{row['limit_cycles']} of {row['standstills']}{size}{failed}"
-
-
-def corrections(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
-    """Each policy that corrects another controller than the baseline, against this controller."""
-    compared = tables.get("comparison", pd.DataFrame(columns=["against"]))
-    table = compared[compared["against"] != names_of(tables)[0]]
-    if table.empty:
-        return
-    frame = pd.DataFrame({"policy": table["controller"], "corrects": table["against"]})
-    columns = {"ratio": "mean error", "equal_weight": "equal weights", "ratio_sensor": "repeatability"}
-    for column, name in columns.items():
-        frame[name] = with_interval(table, column)
-    frame["better in, %"] = 100.0 * table["share_better"]
-    for column, metric in COMPARED.items():
-        if metric.cost:
-            frame[metric.word.lower()] = table[column]
-    page.table(frame.set_index("policy"), "A policy ÷ what it corrects, on the same runs", {"better in, %": 0})
+def ratios_of(rows: pd.DataFrame) -> pd.DataFrame:
+    """Ratios of errors in rows of the comparison; every kind of reference weighs the same."""
+    frame = {
+        "equal weights": with_interval(rows, "equal_weight", 2),
+        "of repeatability": with_interval(rows, "equal_weight_sensor", 2),
+        "worst case": rows["worst_ratio"],
+        "better in, %": 100.0 * rows["share_better"],
+    }
+    return pd.DataFrame(frame)
 
 
 # Conditions -----------------------------------------------------------------------------------------------------------
 
 
 def comparison(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
-    """The maps of all conditions, and limit cycles under them."""
+    """The maps of all conditions; those in the group with many follow in their own table."""
     page.heading("Comparison by condition")
     page.text(
         "A cell has a colour where the whole 95 % interval is below 1 (blue, better) or above it (orange). "
         "Bold: the best of its row.",
         "soft",
     )
-    put_map(page, tables, "equal_weight", "Ratio of errors, every kind of reference with the same weight")
-    with page.fold("The same in the frame of the sensor (repeatability)"):
-        put_map(page, tables, "equal_weight_sensor", "Ratio of errors in the frame of the sensor, equal weights")
-    with page.fold("The same with mean errors, which steps dominate"):
-        put_map(page, tables, "ratio", "Ratio of mean errors")
-    cycles = tables.get("limit_cycles", pd.DataFrame())
-    counts = cycles_by_condition(cycles, names_of(tables)) if len(cycles) else cycles
-    if len(counts):
-        with page.fold("Limit cycles by condition; none under the others"):
-            page.table(counts.rename(index=tables["conditions"].set_index("condition")["label"]))
-
-
-def put_map(page: Page, tables: Mapping[str, pd.DataFrame], column: str, caption: str) -> None:
-    """The map of a column of the table ``comparison``; the group with many conditions is folded."""
-    frame, kinds = heat_map(tables, column)
-    many, decimals = frame.index.get_level_values(0) == FOLDED, dict.fromkeys(frame.columns[1:], 2)
-    page.table(frame[~many], caption, decimals, kinds[~many])
-    if many.any():
-        with page.fold(FOLDED):
-            page.table(frame[many].droplevel(0), "", decimals, kinds[many].droplevel(0))
+    captions = {
+        "equal_weight": "Ratio of errors, every kind of reference with the same weight",
+        "equal_weight_sensor": "The same in the frame of the sensor (repeatability)",
+        "ratio": "Ratio of mean errors, which steps dominate",
+    }
+    for column, caption in captions.items():
+        frame, kinds = heat_map(tables, column)
+        many = frame.index.get_level_values(0) == FOLDED
+        with page.fold(caption, opened=column == "equal_weight"):
+            for rows, title in ((~many, ""), (many, FOLDED)):
+                if rows.any():
+                    page.table(frame[rows], title, dict.fromkeys(frame.columns[1:], 2), kinds[rows])
 
 
 def heat_map(tables: Mapping[str, pd.DataFrame], column: str) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -266,14 +254,6 @@ def heat_map(tables: Mapping[str, pd.DataFrame], column: str) -> tuple[pd.DataFr
     return ratios, kinds
 
 
-def cycles_by_condition(cycles: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
-    """Limit cycles of standstills under every condition in which any controller has one."""
-    some = cycles[cycles.groupby("condition")["limit_cycle"].transform("sum") > 0]
-    counts = some.groupby(["condition", "controller"], sort=False)["limit_cycle"].agg(["sum", "count"]).astype(int)
-    texts = counts["sum"].astype(str) + " of " + counts["count"].astype(str)
-    return texts.unstack().reindex(index=some["condition"].unique(), columns=names).fillna("–")
-
-
 # Positioning ----------------------------------------------------------------------------------------------------------
 
 
@@ -293,44 +273,26 @@ def by_leak(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
         leak_axis(axes, rows["value"])
         axes.set_ylim(bottom=0.0)
         page.figure(axes, f"{metric.word} by leak")
-    if "growth" in tables:
-        found = tables["growth"]
-        least, most = (setting(leak) for leak in levels["value"].agg(["min", "max"]))
-        texts = found.assign(text=with_interval(found, "ratio"), family=found["family"].map(family_name))
-        growth = texts.pivot(index="controller", columns="family", values="text").loc[names, texts["family"].unique()]
-        page.table(growth, f"Mean error with {most} l/min ÷ mean error with {least} l/min, same plants")
 
 
 def by_kind(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
-    """Errors, and their ratios to those of the baseline, by kind of reference."""
-    names, errors = names_of(tables), rows_of(tables, "summary", "family")
-    errors, ratios = errors[errors["metric"] == ERROR], rows_of(tables, "comparison", "family")
-    if errors.empty:
-        return
-    page.heading("By kind of reference")
-    figures = (
-        (errors, "mean", "mean error, mm", "Mean error by kind of reference"),
-        (ratios, "ratio", f"error ÷ error of {names[0]}", "Ratio of errors by kind of reference"),
-    )
-    for rows, column, label, heading in figures:
-        if len(rows):
-            rows = rows.assign(value=rows["value"].map(family_name))
-            axes = panel(height=height_of(rows["value"].nunique(), len(names)), xlabel=label)
-            draw(axes, rows, "value", column, names, kind="rows")
-            axes.set_xlim(left=0.0)
-            if column == "ratio":
-                axes.axvline(1.0, color=INK, linewidth=1.0)
-            page.figure(axes, heading)
+    """Ratios of errors to those of the baseline by kind of reference."""
+    names, rows = names_of(tables), rows_of(tables, "comparison", "family")
+    if len(rows):
+        page.heading("By kind of reference")
+        rows = rows.assign(value=rows["value"].map(family_name))
+        axes = panel(height=height_of(rows["value"].nunique(), len(names)), xlabel=f"error ÷ error of {names[0]}")
+        draw(axes, rows, "value", "ratio", names, kind="rows")
+        axes.axvline(1.0, color=INK, linewidth=1.0)
+        axes.set_xlim(left=0.0)
+        page.figure(axes, "Ratio of errors by kind of reference")
 
 
 def single_runs(page: Page, examples: Sequence[Example]) -> None:
-    """Position, error and command of each example, folded by leak."""
+    """Position and reference, error in mm, command in V of each example, folded by leak."""
     if examples:
         page.heading("Single runs")
-        note = (
-            "The same plant, reference and noise at every leak. A controller that sees the reference ahead may start "
-        )
-        page.text(f"{note}before a step.", "soft")
+        page.text("A controller that sees the reference ahead may start before a step.", "soft")
     for leak in sorted({example.leak for example in examples}):
         with page.fold(f"Leak of {setting(leak)} l/min at 100 bar"):
             for example in examples:
@@ -339,19 +301,17 @@ def single_runs(page: Page, examples: Sequence[Example]) -> None:
 
 
 def example_axes(example: Example) -> list[Axes]:
-    """Position and reference, error in mm, command in V of one episode under every controller."""
-    axes = panels(3, height=4.6)
+    """The panels of an example."""
+    time, axes = example.time, panels(3, height=4.6)
+    for name, position in example.position.items():
+        error = 1e3 * (example.reference - position)
+        signal(axes[0], time, 1e3 * position, label=f"{name}, mean error {number(float(np.abs(error).mean()))} mm")
+        signal(axes[1], time, error)
+        signal(axes[2], time, 10.0 * example.command[name])
+    signal(axes[0], time, 1e3 * example.reference, color=INK, linestyle="-", linewidth=0.8, label="reference")
     for one, label in zip(axes, ("position, mm", "error, mm", "command, V"), strict=True):
         one.set_ylabel(label)
     axes[-1].set_xlabel("time, s")
-    for name, position in example.position.items():
-        error = 1e3 * (example.reference - position)
-        label = f"{name}, mean error {number(float(np.abs(error).mean()))} mm"
-        signal(axes[0], example.time, 1e3 * position, label=label)
-        signal(axes[1], example.time, error)
-        signal(axes[2], example.time, 10.0 * example.command[name])
-    line = {"color": INK, "linestyle": "-", "linewidth": 0.8, "label": "reference"}
-    signal(axes[0], example.time, 1e3 * example.reference, **line)
     return axes
 
 
@@ -368,16 +328,37 @@ def detection(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
     draw(axes, shown, "value", "flagged_share", names, factor=100.0, kind="points")
     page.figure(axes, "Flagged episodes by leak", "Bars: 95 % interval. Flags on healthy seals are false alarms.")
     page.table(detection_table(tables["detection_summary"]), "Detection by the leakage head, from whole episodes")
-    with page.fold("Share of episodes flagged, %"):
-        texts = rates.assign(text=with_interval(rates, "flagged_share", 1, 100.0))
-        shares = texts.pivot(index=["group", "value"], columns="controller", values="text")
-        page.table(shares.loc[pd.MultiIndex.from_frame(rates[["group", "value"]].drop_duplicates()), names])
 
 
 def detection_table(summary: pd.DataFrame) -> pd.DataFrame:
     """Areas under the curves, rates and errors of the size, one column per controller."""
-    rows = {name: factor * summary[key] for key, (name, factor) in DETECTION.items() if key in summary}
-    return pd.DataFrame(rows).set_axis(summary["controller"].to_list()).T.astype(object)
+    known = summary.set_index("controller").rename(columns=DETECTION)
+    for name in known.columns[known.columns.str.endswith("%")]:
+        known[name] *= 100.0
+    return known.T.astype(object).rename_axis(columns=None)
+
+
+def learning_of(curve: pd.DataFrame) -> pd.DataFrame:
+    """Error on validation plants while policies learn, relative to the first controller: median and range of the seeds.
+
+    Trainings of one controller on several seeds are named NAME#0, NAME#1, …
+    """
+    ratio = (curve["validation/mean_error_mm"] / curve["first_mean_error_mm"]).rename("ratio")
+    names, steps = curve["controller"].str.partition(SEED_MARK)[0].rename("controller"), curve["steps"] / 1e3
+    return ratio.groupby([names, steps], sort=False).agg(ratio="median", low="min", high="max").reset_index()
+
+
+def training(page: Page, curve: pd.DataFrame, names: Sequence[str]) -> None:
+    """Error while learning; a correction is compared with the controller that it corrects as well."""
+    axes = panel(xlabel="training, thousand steps", ylabel=f"error ÷ error of {names[0]}")
+    draw(axes, learning_of(curve), "steps", "ratio", names)
+    axes.axhline(1.0, color=INK, linewidth=1.0, label=names[0])
+    base = curve.get("validation/base_mean_error_mm", pd.Series(dtype=np.float64)) / curve["first_mean_error_mm"]
+    for corrected in base.dropna().unique():
+        axes.axhline(corrected, color=GREY, linestyle=":", label="corrected controller")
+    page.heading("Training")
+    note = "On validation plants. Line: median of the training seeds; bars: from the lowest to the highest."
+    page.figure(axes, f"Error while learning, over that of {names[0]}", note)
 
 
 def method(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
@@ -395,22 +376,14 @@ def method(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
         ]
     )
     if "cases" in tables:
-        cases = tables["cases"]
-        runs = cases.groupby("controller", sort=False)
-        rows = {
-            "Kinds of reference": ", ".join(map(family_name, cases["family"].unique())),
-            "Plants for each kind": cases["plant"].nunique(),
-            "Leaks, l/min at 100 bar": ", ".join(map(setting, sorted(cases["leakage_flow_lpm"].unique()))),
-            "Seeds": span(cases["seed"].min(), cases["seed"].max()),
+        columns = {
+            "runs": ("seed", "size"),
+            "kinds of reference": ("family", "nunique"),
+            "plants for each kind": ("plant", "nunique"),
+            "training seeds": ("training_seed", "nunique"),
+            "failed runs": ("failed", "sum"),
         }
-        counts = {
-            "Runs": runs.size(),
-            "Training seeds": runs["training_seed"].nunique(),
-            "Failed runs": runs["failed"].sum().astype(int),
-        }
-        for what, by_controller in counts.items():
-            rows[what] = ", ".join(f"{name} {count}" for name, count in by_controller.items())
-        page.table(pd.DataFrame({"number": pd.Series(rows, dtype=object)}), "What was run", words=True)
+        page.table(tables["cases"].groupby("controller", sort=False).agg(**columns).astype(int), "What was run")
     with page.fold("Metrics of a run"):
         about = {metric.name: (metric.word, metric.meaning, metric.unit) for metric in METRICS.values()}
         columns = ["metric", "meaning", "unit"]

@@ -1,18 +1,6 @@
 """The kit of all pages: verdicts, tables and figures in one HTML file without external parts, in light and dark.
 
-Comes in: data frames, and figures of matplotlib. Goes out: a file. A page is built from the top down:
-
-.. code-block:: python
-
-    @drawn
-    def load_page(table: pd.DataFrame) -> Page:
-        page = Page("Errors over the load")
-        page.verdict("PID positions best", "good")
-        page.table(table.set_index("controller"), "Mean of ten runs")
-        axes = panel(xlabel="load, kg", ylabel="error, mm")
-        draw(axes, table, "load_kg", "error_mm", names=["PID", "PPO"])
-        page.figure(axes, "Error over the load")
-        return page
+Comes in: data frames, and figures of matplotlib. Goes out: a file. A page is built from the top down.
 """
 
 from __future__ import annotations

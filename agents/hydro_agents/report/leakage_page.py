@@ -9,7 +9,7 @@ import pandas as pd
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.kit import GREY, INK, Page, draw, drawn, height_of, leak_axis, panel, with_interval
-from hydro_agents.report.parts import facts_of, problems, run_facts
+from hydro_agents.report.parts import problems, run_facts
 from hydro_agents.running.text import listed, number, setting
 
 PAGE_FILE = "leakage.html"
@@ -51,29 +51,24 @@ def leakage_page(title: str, tables: Mapping[str, pd.DataFrame], base: str) -> P
         "40 mm bore.",
         "caution",
     )
-    problems(page, tables.get("status", pd.DataFrame()), "detector", tables["conditions"])
+    problems(page, tables, "detector")
     page.heading("Smallest detectable leak, and accuracy of its size")
     by_size(page, tables, names, base)
     page.heading("Other motions, controllers and faults")
-    motions = [base, *in_groups(conditions, "motion", "controller")]
-    faults = in_groups(conditions, *CHANGED)
-    reported, false = "windows in which it is reported, %", "healthy windows reported as leaking, %"
-    parts = (
-        (f"Leak of {SMALL} l/min under other motions and controllers", reported, motions, SMALL, ()),
-        ("False alarms under other motions and controllers", false, motions, HEALTHY, (2.0, 5.0)),
-        ("Other faults and changes mistaken for a leak", false, faults, HEALTHY, (TOO_OFTEN,)),
-        (f"Leak of {SMALL} l/min beside the same faults", reported, faults, SMALL, ()),
-    )
-    for heading, label, chosen, level, lines in parts:
-        rows_figure(page, heading, label, found, "flagged", (chosen, level), conditions["label"], names, lines)
+    motions, faults = in_groups(conditions, "motion", "controller"), in_groups(conditions, *CHANGED)
+    groups = {"other motions and controllers": [base, *motions], "other faults and plants": faults}
+    for words, chosen in groups.items():
+        of = found[found["condition"].isin(chosen)]
+        title, label = f"Leak of {SMALL} l/min under {words}", "windows in which it is reported, %"
+        by_condition(page, title, label, of[of["level"] == SMALL], "flagged", conditions, names)
+        title, label = f"Healthy seal under {words}", "windows reported as leaking, %"
+        by_condition(page, title, label, of[of["level"] == HEALTHY], "flagged", conditions, names)
     page.heading("Reliability of probabilities and intervals")
     reliability(page, tables, names, base)
-    others = in_groups(conditions, "levels", "law", "motion", "controller")
-    for heading, chosen in {"laws, motions, controllers": others, "other faults and plants": faults}.items():
-        title = f"Coverage of the 90 % intervals: {heading}"
-        label = f"intervals that contain the leak of {SMALL} l/min, %"
-        sizes = tables.get("sizes", pd.DataFrame())
-        rows_figure(page, title, label, sizes, "coverage", (chosen, SMALL), conditions["label"], names, (87.0, 93.0))
+    sizes = tables.get("sizes", pd.DataFrame({"level": []}))
+    label = f"intervals that contain the leak of {SMALL} l/min, %"
+    title = "Coverage of the 90 % intervals"
+    by_condition(page, title, label, sizes[sizes["level"] == SMALL], "coverage", conditions, names)
     page.heading("How it was measured")
     page.points(
         [
@@ -86,7 +81,7 @@ def leakage_page(title: str, tables: Mapping[str, pd.DataFrame], base: str) -> P
             "Shares: 95 % Wilson intervals.",
         ]
     )
-    run_facts(page, facts_of(tables), conditions=tables["conditions"])
+    run_facts(page, tables)
     return page
 
 
@@ -153,33 +148,22 @@ def by_size(page: Page, tables: Mapping[str, pd.DataFrame], names: Sequence[str]
     page.figure(axes, "Error of the estimated size, by leak")
 
 
-def rows_figure(
+def by_condition(
     page: Page,
     title: str,
     label: str,
-    table: pd.DataFrame,
+    rows: pd.DataFrame,
     column: str,
-    where: tuple[Sequence[str], float],
-    labels: pd.Series,
+    conditions: pd.DataFrame,
     names: Sequence[str],
-    lines: Sequence[float],
 ) -> None:
-    """A share of the windows by condition, from top to bottom; ``where``: conditions and leak."""
-    conditions, level = where
-    if table.empty:
-        return
-    rows = table[table["condition"].isin(conditions) & (table["level"] == level) & table[column].notna()]
-    rows = rows.sort_values("condition", key=lambda each: each.map(list(conditions).index), kind="stable")
-    rows = rows.assign(condition=rows["condition"].map(labels))
-    if rows.empty:
-        return
-    axes = panel(height=height_of(rows["condition"].nunique(), len(names)), xlabel=label)
-    draw(axes, rows, "condition", column, names, "detector", 100.0, "rows")
-    if column == "flagged":
-        axes.set_xlim(left=0.0)
-    for line in lines:
-        axes.axvline(line, color=GREY, linewidth=0.9, linestyle=":")
-    page.figure(axes, title, f"Lines: {listed([number(line, 0) for line in lines])} %." if lines else "")
+    """A share of the windows by condition, from top to bottom."""
+    rows = rows.dropna(subset=[column]) if len(rows) else rows
+    if len(rows):
+        rows = rows.assign(condition=rows["condition"].map(conditions["label"]))
+        axes = panel(height=height_of(rows["condition"].nunique(), len(names)), xlabel=label)
+        draw(axes, rows, "condition", column, names, "detector", 100.0, "rows")
+        page.figure(axes, title)
 
 
 def reliability(page: Page, tables: Mapping[str, pd.DataFrame], names: Sequence[str], base: str) -> None:

@@ -12,15 +12,15 @@ from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
 from hydro_agents.report.controllers_page import (
     Example,
     controllers_page,
-    cycles_by_condition,
     detection_table,
     heat_map,
+    learning_of,
     overview,
 )
-from hydro_agents.report.parts import BASE_ERROR, ERROR, learning_axes
 from hydro_agents.running.text import correction_name, duration, frame_markdown, markdown, number
 from hydro_env import TaskConfig
 
+ERROR, BASE_ERROR = "validation/mean_error_mm", "validation/base_mean_error_mm"
 CONFIG = TaskConfig(episode_duration=0.4)
 SETTINGS = ProtocolSettings(
     plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=120, standstill_plants=1
@@ -73,18 +73,10 @@ def test_errors_and_limit_cycles_stand_in_the_overview(tables):
     means = tables["cases"].groupby("controller", sort=False)["mean_error_mm"]
     assert table["error", "mean, mm"].tolist() == pytest.approx(means.mean().tolist())
     assert table["error", "worst run, mm"].tolist() == means.max().tolist()
-    assert table["at rest", "limit cycles"].tolist() == ["14 of 16 (to 7.9 mm), 1 failed", "0 of 16"]
+    assert table["at rest"].loc["PID"].tolist() == [14, 16, 1, 7900.0]
     assert "PID does not come to rest" in shown(restless)
     calm = cycles.assign(limit_cycles=0, failures=0)
     assert "PID does not come to rest" not in shown({**restless, "limit_cycle_summary": calm})
-
-
-def test_the_growth_of_the_error_with_the_leak_is_a_table(tables):
-    grown = {"family": ["all", "step", "sine"], "ratio": [2.5, 3.0, 2.0]}
-    growth = pd.DataFrame({"controller": np.repeat(["PID", ODD_NAME], 3), **{k: 2 * v for k, v in grown.items()}})
-    growth = growth.assign(ratio_low=growth["ratio"], ratio_high=growth["ratio"])
-    rows = Parsed(controllers_page("Trial", {**tables, "growth": growth}).html()).rows
-    assert ["PID", "2.50 (2.50 to 2.50)", "3.00 (3.00 to 3.00)", "2.00 (2.00 to 2.00)"] in rows
 
 
 @pytest.mark.parametrize(
@@ -104,13 +96,12 @@ def test_nobody_is_called_best_without_a_clear_difference(tables, ratio, verdict
 
 def test_a_policy_is_compared_with_the_controller_that_it_corrects(tables):
     compared = tables["comparison"]
-    row = compared.iloc[[0]].assign(controller="PPO", against=ODD_NAME, ratio=0.9, ratio_low=0.9, ratio_high=0.9)
-    corrected = row.assign(share_better=1.0, travel_ratio=1.0, reversals_ratio=1.0, energy_ratio=1.0)
+    weights = {"equal_weight": 0.9, "equal_weight_low": 0.8, "equal_weight_high": 0.95, "share_better": 1.0}
+    corrected = compared.iloc[[0]].assign(controller="PPO", against=ODD_NAME, **weights)
     both = pd.concat([compared, corrected], ignore_index=True)
     found = Parsed(controllers_page("Trial", {**tables, "comparison": both}).html()).rows
-    (row,) = [row for row in found if row[:2] == ["PPO", ODD_NAME]]
-    assert row[2] == "0.900 (0.900 to 0.900)"
-    assert row[5:] == ["100", "1.00", "1.00", "1.00"]  # better in all runs, at the same costs
+    (row,) = [row for row in found if row[0] == f"PPO ÷ {ODD_NAME}"]
+    assert (row[1], row[4]) == ("0.90 (0.80 to 0.95)", "100")
 
 
 def test_shares_and_sizes_of_the_detection_stand_in_its_tables(tables):
@@ -121,19 +112,20 @@ def test_shares_and_sizes_of_the_detection_stand_in_its_tables(tables):
     table = detection_table(summary)
     assert table.loc["False alarms at this threshold, %"].tolist() == pytest.approx([1.2, 1.2])
     assert table.loc["Size: factor of error, half of the leaks within"].tolist() == [1.31, 1.42]
-    assert "25.0 (20.0 to 30.0)" in shown({**tables, "detection_rates": rates, "detection_summary": summary})
+    page = controllers_page("Trial", {**tables, "detection_rates": rates, "detection_summary": summary})
+    assert ["Size: factor of error, half of the leaks within", "1.31", "1.42"] in Parsed(page.html()).rows
 
 
-def test_learning_is_told_against_the_baseline_with_the_range_of_the_seeds():
-    steps = np.array([1e5, 2e5])
-    seeds = [pd.DataFrame({"steps": steps, ERROR: e, "controller": f"PPO#{n}"}) for n, e in enumerate((0.2, 0.3, 0.7))]
-    axes = learning_axes(pd.concat(seeds), "PID", 0.5)
-    (container,) = [each for each in axes.containers if each.get_label() == "PPO"]
-    line, _, (bars,) = container.lines
-    np.testing.assert_allclose(line.get_xydata(), [[100.0, 0.6], [200.0, 0.6]])  # the median seed
-    np.testing.assert_allclose(bars.get_segments()[0][:, 1], [0.4, 1.4])
-    axes = learning_axes(seeds[0].assign(**{BASE_ERROR: 0.34}), "PID", 0.5)
-    assert "corrected controller" in axes.get_legend_handles_labels()[1]
+def test_learning_is_told_against_the_baseline(tables):
+    errors = {"PPO#0": 0.2, "PPO#1": 0.3, "PPO#2": 0.7}
+    curve = pd.concat(
+        [pd.DataFrame({"steps": [1e5, 2e5], ERROR: error, "controller": name}) for name, error in errors.items()]
+    )
+    curve = curve.assign(first_mean_error_mm=0.5, **{BASE_ERROR: 0.34})
+    (spread,) = [learning_of(curve)]
+    assert spread["ratio"].tolist() == pytest.approx([0.6, 0.6])  # the median seed
+    assert spread[["low", "high"]].iloc[0].tolist() == pytest.approx([0.4, 1.4])
+    assert "corrected controller" in controllers_page("Trial", {**tables, "training_curve": curve}).html()
 
 
 # Several conditions ---------------------------------------------------------------------------------------------------
@@ -160,11 +152,6 @@ def test_a_cell_has_a_colour_only_where_the_whole_interval_is_on_one_side_of_1()
     assert kinds.loc["0.01 l/min", "Good"] == "better-3 best"  # half the error
     assert kinds.loc["period 10 ms", "Good"] == ""
     assert values.loc["0.01 l/min"].to_dict() == {"PID, mm": 0.2, "Good": 0.5, "Fair": 0.8}
-
-
-def test_limit_cycles_are_counted_by_condition():
-    counts = cycles_by_condition(protocol_tables()["limit_cycles"], ["PID", "Good", "Fair"])
-    assert counts.to_dict("index") == {"leak_0.01": {"PID": "1 of 2", "Good": "0 of 1", "Fair": "–"}}
 
 
 def test_numbers_and_names_as_a_person_writes_them():
