@@ -130,7 +130,7 @@ class Page:
 
     def html(self, origin: Origin | None = None, template: Path | None = None, **values: Any) -> str:
         """The page as a file; a ``template`` with ``values`` takes the place of what was added."""
-        own = Path(__file__).parent / "kit.html.j2"
+        own = Path(__file__).parent / "page.html.j2"
         template = template or own
         environment = jinja2.Environment(
             loader=jinja2.FileSystemLoader([template.parent, own.parent]),

@@ -58,7 +58,7 @@ def console_table(table: Table, left: Collection[int] = (0,), whole: bool = Fals
         if place in table.breaks:
             shown.add_section()
             shown.add_row(Text(table.breaks[place], style="bold"))
-        shown.add_row(*(cell if isinstance(cell, str) else cell.text for cell in cells))
+        shown.add_row(*cells)
     return shown
 
 

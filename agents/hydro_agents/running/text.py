@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -90,28 +90,12 @@ def correction_name(name: str, base: str) -> str:
 
 
 @dataclass(frozen=True)
-class Cell:
-    """A cell of a table on a page, with its colour."""
-
-    text: str
-    meaning: str = ""  # better, worse or silent: a class of the style
-    share: int = 0  # percentage of the meaning's colour
-    title: str = ""  # shown when the pointer is on it
-    strong: bool = False
-
-
-@dataclass(frozen=True)
 class Table:
     """A table of texts; the first column names its rows."""
 
-    kind: ClassVar[str] = "table"
-
     caption: str
     header: tuple[str, ...]
-    rows: Sequence[tuple[str | Cell, ...]]
-    groups: tuple[tuple[str, int], ...] = ()  # (title, columns) above the header, after the first column
-    style: str = ""  # dense: many numbers; words: long texts; heat: coloured cells
-    folded: bool | None = None  # default: with more than ten rows
+    rows: Sequence[tuple[str, ...]]
     breaks: Mapping[int, str] = field(default_factory=dict)  # title above a row, by its number
 
 

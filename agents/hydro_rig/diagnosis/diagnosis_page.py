@@ -11,7 +11,6 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.report.kit import BLUE, GREEN, GREY, ORANGE, PAPER, Page, drawn, panels, signal
-from hydro_agents.report.recorded import Line, Signal
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised
@@ -23,7 +22,6 @@ from hydro_rig.identification.data_sheet import lines_to_paste
 from hydro_rig.identification.identification_page import findings_frame, rig_line
 from hydro_rig.recordings.columns import MEASURED
 from hydro_rig.recordings.findings import Finding, Weight
-from hydro_rig.recordings.recording import Recording
 
 PAGE_FILE, TABLE_FILE, FINDINGS_FILE = FILES = ("diagnosis.html", "leak.csv", "findings.csv")
 JOB = "diagnose"
@@ -149,12 +147,3 @@ def draw_leak(axes: Axes, diagnosis: Diagnosis) -> None:
             label = name if face == colour else f"{name}, does not count"
             place = (middle + shift * length)[chosen]
             axes.errorbar(place, value, [value - low, high - value], label=label if chosen.any() else "_", **style)
-
-
-def signals_of(recording: Recording) -> list[Signal]:
-    """Position, pressures, and spool with command over time, for the page of a leak test."""
-    rows = []
-    for label, (factor, names) in PANELS.items():
-        lines = {name: Line(recording.time, factor * recording.signals[MEASURED.index(name)]) for name in names}
-        rows.append(Signal(label, lines))
-    return rows
