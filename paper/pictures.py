@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from hydro_agents.report.kit import GREY, INK, WIDE
+from hydro_agents.report.kit import GREY, INK, WIDE, figure_of
 from hydro_agents.running.text import setting
 from paper.force_rate import DRAWN, DRIVE, TERMS
 from paper.loop import NYQUIST
@@ -36,7 +36,7 @@ def grid(rows: int, columns: int, height: float, **options: Any) -> Any:
 def legend_below(panels: Sequence[Axes], columns: int) -> list[Axes]:
     """One legend of the first panel's lines below all panels, which need no own one; returns the panels."""
     handles, labels = panels[0].get_legend_handles_labels()
-    panels[0].get_figure(root=True).legend(handles, labels, loc="outside lower center", ncols=columns)
+    figure_of(panels).legend(handles, labels, loc="outside lower center", ncols=columns)
     for axes in panels:
         for artist in [*axes.lines, *axes.collections, *axes.containers]:
             artist.set_label("_none")

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -118,16 +118,6 @@ def train(
             min=1, help="For PPO: control periods, instead of the study's. For gains: sets to try, instead of 2800."
         ),
     ] = None,
-    objective: Annotated[
-        str | None,
-        typer.Option(
-            metavar="mean|equal",
-            help="For gains: mean (mean absolute error) or equal (geometric mean over the families; the default).",
-        ),
-    ] = None,
-    start: Annotated[
-        Path | None, typer.Option(help="For gains: YAML file with the gains where the search starts.")
-    ] = None,
     seed: Seed = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
@@ -150,12 +140,10 @@ def train(
     classical = part in CONTROLLERS
     _refuse("--steps", steps is not None and part == "head", part)
     _refuse("--agent", agent is not None and part != "head", part)
-    _refuse("--objective", objective is not None and not classical, part)
-    _refuse("--start", start is not None and not classical, part)
     if part == "head":
         file = _head(study, folder, seed, named_agents(agent))
     elif classical:
-        file = _gains(_of_gains(study, part, objective, steps, start), part, folder, seed)
+        file = _gains(_of_gains(study, part, steps), part, folder, seed)
     else:
         name = _named(study, what)
         file = _controller(study if steps is None else _with_steps(study, name, steps), name, folder, seed)
@@ -194,20 +182,13 @@ def _with_steps(study: StudySettings, name: str, steps: int) -> StudySettings:
     return study.model_copy(update={"controllers": study.controllers | {name: entry.changed(settings=settings)}})
 
 
-def _of_gains(
-    study: StudySettings, kind: str, objective: str | None, steps: int | None, start: Path | None
-) -> StudySettings:
-    """A study that tunes one classical controller for the task of another one."""
+def _of_gains(study: StudySettings, kind: str, steps: int | None) -> StudySettings:
+    """A study that tunes one classical controller for the task of another one; each family has the same weight."""
     from hydro_agents.learning.tuning import EVALUATIONS
     from hydro_agents.study.settings import StudySettings as Study
-    from hydro_env.files import read_yaml, validate
+    from hydro_env.files import validate
 
-    entry: dict[str, Any] = {
-        "kind": kind,
-        "tune": {"objective": objective or "equal", "evaluations": steps or EVALUATIONS},
-    }
-    if start is not None:
-        entry["settings"] = read_yaml(start)
+    entry = {"kind": kind, "tune": {"objective": "equal", "evaluations": steps or EVALUATIONS}}
     return validate(Study, {"task": study.task, "controllers": {kind: entry}, "leakage_head": None}, "train")
 
 

@@ -262,7 +262,6 @@ def test_train_takes_any_trained_controller_of_the_study_and_tunes_what_it_corre
     for what, options, message in (
         ("nothing", {}, "train 'nothing': unknown; this study trains: mine, head, pid, "),
         ("pid", {"resume": True}, "nothing to resume, there is no tuning.csv"),
-        ("pid", {"objective": "best"}, "controllers.pid.tune.objective = .best.: must be"),
         ("head", {"steps": 3}, "--steps: does not apply to hydro train head"),
         ("mine", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train mine"),
         ("mine", {"resume": True}, "nothing to resume"),
