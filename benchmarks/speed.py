@@ -190,9 +190,12 @@ def environment_rows(extent: Extent) -> list[Row]:
         for name, environment, beside in ((peer, "CartPole-v1", ""), (f"axes, N = {count:,}", ENVIRONMENT_ID, peer)):
             make = partial(gym.make_vec, environment, num_envs=count)
             rows.append(Row(name, partial(many, make), "axis steps/s", beside))
-    for kind in (gym.vector.SyncVectorEnv, partial(gym.vector.AsyncVectorEnv, context="spawn")):
-        name = getattr(kind, "__name__", "AsyncVectorEnv")
-        make = partial(kind, [single_axis] * 16)
+    vectors: dict[str, Callable[..., Any]] = {
+        "SyncVectorEnv": gym.vector.SyncVectorEnv,
+        "AsyncVectorEnv": partial(gym.vector.AsyncVectorEnv, context="spawn"),
+    }
+    for name, vector in vectors.items():
+        make = partial(vector, [single_axis] * 16)
         rows.append(Row(f"{name} of 16 single axes", partial(many, make), "axis steps/s", own))
     return rows
 

@@ -96,5 +96,5 @@ def test_ctrl_c_keeps_the_finished_jobs_and_says_so_in_one_line(place):
     os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to the workers as well
     _, errors = running.communicate()
     assert running.returncode == 130
-    assert own_lines(errors) == ["hydro: stopped; out keeps the finished work, --resume continues it"]
+    assert own_lines(errors) == ["hydro: stopped; out keeps the finished work, --resume continues"]
     assert 8 <= len(list(jobs.glob("*.npz"))) < 400
