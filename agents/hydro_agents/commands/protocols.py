@@ -105,7 +105,7 @@ def tell(results: Results, output: Path, page: PageOf, display: ProgressDisplay)
     for table in page.summary(results):
         display.console.lines(console_table(table, whole=True))
     for remark in page.remarks(results):
-        display.console.lines(remark)
+        display.say(remark)
     display.say(f"tables: {(output / 'tables').resolve()}")
     display.say(f"page: {(output / page.file).resolve()}")
     if errors := results.errors:
