@@ -38,7 +38,7 @@ try:
     application.main()
 except SystemExit as stop:
     assert not stop.code
-print("loaded:", *sys.modules)
+print("loaded:", *(name for name, module in sys.modules.items() if not hasattr(module, "__path__")))
 """
 ROOMS = ("hydro_agents.learning", "hydro_agents.study", "hydro_agents.rigs", "hydro_rig")
 LIBRARIES = {"torch", "stable_baselines3", "sb3_contrib", "safetensors", "cma"}
