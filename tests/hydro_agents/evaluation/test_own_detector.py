@@ -42,7 +42,7 @@ print("loaded:", *(name for name, module in sys.modules.items() if not hasattr(m
 """
 ROOMS = ("hydro_agents.learning", "hydro_agents.study", "hydro_agents.rigs", "hydro_rig")
 LIBRARIES = {"torch", "stable_baselines3", "sb3_contrib", "safetensors", "cma"}
-MOST_FILES = 95
+MOST_FILES = 90
 """Own files that the command may load, those of the environment among them."""
 
 
@@ -62,5 +62,5 @@ def test_a_detector_of_numpy_is_judged_without_the_rooms_that_learn(tmp_path):
     loaded = answer.stdout.splitlines()[-1].removeprefix("loaded: ").split()
     assert not LIBRARIES & {name.partition(".")[0] for name in loaded}
     own = [name for name in loaded if name.startswith(("hydro_env.", "hydro_agents.", "hydro_rig."))]
-    assert {name for name in own if name.startswith(ROOMS)} == {"hydro_agents.learning.loading"}
+    assert {name for name in own if name.startswith(ROOMS)} <= {"hydro_agents.learning.loading"}
     assert len(own) <= MOST_FILES
