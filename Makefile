@@ -25,7 +25,7 @@ test: $(VENV)/.installed-dev
 slow-test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow $(WORKERS)
 
-# Do the tests notice twenty faults that somebody could make? Half an hour.
+# Do the tests notice thirty faults that somebody could make? Half an hour.
 faults: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/seeded_faults.py
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from hydro_agents.evaluation.evaluate import evaluate
 from hydro_agents.evaluation.metrics import ERROR, ERROR_SENSOR
 from hydro_agents.evaluation.participants import shipped_controllers
-from hydro_agents.running.text import frame_markdown
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.compiling import SOURCES, compiled
@@ -345,7 +344,7 @@ def main() -> None:
         for by in ("family", "leakage_flow_lpm"):
             means = cases.pivot_table(column, by, "controller", sort=False)
             means.loc["mean"] = means.mean()
-            print(f"{column}:\n\n{frame_markdown(means)}\n")
+            print(f"{column}:\n\n{means.round(4).to_string()}\n")
 
 
 if __name__ == "__main__":

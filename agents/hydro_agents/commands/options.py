@@ -17,7 +17,6 @@ from hydro_env.folders import config_file
 
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
-    from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.study.settings import StudySettings
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
@@ -56,8 +55,6 @@ Backend = Annotated[
         "variable DASK_SCHEDULER_ADDRESS names.",
     ),
 ]
-
-Written = tuple[str, dict[str, str | bytes]]  # text of the results (Markdown), and contents of files by name
 
 
 def _rig_file(given: Path | None) -> Path | None:
@@ -157,44 +154,6 @@ def command_line() -> str:
 def say(*lines: object) -> None:
     """Print the results of a command without formatting."""
     print(*lines, sep="\n", flush=True)
-
-
-def show(text: str) -> None:
-    """Print Markdown: as it is into a file or a pipe; on a terminal its tables fit the width."""
-    if not sys.stdout.isatty():
-        say(text)
-        return
-    from rich.markdown import Markdown
-
-    from hydro_agents.running.console import PlainConsole
-
-    PlainConsole().lines(Markdown(text))
-
-
-def write_results(
-    output: Path,
-    command: str,
-    files: Sequence[str],
-    work: Callable[[ProgressDisplay], Written],
-    resume: bool | None = None,
-    overwrite: bool = False,
-) -> None:
-    """Do the work of a command, write its files into a folder, print its text and where the files are.
-
-    ``files`` are names, or patterns of names, of all files that it may write; the other arguments and errors are as in
-    :func:`~hydro_agents.running.folders.output_folder`.
-    """
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import output_folder
-
-    with (
-        output_folder(output, command, files, resume=resume, overwrite=overwrite),
-        ProgressDisplay() as display,
-    ):
-        text, contents = work(display)
-        write_files(output, contents)
-    show(text)
-    say(f"results in {output}")
 
 
 def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:

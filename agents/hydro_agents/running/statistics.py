@@ -1,4 +1,4 @@
-"""Intervals: of means over few training seeds, of shares, and by a bootstrap over plants and training seeds at once.
+"""Intervals: of shares, and by a bootstrap over plants and training seeds at once.
 
 The bootstrap is stratified by family. Values of one controller are an array (S, U, K): S training seeds, U plants (each
 belongs to one family of references), K situations of each plant (condition and leak); NaN if a plant was not run. A
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest, chi2, ttest_1samp
+from scipy.stats import binomtest
 
 from hydro_env.types import Floats
 
@@ -30,25 +30,9 @@ class Interval(NamedTuple):
     low: float
     high: float
 
-    def columns(self, name: str) -> dict[str, float]:
-        """Columns of a table: the value under its name, ``low`` and ``high``."""
-        return {name: self.value, "low": self.low, "high": self.high}
-
     def named(self, name: str) -> dict[str, float]:
         """Columns of a table with several intervals: ``low`` and ``high`` follow the name of the value."""
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
-
-
-def seeds_interval(per_seed: Floats) -> Interval:
-    """Mean over training seeds with a 95 % interval of Student's t: too few values for a bootstrap."""
-    values = np.asarray(per_seed, dtype=np.float64)
-    mean = float(values.mean()) if len(values) else np.nan
-    if len(values) < LEAST_SAMPLES:
-        return Interval(mean, np.nan, np.nan)
-    if np.ptp(values) == 0.0:
-        return Interval(mean, mean, mean)
-    interval = ttest_1samp(values, 0.0).confidence_interval(CONFIDENCE)
-    return Interval(mean, float(interval.low), float(interval.high))
 
 
 def share_interval(hits: int, total: int) -> Interval:
@@ -57,15 +41,6 @@ def share_interval(hits: int, total: int) -> Interval:
         return Interval(np.nan, np.nan, np.nan)
     interval = binomtest(int(hits), int(total)).proportion_ci(CONFIDENCE, method="wilson")
     return Interval(hits / total, float(interval.low), float(interval.high))
-
-
-def poisson_interval(count: int, exposure: float) -> Interval:
-    """Rate of events per unit of exposure, with its exact interval (Garwood, Biometrika 28, 1936); NaN without any."""
-    if not exposure > 0.0:
-        return Interval(np.nan, np.nan, np.nan)
-    outside = 0.5 * (1.0 - CONFIDENCE)
-    low = 0.5 * float(chi2.ppf(outside, 2 * count)) if count else 0.0
-    return Interval(count / exposure, low / exposure, 0.5 * float(chi2.ppf(1.0 - outside, 2 * count + 2)) / exposure)
 
 
 # Bootstrap ----------------------------------------------------------------------------------------------------------
@@ -155,12 +130,6 @@ def interval(resampled: Floats, plants: int) -> Interval:
         return Interval(float(resampled[0]), np.nan, np.nan)
     low, high = np.quantile(values, [0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)])
     return Interval(float(resampled[0]), float(low), float(high))
-
-
-def mean_interval(per_plant: Floats) -> Interval:
-    """Mean over plants (U,) with its interval; NaNs are left out."""
-    values = np.asarray(per_plant, dtype=np.float64)
-    return ratio_interval(values, np.ones(len(values)))
 
 
 def ratio_interval(per_plant: Floats, others: Floats) -> Interval:

@@ -5,14 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydro_env.errors import ConfigurationError
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MOST_DECIMALS = 9
 
@@ -104,15 +100,6 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], left: Collect
     ends = "|".join("---" if column in left else "---:" for column in range(len(header)))
     lines = [" | ".join(cell.replace("|", r"\|") for cell in line) for line in (header, *rows)]
     return "\n".join([f"| {lines[0]} |", f"|{ends}|", *(f"| {line} |" for line in lines[1:])])
-
-
-def frame_markdown(table: pd.DataFrame, decimals: int = 4) -> str:
-    """A data frame as Markdown; its index is the first column."""
-    rows = [
-        [str(label), *(f"{value:.{decimals}f}" if isinstance(value, float) else str(value) for value in row)]
-        for label, row in table.iterrows()
-    ]
-    return markdown([str(table.index.name or ""), *map(str, table.columns)], rows)
 
 
 NAME_RULE = r"^\w[\w .+-]{0,39}$"

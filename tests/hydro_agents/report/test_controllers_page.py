@@ -17,7 +17,7 @@ from hydro_agents.report.controllers_page import (
     learning_of,
     overview,
 )
-from hydro_agents.running.text import correction_name, duration, frame_markdown, markdown, number
+from hydro_agents.running.text import correction_name, duration, markdown, number
 from hydro_env import TaskConfig
 
 ERROR, BASE_ERROR = "validation/mean_error_mm", "validation/base_mean_error_mm"
@@ -162,5 +162,3 @@ def test_numbers_and_names_as_a_person_writes_them():
     assert correction_name("PPO", "Flow linearisation") == "PPO on flow linearisation"
     assert correction_name("PPO on flow linearisation", "Flow linearisation") == "PPO on flow linearisation"
     assert markdown(["a|b", "mm"], [["x", "1"]]) == "| a\\|b | mm |\n|---|---:|\n| x | 1 |"
-    frame = pd.DataFrame({"mm": [0.5]}, index=pd.Index(["PID"], name="controller"))
-    assert frame_markdown(frame, 2) == "| controller | mm |\n|---|---:|\n| PID | 0.50 |"
