@@ -87,6 +87,8 @@ def test_links_and_pictures(page):
     for link in re.findall(r"\]\(([^)\s]+)\)", text):
         if "://" not in link and not link.startswith("#"):
             assert (page.parent / unquote(link.split("#")[0])).exists(), link
+    for script in [] if page in NOTES else re.findall(r"python (?:-m )?(benchmarks[./]\w+|docs/\w+|paper)", text):
+        assert (ROOT / f"{script.replace('.', '/')}.py").exists() or script == "paper", script
 
 
 def test_every_page_and_every_command_is_listed():
