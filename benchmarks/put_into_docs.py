@@ -203,6 +203,16 @@ SOURCES = {
             *("equal_weight", "equal_weight_low", "equal_weight_high"),
         ),
     ),
+    "challenge": Source(
+        "challenge/tables/challenge.csv",
+        {
+            "detector": "{detector}",
+            "knows the axis": "{knows the axis}",
+            "leaks found (95 %)": "{found:.3f} ({found_low:.2f} to {found_high:.2f})",
+            "known axes": "{known axes:.3f}",
+            "new axes": "{new axes:.3f}",
+        },
+    ),
     "speed": Source(
         "speed/speed.csv",
         {"what": "{what}", "median": "{median} {unit}", "beside": "{beside}"},
