@@ -13,8 +13,8 @@ from contextlib import contextmanager
 
 import pytest
 
-SIZES = (400, 1000, 1600)
-"""Widths in pixels: a telephone, half a screen, a whole screen."""
+SIZES = (390, 1200)
+"""Widths in pixels: a telephone, a screen."""
 
 SCHEMES = ("light", "dark")
 
@@ -36,7 +36,7 @@ def start_browser():
 
 
 @contextmanager
-def open_page(browser, path, width=1000, height=900, scheme="light", query="", **options):
+def open_page(browser, path, width=1000, height=900, scheme="light", **options):
     """A page from disk, without network. Its list ``problems`` collects what the console and failed requests say."""
     context = browser.new_context(
         viewport={"width": width, "height": height}, color_scheme=scheme, offline=True, **options
@@ -50,7 +50,7 @@ def open_page(browser, path, width=1000, height=900, scheme="light", query="", *
         "console",
         lambda message: page.problems.append(message.text) if message.type in ("error", "warning") else None,
     )
-    page.goto(path.resolve().as_uri() + (f"?{query}" if query else ""))
+    page.goto(path.resolve().as_uri())
     yield page
     context.close()
 
@@ -90,15 +90,10 @@ def problems_of(page):
     return [*page.problems, *page.evaluate(CUT_OFF)]
 
 
-def problems_everywhere(browser, path, hidden=""):
-    """Problems of a page from disk at every size and in both schemes, with all its parts unfolded.
-
-    ``hidden`` names parts that lie beside the window on purpose, as a selector of CSS.
-    """
+def problems_everywhere(browser, path):
+    """Problems of a page from disk at every size and in both schemes, with all its parts unfolded."""
     found = []
     with open_page(browser, path) as page:
-        if hidden:
-            page.add_style_tag(content=f"{hidden} {{ display: none }}")
         page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
         for scheme in SCHEMES:
             page.emulate_media(color_scheme=scheme)
