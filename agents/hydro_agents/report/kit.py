@@ -24,8 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import Table, setting
-from hydro_agents.running.text import number as written
+from hydro_agents.running.text import Table, number, setting
 from hydro_env.files import write_whole
 from hydro_env.types import Floats
 
@@ -51,15 +50,7 @@ PAPER, INK, GREY, LINE, _, BLUE, ORANGE, GREEN, PURPLE, GOLD, VIOLET = (light fo
 NARROW, WIDE = 4.6, 8.6
 """Widths of figures, inches: a telephone, and a page."""
 
-STYLE: list[Any] = [
-    Path(__file__).with_name("figures.mplstyle"),
-    {
-        **dict.fromkeys(("axes.labelcolor", "text.color", "xtick.labelcolor", "ytick.labelcolor"), INK),
-        **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), GREY),
-        "grid.color": LINE,
-    },
-]
-drawn = matplotlib.style.context(STYLE, after_reset=True)
+drawn = matplotlib.style.context(Path(__file__).with_name("figures.mplstyle"), after_reset=True)
 """Decorates a function that draws figures, whatever the user's own settings of matplotlib are."""
 
 MOST_POINTS = 4000
@@ -117,9 +108,35 @@ class Page:
         yield
         self._add("</details>")
 
-    def table(self, frame: pd.DataFrame, caption: str = "", *options: Any, **more: Any) -> None:
-        """A data frame; the options are those of :func:`table_html`."""
-        self._parts.append(table_html(frame, caption, *options, number=len(self._parts), **more))
+    def table(
+        self,
+        frame: pd.DataFrame,
+        caption: str = "",
+        decimals: Mapping[Any, int] | None = None,
+        kinds: pd.DataFrame | None = None,
+        words: bool = False,
+    ) -> None:
+        """A data frame in a box of its own that scrolls sideways; its index names the rows.
+
+        Args:
+            frame: numbers, with their units in the names of the columns, and texts.
+            caption: of the table.
+            decimals: by column; other numbers have three significant digits.
+            kinds: classes of the cells: better-1 to better-3, worse-1 to worse-3, best.
+            words: whether the cells hold sentences, which break into lines.
+        """
+        style = frame.style.format(shown, escape="html")
+        for column, places in (decimals or {}).items():
+            style.format(lambda value, places=places: shown(value, places), subset=[column])
+        for axis in (0, 1):
+            style.format_index(_label, axis=axis).hide(axis=axis, names=True)
+        if kinds is not None:
+            style.set_td_classes(kinds)
+        if caption:
+            style.set_caption(Markup("<span>{}</span>").format(caption))
+        style.set_uuid(str(len(self._parts))).set_table_attributes('class="words"' if words else "")
+        box = '<div class="scroll" tabindex="0" role="region" aria-label="{}">{}</div>'
+        self._add(box, caption or "Table", Markup(style.to_html(cell_ids=False)))
 
     def figure(self, axes: Axes | Sequence[Axes], title: str, note: str = "") -> None:
         """A figure by its panels; ``note`` says how to read it, the title is its alternate text."""
@@ -128,20 +145,11 @@ class Page:
         self._add('<figure class="{}"><figcaption><strong>{}</strong> {}</figcaption>', wide, title, note)
         self._parts.append(f'<div class="scroll">{inline_svg(axes, f"f{len(self._parts)}-", title)}</div></figure>')
 
-    def html(self, origin: Origin | None = None, template: Path | None = None, **values: Any) -> str:
-        """The page as a file; a ``template`` with ``values`` takes the place of what was added."""
-        own = Path(__file__).parent / "page.html.j2"
-        template = template or own
-        environment = jinja2.Environment(
-            loader=jinja2.FileSystemLoader([template.parent, own.parent]),
-            autoescape=True,
-            undefined=jinja2.StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        environment.filters.update({"n": written, "s": setting})
-        values |= {"page": self, "body": Markup("\n".join(self._parts)), "origin": origin, "colours": COLOURS}
-        return environment.get_template(template.name).render(values)
+    def html(self, origin: Origin | None = None) -> str:
+        """The page as a file; ``origin``: its command, date and version."""
+        loader = jinja2.FileSystemLoader(Path(__file__).parent)
+        template = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("page.html.j2")
+        return template.render(page=self, body=Markup("\n".join(self._parts)), origin=origin, colours=COLOURS)
 
     def write(self, path: Path, origin: Origin | None = None) -> None:
         """Write the page.
@@ -154,50 +162,16 @@ class Page:
 
 def shown(value: Any, decimals: int | None = None) -> str:
     """A cell: numbers as a person writes them, other things as text."""
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
     if isinstance(value, int | np.integer):
-        return written(float(value), 0)
+        return number(float(value), 0)
     if isinstance(value, float | np.floating):
-        return written(float(value), decimals)
+        return number(float(value), decimals)
     return "–" if value is None else str(value)
 
 
 def _label(value: Any) -> str:
     """A heading of a row or column: settings in their shortest form."""
     return setting(value) if isinstance(value, float) else escape(str(value))
-
-
-def table_html(
-    frame: pd.DataFrame,
-    caption: str = "",
-    decimals: Mapping[Any, int] | None = None,
-    kinds: pd.DataFrame | None = None,
-    words: bool = False,
-    number: int = 0,
-) -> Markup:
-    """A data frame as an element of a page, in a box of its own that scrolls sideways; its index names the rows.
-
-    Args:
-        frame: numbers, with their units in the names of the columns, and texts.
-        caption: of the table.
-        decimals: by column; other numbers have three significant digits.
-        kinds: classes of the cells: better-1 to better-3, worse-1 to worse-3, best.
-        words: whether the cells hold sentences, which break into lines.
-        number: of the table on its page.
-    """
-    style = frame.style.format(shown, escape="html")
-    for column, places in (decimals or {}).items():
-        style.format(lambda value, places=places: shown(value, places), subset=[column])
-    for axis in (0, 1):
-        style.format_index(_label, axis=axis).hide(axis=axis, names=True)
-    if kinds is not None:
-        style.set_td_classes(kinds)
-    if caption:
-        style.set_caption(Markup("<span>{}</span>").format(caption))
-    style.set_uuid(str(number)).set_table_attributes(f'class="{"words" if words else "numbers"}"')
-    box = Markup('<div class="scroll" tabindex="0" role="region" aria-label="{}">{}</div>')
-    return box.format(caption or "Table", Markup(style.to_html(cell_ids=False)))
 
 
 def as_text(frame: pd.DataFrame, caption: str) -> Table:
@@ -214,7 +188,7 @@ def with_interval(table: pd.DataFrame, column: str, decimals: int | None = None,
     texts = []
     low, high = interval_of(table, column)
     for row in factor * table[[column, low, high]].to_numpy(dtype=np.float64):
-        middle, *ends = (written(value, decimals) for value in row)
+        middle, *ends = (number(value, decimals) for value in row)
         texts.append(middle if np.isnan(row[1]) else f"{middle} ({' to '.join(ends)})")
     return pd.Series(texts, index=table.index, dtype=object)
 

@@ -31,8 +31,8 @@ def leakage_page(title: str, tables: Mapping[str, pd.DataFrame], base: str) -> P
         tables: of the run, by the names of their CSV files.
         base: the condition with all leaks.
     """
-    page = Page(title)
-    found, conditions = tables["detection"], tables["conditions"].set_index("condition")
+    page, conditions = Page(title), tables["conditions"].set_index("condition")
+    found = tables["detection"].assign(label=tables["detection"]["condition"].map(conditions["label"]))
     names = [str(name) for name in found["detector"].unique()]
     smallest = pd.Series({name: smallest_found(found, name, base) for name in names}).min()
     if np.isfinite(smallest):
@@ -59,16 +59,15 @@ def leakage_page(title: str, tables: Mapping[str, pd.DataFrame], base: str) -> P
     groups = {"other motions and controllers": [base, *motions], "other faults and plants": faults}
     for words, chosen in groups.items():
         of = found[found["condition"].isin(chosen)]
-        title, label = f"Leak of {SMALL} l/min under {words}", "windows in which it is reported, %"
-        by_condition(page, title, label, of[of["level"] == SMALL], "flagged", conditions, names)
-        title, label = f"Healthy seal under {words}", "windows reported as leaking, %"
-        by_condition(page, title, label, of[of["level"] == HEALTHY], "flagged", conditions, names)
+        for seal, level in {f"Leak of {SMALL} l/min": SMALL, "Healthy seal": HEALTHY}.items():
+            rows = of[of["level"] == level]
+            by_condition(page, f"{seal} under {words}", "windows reported as leaking, %", rows, "flagged", names)
     page.heading("Reliability of probabilities and intervals")
     reliability(page, tables, names, base)
-    sizes = tables.get("sizes", pd.DataFrame({"level": []}))
-    label = f"intervals that contain the leak of {SMALL} l/min, %"
-    title = "Coverage of the 90 % intervals"
-    by_condition(page, title, label, sizes[sizes["level"] == SMALL], "coverage", conditions, names)
+    if "sizes" in tables:
+        sizes = tables["sizes"].assign(label=tables["sizes"]["condition"].map(conditions["label"]))
+        label = f"intervals that contain the leak of {SMALL} l/min, %"
+        by_condition(page, "Coverage of the 90 % intervals", label, sizes[sizes["level"] == SMALL], "coverage", names)
     page.heading("How it was measured")
     page.points(
         [
@@ -135,42 +134,31 @@ def by_size(page: Page, tables: Mapping[str, pd.DataFrame], names: Sequence[str]
     draw(axes, rows, "level", "at_1_percent", names, "detector", 100.0)
     leak_axis(axes, rows["level"])
     page.figure(axes, "Leaks found at 1 % false alarms, by size", "Bars: 95 % interval.")
-    sizes = tables.get("sizes", pd.DataFrame(columns=["condition", "level", "rms_log10"]))
-    sizes = sizes.query("condition == @base and level > @HEALTHY").sort_values("level").dropna(subset=["rms_log10"])
-    if sizes.empty:
+    if "sizes" not in tables:
         return
+    sizes = tables["sizes"].query("condition == @base and level > @HEALTHY").sort_values("level")
     axes = panel(ylabel="error of the size, RMS of log10", ylim=(0.0, 1.1 * sizes["rms_log10"].max()))
     draw(axes, sizes, "level", "rms_log10", names, "detector")
     bound = sizes.dropna(subset=["bound_rms_log10"]).drop_duplicates("level")
-    if len(bound):
-        axes.plot(bound["level"], bound["bound_rms_log10"], ":", color=INK, marker="", label="Cramér–Rao bound")
+    axes.plot(bound["level"], bound["bound_rms_log10"], ":", color=INK, label="Cramér–Rao bound")
     leak_axis(axes, sizes["level"])
     page.figure(axes, "Error of the estimated size, by leak")
 
 
-def by_condition(
-    page: Page,
-    title: str,
-    label: str,
-    rows: pd.DataFrame,
-    column: str,
-    conditions: pd.DataFrame,
-    names: Sequence[str],
-) -> None:
-    """A share of the windows by condition, from top to bottom."""
-    rows = rows.dropna(subset=[column]) if len(rows) else rows
+def by_condition(page: Page, title: str, unit: str, rows: pd.DataFrame, column: str, names: Sequence[str]) -> None:
+    """A share of the windows by condition (``label``), from top to bottom."""
+    rows = rows.dropna(subset=[column])
     if len(rows):
-        rows = rows.assign(condition=rows["condition"].map(conditions["label"]))
-        axes = panel(height=height_of(rows["condition"].nunique(), len(names)), xlabel=label)
-        draw(axes, rows, "condition", column, names, "detector", 100.0, "rows")
+        axes = panel(height=height_of(rows["label"].nunique(), len(names)), xlabel=unit)
+        draw(axes, rows, "label", column, names, "detector", 100.0, "rows")
         page.figure(axes, title)
 
 
 def reliability(page: Page, tables: Mapping[str, pd.DataFrame], names: Sequence[str], base: str) -> None:
     """Probability of the detector against the frequency of leaks."""
-    rows = tables.get("reliability", pd.DataFrame(columns=["condition"])).query("condition == @base")
-    if rows.empty:
+    if "reliability" not in tables:
         return
+    rows = tables["reliability"].query("condition == @base")
     axes = panel(xlabel="probability of the detector, %", ylabel="windows that leak, %", xlim=(-3, 103), ylim=(-3, 103))
     axes.axline((0.0, 0.0), slope=1.0, color=GREY, linewidth=0.9)
     rows = rows.assign(probability=100.0 * rows["probability"])
