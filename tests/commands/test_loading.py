@@ -22,11 +22,11 @@ LEARNING = ("torch", "stable_baselines3", "hydro_agents.learning.training", "hyd
 @pytest.mark.parametrize(
     ("line", "most", "absent"),
     [
-        ("--help", 50, (*LEARNING, "numba", "scipy", "pandas", "matplotlib")),
-        ("check-rig", 75, (*LEARNING, "hydro_rig")),
-        ("simulate --duration 0.02 --output run", 65, (*LEARNING, "hydro_rig")),
-        ("identify absent.csv --rig kovari_2015 --output new", 110, LEARNING),
-        ("diagnose absent.csv --output new", 110, LEARNING),
+        ("--help", 55, (*LEARNING, "numba", "scipy", "pandas", "matplotlib")),
+        ("check-rig", 95, (*LEARNING, "hydro_rig")),
+        ("simulate --duration 0.02 --output run", 90, (*LEARNING, "hydro_rig")),
+        ("identify absent.csv --rig kovari_2015 --output new", 125, (*LEARNING, "hydro_agents.learning")),
+        ("diagnose absent.csv --output new", 135, (*LEARNING, "hydro_agents.learning")),
     ],
 )
 def test_a_command_loads_few_files_and_no_library_without_need(line, most, absent, tmp_path):

@@ -5,13 +5,9 @@ A file of gains holds each with its unit, and as an engineer enters it in a PLC.
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import math
-import os
-import sys
 from collections.abc import Mapping
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +15,7 @@ import yaml
 
 from hydro_agents.controllers.adrc import ADRC, ADRCGains
 from hydro_agents.controllers.base import ClassicalController, Controller
+from hydro_agents.controllers.by_name import imported
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.lqg import LQG, LQGGains
 from hydro_agents.controllers.mpc import MPC, MPCGains
@@ -61,27 +58,6 @@ def kind_of(controller: ClassicalController) -> str:
     if type(controller) not in kinds:
         raise ConfigurationError(f"{type(controller).__name__}: must be one of CONTROLLERS ({', '.join(CONTROLLERS)})")
     return kinds[type(controller)]
-
-
-def imported(name: str) -> Any:
-    """The object that ``"module:attribute"`` names; the module may lie in the current folder.
-
-    Raises:
-        ConfigurationError: the module cannot be imported or has no such attribute.
-    """
-    module, _, attribute = name.partition(":")
-    if not module or not attribute:
-        raise ConfigurationError(f"'{name}': must be 'module:attribute'")
-    if os.getcwd() not in sys.path and "" not in sys.path:
-        sys.path.append(os.getcwd())
-    try:
-        value: Any = importlib.import_module(module)
-    except (Exception, SystemExit) as error:
-        raise ConfigurationError(f"'{name}': module '{module}' cannot be imported: {reason(error)}") from error
-    try:
-        return attrgetter(attribute)(value)
-    except AttributeError:
-        raise ConfigurationError(f"'{name}': module '{module}' has no '{attribute}'") from None
 
 
 def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] | None = None) -> Controller:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, field_validator
 
-from hydro_agents.controllers.registry import imported
+from hydro_agents.controllers.by_name import imported
 from hydro_agents.detection.detector import Detector
 from hydro_env import ConfigurationError
 from hydro_env.files import Group

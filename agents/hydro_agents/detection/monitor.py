@@ -11,8 +11,7 @@ from hydro_agents.controllers.base import check_layout
 from hydro_agents.detection.detector import Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageHead
-from hydro_agents.learning.loading import shipped_weights
-from hydro_agents.running.folders import pretrained_folder
+from hydro_agents.running.folders import pretrained_folder, shipped_weights
 from hydro_env import ConfigurationError, TaskConfig
 
 HEAD_FILE = "leakage_head"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, make_controller
 from hydro_agents.running.cases import check_predict
-from hydro_agents.running.folders import config_folder, pretrained_folder
+from hydro_agents.running.folders import config_folder, shipped_weights
 from hydro_agents.running.weights import weight_files
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_yaml
@@ -171,13 +171,6 @@ def found_in(what: str | Path) -> str:
 
 
 # What ships, and for which rig ---------------------------------------------------------------------------------------
-
-
-def shipped_weights(name: str, config: TaskConfig) -> Path:
-    """The shipped weights of a name: those for the paper's rig at its control period, else those for any axis."""
-    ObservationLayout.of(config)  # refuses a law
-    at_home = config.plant == PlantParameters() and _usual_period(config)
-    return pretrained_folder() / (name if at_home else f"{name}_any_axis")
 
 
 def origin_of_gains(kind: str, config: TaskConfig) -> GainsOrigin:

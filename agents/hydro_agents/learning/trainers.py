@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.registry import imported
+from hydro_agents.controllers.by_name import imported
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_env import ConfigurationError, TaskConfig

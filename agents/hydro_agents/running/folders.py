@@ -11,7 +11,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from hydro_env import ConfigurationError
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_json, write_whole
 from hydro_env.folders import config_folder as config_folder
 
@@ -22,6 +22,18 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)  # of 
 def pretrained_folder() -> Path:
     """The weights that ship with the project."""
     return Path(__file__).resolve().parents[1] / "pretrained"
+
+
+def shipped_weights(name: str, config: TaskConfig) -> Path:
+    """The shipped weights of a name: those for the paper's rig at its control period, else those for any axis.
+
+    Raises:
+        ConfigurationError: the task draws its rigs.
+    """
+    if config.law is not None:
+        raise ConfigurationError("law: weights are those for one rig; rig_tasks(config) lists those of the law")
+    at_home = config.plant == PlantParameters() and config.control_period == TaskConfig().control_period
+    return pretrained_folder() / (name if at_home else f"{name}_any_axis")
 
 
 @contextmanager

@@ -15,7 +15,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, SerializeAsAny, StringConstraints, ValidationInfo, field_validator, model_validator
 
 from hydro_agents.controllers.base import ClassicalController, Controller
-from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
+from hydro_agents.controllers.by_name import imported
+from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name

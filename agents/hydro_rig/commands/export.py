@@ -117,7 +117,7 @@ def _plant(task: str | None, rig: Path | None) -> Job:
 
 def _head(what: str, request: _Request) -> Job:
     from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.learning.loading import shipped_weights
+    from hydro_agents.running.folders import shipped_weights
     from hydro_agents.running.tasks import timed_task
     from hydro_rig.export.leakage_head import FILES, exported_head
 
@@ -161,8 +161,9 @@ def _controller(what: str, request: _Request) -> Job:
 def _controller_and_task(what: str, request: _Request) -> tuple[Controller, TaskConfig]:
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.learning.loading import SHIPPED_WEIGHTS, found_in, load_controller, shipped_weights
+    from hydro_agents.learning.loading import SHIPPED_WEIGHTS, found_in, load_controller
     from hydro_agents.learning.policy import PolicyController
+    from hydro_agents.running.folders import shipped_weights
     from hydro_agents.running.tasks import timed_task
     from hydro_agents.running.weights import weight_files
     from hydro_env.mistakes import unknown
