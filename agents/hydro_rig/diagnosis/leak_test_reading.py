@@ -26,7 +26,8 @@ from hydro_rig.diagnosis.leak_test_plan import priors_of_test, worn_task
 from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Leak
 from hydro_rig.diagnosis.volume_balance import leak_of_blocks
-from hydro_rig.estimation.estimator import SURE, WEAR, healthy_range
+from hydro_rig.estimation.estimator import WEAR, healthy_range
+from hydro_rig.estimation.search import SURE
 from hydro_rig.estimation.unknowns import LEAKAGE
 from hydro_rig.identification.common_fit import WELL_FITTED, Common, common_fit
 from hydro_rig.identification.fit import COVERAGE
