@@ -285,16 +285,11 @@ def without_outliers(misfit: Floats) -> Indices:
     return np.flatnonzero(finite <= max(WELL_FITTED, factor * median))
 
 
-def trials_of(scaled: Floats, shared: Indices, candidates: Floats) -> list[Floats]:
-    """Unknowns of the windows, (B, P) scaled, with each row of shared values, (K, p), in turn."""
-    trials = np.repeat(scaled[None], len(candidates), axis=0)
-    trials[:, :, shared] = candidates[:, None]
-    return list(trials)
-
-
 def _first_values(problem: Problem, alone: Estimate, kept: Indices) -> list[Floats]:
     """Starts of the common fit, each (B, P) scaled: shared values of one window, or their median; own start states."""
     shared, scaled = shared_and_own(problem.model)[0], alone.scaled[kept]
-    candidates = np.concatenate([scaled[:, shared], np.median(scaled[:, shared], axis=0, keepdims=True)])
-    trials = trials_of(scaled, shared, candidates)
+    trials = []
+    for common in (*scaled[:, shared], np.median(scaled[:, shared], axis=0)):
+        trials.append(scaled.copy())
+        trials[-1][:, shared] = common
     return [trials[place] for place in np.argsort(costs_of(problem, trials))[:STARTING_VALUES]]
