@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -15,7 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from hydro_env.errors import ConfigurationError
-from hydro_env.field_mistakes import described, kind_of_value
+from hydro_env.field_mistakes import described
 from hydro_env.units import in_si
 
 LARGEST_FILE = 100_000
@@ -38,7 +37,7 @@ class _Checked(_ModelType):
         model = cast("type[BaseModel]", self)
         name = model.model_config.get("title") or model.__name__
         if arguments:
-            raise ConfigurationError(f"{name}: takes keywords alone, not {kind_of_value(arguments[0])}")
+            raise ConfigurationError(f"{name}: takes keywords alone, not {type(arguments[0]).__name__}")
         try:
             return super().__call__(**values)
         except ValidationError as error:
@@ -72,7 +71,7 @@ def validate(model: type[ModelType], values: Mapping[str, Any], source: str, wit
     Args:
         model: class of the group.
         values: its settings.
-        source: where they come from; if it is a YAML file, the error names the lines.
+        source: where they come from, for the message.
         within: where in the source they stand, such as ``controllers.PID.settings``.
 
     Raises:
@@ -80,64 +79,30 @@ def validate(model: type[ModelType], values: Mapping[str, Any], source: str, wit
         ConfigurationError: wrong type, or a value outside its bounds.
     """
     if not isinstance(values, Mapping):
-        raise ConfigurationError(
-            f"{source}{': ' * bool(within)}{within}: must be a mapping of settings, not {kind_of_value(values)}"
-        )
+        place = f"{source}: {within}" if within else source
+        raise ConfigurationError(f"{place}: must be a mapping of settings, not {type(values).__name__}")
     try:
         return model.model_validate(dict(values))
     except ValidationError as error:
-        raise described(model, error, values, source, within, _lines_of(source, within)) from None
+        raise described(model, error, values, source, within) from None
 
 
-def _lines_of(file: str, within: str) -> Callable[[Sequence[int | str], Any], int | None]:
-    """A function that finds the line of a YAML file in which a value stands, by its path below ``within``.
-
-    It gives ``None`` if the file does not hold this value: keywords may replace what a file says.
-    """
-    loader, root = _Loader(""), None
-    if file.endswith((".yaml", ".yml")):
-        with contextlib.suppress(ConfigurationError, yaml.YAMLError, RecursionError):
-            loader = _Loader(read_text(file))
-            root = loader.get_single_node()
-
-    def line_of(path: Sequence[int | str], value: Any) -> int | None:
-        node, line = root, None
-        for part in [*(within.split(".") if within else []), *path]:
-            if isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
-                key = node = node.value[part]
-            else:
-                pairs = node.value if isinstance(node, yaml.MappingNode) else []
-                key, node = next(((key, inner) for key, inner in pairs if key.value == part), (None, None))
-            if key is None:  # a missing field belongs to the line of its group
-                return line if isinstance(value, Mapping | list) else None
-            line = key.start_mark.line + 1
-        same = not isinstance(node, yaml.ScalarNode) or repr(loader.construct_object(node)) == repr(value)
-        return line if same else None
-
-    return line_of
-
-
-def read_text(path: str | Path, largest: int = LARGEST_FILE, other_encoding: str | None = None) -> str:
-    """Read a UTF-8 text of at most ``largest`` bytes; one that is not UTF-8 is read in the other encoding, if given.
+def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
+    """Read a UTF-8 text of at most ``largest`` bytes.
 
     Raises:
-        ConfigurationError: the file is missing, unreadable, too large, or in neither encoding.
+        ConfigurationError: the file is missing, unreadable, too large, or not in UTF-8.
     """
     try:
         with open(path, "rb") as file:
             content = file.read(largest + 1)
+        if len(content) > largest:
+            raise ConfigurationError(f"{path}: is larger than {largest / 1e6:g} MB")
+        return content.decode("utf-8-sig")
     except OSError as error:
-        name = str(path) if len(str(path)) < 1000 else f"{str(path)[:100]}…{str(path)[-100:]}"
-        raise ConfigurationError(f"{name}: cannot be read: {error.strerror}") from None
-    except ValueError:  # it holds a null or a surrogate
-        raise ConfigurationError(f"{str(path)!a}: is no possible file name") from None
-    if len(content) > largest:
-        raise ConfigurationError(f"{path}: is larger than {largest / 1e6:g} MB")
-    for encoding in ("utf-8-sig", other_encoding):
-        if encoding is not None:
-            with contextlib.suppress(UnicodeDecodeError):
-                return content.decode(encoding)
-    raise ConfigurationError(f"{path}: cannot be read: not a text in UTF-8")
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{path}: cannot be read: not a text in UTF-8") from None
 
 
 class _Loader(yaml.SafeLoader):
@@ -171,15 +136,6 @@ class _Loader(yaml.SafeLoader):
             names.add(name)
         return super().construct_mapping(node, deep)
 
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        try:
-            value = super().construct_object(node, deep)
-            if isinstance(value, int):
-                float(value)  # beyond the largest number that a setting can have, text of it may be impossible
-            return value
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
-            raise _problem("a value that YAML cannot read", node) from None
-
 
 _FIRST = list("-+.0123456789")
 # Numbers as people write them: YAML 1.1 reads 060 as 48 and 1:30 as 90.
@@ -189,16 +145,6 @@ _Loader.add_implicit_resolver(
     re.compile(r"[-+]?((\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$"),
     _FIRST,
 )
-
-_IN_PLAIN_WORDS = (
-    (r"found character '\\t'", "a tab; indent with spaces", False),
-    (r"mapping values are not allowed here", "a colon where none can stand; is the indentation right?", False),
-    (r"expected <block end>", "wrong indentation, or a bracket too many", False),
-    (r"expected ',' or '[}\]]'", "the bracket that opens here is not closed, or a comma is missing", True),
-    (r"could not find expected ':'", "a colon with a space after it is missing", True),
-    (r"found unexpected end of stream", "the quotation mark that opens here is not closed", True),
-)
-"""Patterns of what PyYAML says, what an engineer understands, and whether the line is where the faulty part begins."""
 
 
 def _problem(problem: str, at: Any) -> yaml.MarkedYAMLError:
@@ -217,15 +163,11 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         loader = _Loader(text)
         node = loader.get_single_node()
         values = loader.construct_document(node) if node is not None else {}
-    except RecursionError:
-        raise ConfigurationError(f"{path}: not valid YAML: too many levels") from None
-    except yaml.YAMLError as error:
-        problem = str(getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML")
-        known = ((words, begins) for pattern, words, begins in _IN_PLAIN_WORDS if re.search(pattern, problem))
-        words, begins = next(known, (problem, False))
-        mark = getattr(error, "context_mark" if begins else "problem_mark", None)
-        line = f" in line {mark.line + 1}" if mark else ""
-        raise ConfigurationError(f"{path}: not valid YAML{line}: {' '.join(words.split())}") from None
+    except yaml.MarkedYAMLError as error:
+        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise ConfigurationError(f"{path}: not valid YAML{line}: {' '.join(str(error.problem).split())}") from None
+    except (yaml.YAMLError, ArithmeticError, LookupError, RecursionError, TypeError, ValueError) as error:
+        raise ConfigurationError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     if values == {}:
         raise ConfigurationError(f"{path}: is empty")
     return _mapping(values, path)
@@ -257,10 +199,10 @@ def read_json(path: str | Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
 
 def _mapping(values: Any, path: str | Path) -> dict[str, Any]:
     if not isinstance(values, dict):
-        raise ConfigurationError(f"{path}: must be a mapping of settings, not {kind_of_value(values)}")
-    wrong = next((key for key in values if not isinstance(key, str)), None)
-    if wrong is not None:
-        raise ConfigurationError(f"{path}: {wrong!r} is a key: keys must be text")
+        raise ConfigurationError(f"{path}: must be a mapping of settings, not {type(values).__name__}")
+    for key in values:
+        if not isinstance(key, str):
+            raise ConfigurationError(f"{path}: {key!r} is a key: keys must be text")
     return values
 
 
@@ -284,10 +226,8 @@ def write_whole(path: str | Path, content: bytes) -> None:
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(content)
+            temporary.write_bytes(content)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)

@@ -249,7 +249,7 @@ def test_every_kind_is_tuned_and_resumed(kind, study, tmp_path):
         ({}, "holds results already"),
         ({"resume": True, "objective": "mean"}, "was written with another objective"),
         ({"resume": True, "seed": 5}, "was written with another seed"),
-        ({"resume": True, "start": wrong}, r"wrong\.yaml: line 1: proportional = -3"),
+        ({"resume": True, "start": wrong}, r"wrong\.yaml: proportional = -3"),
     ):
         with refused(message if kind == "pid" or "start" not in options else "wrong.yaml"):
             train(kind, folder, study, steps=14, **options)
