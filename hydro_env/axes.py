@@ -40,7 +40,7 @@ from hydro_env.task.record import (
     Chances,
     table,
 )
-from hydro_env.task.reference_signals import REFERENCE_FAMILIES
+from hydro_env.task.reference_signals import MOVING_FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
 from hydro_env.task.settings import padded_draws, settings_of
 from hydro_env.task.signals import POSITION, layout_of, observation_layout
 from hydro_env.types import Floats
@@ -123,6 +123,7 @@ class Axes:
         wanted = threads if threads is not None else (os.cpu_count() or 1)
         self._threads = max(1, min(wanted, count // AXES_PER_THREAD))
         self._pool: ThreadPoolExecutor | None = None
+        self._scheduled = False
 
     def _name_parts(self) -> None:
         """Make views of the arrays.
@@ -151,11 +152,29 @@ class Axes:
         """
         self._chances.seeds["episode"][axes] += 1
         self.record[axes] = np.zeros((), RECORD)
-        task_kernel.begin_episodes(
-            axes, self._task, self._layout, self._chances, self.options.fixed, self.physical, *self.arrays
-        )
+        rare = self._rare(axes)
+        for begin, chosen in ((task_kernel.begin_usual, axes[~rare]), (task_kernel.begin_any, axes[rare])):
+            if len(chosen) > 0:
+                begin(chosen, self._task, self._layout, self._chances, self.options.fixed, self.physical, *self.arrays)
         self._check_begun(axes)
+        self._note_schedules()
         self.options.used(axes)
+
+    def _rare(self, axes: Indices) -> NDArray[np.bool_]:
+        """Which of these axes may begin with a fault, a changing force, or a reference at which they hardly move."""
+        fixed, config = self.options.fixed, self.config
+        drawn = any(getattr(config.faults, kind).probability > 0.0 for kind in KIND_OF_FAULT.values())
+        resting = self._chances.family_weights[len(MOVING_FAMILIES) : USER_FAMILY].any()
+        if drawn or resting or config.disturbance.kind != "none":
+            return np.ones(len(axes), dtype=np.bool_)
+        family = fixed.family[axes]
+        rare: NDArray[np.bool_] = (family >= len(MOVING_FAMILIES)) & (family != USER_FAMILY)
+        return rare | ~np.isnan(fixed.faults[axes]).all(axis=1)
+
+    def _note_schedules(self) -> None:
+        """Note whether leak, faults or force of any axis may change during its episode."""
+        changing = self.column("leak_schedule").any() or self.column("faulty").any()
+        self._scheduled = bool(changing) or self.config.disturbance.kind != "none"
 
     def _check_begun(self, axes: Indices) -> None:
         failed = axes[self.column("failure")[axes] != NO_FAILURE]
@@ -185,6 +204,8 @@ class Axes:
 
     def step(self, actions: NDArray[Any]) -> None:
         """Advance every axis by one control period with the commands ``actions``, (N,), within −1 to 1."""
+        if self._scheduled:
+            task_kernel.follow(self._task, self.record, self.arrays.plant, 0, self.count)
         if self._threads == 1:
             task_kernel.step_axes.loaded(*self._fixed_arguments, actions, 0, self.count)
             return
@@ -260,6 +281,7 @@ class Axes:
             own[name][axes] = values
         if not np.array_equal(own["fixed_user_reference"][axes], user_reference):
             self.options.set_user_reference(user_reference, axes)
+        self._note_schedules()
 
     def column(self, name: str) -> Floats:
         """A view of one field of ``record``, shape (N,), or (N, entries)."""

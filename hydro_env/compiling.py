@@ -80,12 +80,23 @@ def inline(function: Function) -> Function:
 def numba() -> Any:
     """The module numba, imported at the first compilation: parameters and configuration do not need it."""
     import numba as module
-    from numba.extending import typeof_impl
+    from numba.extending import models, register_model, typeof_impl
+
+    types = module.types
+
+    class Merged(types.Dispatcher):  # type: ignore[name-defined, misc]
+        """A call with other constants is no other function: numba would compile it again for each of them."""
+
+        def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+            plain = {name: types.unliteral(kind) for name, kind in kws.items()}
+            return super().get_call_type(context, tuple(map(types.unliteral, args)), plain)
+
+    register_model(Merged)(models.OpaqueModel)
 
     @typeof_impl.register(Inline)
     def type_of_inline(value: Inline, context: Any) -> Any:
         del context
-        return module.types.Dispatcher(value.merged)
+        return Merged(value.merged)
 
     return module
 

@@ -55,7 +55,7 @@ from hydro_env.task.record import (
     OVER_BUDGET,
     OVERPRESSURE,
 )
-from hydro_env.task.reference_signals import USER_FAMILY, feasible, fill_reference
+from hydro_env.task.reference_signals import USER_FAMILY, feasible, fill_moving, fill_reference
 from hydro_env.task.rewards import costs
 from hydro_env.task.schedules import (
     draw_changing_force,
@@ -154,7 +154,7 @@ def _late(row, before, now):
     return before, now
 
 
-def _build(sources):
+def _begin(sources, everything):
     def begin_episodes(chosen, task, layout, chances, fixed, physical, record, plant, references, observation):
         assert sources >= 0  # keys numba's cache
         states = plant[:, :FIRST_COEFFICIENT]
@@ -198,7 +198,8 @@ def _build(sources):
                 draw_steady_force(row, coefficient[axis], force_key, settings)
                 draw_leak(row, source_key(drawn, episode, LEAKAGE), fixed.leakage_flow_lpm[axis], settings)
                 set_leak(row, coefficient[axis], 0.0, settings)
-                draw_faults(row, coefficient[axis], source_key(drawn, episode, FAULT), fixed.faults[axis], settings)
+                if everything:
+                    draw_faults(row, coefficient[axis], source_key(drawn, episode, FAULT), fixed.faults[axis], settings)
 
                 # A user's reference sets its own start.
                 c = read_coefficients(coefficient[axis])
@@ -217,10 +218,11 @@ def _build(sources):
                         row.failure = CANNOT_BE_REACHED
                 if not math.isnan(fixed.initial_position[axis]):
                     start = fixed.initial_position[axis]
-                if family != USER_FAMILY:
-                    fill_reference(
-                        reference, family, reference_key, start, settings.control_period, f, settings.references
-                    )
+                period = settings.control_period
+                if everything:
+                    fill_reference(reference, family, reference_key, start, period, f, settings.references)
+                else:
+                    fill_moving(reference, family, reference_key, start, period, f, settings.references)
 
                 # The axis holds the position that its sensor reads as the initial position.
                 held = start
@@ -233,7 +235,8 @@ def _build(sources):
                 row.command = row.drive = (1.0 / FULL_VOLTAGE) * voltage
                 attempt += 1
 
-            draw_changing_force(row, coefficient[axis], force_key, settings)
+            if everything:
+                draw_changing_force(row, coefficient[axis], force_key, settings)
             row.late = periods_late(row.latency, settings.control_period)
             for place in range(row.sent.shape[0]):
                 row.sent[place] = row.drive
@@ -248,6 +251,16 @@ def _build(sources):
             sample(row, s, settings)
             write_observation(observation[axis], row, reference, layout[rig])
 
+    return compiled(begin_episodes)
+
+
+def _step(sources):
+    def follow(task, record, plant, first, last):
+        assert sources >= 0
+        for axis in range(first, last):
+            row = record[axis]
+            follow_schedules(row, plant[axis, FIRST_COEFFICIENT:FIRST_VOLTAGE], task[np.int64(row.rig)])
+
     def step_axes(task, layout, record, plant, reference, observation, actions, first, last):
         assert sources >= 0
         states = plant[:, :FIRST_COEFFICIENT]
@@ -261,7 +274,6 @@ def _build(sources):
             command = min(max(np.float64(actions[axis]), -1.0), 1.0)
             row.change = command - row.command
             row.command = command
-            follow_schedules(row, coefficient[axis], settings)
             before = row.drive
             row.drive = driven(command, before, row)
             older, newer = _late(row, before, row.drive)
@@ -313,11 +325,15 @@ def _build(sources):
                 total += row.costs[index]
             row.reward = -total
 
-    return compiled(begin_episodes), compiled(step_axes)
+    return compiled(follow), compiled(step_axes)
 
 
-begin_episodes, step_axes = _build(SOURCES)
-begin_episodes.__doc__ = """Begin an episode on the axes ``chosen``, (M,); their records must be zero.
+begin_usual, begin_any = _begin(SOURCES, False), _begin(SOURCES, True)
+follow, step_axes = _step(SOURCES)
+begin_usual.__doc__ = """Begin as :data:`begin_any` does, but without faults, without a changing force, and without the
+families of references at which an axis hardly moves: few tasks have them, and they take long to compile.
+"""
+begin_any.__doc__ = """Begin an episode on the axes ``chosen``, (M,); their records must be zero.
 
 A plant that cannot hold its initial position is drawn again, :data:`MOST_DRAWS` times at most; ``failure`` in the
 record gives the reason for the last one.
@@ -331,7 +347,11 @@ Args:
     physical: (N, parameters), written.
     record, plant, references, observation: :class:`~hydro_env.task.record.AxisArrays`, written.
 """
+follow.__doc__ = """Set leak, faults and external force of the axes from ``first`` up to ``last`` for the next period.
+
+Only axes with a leak that changes, a fault or a changing force need it, before :data:`step_axes`.
+"""
 step_axes.__doc__ = """Advance the axes from ``first`` up to ``last`` by one control period with ``actions``, (N,).
 
-The other arguments are those of :data:`begin_episodes`.
+The other arguments are those of :data:`begin_any`.
 """

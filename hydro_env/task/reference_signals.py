@@ -297,3 +297,8 @@ Args:
     f: :class:`Feasible`.
     limits: group ``references`` of the task.
 """
+
+fill_moving = function_of_number(
+    tuple(FAMILIES[name] for name in MOVING_FAMILIES), "row, family, key, start, period, f, limits", "family"
+)
+"""The same for :data:`MOVING_FAMILIES` alone, which are the first ones."""
