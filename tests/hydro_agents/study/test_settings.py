@@ -76,17 +76,9 @@ def test_settings_may_be_files_relative_to_the_study(tmp_path):
 
 
 WRONG = (
-<<<<<<< HEAD
-    ("controllers: {}\n", r"study.yaml: line 1: controllers: must hold at least 1 entry"),
-    (PID_AS.format("kind: pdi"), r"line 1: controllers.PID.kind = 'pdi': unknown; did you mean pid\? known: .*ppo"),
-    (PID_AS.format("kind: pid, settings: {gain: 3}"), r"line 1: controllers.PID.settings.gain = 3: unknown key"),
-=======
-    ("title: nobody\n", r"study.yaml: .*controllers"),
-    ("controllers: {}\n", r"study.yaml: controllers: must hold at least 1 entry"),
+    ("controllers: {}\n", r"study.yaml: controllers: "),
     (PID_AS.format("kind: pdi"), r"controllers.PID.kind = 'pdi': unknown; did you mean pid\? known: .*ppo"),
-    (PID_AS.format("kind: pid, gain: 3"), r"controllers.PID.*gain"),
     (PID_AS.format("kind: pid, settings: {gain: 3}"), r"controllers.PID.settings.gain = 3: unknown key"),
->>>>>>> 717d4dea (A wrong file is told by field, value and what is allowed, without its line: pydantic's words serve where none are better)
     (PID_AS.format("kind: pid, settings: absent.yaml"), r"absent.yaml: cannot be read"),
     (PID_AS.format("kind: pid, settings: wrong.yaml"), r"controllers.PID.settings.proportional = -3"),
     ("controllers: {PPO: {kind: ppo, corrects: PID}}\n", r"corrects = 'PID'.*\(none\)"),
