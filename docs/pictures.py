@@ -20,7 +20,7 @@ import hydro_env  # noqa: F401  (registers the environment)
 from hydro_agents.learning.loading import shipped
 from hydro_agents.report.kit import GREY, INK, WIDE, draw, drawn, leak_axis, panel, picture
 from hydro_env import TaskConfig
-from hydro_env.canvas import PAPER
+from hydro_env.rendering import PAPER
 
 DOCS = Path(__file__).parent
 FOLDER, TABLES = DOCS / "images", DOCS / "tables"

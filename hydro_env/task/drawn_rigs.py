@@ -133,9 +133,7 @@ def drawn_task(config: TaskConfig, law: RigLaw, seed: int) -> TaskConfig:
         ConfigurationError: none of the drawn rigs can work.
     """
     rig, timing = drawn_rig(law, seed)
-    defaults = TaskConfig().model_dump()
-    values = moved(config.model_dump(), defaults, rig) | timing | {"law": None, "command_latency_range": None}
-    task = TaskConfig.model_validate(values)
+    task = TaskConfig.model_validate(moved(config, rig) | timing | {"law": None, "command_latency_range": None})
     if not law.preview_paces:
         return task
     own, count, times = pace(task), 0, []

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from hydro_env.errors import ConfigurationError
-from hydro_env.files import Group, ModelType, read_yaml, validate
+from hydro_env.files import ModelType, read_yaml, validate
 from hydro_env.folders import config_file, config_folder
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.randomisation import (
@@ -37,13 +36,11 @@ class Rig(NamedTuple):
     source: str  # for messages
 
 
-class _OfTheTask(Group):
+class _RigFile(PlantParameters):
+    """All that the file of a rig may hold."""
+
     randomisation: Randomisation = {}
     sensors: Sensors = Sensors()
-
-
-class _RigFile(_OfTheTask, PlantParameters):
-    """All that the file of a rig may hold."""
 
 
 def read_rig(given: str | Path, folder: Path | None = None) -> Rig:
@@ -141,13 +138,13 @@ def task_from(
     Raises:
         ConfigurationError: a key is unknown, a value is impossible, or the rig does not fit.
     """
-    defaults, overrides = model().model_dump(), dict(overrides or {})
+    overrides = dict(overrides or {})
     own = values.get("plant")
     if isinstance(own, str | Path):
         rest = {key: value for key, value in values.items() if key != "plant"}
-        values = merged(moved(defaults, defaults, read_rig(own, folder)), rest)
+        values = merged(moved(model(), read_rig(own, folder)), rest)
     else:
-        values = merged({"randomisation": defaults["randomisation"]}, values)
+        values = merged({"randomisation": model().model_dump()["randomisation"]}, values)
     for plant in (own, overrides.get("plant")):
         _refuse_drawn_leak(plant, source)
     if isinstance(overrides.get("plant"), str | Path):
@@ -164,8 +161,8 @@ def task_from(
             raise ConfigurationError(
                 f"task: rig = {str(rig)[:60]!r} is one rig, and law draws others: give one of them"
             )
-        checked = validate(model, values, source, within).model_dump()
-        values = moved(checked, defaults, read_rig(rig)) if law is None else checked | {"law": law}
+        task = validate(model, values, source, within)
+        values = moved(task, read_rig(rig)) if law is None else task.model_dump() | {"law": law}
     values = merged(values, overrides)
     by_law = [name for name in DRAWN if name in overrides and values.get("law") is not None]
     if by_law:
@@ -190,29 +187,25 @@ def _refuse_drawn_leak(plant: Any, source: str) -> None:
             )
 
 
-def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
+def moved(task: Any, rig: Rig) -> dict[str, Any]:
     """A task on another rig: settings that followed from the old rig follow from the new one; the user's settings stay.
 
     Sensor settings in the file of the new rig take precedence over those that follow from its size.
 
     Args:
-        task: all settings of the task, by group.
-        defaults: all settings of the default task.
+        task: a ``TaskConfig``.
         rig: the new rig.
 
     Raises:
         ConfigurationError: the task draws a parameter from a range that does not contain the rig's own value.
     """
-    old = PlantParameters.from_dict(task["plant"])
-    result = deepcopy(dict(task))
-    result["plant"] = rig.plant.model_dump()
-    before, after = _following(old, defaults, {}), _following(rig.plant, defaults, rig.sensors) | rig.sensors
+    defaults, result = type(task)().model_dump(), task.model_dump()
+    before, after = _following(task.plant, defaults, {}), _following(rig.plant, defaults, rig.sensors) | rig.sensors
     for path, value in after.items():
         group, name = path.rsplit(".", 1)
         if _at(result, path) in (before.get(path), _at(defaults, path)):
             _at(result, group)[name] = value
-    result["randomisation"] = _moved_ranges(task["randomisation"], old, rig)
-    return result
+    return result | {"plant": rig.plant.model_dump(), "randomisation": _moved_ranges(task, rig)}
 
 
 def pressure_ranges(plant: PlantParameters) -> dict[str, float]:
@@ -275,11 +268,9 @@ def _following(plant: PlantParameters, defaults: Mapping[str, Any], own: Mapping
     return values
 
 
-def _moved_ranges(ranges: Mapping[str, Any], old: PlantParameters, rig: Rig) -> dict[str, Any]:
+def _moved_ranges(task: Any, rig: Rig) -> dict[str, Any]:
     """Randomisation of a task on another rig; a user's range must contain the new rig's value."""
-    drawn = {path: draw for path, draw in ranges.items() if draw is not None}
-    given = validate(_OfTheTask, {"randomisation": drawn}, "task").randomisation
-    before = default_randomisation(old)
+    given, before = task.randomisation, default_randomisation(task.plant)
     after = default_randomisation(rig.plant) | rig.randomisation
     own = {path: draw for path, draw in given.items() if draw != before.get(path)}
     for path, draw in own.items():
