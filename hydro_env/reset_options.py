@@ -53,6 +53,11 @@ def _wrong(message: str) -> ConfigurationError:
     return ConfigurationError(f"reset options: {message}")
 
 
+def _of_axes(values: NDArray[Any], axes: Indices) -> NDArray[Any]:
+    """The rows of these axes; there may be one for each of them, or one for all."""
+    return values[axes] if len(values) > len(axes) else values
+
+
 class ResetOptions:
     """The parts of the next episode that the caller fixes, for each of N axes.
 
@@ -148,11 +153,9 @@ class ResetOptions:
         array = numbers(value)
         if array is None:
             raise _wrong(f"{name} = {shown(value)}: must be a number")
-        if array.shape == (self.count,) and self.count > 1:
-            array = array[axes]
-        elif array.shape not in ((), (len(axes),)):
+        if array.shape not in ((), (self.count,), (len(axes),)):
             raise _wrong(f"{name} has shape {array.shape}: must be one number, or one per axis ({self.count},)")
-        array = np.broadcast_to(array, (len(axes),)).copy()
+        array = np.broadcast_to(_of_axes(np.atleast_1d(array), axes), len(axes))
         wrong = ~((array >= low) & (array <= high))
         if wrong.any():
             allowed = "a number" if low == -np.inf else f"within {low:g} to {high:g}"
@@ -176,17 +179,19 @@ class ResetOptions:
         if not isinstance(changes, Mapping) or not all(isinstance(fields, Mapping) for fields in changes.values()):
             raise _wrong("parameters must be groups of fields, {'load': {'mass': 80.0}}")
         override = np.full((len(axes), len(PARAMETER_PATHS)), np.nan)
-        for path, value in ((f"{group}.{name}", value) for group in changes for name, value in changes[group].items()):
-            if path not in PARAMETER_PATHS:
-                guess = did_you_mean(path, PARAMETER_PATHS)
-                raise _wrong(f"parameters.{path} is not a parameter of the plant{guess}")
-            if path in LEAKAGE_OF_THE_TASK:
-                raise _wrong(f"parameters.{path}: give leakage_flow_lpm instead")
-            if path in MODEL_CODES:
-                if not isinstance(value, str) or value not in MODEL_CODES[path]:
-                    raise _wrong(f"parameters.{path} = {shown(value)}: {one_of(value, MODEL_CODES[path])}")
-                value = float(MODEL_CODES[path].index(value))
-            override[:, PARAMETER_PATHS.index(path)] = self._per_axis(value, f"parameters.{path}", axes)
+        for group, fields in changes.items():
+            for name, value in fields.items():
+                path = f"{group}.{name}"
+                if path not in PARAMETER_PATHS:
+                    guess = did_you_mean(path, PARAMETER_PATHS)
+                    raise _wrong(f"parameters.{path} is not a parameter of the plant{guess}")
+                if path in LEAKAGE_OF_THE_TASK:
+                    raise _wrong(f"parameters.{path}: give leakage_flow_lpm instead")
+                if path in MODEL_CODES:
+                    if value not in MODEL_CODES[path]:
+                        raise _wrong(f"parameters.{path} = {shown(value)}: {one_of(value, MODEL_CODES[path])}")
+                    value = MODEL_CODES[path].index(value)
+                override[:, PARAMETER_PATHS.index(path)] = self._per_axis(value, f"parameters.{path}", axes)
         for row in {row.tobytes(): row for row in override}.values():
             self._check_parameters(row, "reset options")
         return override
@@ -211,25 +216,22 @@ class ResetOptions:
 
     def _reference(self, given: Any, axes: Indices, half: float) -> tuple[Indices, Floats | None]:
         """Family of each axis, and the rows of references that the user gives as numbers."""
-        names = [given] * len(axes) if isinstance(given, str) else given
-        if isinstance(names, list | tuple) and names and all(isinstance(name, str) for name in names):
-            if len(names) not in (len(axes), self.count):
+        array = numbers(given)
+        if array is None:
+            names = np.atleast_1d(np.array(given, dtype=object))
+            if names.shape not in ((1,), (len(axes),), (self.count,)):
                 raise _wrong(f"reference has {len(names)} names for {len(axes)} axes")
-            if len(names) > len(axes):
-                names = [names[axis] for axis in axes]
             for name in names:
                 if name not in FAMILIES:
                     known = f"{', '.join(FAMILIES)}{did_you_mean(name, FAMILIES)}"
                     raise _wrong(f"reference = {shown(name)}: must be an array in m, or of {known}")
-            return np.array([REFERENCE_FAMILIES.index(name) for name in names], dtype=np.int64), None
-        array = numbers(given)
-        if array is None:
-            raise _wrong("reference must be numbers in m, or the name of a family")
+            codes = np.array([REFERENCE_FAMILIES.index(name) for name in names], dtype=np.int64)
+            return np.broadcast_to(_of_axes(codes, axes), len(axes)), None
         if array.ndim == 1:
             array = array[None]  # the same for all axes
         elif array.ndim != 2 or len(array) not in (self.count, len(axes)):
             raise _wrong(f"reference has shape {array.shape}: must be (samples,) or ({self.count}, samples)")
-        chosen = array[axes] if len(array) > len(axes) else array
+        chosen = _of_axes(array, axes)
         rows = np.array([self._checked_reference(row, "reset options: reference", half) for row in chosen])
         return np.full(len(axes), USER_FAMILY, dtype=np.int64), rows
 

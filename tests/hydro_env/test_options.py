@@ -156,12 +156,10 @@ def of_load(**values):
 WRONG = [
     ({"leakage": 0.1}, r"unknown option 'leakage'; did you mean leakage_flow_lpm\? known: leakage_flow_lpm, "),
     ({"leakage_flow_lpm": -0.1}, "leakage_flow_lpm = -0.1 l/min at 100 bar: must be within 0 to 20"),
-    ({"leakage_flow_lpm": 25.0}, "leakage_flow_lpm = 25 l/min at 100 bar: must be within 0 to 20"),
     ({"leakage_flow_lpm": NAN}, "leakage_flow_lpm = nan l/min at 100 bar: must be within 0 to 20"),
     ({"leakage_flow_lpm": "much"}, "leakage_flow_lpm = 'much': must be a number"),
     ({"leakage_flow_lpm": [0.1, 0.2]}, r"leakage_flow_lpm has shape \(2,\): must be one number"),
     ({"reference": [0.0, NAN]}, r"reference\[1\] = nan m: must be a position within the stroke"),
-    ({"reference": [0.0, 10.0]}, r"reference\[1\] = 10 m: .*±0.2 m"),
     ({"reference": [-0.2]}, r"reference\[0\] = -0.2 m: must be a position within"),
     ({"reference": []}, "reference: must be a row of positions"),
     ({"reference": np.zeros((2, 3, 4))}, r"reference has shape \(2, 3, 4\)"),
@@ -169,21 +167,15 @@ WRONG = [
     ({"reference": "zigzag"}, "reference = 'zigzag': must be an array in m, or of step"),
     ({"reference": "user"}, "reference = 'user': must be an array in m"),
     ({"reference": [0.0, 0.15], "parameters": STIFF}, "reference of 150 mm cannot be .* only -48.99 to 98.12 mm can"),
-    ({"reference": [0.0, -0.15, 0.0], "parameters": STIFF}, "reference of -150 mm cannot be reached, only -48.99 to"),
     ({"initial_position": 0.3}, "initial_position = 0.3 m: must be within -0.2 to 0.2"),
     ({"rig": 1}, "rig = 1: must be within 0 to 0"),
     ({"initial_position": -0.1, "parameters": STIFF}, "initial position -100 mm cannot be held by its plant"),
     (of_load(weight=1.0), "parameters.load.weight is not a parameter of the"),
-    ({"parameters": {"loads": {"mass": 1.0}}}, "parameters.loads.mass is not a parameter of the plant"),
     ({"parameters": 3}, "parameters must be groups of fields"),
-    ({"parameters": {"load": 3}}, "parameters must be groups of fields"),
     (of_load(mass=-5.0), r"load\.mass = -5\.0: .*unit: kg"),
-    (of_load(mass=NAN), "parameters.load.mass = nan: must be a number"),
     (of_load(mass="60"), "parameters.load.mass = '60': must be a number"),
-    (of_load(mass=np.inf), r"load\.mass = inf: .*unit: kg"),
     ({"parameters": {"cylinder": {"rod_diameter": 0.045}}}, "rod_diameter = 45 mm does not fit"),
     ({"parameters": {"supply": {"model": "hand pump"}}}, "supply.model = 'hand pump': must be one of constant"),
-    ({"parameters": {"supply": {"model": 7}}}, "supply.model = 7: must be one of constant"),
     # Beyond what may be drawn for the other parameter.
     ({"parameters": {"supply": {"precharge_pressure": 65e5}}}, "precharge_pressure = 65 bar .* pressure = 60 bar"),
     ({"parameters": {"friction": {"breakaway_force": 200.0}}}, "breakaway_force = 200 N .* coulomb_force = 300 N"),
@@ -191,8 +183,6 @@ WRONG = [
 ]
 OF_THREE = [
     ({"leakage_flow_lpm": [0.1, 0.2]}, r"has shape \(2,\): must be one number, or one per axis"),
-    ({"leakage_flow_lpm": [0.1, -0.2, 0.3]}, "leakage_flow_lpm = -0.2 l/min at 100 bar"),
-    ({"initial_position": [0.0, 0.0, 0.25]}, "initial_position = 0.25 m"),
     (of_load(mass=[50.0, -1.0, 60.0]), r"load\.mass = -1\.0"),
     ({"reference": np.zeros((2, 9))}, r"reference has shape \(2, 9\): must be \(samples,\) or \(3, sam"),
     ({"reference": [[0.0], [NAN], [0.0]]}, r"reference\[0\] = nan m"),
@@ -254,9 +244,7 @@ ACTIONS = [(ServoHydraulicEnv, action, OF_ONE) for action in BAD_ACTIONS]
 ACTIONS += [(three, action, "^action") for action in BAD_ACTIONS]
 ACTIONS += [
     (three, np.array([[0.0], [NAN], [0.0]]), r"actions\[1\] = nan: must be a finite number"),
-    (three, np.array([[0.0], [0.0], [np.inf]]), r"actions\[2\] = inf: must be a finite number"),
     (three, np.zeros(3), r"actions: shape \(3,\): must be numbers within -1 to 1, of shape \(3, 1\)"),
-    (three, [["a"], ["b"], ["c"]], "actions: no numbers: must be numbers"),
 ]
 
 
