@@ -27,10 +27,15 @@ def described(
         source: of the values, such as the file.
         within: where in the source the group stands, such as ``controllers.PID.settings``.
     """
-    schema, lines = model.model_json_schema(), {}
+    schema = model.model_json_schema()
+    lines: dict[Path, str] = {}
     kind: type[ConfigurationError] = ConfigurationError
-    for mistake in error.errors(include_url=False):
-        path, given = _found_in(values, mistake)
+    mistakes = [(*_found_in(values, mistake), mistake) for mistake in error.errors(include_url=False)]
+    # A list or a group with wrong parts may count as wrong itself.
+    wholes = {path[:depth] for path, _, _ in mistakes for depth in range(len(path))}
+    for path, given, mistake in mistakes:
+        if path in wholes or path in lines:
+            continue
         where = ".".join(filter(None, [within, *(str(part)[:60] for part in path)]))
         if where and mistake["type"] != "missing":
             where += _shown(given)
