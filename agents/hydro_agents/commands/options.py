@@ -129,11 +129,6 @@ def side_by_side(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def exact_task(task: str | None, rig: Path | None) -> str | None:
-    """The task of a command that shows one axis; ``--rig`` alone gives the parameters of its file, without any draw."""
-    return "as_given" if task is None and rig is not None else task
-
-
 def check_new_file(output: Path, overwrite: bool) -> None:
     """Check before the work that a file can be written.
 

@@ -14,7 +14,6 @@ from hydro_agents.commands.options import (
     Rig,
     check_new_file,
     command_line,
-    exact_task,
     say,
 )
 
@@ -52,7 +51,7 @@ def record(
     if family is not None and family not in FAMILIES:
         raise ConfigurationError(f"--family '{family}': must be one of {', '.join(FAMILIES)}")
     check_new_file(output, overwrite)
-    usual = task_config(exact_task(None, rig), rig=rig)
+    usual = task_config("as_given" if rig is not None else None, rig=rig)
     config = task_config(usual, episode_duration=duration)
     by_pid = controller == "pid"
     origin = GainsOrigin.TUNED

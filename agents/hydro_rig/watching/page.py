@@ -55,17 +55,18 @@ def draw_axis(axes: Axes, one: AxisTrend) -> None:
     days = one.rows["begin"] / DAY
     sizes = one.rows[["size_40", "low_40", "high_40"]].clip(lower=LOWEST).to_numpy(dtype=np.float64)
     for kind, colour in COLOURS.items():
-        chosen = (one.rows["verdict"] == kind).to_numpy()
-        value, low, high = sizes[chosen].T
-        ends = np.maximum([value - low, high - value], 0.0)
-        axes.errorbar(days[chosen], value, yerr=ends, fmt="o", color=colour, markersize=3.5, label=kind.value)
+        chosen = (one.rows["verdict"] == kind).to_numpy() & np.isfinite(sizes[:, 0])
+        if chosen.any():
+            value, low, high = sizes[chosen].T
+            ends = np.maximum([value - low, high - value], 0.0)
+            axes.errorbar(days[chosen], value, yerr=ends, fmt="o", color=colour, markersize=3.5, label=kind.value)
     axes.axhline(one.limit, color=INK, linestyle="--")
     for repair in days[one.rows["repaired"] != ""]:
         axes.axvline(repair, color=GREY)
     if one.dated:
         ends = one.now / DAY + np.array([0.0, one.growth.ahead.value])
         axes.plot(ends, [one.growth.level.value, one.limit], color=BLUE, marker="")
-    axes.set(yscale="log", ylabel="l/min", title=one.axis)
+    axes.set(yscale="log", ylabel=f"{one.axis}, l/min")
     locator = AutoDateLocator(minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
