@@ -24,7 +24,7 @@ from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig
 from hydro_env.files import write_text
 from hydro_env.task.configuration import task_config
-from hydro_rig.diagnosis.leak_test_plan import LeakTestSettings, Plan, plan, simulated
+from hydro_rig.diagnosis.leak_test_plan import Plan, plan, simulated
 from hydro_rig.diagnosis.leak_test_reading import read_leak_test
 from hydro_rig.recordings.simulated import recording_csv
 
@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="for the results, which it keeps")
     given = parser.parse_args()
     config = task_config(None)
-    test = plan(config, LeakTestSettings.of(config, duration=given.duration))
+    test = plan(config, given.duration)
     print(test.line())
     leaks: dict[int, float] = {}  # by seed; every leak has axes of its own
     for place, leak in enumerate(given.leak):

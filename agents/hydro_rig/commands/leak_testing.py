@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -20,9 +20,11 @@ def leak_test(
     ] = None,
     rig: Rig = None,
     columns: Columns = None,
-    duration: Annotated[float, typer.Option(help="Of the plan, s.")] = 60.0,
-    speed: Annotated[float | None, typer.Option(help="Largest speed of the plan in mm/s; default: 50.")] = None,
-    stop: Annotated[str, typer.Option(metavar="both|extended|retracted", help="Stops to press against.")] = "both",
+    duration: Annotated[float, typer.Option(min=2.0, max=600.0, help="Of the plan, s.")] = 60.0,
+    speed: Annotated[
+        float | None, typer.Option(min=1.0, max=1e4, help="Largest speed of the plan in mm/s; default: 50.")
+    ] = None,
+    stop: Annotated[Literal["both", "extended", "retracted"], typer.Option(help="Stops to press against.")] = "both",
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Folder; default: results/leak_test_plan, or results/leak_test."),
@@ -40,7 +42,7 @@ def leak_test(
     from hydro_agents.running.folders import output_folder, refuse_taken
     from hydro_env.task.configuration import task_config
     from hydro_rig.diagnosis import leak_test_page as pages
-    from hydro_rig.diagnosis.leak_test_plan import LeakTestSettings, plan
+    from hydro_rig.diagnosis.leak_test_plan import plan
     from hydro_rig.diagnosis.leak_test_reading import read_leak_test, silent
     from hydro_rig.diagnosis.verdict import EXIT_CODES
     from hydro_rig.recordings.columns import read_map
@@ -49,10 +51,7 @@ def leak_test(
     if recording is None:
         folder = output or Path("results/leak_test_plan")
         refuse_taken(folder, pages.JOB, pages.PLAN_FILES, overwrite)
-        given: dict[str, object] = {"duration": duration, "stop": stop}
-        if speed is not None:
-            given["speed"] = 1e-3 * speed
-        planned = plan(config, LeakTestSettings.of(config, **given))
+        planned = plan(config, duration, None if speed is None else 1e-3 * speed, stop)
         with output_folder(folder, pages.JOB, pages.PLAN_FILES, overwrite=overwrite):
             pages.write_plan(folder, planned, command_line())
         say(*(folder / name for name in pages.PLAN_FILES), planned.line())

@@ -13,11 +13,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_agents.rigs.check import resting_place
@@ -25,7 +24,6 @@ from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.tasks import own_reference
 from hydro_agents.running.text import number
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group, validate
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, own_value
@@ -63,23 +61,6 @@ ATTEMPTS = 5  # to find the largest opening
 UNLIMITED = {"end_stop_speed": 100.0, "pressure_rating": 2e8}  # of a trial whose peaks are still to be measured
 
 
-class LeakTestSettings(Group):
-    """Limits of the test, SI."""
-
-    duration: float = Field(60.0, ge=2.0, le=600.0, description="s")
-    speed: float = Field(gt=0.0, le=100.0, description="m/s, also against an end stop")
-    stop: Literal["both", "extended", "retracted"] = Field("both", description="stops that it presses against")
-
-    @classmethod
-    def of(cls, config: TaskConfig, **given: Any) -> LeakTestSettings:
-        """Some of the settings; the others are as usual, the speed that of the task.
-
-        Raises:
-            ConfigurationError: a value is out of its bounds.
-        """
-        return validate(cls, {"speed": config.failure.end_stop_speed} | given, "leak-test")
-
-
 class Step(NamedTuple):
     """A constant opening."""
 
@@ -105,16 +86,6 @@ class Plan:
         """Openings, one per control period, (T,)."""
         return commands_of(self.steps, self.task.control_period)
 
-    def facts(self) -> dict[str, Any]:
-        """The plan as numbers."""
-        return {
-            "steps": [step._asdict() for step in self.steps],
-            "largest_bound_lpm": float(self.bound.max()),
-            "largest_speed": self.speed,
-            "positions": [float(self.position.min()), float(self.position.max())],
-            "largest_pressure": float(self.pressures.max()),
-        }
-
     def line(self) -> str:
         """The plan in one sentence."""
         seconds = sum(step.seconds for step in self.steps)
@@ -126,28 +97,36 @@ class Plan:
         )
 
 
-def plan(config: TaskConfig, settings: LeakTestSettings) -> Plan:
-    """The test within the limits.
+def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None, stop: str = "both") -> Plan:
+    """The test within limits.
+
+    Args:
+        config: the task of the rig.
+        duration: s.
+        speed: m/s, the largest one, also against an end stop; default: that of the task.
+        stop: a name in :data:`STOPS`.
 
     Raises:
         ConfigurationError: no test is possible within the limits.
     """
-    task = worn_task(config)
-    opening = min(LARGEST_OPENING, settings.speed / max(speed_limits(task.plant)))
+    task, signs = worn_task(config), STOPS[stop]
+    speed = config.failure.end_stop_speed if speed is None else speed
+    opening = min(LARGEST_OPENING, speed / max(speed_limits(task.plant)))
     for _ in range(ATTEMPTS):
-        steps = steps_of(task, settings, opening, _travel_times(task, settings, opening))
+        travel = _travel_times(task, signs, duration, opening)
+        steps = steps_of(task, dict(zip(signs, travel, strict=True)), duration, opening)
         windows = simulated(task, steps, PLANTS)
         position, pressures = _true_course(task, windows)
         fastest = float(np.abs(np.gradient(position, task.control_period, axis=1)).max())
-        if fastest <= settings.speed:
+        if fastest <= speed:
             break
-        opening *= SAFETY * settings.speed / fastest
+        opening *= SAFETY * speed / fastest
     else:
         raise ConfigurationError(
-            f"--speed {1e3 * settings.speed:g} mm/s: some simulated axes are faster even with the valve nearly closed; "
+            f"--speed {1e3 * speed:g} mm/s: some simulated axes are faster even with the valve nearly closed; "
             "raise --speed"
         )
-    limits = {"end_stop_speed": settings.speed, "pressure_rating": config.failure.pressure_rating}
+    limits = {"end_stop_speed": speed, "pressure_rating": config.failure.pressure_rating}
     try:
         kept = len(simulated(task, steps, PLANTS, limits=limits).case)
     except ConfigurationError:  # not one reaches the end
@@ -193,22 +172,21 @@ def commands_of(steps: Sequence[Step], period: float) -> Floats:
     return openings
 
 
-def steps_of(task: TaskConfig, settings: LeakTestSettings, opening: float, travel: Sequence[float]) -> list[Step]:
+def steps_of(task: TaskConfig, travel: Mapping[float, float], duration: float, opening: float) -> list[Step]:
     """The steps of the test; shares of the opening count from the end of the valve's dead band.
 
     Args:
         task: of the rig.
-        settings: the limits.
+        travel: s, to each stop by the sign of the opening.
+        duration: of the test, s.
         opening: the largest one.
-        travel: s, to each stop in order.
     """
     overlap = task.plant.valve.overlap
     dead = overlap if overlap < opening else 0.0
-    signs = STOPS[settings.stop]
-    rest = (settings.duration - sum(travel)) / len(signs) - 2 * MOVE * MOVES
+    rest = (duration - sum(travel.values())) / len(travel) - 2 * MOVE * MOVES
     each = rest / len(SHARES)
     steps = []
-    for sign, seconds in zip(signs, travel, strict=True):
+    for sign, seconds in travel.items():
         name = "extended" if sign > 0.0 else "retracted"
         steps.append(Step(sign * opening, seconds + each, f"press against the {name} stop"))
         for share in SHARES[1:]:
@@ -262,12 +240,11 @@ def _true_course(task: TaskConfig, windows: KnownWindows) -> tuple[Floats, Float
     return read[:, POSITION], read[:, [PRESSURE_A, PRESSURE_B]]
 
 
-def _travel_times(task: TaskConfig, settings: LeakTestSettings, opening: float) -> Sequence[float]:
+def _travel_times(task: TaskConfig, signs: Sequence[float], duration: float, opening: float) -> Sequence[float]:
     """Seconds that the slowest simulated axis needs to each stop of the test, in order."""
-    signs = STOPS[settings.stop]
-    steps = [Step(sign * opening, settings.duration, "trial") for sign in signs]
+    steps = [Step(sign * opening, duration, "trial") for sign in signs]
     position, _ = _true_course(task, simulated(task, steps, PLANTS))
-    length = round(settings.duration / task.control_period)
+    length = round(duration / task.control_period)
     times = []
     for place in range(len(signs)):
         part = position[:, place * length : (place + 1) * length]
@@ -275,9 +252,9 @@ def _travel_times(task: TaskConfig, settings: LeakTestSettings, opening: float) 
         arrived = way >= ARRIVED * way[:, -1:]
         times.append(task.control_period * float(arrived.argmax(axis=1).max()))
     needed = sum(times) / MOST_TRAVEL_TIME
-    if needed > settings.duration:
+    if needed > duration:
         raise ConfigurationError(
-            f"--duration {settings.duration:g} s: the axis needs {sum(times):.0f} s to reach the stops at an opening "
+            f"--duration {duration:g} s: the axis needs {sum(times):.0f} s to reach the stops at an opening "
             f"of {100 * opening:.2g} %; allow {math.ceil(needed)} s, raise --speed, or test one --stop"
         )
     return times

@@ -14,7 +14,6 @@ from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_rig.diagnosis.leak_test_plan import (
     RAMP,
-    LeakTestSettings,
     Step,
     commands_of,
     plan,
@@ -47,7 +46,7 @@ def test_a_step_begins_with_a_ramp():
 
 
 def test_the_plan_keeps_the_limits_and_says_its_bound():
-    planned = plan(CONFIG, LeakTestSettings.of(CONFIG, duration=10.0, stop="extended"))
+    planned = plan(CONFIG, 10.0, stop="extended")
     assert planned.speed <= CONFIG.failure.end_stop_speed
     assert planned.pressures.max() <= CONFIG.failure.pressure_rating
     assert (planned.bound < 0.02).all()
