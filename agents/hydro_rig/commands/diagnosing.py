@@ -14,6 +14,7 @@ from hydro_agents.commands.options import (
     Json,
     Output,
     Overwrite,
+    OwnTask,
     Recording,
     Rig,
     command_line,
@@ -25,6 +26,7 @@ from hydro_rig.commands.guesses import reading
 def diagnose(
     recording: Recording,
     columns: Columns = None,
+    task: OwnTask = None,
     rig: Rig = None,
     detector: Annotated[
         str | None,
@@ -58,7 +60,7 @@ def diagnose(
     from hydro_rig.recordings.columns import read_map
 
     refuse_taken(output, JOB, FILES, overwrite)
-    config = task_config(None, rig=rig)
+    config = task_config(task, rig=rig)
     companion = Companion.named(detector)
     mapped = read_map(columns) if columns is not None else None
     with reading(as_json) as progress:
@@ -83,6 +85,7 @@ def trend(
         list[str] | None,
         typer.Option("--map", metavar="[PATTERN=]FILE", help="Map of the columns, for all files or by file name."),
     ] = None,
+    task: OwnTask = None,
     rig: Annotated[
         list[str] | None,
         typer.Option(metavar="[AXIS=]NAME|FILE", help="A rig, for all axes or one; repeat it. Default: the paper's."),
@@ -111,7 +114,7 @@ def trend(
     from hydro_rig.watching.watch import watch
 
     with reading(as_json) as progress:
-        found = watch(recordings, append, columns or [], rig or [], oil, limit, jobs, progress)
+        found = watch(recordings, append, columns or [], task, rig or [], oil, limit, jobs, progress)
     page = append.with_suffix(".html")
     trend_page(found.trends, append.name, found.left_out).write(page, Origin.now(command_line()))
     for line in found.left_out:

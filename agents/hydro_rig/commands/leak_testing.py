@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from hydro_agents.commands.options import Columns, Overwrite, Rig, command_line, say
+from hydro_agents.commands.options import Columns, Overwrite, OwnTask, Rig, command_line, say
 from hydro_rig.commands.guesses import reading
 
 
@@ -18,6 +18,7 @@ def leak_test(
             metavar="[RECORDING]", help="Recording of the test, to be read. Without it the test is planned."
         ),
     ] = None,
+    task: OwnTask = None,
     rig: Rig = None,
     columns: Columns = None,
     duration: Annotated[float, typer.Option(min=2.0, max=600.0, help="Of the plan, s.")] = 60.0,
@@ -47,7 +48,7 @@ def leak_test(
     from hydro_rig.diagnosis.verdict import EXIT_CODES
     from hydro_rig.recordings.columns import read_map
 
-    config = task_config(None, rig=rig)
+    config = task_config(task, rig=rig)
     if recording is None:
         folder = output or Path("results/leak_test_plan")
         refuse_taken(folder, pages.JOB, pages.PLAN_FILES, overwrite)

@@ -10,6 +10,7 @@ import typer
 from hydro_agents.commands.options import (
     Faults,
     OverwriteFile,
+    OwnTask,
     PlantSeed,
     Rig,
     check_new_file,
@@ -20,6 +21,7 @@ from hydro_agents.commands.options import (
 
 def record(
     output: Annotated[Path, typer.Option("--output", "-o", help="CSV file to write.")],
+    task: OwnTask = None,
     rig: Rig = None,
     controller: Annotated[
         str,
@@ -37,8 +39,8 @@ def record(
 ) -> None:
     """Record a simulated axis: time, position, pressures, spool and command as its sensors measure them.
 
-    `hydro diagnose` reads the file. The first line is a comment with this command and the true leak. With `--rig` the
-    axis has the parameters of its file; without, those of the paper's rig that are not known exactly are drawn.
+    `hydro diagnose` reads the file. The first line is a comment with this command and the true leak. With `--rig`
+    alone the axis has the parameters of its file; otherwise the task draws those that are not known exactly.
     """
     from hydro_agents.learning.loading import GainsOrigin, load_controller, origin_of_gains, shipped
     from hydro_agents.learning.rig_gains import chosen_gains
@@ -51,7 +53,9 @@ def record(
     if family is not None and family not in FAMILIES:
         raise ConfigurationError(f"--family '{family}': must be one of {', '.join(FAMILIES)}")
     check_new_file(output, overwrite)
-    usual = task_config("as_given" if rig is not None else None, rig=rig)
+    if task is None and rig is not None:
+        task = "as_given"  # the parameters of the file, without any draw
+    usual = task_config(task, rig=rig)
     config = task_config(usual, episode_duration=duration)
     by_pid = controller == "pid"
     origin = GainsOrigin.TUNED

@@ -50,6 +50,7 @@ def watch(
     places: Sequence[Path],
     table_file: Path,
     maps: Sequence[str] = (),
+    task: str | None = None,
     rigs: Sequence[str] = (),
     oil: str = "46",
     limit: float | None = None,
@@ -62,6 +63,7 @@ def watch(
         places: folders and files.
         table_file: the table, a CSV file.
         maps: of the columns, ``[PATTERN=]FILE``.
+        task: of all axes.
         rigs: ``[AXIS=]FILE``.
         oil: see :meth:`Oil.of`.
         limit: leak whose date is told, l/min at 100 bar and 40 °C; default: 0.3, scaled with the flow of the rig.
@@ -76,7 +78,7 @@ def watch(
     files, others = files_of(places, table_file)
     table = read_table(table_file)
     maps_by_name = dict(zip(files, maps_of(maps, [file.path for file in files]), strict=True))
-    configs = _configs(rigs, {file.axis for file in files} | set(table["axis"]))
+    configs = _configs(task, rigs, {file.axis for file in files} | set(table["axis"]))
     known = dict(zip(table["file"], table["bytes"], strict=True))
     new = [file for file in files if known.get(file.name) != file.size]
     reading = [delayed(_row_or_error)(file, configs[file.axis], maps_by_name[file], filling) for file in new]
@@ -117,13 +119,13 @@ def _row_or_error(file: File, config: TaskConfig, columns: ColumnMap | None, oil
         return str(error)
 
 
-def _configs(rigs: Sequence[str], axes: set[str]) -> dict[str, TaskConfig]:
+def _configs(task: str | None, rigs: Sequence[str], axes: set[str]) -> dict[str, TaskConfig]:
     """The task of each axis, with its own rig."""
     made: dict[str, TaskConfig] = {}
     for text in rigs:
         axis, _, file = text.rpartition("=")
         if axis and axis not in axes:
             raise ConfigurationError(f"--rig {text}: axis '{axis}': known: {', '.join(sorted(axes)[:20])}")
-        made[axis] = task_config(None, rig=config_file("rigs", Path(file)))
-    usual = made.get("") or task_config(None)
+        made[axis] = task_config(task, rig=config_file("rigs", Path(file)))
+    usual = made.get("") or task_config(task)
     return {axis: made.get(axis, usual) for axis in axes}
