@@ -24,8 +24,8 @@ from hydro_agents.report.kit import (
     height_of,
     leak_axis,
     panel,
-    panels,
     signal,
+    time_panels,
     with_interval,
 )
 from hydro_agents.report.parts import problems, run_facts
@@ -302,16 +302,13 @@ def single_runs(page: Page, examples: Sequence[Example]) -> None:
 
 def example_axes(example: Example) -> list[Axes]:
     """The panels of an example."""
-    time, axes = example.time, panels(3, height=4.6)
+    time, axes = example.time, time_panels(("position, mm", "error, mm", "command, V"), 4.6)
     for name, position in example.position.items():
         error = 1e3 * (example.reference - position)
         signal(axes[0], time, 1e3 * position, label=f"{name}, mean error {number(float(np.abs(error).mean()))} mm")
         signal(axes[1], time, error)
         signal(axes[2], time, 10.0 * example.command[name])
     signal(axes[0], time, 1e3 * example.reference, color=INK, linestyle="-", linewidth=0.8, label="reference")
-    for one, label in zip(axes, ("position, mm", "error, mm", "command, V"), strict=True):
-        one.set_ylabel(label)
-    axes[-1].set_xlabel("time, s")
     return axes
 
 

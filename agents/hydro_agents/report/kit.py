@@ -138,6 +138,10 @@ class Page:
         box = '<div class="scroll" tabindex="0" role="region" aria-label="{}">{}</div>'
         self._add(box, caption or "Table", Markup(style.to_html(cell_ids=False)))
 
+    def facts(self, facts: Mapping[str, Any]) -> None:
+        """A table of names and values."""
+        self.table(pd.DataFrame({"value": pd.Series(facts, dtype=object)}), words=True)
+
     def figure(self, axes: Axes | Sequence[Axes], title: str, note: str = "") -> None:
         """A figure by its panels; ``note`` says how to read it, the title is its alternate text."""
         figure = figure_of(axes)
@@ -214,6 +218,15 @@ def panels(count: int, width: float = WIDE, height: float = 7.5, **options: Any)
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return list(figure.subplots(count, 1, sharex=True, squeeze=False, **options)[:, 0])
+
+
+def time_panels(labels: Sequence[str], height: float = 7.5, **options: Any) -> list[Axes]:
+    """A figure of signals over time in s, a panel for each label."""
+    axes = panels(len(labels), height=height, **options)
+    for one, label in zip(axes, labels, strict=True):
+        one.set_ylabel(label)
+    axes[-1].set_xlabel("time, s")
+    return axes
 
 
 def draw(

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.report.kit import BLUE, GREEN, GREY, ORANGE, PAPER, Page, drawn, panels, signal
+from hydro_agents.report.kit import BLUE, GREEN, GREY, ORANGE, PAPER, Page, drawn, signal, time_panels
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised
@@ -80,15 +79,14 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     page.verdict(capitalised(diagnosis.verdict.line()), STYLES[diagnosis.verdict.kind])
     page.text(ADVICE[diagnosis.verdict.kind])
     page.heading("Leak over time")
-    axes, recording = panels(4, height=9.5, height_ratios=[1.7, 1, 1, 1]), diagnosis.recording
+    recording = diagnosis.recording
+    axes = time_panels(("leak, l/min at 100 bar", *PANELS), 9.5, height_ratios=[1.7, 1, 1, 1])
     draw_leak(axes[0], diagnosis)
-    for one, (label, (factor, names)) in zip(axes[1:], PANELS.items(), strict=True):
-        one.set_ylabel(label)
+    for one, (factor, names) in zip(axes[1:], PANELS.values(), strict=True):
         for name in names:
             values = factor * recording.signals[MEASURED.index(name)]
             signal(one, recording.time, values, label=name.replace("_", " "), linewidth=1.0)
         mark(one, recording.time, [finding for finding in diagnosis.checked.findings if finding.signal in names])
-    axes[-1].set_xlabel("time, s")
     note = (
         "Each point is one window with its 90 % interval; a hollow one does not count. Green: healthy seals. Orange: "
         "faults. Shaded below: the first place of each finding."
@@ -110,7 +108,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     }
     for name, _, reading, _ in diagnosis.readings:
         facts[f"read by the {name}"] = int(reading.answers.sum())
-    page.table(pd.DataFrame({"value": pd.Series(facts, dtype=object)}), words=True)
+    page.facts(facts)
     page.heading("How it was judged")
     page.points([line.format(diagnosis.companion.name) for line in JUDGING])
     return page
@@ -131,7 +129,7 @@ def mark(axes: Axes, time: Floats, findings: Sequence[Finding]) -> None:
 def draw_leak(axes: Axes, diagnosis: Diagnosis) -> None:
     """The leak of each window with its 90 % interval; a hollow marker does not count."""
     windows, limits = diagnosis.windows, diagnosis.limits
-    axes.set(yscale="log", ylim=(LOWEST, HIGHEST), ylabel="leak, l/min at 100 bar")
+    axes.set(yscale="log", ylim=(LOWEST, HIGHEST))
     axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
     axes.axhspan(LOWEST, limits.healthy, color=GREEN, alpha=0.10, linewidth=0)
     axes.axhspan(limits.fault, HIGHEST, color=ORANGE, alpha=0.07, linewidth=0)

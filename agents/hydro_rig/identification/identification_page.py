@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.report.kit import BLUE, GREY, ORANGE, Page, drawn, panels, signal
+from hydro_agents.report.kit import BLUE, GREY, ORANGE, Page, drawn, signal, time_panels
 from hydro_agents.running.text import capitalised, listed, number
 from hydro_env import PlantParameters
 from hydro_env.folders import page as page_address
@@ -63,7 +63,7 @@ def identification_page(found: Identification) -> Page:
         "explained to within the sensors' noise": int(found.fit.explained.sum()),
         "held back": "; ".join(place_of_part(found, part) for part in found.held_back) or "nothing",
     }
-    page.table(pd.DataFrame({"value": pd.Series(facts, dtype=object)}), words=True)
+    page.facts(facts)
     return page
 
 
@@ -97,25 +97,22 @@ def held_back(page: Page, found: Identification) -> None:
         sizes = [number(size, digits=2) for size in sizes_of(forecast)]
         rows[f"{over:g} s" if math.isfinite(over) else "the whole part"] = [*sizes, *shares]
     errors = [("error", name) for name in ("position, mm", "speed, mm/s", "pressure a, bar", "pressure b, bar")]
-    shares = [("share of variance", name) for name in ("position", "pressure a", "pressure b", "spool")]
-    columns = pd.MultiIndex.from_tuples([*errors, *shares])
-    frame = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+    errors += [("share of variance", name) for name in ("position", "pressure a", "pressure b", "spool")]
+    frame = pd.DataFrame.from_dict(rows, orient="index", columns=pd.MultiIndex.from_tuples(errors))
     page.table(frame, "Root mean square error, and share of the variance explained, by the simulated time")
 
 
 def held_back_axes(part: HeldBack) -> list[Axes]:
     """Each recorded channel, measured and simulated, and the difference in position."""
     recorded = [row for row in range(len(PANELS)) if np.isfinite(part.measured[row]).any()]
-    axes, time = panels(len(recorded) + 1), part.begin + part.time
+    labels = [PANELS[row][0] for row in recorded]
+    axes, time = time_panels([labels[0], "simulated −\nmeasured, mm", *labels[1:]]), part.begin + part.time
     for one, row in zip([axes[0], *axes[2:]], recorded, strict=True):
-        label, factor = PANELS[row]
-        one.set_ylabel(label)
+        factor = PANELS[row][1]
         measured = {"color": GREY, "linewidth": 2.4, "linestyle": "-", "label": "measured"}
         signal(one, time, factor * part.measured[row], **measured)
         signal(one, time, factor * part.simulated[row], color=BLUE, linestyle="-", linewidth=1.1, label="simulated")
     signal(axes[1], time, 1e3 * (part.simulated[0] - part.measured[0]), color=ORANGE, linestyle="-", linewidth=0.9)
-    axes[1].set_ylabel("simulated −\nmeasured, mm")
-    axes[-1].set_xlabel("time, s")
     return axes
 
 

@@ -17,7 +17,6 @@ from hydro_agents.report.controllers_page import (
     learning_of,
     overview,
 )
-from hydro_agents.running.text import correction_name, duration, markdown, number
 from hydro_env import TaskConfig
 
 ERROR, BASE_ERROR = "validation/mean_error_mm", "validation/base_mean_error_mm"
@@ -104,25 +103,18 @@ def test_a_policy_is_compared_with_the_controller_that_it_corrects(tables):
     assert (row[1], row[4]) == ("0.90 (0.80 to 0.95)", "100")
 
 
-def test_shares_and_sizes_of_the_detection_stand_in_its_tables(tables):
-    rates = tables["detection_rates"].copy()
-    columns = ["flagged_share", "flagged_share_low", "flagged_share_high"]
-    rates.loc[rates["value"] == "0.1–0.2", columns] = (0.25, 0.2, 0.3)
+def test_shares_and_sizes_of_the_detection_stand_in_its_table(tables):
     summary = tables["detection_summary"].assign(false_alarm_rate=0.012, median_size_error_factor=[1.31, 1.42])
-    table = detection_table(summary)
-    assert table.loc["False alarms at this threshold, %"].tolist() == pytest.approx([1.2, 1.2])
-    assert table.loc["Size: factor of error, half of the leaks within"].tolist() == [1.31, 1.42]
-    page = controllers_page("Trial", {**tables, "detection_rates": rates, "detection_summary": summary})
+    assert detection_table(summary).loc["False alarms at this threshold, %"].tolist() == pytest.approx([1.2, 1.2])
+    page = controllers_page("Trial", {**tables, "detection_summary": summary})
     assert ["Size: factor of error, half of the leaks within", "1.31", "1.42"] in Parsed(page.html()).rows
 
 
 def test_learning_is_told_against_the_baseline(tables):
     errors = {"PPO#0": 0.2, "PPO#1": 0.3, "PPO#2": 0.7}
-    curve = pd.concat(
-        [pd.DataFrame({"steps": [1e5, 2e5], ERROR: error, "controller": name}) for name, error in errors.items()]
-    )
-    curve = curve.assign(first_mean_error_mm=0.5, **{BASE_ERROR: 0.34})
-    (spread,) = [learning_of(curve)]
+    parts = [pd.DataFrame({"steps": [1e5, 2e5], ERROR: error, "controller": name}) for name, error in errors.items()]
+    curve = pd.concat(parts, ignore_index=True).assign(first_mean_error_mm=0.5, **{BASE_ERROR: 0.34})
+    spread = learning_of(curve)
     assert spread["ratio"].tolist() == pytest.approx([0.6, 0.6])  # the median seed
     assert spread[["low", "high"]].iloc[0].tolist() == pytest.approx([0.4, 1.4])
     assert "corrected controller" in controllers_page("Trial", {**tables, "training_curve": curve}).html()
@@ -152,13 +144,3 @@ def test_a_cell_has_a_colour_only_where_the_whole_interval_is_on_one_side_of_1()
     assert kinds.loc["0.01 l/min", "Good"] == "better-3 best"  # half the error
     assert kinds.loc["period 10 ms", "Good"] == ""
     assert values.loc["0.01 l/min"].to_dict() == {"PID, mm": 0.2, "Good": 0.5, "Fair": 0.8}
-
-
-def test_numbers_and_names_as_a_person_writes_them():
-    assert [number(x) for x in (0.0, 1234.5, 12.345, 0.98765, 0.001234)] == ["0", "1234", "12.3", "0.988", "0.00123"]
-    assert [number(float("nan")), number(0.0000123), number(948.14, digits=4)] == ["–", "0.0000123", "948.1"]
-    assert [number(-12.3), number(-0.0004, 2), number(-0.0)] == ["−12.3", "0.00", "0"]
-    assert [duration(x) for x in (1.25, 75.0, 3725.0)] == ["1.2 s", "1 min 15 s", "1 h 2 min"]
-    assert correction_name("PPO", "Flow linearisation") == "PPO on flow linearisation"
-    assert correction_name("PPO on flow linearisation", "Flow linearisation") == "PPO on flow linearisation"
-    assert markdown(["a|b", "mm"], [["x", "1"]]) == "| a\\|b | mm |\n|---|---:|\n| x | 1 |"
