@@ -383,6 +383,5 @@ def method(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
         page.table(tables["cases"].groupby("controller", sort=False).agg(**columns).astype(int), "What was run")
     with page.fold("Metrics of a run"):
         about = {metric.name: (metric.word, metric.meaning, metric.unit) for metric in METRICS.values()}
-        columns = ["metric", "meaning", "unit"]
-        frame = pd.DataFrame.from_dict(about, orient="index", columns=columns)
+        frame = pd.DataFrame.from_dict(about, orient="index", columns=["metric", "meaning", "unit"])
         page.table(frame, "By columns of the files", words=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -141,7 +142,13 @@ def draw_leak(axes: Axes, diagnosis: Diagnosis) -> None:
         for counts, face in ((reading.answers, colour), (~reading.answers, PAPER)):
             chosen = np.isfinite(reading.flow_lpm) & counts
             value, low, high = sizes[:, chosen]
-            style = {"fmt": marker, "color": colour, "markerfacecolor": face, "markersize": 4.5, "linewidth": 1.2}
+            style: dict[str, Any] = {
+                "fmt": marker,
+                "color": colour,
+                "markerfacecolor": face,
+                "markersize": 4.5,
+                "linewidth": 1.2,
+            }
             label = name if face == colour else f"{name}, does not count"
             place = (middle + shift * length)[chosen]
             axes.errorbar(place, value, [value - low, high - value], label=label if chosen.any() else "_", **style)

@@ -109,9 +109,9 @@ def held_back_axes(part: HeldBack) -> list[Axes]:
     axes, time = time_panels([labels[0], "simulated −\nmeasured, mm", *labels[1:]]), part.begin + part.time
     for one, row in zip([axes[0], *axes[2:]], recorded, strict=True):
         factor = PANELS[row][1]
-        measured = {"color": GREY, "linewidth": 2.4, "linestyle": "-", "label": "measured"}
-        signal(one, time, factor * part.measured[row], **measured)
-        signal(one, time, factor * part.simulated[row], color=BLUE, linestyle="-", linewidth=1.1, label="simulated")
+        signal(one, time, factor * part.measured[row], color=GREY, linestyle="-", linewidth=2.4)
+        signal(one, time, factor * part.simulated[row], color=BLUE, linestyle="-", linewidth=1.1)
+    axes[0].legend(axes[0].lines, ["measured", "simulated"], loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     signal(axes[1], time, 1e3 * (part.simulated[0] - part.measured[0]), color=ORANGE, linestyle="-", linewidth=0.9)
     return axes
 
