@@ -342,7 +342,9 @@ def learning_of(curve: pd.DataFrame) -> pd.DataFrame:
     """
     ratio = (curve["validation/mean_error_mm"] / curve["first_mean_error_mm"]).rename("ratio")
     names, steps = curve["controller"].str.partition(SEED_MARK)[0].rename("controller"), curve["steps"] / 1e3
-    return ratio.groupby([names, steps], sort=False).agg(ratio="median", low="min", high="max").reset_index()
+    return (
+        ratio.groupby([names, steps], sort=False).agg(ratio="median", ratio_low="min", ratio_high="max").reset_index()
+    )
 
 
 def training(page: Page, curve: pd.DataFrame, names: Sequence[str]) -> None:

@@ -104,7 +104,7 @@ class Page:
     @contextmanager
     def fold(self, summary: str, *, opened: bool = False) -> Iterator[None]:
         """What is added inside stands below a line that opens and closes it."""
-        self._add("<details{}><summary>{}</summary>", " open" if opened else "", summary)
+        self._add("<details {}><summary>{}</summary>", "open" if opened else "", summary)
         yield
         self._add("</details>")
 
@@ -134,7 +134,9 @@ class Page:
             style.set_td_classes(kinds)
         if caption:
             style.set_caption(Markup("<span>{}</span>").format(caption))
-        style.set_uuid(str(len(self._parts))).set_table_attributes('class="words"' if words else "")
+        if words:
+            style.set_table_attributes('class="words"')
+        style.set_uuid(str(len(self._parts)))
         box = '<div class="scroll" tabindex="0" role="region" aria-label="{}">{}</div>'
         self._add(box, caption or "Table", Markup(style.to_html(cell_ids=False)))
 
@@ -170,37 +172,33 @@ def shown(value: Any, decimals: int | None = None) -> str:
         return number(float(value), 0)
     if isinstance(value, float | np.floating):
         return number(float(value), decimals)
-    return "–" if value is None else str(value)
+    return str(value)
 
 
 def _label(value: Any) -> str:
     """A heading of a row or column: settings in their shortest form."""
-    return setting(value) if isinstance(value, float) else escape(str(value))
+    if isinstance(value, float):
+        return setting(value)
+    return escape(str(value))
 
 
 def as_text(frame: pd.DataFrame, caption: str) -> Table:
     """A data frame as a table of texts, for the console."""
-    header = ("", *(column if isinstance(column, str) else ": ".join(column) for column in frame))
     rows = []
     for name, cells in zip(frame.index, frame.to_numpy(dtype=object), strict=True):
-        rows.append((name if isinstance(name, str) else ": ".join(name), *map(shown, cells)))
-    return Table(caption, header, rows)
+        rows.append((str(name), *map(shown, cells)))
+    return Table(caption, ("", *map(str, frame)), rows)
 
 
 def with_interval(table: pd.DataFrame, column: str, decimals: int | None = None, factor: float = 1.0) -> pd.Series:
     """A column with its interval as texts: 0.512 (0.400 to 0.625)."""
     texts = []
-    low, high = interval_of(table, column)
-    for row in factor * table[[column, low, high]].to_numpy(dtype=np.float64):
-        middle, *ends = (number(value, decimals) for value in row)
-        texts.append(middle if np.isnan(row[1]) else f"{middle} ({' to '.join(ends)})")
+    for row in factor * table[[column, f"{column}_low", f"{column}_high"]].to_numpy(dtype=np.float64):
+        middle, low, high = (number(value, decimals) for value in row)
+        if np.isfinite(row[1]):
+            middle += f" ({low} to {high})"
+        texts.append(middle)
     return pd.Series(texts, index=table.index, dtype=object)
-
-
-def interval_of(table: pd.DataFrame, column: str) -> tuple[str, str]:
-    """Names of the columns that hold the interval of another one."""
-    own = f"{column}_low", f"{column}_high"
-    return own if own[0] in table else ("low", "high")
 
 
 # Figures --------------------------------------------------------------------------------------------------------------
@@ -243,8 +241,7 @@ def draw(
 
     Args:
         axes: the panel.
-        table: columns ``over``, ``value``, ``by``; the interval, if there is one, is in VALUE_low and VALUE_high, or in
-            low and high.
+        table: columns ``over``, ``value``, ``by``; VALUE_low and VALUE_high, if there is an interval.
         over: a column of numbers, or of texts, which become categories.
         value: the column to draw.
         names: the participants, the same in all figures of a page: each keeps its colour and marker.
@@ -254,19 +251,20 @@ def draw(
     """
     labels = list(dict.fromkeys(table[over]))
     categories = bool(labels) and isinstance(labels[0], str)
-    low, high = interval_of(table, value)
-    apart = 7.0 if categories else 2.0  # points, so that no interval covers another one
+    apart = 2.0  # points, so that no interval covers another one
+    if categories:
+        apart, table = 7.0, table.assign(**{over: table[over].map(labels.index)})
     scale = figure_of(axes).dpi_scale_trans
     for index, name in enumerate(names):
         own = table[table[by] == name]
-        places = own[over].map(labels.index) if categories else own[over]
-        middle = factor * own[value].to_numpy(dtype=np.float64)
-        lengths = None
-        if low in own:
-            ends = factor * own[[low, high]].to_numpy(dtype=np.float64).T
-            lengths = np.nan_to_num(np.maximum([middle - ends[0], ends[1] - middle], 0.0))
+        places, middle, lengths = own[over], factor * own[value].to_numpy(dtype=np.float64), None
+        if f"{value}_low" in own:
+            low, high = factor * own[[f"{value}_low", f"{value}_high"]].to_numpy(dtype=np.float64).T
+            lengths = np.nan_to_num(np.maximum([middle - low, high - middle], 0.0))
         shift = apart / 72.0 * (index - 0.5 * (len(names) - 1))
-        style: dict[str, Any] = {"label": name if len(own) else "_none"}
+        style: dict[str, Any] = {"label": name}
+        if own.empty:
+            style["label"] = "_none"
         if kind != "line":
             style["linestyle"] = "none"
         if kind == "rows":
@@ -294,7 +292,9 @@ def leak_axis(axes: Axes, leaks: Iterable[float]) -> None:
     levels = sorted(set(leaks))
     least = min((level for level in levels if level > 0.0), default=1.0)
     axes.set_xscale("symlog", linthresh=least, linscale=0.3)
-    marked = levels if len(levels) < 8 else [level for level in levels if level in (0.0, 0.01, 0.1, 0.3, 1.0, 4.0)]
+    marked = levels
+    if len(levels) > 7:
+        marked = [level for level in levels if level in (0.0, 0.01, 0.1, 0.3, 1.0, 4.0)]
     axes.set_xticks(marked, [setting(level) for level in marked])
     axes.set_xticks([], minor=True)
     axes.margins(x=0.06)
@@ -308,9 +308,10 @@ def signal(axes: Axes, time: Floats, values: Floats, **options: Any) -> None:
         ends = pd.Series(values).groupby(np.arange(len(values)) // size).agg(["min", "max"])
         time, values = np.repeat(time[::size], 2), ends.to_numpy().ravel()
     steps = np.diff(time)
-    usual = np.median(steps[steps > 0.0]) if (steps > 0.0).any() else np.inf
-    after = np.flatnonzero(steps > 5.0 * usual) + 1
-    axes.plot(np.insert(time, after, time[after]), np.insert(values, after, np.nan), marker="", **options)
+    if (steps > 0.0).any():
+        after = np.flatnonzero(steps > 5.0 * np.median(steps[steps > 0.0])) + 1
+        time, values = np.insert(time, after, time[after]), np.insert(values, after, np.nan)
+    axes.plot(time, values, marker="", **options)
 
 
 def legend(axes: Axes) -> None:
@@ -324,7 +325,8 @@ def legend(axes: Axes) -> None:
 
 def figure_of(axes: Axes | Sequence[Axes]) -> Figure:
     """The figure of a panel, or of several."""
-    figure = (axes if isinstance(axes, Axes) else axes[0]).get_figure(root=True)
+    (first, *_) = np.atleast_1d(np.asarray(axes, dtype=object))
+    figure: Figure | None = first.get_figure(root=True)
     assert figure is not None
     return figure
 
@@ -334,7 +336,7 @@ def picture(axes: Axes | Sequence[Axes], kind: str, **options: Any) -> bytes:
     figure = figure_of(axes)
     for axes in figure.axes:
         legend(axes)
-    left_out = ("Date", "Creator", "Format", "Type") if kind == "svg" else ("Software",)
+    left_out = {"svg": ("Date", "Creator", "Format", "Type"), "png": ("Software",)}[kind]
     file = io.BytesIO()
     figure.savefig(file, format=kind, dpi=120, metadata=dict.fromkeys(left_out), **options)
     return file.getvalue()

@@ -116,7 +116,7 @@ def test_learning_is_told_against_the_baseline(tables):
     curve = pd.concat(parts, ignore_index=True).assign(first_mean_error_mm=0.5, **{BASE_ERROR: 0.34})
     spread = learning_of(curve)
     assert spread["ratio"].tolist() == pytest.approx([0.6, 0.6])  # the median seed
-    assert spread[["low", "high"]].iloc[0].tolist() == pytest.approx([0.4, 1.4])
+    assert spread[["ratio_low", "ratio_high"]].iloc[0].tolist() == pytest.approx([0.4, 1.4])
     assert "corrected controller" in controllers_page("Trial", {**tables, "training_curve": curve}).html()
 
 
