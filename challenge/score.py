@@ -1,4 +1,4 @@
-"""Score tables of predictions in the challenge: leaks found, false alarms, delay, sizes; README.md explains them.
+"""Score tables of predictions in the challenge: leaks found, delay, sizes; README.md explains them.
 
 python -m challenge.score DATA PREDICTIONS... [--split test] [--output scores.csv]
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from challenge.recordings import TIERS, labels_folder
 from hydro_agents.detection.detector import threshold_at_false_alarm_rate
-from hydro_agents.running.statistics import interval, plant_weights, poisson_interval, share_interval
+from hydro_agents.running.statistics import interval, plant_weights, share_interval
 from hydro_env.types import Floats
 
 BUDGETS = (1.0, 2.0, 5.0, 10.0, 20.0)  # false alarms per hour of the ranked figure
@@ -94,9 +94,8 @@ def score(predictions: pd.DataFrame, labels: pd.DataFrame) -> dict[str, float]:
     groups |= {"known axes": ~labels["new_axis"], "new axes": labels["new_axis"]}
     for name, chosen in groups.items():  # at the thresholds of the group itself
         row[name] = all_of_them.part(chosen.to_numpy(dtype=bool)).found_share()
-    threshold, hours = all_of_them.threshold(SHOWN_BUDGET), float(all_of_them.free.sum())
-    wrong, found = all_of_them.before >= threshold, all_of_them.found(threshold)
-    row |= poisson_interval(int(wrong.sum()), hours / 100.0).named("false alarms per 100 h")
+    threshold = all_of_them.threshold(SHOWN_BUDGET)
+    found = all_of_them.found(threshold)
     leaks = int(all_of_them.leak.sum())
     row |= share_interval(leaks - int(found.sum()), leaks).named("missed")
     onset = labels["onset"].to_numpy()
