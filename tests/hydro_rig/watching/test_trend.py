@@ -321,7 +321,7 @@ def test_the_command_writes_table_and_page_and_ends_with_the_code(tmp_path, quic
     answer = hydro(*line)
     assert answer.returncode == 10
     assert "left out: " in answer.stderr
-    assert "limit 0.3, reached about " in answer.stdout
+    assert "limit 0.30, reached about " in answer.stdout
     assert f"{tmp_path}/out/t.csv: 39 files read, 0 known, 1 left out" in answer.stdout
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"t.csv", "t.html"}
     page = (tmp_path / "out" / "t.html").read_text(encoding="utf-8")
