@@ -6,7 +6,6 @@ Weights and searched gains load what they need when they are asked for; gains in
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -207,15 +206,13 @@ def _usual_period(config: TaskConfig) -> bool:
     return config.control_period == TaskConfig().control_period
 
 
-def ships(kind: str, settings: Mapping[str, Any]) -> bool:
-    """Whether the settings of a classical controller are gains that ship, of whichever rig, or its defaults."""
-    if kind not in CONTROLLERS:
-        return False
-    known = [{}, CONTROLLERS[kind][1]().model_dump(mode="json")]
+def ships(kind: str, gains: Group) -> bool:
+    """Whether the gains of a classical controller ship, of whichever rig, or are the defaults of their class."""
+    known = [type(gains)()]
     for file in (config_folder() / "agents").glob(f"{kind}*.yaml"):
         if not file.stem.endswith("_sets"):
-            known.append(read_yaml(file))
-    return dict(settings) in known
+            known.append(type(gains).model_validate(read_yaml(file)))
+    return gains in known
 
 
 def outside_training(trained: Any, config: TaskConfig) -> str:

@@ -319,7 +319,7 @@ class StudySettings(Group):
         for name, entry in self.controllers.items():
             if self.task.plant == PlantParameters() or entry.kind not in CONTROLLERS:
                 continue
-            if not ships(entry.kind, entry.settings.model_dump(mode="json", exclude_unset=True)):
+            if not ships(entry.kind, entry.settings):
                 continue
             if entry.kind in ANY_RIG and gains_file(entry.kind, self.task) is None:
                 continue
