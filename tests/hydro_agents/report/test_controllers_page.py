@@ -103,6 +103,15 @@ def test_a_policy_is_compared_with_the_controller_that_it_corrects(tables):
     assert (row[1], row[4]) == ("0.90 (0.80 to 0.95)", "100")
 
 
+def test_the_growth_of_the_error_with_the_leak_is_a_table(tables):
+    found = tables["growth"]
+    rows = Parsed(controllers_page("Trial", tables).html()).rows
+    for name, own in found.groupby("controller"):
+        (shown_row,) = [row for row in rows if row[0] == name and len(row) == 1 + len(own) and "(" in row[1]]
+        ratios = [float(cell.split()[0]) for cell in shown_row[1:]]
+        assert sorted(ratios) == pytest.approx(sorted(own["ratio"]), rel=6e-3)
+
+
 def test_shares_and_sizes_of_the_detection_stand_in_its_table(tables):
     summary = tables["detection_summary"].assign(false_alarm_rate=0.012, median_size_error_factor=[1.31, 1.42])
     assert detection_table(summary).loc["False alarms at this threshold, %"].tolist() == pytest.approx([1.2, 1.2])
