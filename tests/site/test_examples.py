@@ -26,6 +26,7 @@ RESULTS = {
     "hydro_env.plant.linearisation.StateSpace",
     "hydro_env.plant.linearisation.Mode",
     "hydro_rig.estimation.result.Estimate",
+    "hydro_agents.evaluation.runner.Results",
 }
 """What a function returns; the example of the function shows it."""
 

@@ -39,8 +39,8 @@ def given(tmp_path, monkeypatch):
         (tmp_path / folder).symlink_to(ROOT / folder)
     monkeypatch.chdir(tmp_path)
     signals = np.array(healthy(tmp_path).signals)[None, :, 100:501]
-    row = {"controller": "PID", "training_seed": 0, "condition": "leak_1", "family": "sine", "plant": 0}
-    return {"signals": signals, "row": row | {"leakage_flow_lpm": 1.0, "seed": 2_200_000}}
+    row = {"controller": "PID", "training_seed": 0, "condition": "leak_8", "family": "sine", "plant": 0}
+    return {"signals": signals, "row": row | {"leakage_flow_lpm": 8.0, "seed": 2_200_000}}
 
 
 @pytest.mark.parametrize(("page", "number"), PYTHON)
