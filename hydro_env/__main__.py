@@ -7,7 +7,8 @@ import gymnasium as gym
 
 from hydro_env.env import ServoHydraulicEnv
 
-WIDTH, EVERY = 61, 16  # columns of the cylinder; control periods between two lines
+WIDTH = 61  # columns of the cylinder
+EVERY = 16  # control periods between two lines
 
 
 def show_axis() -> None:

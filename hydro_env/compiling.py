@@ -84,7 +84,7 @@ def numba() -> Any:
 
     types = module.types
 
-    class Merged(types.Dispatcher):  # type: ignore[name-defined, misc]
+    class Merged(types.Dispatcher):
         """A call with other constants is no other function: numba would compile it again for each of them."""
 
         def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:

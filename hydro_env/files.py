@@ -65,7 +65,7 @@ class Group(BaseModel, metaclass=_Checked):
 ModelType = TypeVar("ModelType", bound=BaseModel)
 
 
-def validate(model: type[ModelType], values: Mapping[str, Any], source: str, within: str = "") -> ModelType:
+def validate(model: type[ModelType], values: Any, source: str, within: str = "") -> ModelType:
     """Build ``model`` from ``values``; the error names ``source`` and every mistake, one per line.
 
     Args:

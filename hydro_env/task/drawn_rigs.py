@@ -21,7 +21,8 @@ from hydro_env.task.rig import Rig, moved
 from hydro_env.task.sensors import Sensors
 from hydro_env.units import from_unit
 
-BULK_MODULUS, DEAD = 1.2e9, 0.1  # Pa, and of the swept volume, as nameplates assumes
+BULK_MODULUS = 1.2e9  # Pa, as nameplates assumes
+DEAD = 0.1  # dead volume, of the swept volume, as nameplates assumes
 HASTE = 2.0
 """Radians of its oscillation in which the supply's force brings the largest mass to full speed."""
 

@@ -78,11 +78,7 @@ RANGES: dict[str, dict[str, Any]] = {
 
 
 def rig_of(figures: Mapping[str, Any], source: str) -> Rig:
-    """The rig that figures of nameplates describe; see :func:`rig_values`.
-
-    Raises:
-        ConfigurationError: the figures contradict each other, or the rig cannot work; the message names ``source``.
-    """
+    """The rig that figures of nameplates describe (:func:`rig_values`); an error names ``source``."""
     return rig_from(rig_values(figures), source)
 
 
@@ -100,7 +96,7 @@ def rig_values(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         if key in figures and needed not in figures:
             raise ConfigurationError(f"{key.replace('_', '-')}: needs {needed.replace('_', '-')}")
     area = 0.25 * math.pi * figures["bore"] ** 2
-    stiffness = area * figures["supply_pressure"] / 0.5e-3
+    stiffness, damping = area * figures["supply_pressure"] / 0.5e-3, rounded(4 * (BAR * area))
     values = {
         "cylinder": {
             "bore_diameter": figures["bore"],
@@ -115,12 +111,7 @@ def rig_values(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         "valve": _valve(figures),
         "lines": _lines(figures),
         "fluid": {"density": 872.0, "bulk_modulus": 1.2e9, "air_fraction": 0.004},
-        "load": {
-            "mass": figures["mass"],
-            "spring_stiffness": 0.0,
-            "viscous_damping": rounded(4 * (BAR * area)),
-            "external_force": 0.0,
-        },
+        "load": {"mass": figures["mass"], "spring_stiffness": 0.0, "viscous_damping": damping, "external_force": 0.0},
         "friction": {
             "model": "stribeck",
             "coulomb_force": rounded(2 * (BAR * area), "N"),
@@ -143,8 +134,7 @@ def rig_values(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 def _piston_mass(figures: Mapping[str, Any]) -> float:
     """Mass in kg of a steel rod of 1.2 strokes and a piston of half a bore."""
     bore, rod = 0.25 * math.pi * figures["bore"] ** 2, 0.25 * math.pi * figures["rod"] ** 2
-    mass: float = STEEL * (1.2 * figures["stroke"] * rod + 0.5 * figures["bore"] * bore)
-    return mass
+    return float(STEEL * (1.2 * figures["stroke"] * rod + 0.5 * figures["bore"] * bore))
 
 
 def _valve(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -156,7 +146,7 @@ def _valve(figures: Mapping[str, Any]) -> dict[str, Any]:
         if overlap:  # rounder edges let this flow pass over their overlap
             share = math.sqrt(share * (share + 2.0 * overlap / (1.0 - overlap)))
         underlap = rounded(share, "%")
-    slew_limit = rounded(0.2 * figures.get("bandwidth", 2.0 * math.pi * 80.0))
+    slew_limit = rounded(0.2 * figures.get("bandwidth", BANDWIDTH))
     if "step_time" in figures:
         slew_limit = rounded(1 / figures["step_time"], digits=4)
     amplifier, spool = 0.625 * FULL_VOLTAGE / figures.get("full_voltage", FULL_VOLTAGE), 0.4
@@ -203,11 +193,8 @@ def _supply(figures: Mapping[str, Any]) -> dict[str, Any]:
     if "accumulator" not in figures:
         litres = max(0.02 * flow / LITRE_PER_MINUTE, 0.1)
         return supply | {"line_volume": rounded(1e-3 * litres, "l", 2)}
-    gas = {
-        "accumulator_volume": figures["accumulator"],
-        "precharge_pressure": rounded(0.8 * figures["supply_pressure"], "bar"),
-        "polytropic_index": 1.3,
-    }
+    precharge = rounded(0.8 * figures["supply_pressure"], "bar")
+    gas = {"accumulator_volume": figures["accumulator"], "precharge_pressure": precharge, "polytropic_index": 1.3}
     return supply | {"model": "accumulator"} | gas
 
 

@@ -74,7 +74,13 @@ def rig_from(values: Mapping[str, Any], source: str) -> Rig:
         check_draws(default_randomisation(plant) | checked.randomisation, plant)
     except ValueError as error:
         raise ConfigurationError(f"{source}: {error}") from None
-    sensors = {path: _at(checked.model_dump(), path) for path in _paths({"sensors": values.get("sensors", {})})}
+    sensors: dict[str, Any] = {}
+    for name, given in values.get("sensors", {}).items():
+        own = getattr(checked.sensors, name)
+        if isinstance(given, Mapping):
+            sensors |= {f"sensors.{name}.{field}": getattr(own, field) for field in given}
+        else:
+            sensors[f"sensors.{name}"] = own
     return Rig(plant, checked.randomisation, sensors, source)
 
 
@@ -96,15 +102,6 @@ def law_of(given: str | Path) -> dict[str, Any] | None:
     if not isinstance(values["law"], Mapping) or len(values) > 1:
         raise ConfigurationError(f"{file}: a law is a mapping, and stands alone")
     return dict(values["law"])
-
-
-def _paths(values: Mapping[str, Any]) -> list[str]:
-    """``group.field`` of every value in nested groups."""
-    return [
-        f"{name}{rest}"
-        for name, value in values.items()
-        for rest in ([f".{path}" for path in _paths(value)] if isinstance(value, Mapping) else [""])
-    ]
 
 
 def _at(values: Mapping[str, Any], path: str) -> Any:
@@ -180,7 +177,7 @@ def _refuse_drawn_leak(plant: Any, source: str) -> None:
         return
     leak = plant.get("leakage")
     for path in LEAKAGE_OF_THE_TASK:
-        if isinstance(leak, Mapping) and path.split(".")[1] in leak:
+        if isinstance(leak, Mapping) and path.removeprefix("leakage.") in leak:
             raise ConfigurationError(
                 f"{source}: plant.{path}: has no effect, because each episode draws its leak; give the task's group "
                 "leakage (healthy_share, healthy_range, faulty_range), or reset(options={'leakage_flow_lpm': …})"
@@ -199,7 +196,8 @@ def moved(task: Any, rig: Rig) -> dict[str, Any]:
     Raises:
         ConfigurationError: the task draws a parameter from a range that does not contain the rig's own value.
     """
-    defaults, result = type(task)().model_dump(), task.model_dump()
+    defaults: dict[str, Any] = type(task)().model_dump()
+    result: dict[str, Any] = task.model_dump()
     before, after = _following(task.plant, defaults, {}), _following(rig.plant, defaults, rig.sensors) | rig.sensors
     for path, value in after.items():
         group, name = path.rsplit(".", 1)
