@@ -40,7 +40,7 @@ from hydro_env.task.record import (
     Chances,
     table,
 )
-from hydro_env.task.reference_signals import MOVING_FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
+from hydro_env.task.reference_signals import REFERENCE_FAMILIES, RESTING_FROM, USER_FAMILY
 from hydro_env.task.settings import padded_draws, settings_of
 from hydro_env.task.signals import POSITION, layout_of, observation_layout
 from hydro_env.types import Floats
@@ -164,11 +164,11 @@ class Axes:
         """Which of these axes may begin with a fault, a changing force, or a reference at which they hardly move."""
         fixed, config = self.options.fixed, self.config
         drawn = any(getattr(config.faults, kind).probability > 0.0 for kind in KIND_OF_FAULT.values())
-        resting = self._chances.family_weights[len(MOVING_FAMILIES) : USER_FAMILY].any()
+        resting = self._chances.family_weights[RESTING_FROM:USER_FAMILY].any()
         if drawn or resting or config.disturbance.kind != "none":
             return np.ones(len(axes), dtype=np.bool_)
         family = fixed.family[axes]
-        rare: NDArray[np.bool_] = (family >= len(MOVING_FAMILIES)) & (family != USER_FAMILY)
+        rare: NDArray[np.bool_] = (family >= RESTING_FROM) & (family != USER_FAMILY)
         return rare | ~np.isnan(fixed.faults[axes]).all(axis=1)
 
     def _note_schedules(self) -> None:

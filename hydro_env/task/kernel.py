@@ -55,7 +55,7 @@ from hydro_env.task.record import (
     OVER_BUDGET,
     OVERPRESSURE,
 )
-from hydro_env.task.reference_signals import USER_FAMILY, feasible, fill_moving, fill_reference
+from hydro_env.task.reference_signals import USER_FAMILY, feasible, fill_reference, fill_usual
 from hydro_env.task.rewards import costs
 from hydro_env.task.schedules import (
     draw_changing_force,
@@ -222,7 +222,7 @@ def _begin(sources, everything):
                 if everything:
                     fill_reference(reference, family, reference_key, start, period, f, settings.references)
                 else:
-                    fill_moving(reference, family, reference_key, start, period, f, settings.references)
+                    fill_usual(reference, family, reference_key, start, period, f, settings.references)
 
                 # The axis holds the position that its sensor reads as the initial position.
                 held = start

@@ -298,7 +298,10 @@ Args:
     limits: group ``references`` of the task.
 """
 
-fill_moving = function_of_number(
-    tuple(FAMILIES[name] for name in MOVING_FAMILIES), "row, family, key, start, period, f, limits", "family"
+RESTING_FROM = list(FAMILIES).index("pause")
+"""Index of the first family that compiles only when a task draws it or an option names it."""
+
+fill_usual = function_of_number(
+    tuple(FAMILIES.values())[:RESTING_FROM], "row, family, key, start, period, f, limits", "family"
 )
-"""The same for :data:`MOVING_FAMILIES` alone, which are the first ones."""
+"""The same for the families before :data:`RESTING_FROM` alone."""
