@@ -26,7 +26,7 @@ from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.drawn_rigs import rig_tasks
-from hydro_env.task.faults import FAULTS, KIND_OF_FAULT
+from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT
 from hydro_env.task.record import (
     CANNOT_BE_HELD,
     FIRST_COEFFICIENT,
@@ -119,6 +119,8 @@ class Axes:
             family_weights=weights / weights.sum(),
         )
         self._chances.seeds["episode"] = -1
+        drawn = any(getattr(config.faults, kind).probability > 0.0 for kind in FAULT_KINDS)
+        self._is_rare = drawn or weights[RESTING_FROM:USER_FAMILY].any() or config.disturbance.kind != "none"
 
         wanted = threads if threads is not None else (os.cpu_count() or 1)
         self._threads = max(1, min(wanted, count // AXES_PER_THREAD))
@@ -162,14 +164,9 @@ class Axes:
 
     def _rare(self, axes: Indices) -> NDArray[np.bool_]:
         """Which of these axes may begin with a fault, a changing force, or a reference at which they hardly move."""
-        fixed, config = self.options.fixed, self.config
-        drawn = any(getattr(config.faults, kind).probability > 0.0 for kind in KIND_OF_FAULT.values())
-        resting = self._chances.family_weights[RESTING_FROM:USER_FAMILY].any()
-        if drawn or resting or config.disturbance.kind != "none":
-            return np.ones(len(axes), dtype=np.bool_)
-        family = fixed.family[axes]
+        family, faults = self.options.fixed.family[axes], self.options.fixed.faults[axes]
         rare: NDArray[np.bool_] = (family >= RESTING_FROM) & (family != USER_FAMILY)
-        return rare | ~np.isnan(fixed.faults[axes]).all(axis=1)
+        return rare | ~np.isnan(faults).all(axis=1) | self._is_rare
 
     def _note_schedules(self) -> None:
         """Note whether leak, faults or force of any axis may change during its episode."""
