@@ -122,7 +122,7 @@ def test_identified_rig(law):
 
 def test_simulate(tmp_path):
     THROTTLED.to_yaml(tmp_path / "rig.yaml")
-    arguments = {"signal": "step", "voltage": 1.0, "duration": 0.05, "sample_time": 1e-3}
+    arguments = {"signal": "step", "voltage": 1.0, "duration": 0.05}
     where = {"position": None, "overwrite": False}
     simulate_to_folder(tmp_path / "run", tmp_path / "rig.yaml", **arguments, leakage=FLOW, **where)
     assert leak_at_test_pressure(read_rig(tmp_path / "run" / "rig.yaml").plant) == TWO
