@@ -31,7 +31,7 @@ def shipped_weights(name: str, config: TaskConfig) -> Path:
         ConfigurationError: the task draws its rigs.
     """
     if config.law is not None:
-        raise ConfigurationError("law: weights are those for one rig; rig_tasks(config) lists those of the law")
+        raise ConfigurationError("law: a controller is made for one rig; rig_tasks(config) lists those of the law")
     at_home = config.plant == PlantParameters() and config.control_period == TaskConfig().control_period
     return pretrained_folder() / (name if at_home else f"{name}_any_axis")
 
