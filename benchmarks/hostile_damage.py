@@ -107,7 +107,6 @@ def _table(draw: random.Random, path: Path) -> tuple[str, bool]:
         "again": (table.loc[table.index.repeat(2)], False),
         "gone": (table.drop(columns=name), word in ("time", "command", "verdict")),
         "unit": (table.rename(columns={name: f"{word} [furlong]"}), with_unit),
-        "bare": (table.rename(columns={name: word}), with_unit and word != "time"),
     }
     way = draw.choice([*tables, *CELLS])
     if way in tables:
