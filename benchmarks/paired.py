@@ -23,9 +23,14 @@ NAMES = ("one axis", "1024 axes", "kernel", "PPO")
 
 def rates(seconds: float) -> list[float]:
     """The rates by :data:`NAMES`: measured by the functions of this checkout, with the packages of the folder."""
-    sys.path.append(str(HERE))
     import gymnasium as gym
 
+    import hydro_agents
+    import hydro_env
+
+    for package in (hydro_env, hydro_agents):
+        assert Path(str(package.__file__)).resolve().is_relative_to(Path.cwd()), package.__file__
+    sys.path.insert(0, str(HERE))
     from benchmarks.speed import BareKernel, native_model, rate, single_rate, vector_rate
 
     bare, (model, ppo) = BareKernel(1024, 1), native_model()
