@@ -160,7 +160,7 @@ def test_other_sampling_is_told_and_still_drawn(tmp_path):
     (tmp_path / "b.csv").write_text("\n".join([*lines[:2], *lines[2::3]]))
     verdict = verdict_on(tmp_path, tmp_path / "b.csv")
     assert verdict.startswith("cannot tell: time has one row every 15 ms")
-    assert (tmp_path / "out" / "figures" / "diagnosis.svg").exists()
+    assert "Leak and measured signals" in (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
     assert np.genfromtxt(tmp_path / "out" / "leak.csv", delimiter=",").size <= 2
 
 
