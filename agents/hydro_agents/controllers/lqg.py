@@ -163,7 +163,7 @@ def kalman_gain(model: SampledModel, drift: Floats, noise: Floats, size: Floats)
     return k
 
 
-class Problem(NamedTuple):
+class TrackingProblem(NamedTuple):
     """Σ (weight · (position − reference))² + (change of the command)², scaled; states and last command are z, (n + 1,).
 
     z[k+1] = transition z[k] + drive · change[k]; the cost to go without reference is zᵀ cost z.
@@ -176,7 +176,7 @@ class Problem(NamedTuple):
     cost: Floats  # (n + 1, n + 1), solution of the Riccati equation
 
 
-def tracking_problem(model: SampledModel, weight: float, size: Floats, full: float) -> Problem:
+def tracking_problem(model: SampledModel, weight: float, size: Floats, full: float) -> TrackingProblem:
     """The problem that :func:`regulator` solves; the arguments are the same."""
     n = len(size)
     transition = np.eye(n + 1)
@@ -188,7 +188,7 @@ def tracking_problem(model: SampledModel, weight: float, size: Floats, full: flo
     position = np.zeros(n + 1)
     position[POSITION] = weight * size[POSITION]
     cost = solve_discrete_are(transition, drive[:, None], np.outer(position, position), np.eye(1))
-    return Problem(size, transition, drive, position, cost)
+    return TrackingProblem(size, transition, drive, position, cost)
 
 
 def regulator(model: SampledModel, weight: float, size: Floats, full: float) -> tuple[Floats, Floats]:

@@ -23,7 +23,7 @@ from hydro_agents.controllers.lqg import (
     POSITION,
     SPEED,
     KalmanGains,
-    Problem,
+    TrackingProblem,
     tracking_problem,
 )
 from hydro_agents.controllers.observer_feedback import ObserverState
@@ -110,12 +110,12 @@ class Program(NamedTuple):
         return bounded[:, 0]
 
 
-def condensed(problem: Problem, horizon: int) -> Program:
+def condensed(problem: TrackingProblem, horizon: int) -> Program:
     """The program of a horizon in periods, with the optimal cost to go after it.
 
-    With the states z of :class:`~hydro_agents.controllers.lqg.Problem` and the changes Δ of the command as unknowns,
-    z[k] = transitionᵏ z[0] + Σ transitionᵏ⁻¹⁻ʲ drive Δ[j]. The cost to go for a reference r[k] that continues from the
-    end of the horizon at its last step s is zᵀ cost z − 2 zᵀ (at_end r + at_step s).
+    With the states z of :class:`~hydro_agents.controllers.lqg.TrackingProblem` and the changes Δ of the command as
+    unknowns, z[k] = transitionᵏ z[0] + Σ transitionᵏ⁻¹⁻ʲ drive Δ[j]. The cost to go for a reference r[k] that
+    continues from the end of the horizon at its last step s is zᵀ cost z − 2 zᵀ (at_end r + at_step s).
     """
     size, a, drive, position, cost = problem
     shared = drive / (1.0 + drive @ cost @ drive)

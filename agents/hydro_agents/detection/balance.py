@@ -101,12 +101,14 @@ def _without_lag(sensed, sheet, pressure):
 
 
 @inline
-def _add_flows(travel, slope, a, b, spool, supply, excess_share, duration, leak_unit, u, c):
-    """Add the effect of the flows during a short time to both travels and their derivatives (2, COUNT).
+def _add_flows(course, a, b, spool, supply, excess_share, sheet, u, c):
+    """Add the effect of the flows from one point of a period to the next to both travels and their derivatives.
 
     Returns:
         The flow in m³/s that the valve draws from the supply.
     """
+    travel, slope = course.travel, course.slope
+    duration, leak_unit = sheet.period / POINTS, sheet.leak_unit
     gain = c.edge_gain * u.flow_gain
     internal, external = leak_unit * u.internal_leak, leak_unit * u.external_leak
     opening = spool - u.null
@@ -148,16 +150,29 @@ def _add_flows(travel, slope, a, b, spool, supply, excess_share, duration, leak_
 
 
 @inline
-def _add_compression(travel, slope, chamber, sign, first, last, length, area, u, c):
+def _add_compression(course, chamber, first, last, length, u, c):
     """Add the effect of compressing a chamber between two pressures, Pa; ``length`` is its volume over its area."""
+    slope, sign, area = course.slope, -1.0, c.area_a
+    if chamber == 1:
+        sign, area = 1.0, c.area_b
     begin, end = _absolute(first), _absolute(last)
     oil = (end - begin) / c.bulk_modulus
     air = ATMOSPHERIC_PRESSURE * (1.0 / begin - 1.0 / end)
     squeezed = u.compressibility * oil + u.air_fraction * air
-    travel[chamber] += sign * length * squeezed
+    course.travel[chamber] += sign * length * squeezed
     slope[chamber, OIL] += sign * length * oil
     slope[chamber, AIR] += sign * length * air
     slope[chamber, DEAD] += sign * squeezed / area
+
+
+class _Signals(NamedTuple):
+    """What the fit reads of a window."""
+
+    position: Any  # (T,), m
+    pressure_a: Any  # (T,), Pa, without the lag of the transducers
+    pressure_b: Any
+    reading: Any  # (T,), of the spool position
+    spool: Any  # (T, POINTS), between the samples
 
 
 class _Course(NamedTuple):
@@ -212,44 +227,47 @@ def _begin(sheet, c, course, sums):
 
 
 @inline
-def _add_residual(residual, value, base, noise, sensed, k, periods, compressibility, sheet, course, sums):
-    """Whiten a residual and its derivatives at sample ``k`` + 1, and add them to the sums.
+def _add_sample(moved, noise, sensed, k, periods, u, sheet, course, sums):
+    """Whiten both residuals and their derivatives at sample ``k`` + 1, and add them to the sums.
 
-    ``base`` is the white noise of the residual, ``noise`` the variance that its random walk gains in the period.
+    ``moved`` is the measured travel, ``noise`` the variance that the random walk of the flows' errors gains in the
+    period, ``sensed`` the compressed length that the noise of the pressures feigns.
     """
-    other = residual == 1
-    course.variance[residual] += noise
-    total = course.variance[residual] + base * base
-    blend, unit = course.variance[residual] / total, 1.0 / math.sqrt(total)
-    course.variance[residual] *= 1.0 - blend
-    whitened = course.whitened
-    square = whiten(value, course.slope, other, course.filtered[residual], whitened, sheet.spread, blend, unit)
-    sums.mean_square[residual] += square / periods
-    sums.product[residual] += course.before[residual] * whitened[COUNT] / periods
-    course.before[residual] = whitened[COUNT]
-    if other:  # subtract the noise of the pressures; less in the matrix, which must stay definite
-        known = (unit * sensed) ** 2
-        sums.mean_square[1] += known * (sheet.mean[OIL] ** 2 - compressibility**2) / periods
-        sums.rights[1, OIL] += known * compressibility * sheet.spread[OIL]
-        sums.normals[1, OIL, OIL] -= 0.8 * known * sheet.spread[OIL] ** 2
-    for i in range(COUNT):
-        for j in range(i + 1):
-            sums.normals[residual, i, j] += whitened[i] * whitened[j]
-        sums.rights[residual, i] -= whitened[i] * whitened[COUNT]
-    now = PARTS * k // periods
-    for one in range(TRACED):
-        slope = whitened[_traced(one)]
-        sums.pull[residual, one, now] -= slope * whitened[COUNT]
-        sums.weight[residual, one, now] += slope * slope
+    whitened, spread, now = course.whitened, sheet.spread, PARTS * k // periods
+    for residual in range(2):
+        other = residual == 1
+        base = sheet.mean[OIL] * sensed if other else sheet.position_noise
+        value = course.travel[1] - course.travel[0] if other else moved - course.travel[0]
+        course.variance[residual] += noise
+        total = course.variance[residual] + base * base
+        blend, unit = course.variance[residual] / total, 1.0 / math.sqrt(total)
+        course.variance[residual] *= 1.0 - blend
+        square = whiten(value, course.slope, other, course.filtered[residual], whitened, spread, blend, unit)
+        sums.mean_square[residual] += square / periods
+        sums.product[residual] += course.before[residual] * whitened[COUNT] / periods
+        course.before[residual] = whitened[COUNT]
+        if other:  # subtract the noise of the pressures; less in the matrix, which must stay definite
+            known = (unit * sensed) ** 2
+            sums.mean_square[1] += known * (sheet.mean[OIL] ** 2 - u.compressibility**2) / periods
+            sums.rights[1, OIL] += known * u.compressibility * spread[OIL]
+            sums.normals[1, OIL, OIL] -= 0.8 * known * spread[OIL] ** 2
+        for i in range(COUNT):
+            for j in range(i + 1):
+                sums.normals[residual, i, j] += whitened[i] * whitened[j]
+            sums.rights[residual, i] -= whitened[i] * whitened[COUNT]
+        for one in range(TRACED):
+            slope = whitened[_traced(one)]
+            sums.pull[residual, one, now] -= slope * whitened[COUNT]
+            sums.weight[residual, one, now] += slope * slope
 
 
 @inline
-def _follow(x, p_a, p_b, reading, spool, sheet, c, theta, course, sums):
+def _follow(signals, sheet, c, theta, course, sums):
     """Write the sums of a window for the unknowns ``theta``."""
+    x, p_a, p_b = signals.position, signals.pressure_a, signals.pressure_b
     u = _read_unknowns(theta)
     _begin(sheet, c, course, sums)
-    travel, slope = course.travel, course.slope
-    periods, step = x.shape[0] - 1, sheet.period / POINTS
+    periods = x.shape[0] - 1
     supply, gas, excess_share = u.supply_pressure + u.supply_excess, sheet.gas_volume, 1.0
     for k in range(periods):
         drawn = 0.0
@@ -257,14 +275,11 @@ def _follow(x, p_a, p_b, reading, spool, sheet, c, theta, course, sums):
             share = (point + 0.5) / POINTS
             a = p_a[k] + share * (p_a[k + 1] - p_a[k]) - u.bias_a
             b = p_b[k] + share * (p_b[k + 1] - p_b[k]) - u.bias_b
-            at = spool[k, point]
-            drawn += _add_flows(travel, slope, a, b, at, supply, excess_share, step, sheet.leak_unit, u, c) / POINTS
+            drawn += _add_flows(course, a, b, signals.spool[k, point], supply, excess_share, sheet, u, c) / POINTS
         volume_a, volume_b = chamber_volumes(0.5 * (x[k] + x[k + 1]), c)
         length_a, length_b = (volume_a + u.dead_volume) / c.area_a, (volume_b + u.dead_volume) / c.area_b
-        first, last = p_a[k] - u.bias_a, p_a[k + 1] - u.bias_a
-        _add_compression(travel, slope, 0, -1.0, first, last, length_a, c.area_a, u, c)
-        first, last = p_b[k] - u.bias_b, p_b[k + 1] - u.bias_b
-        _add_compression(travel, slope, 1, 1.0, first, last, length_b, c.area_b, u, c)
+        _add_compression(course, 0, p_a[k] - u.bias_a, p_a[k + 1] - u.bias_a, length_a, u, c)
+        _add_compression(course, 1, p_b[k] - u.bias_b, p_b[k + 1] - u.bias_b, length_b, u, c)
 
         rate, gas_rate = supply_rates(_Supplied(supply, gas), drawn, _set_to(c, u.supply_pressure))
         stiffness = c.supply_dynamics * (supply + ATMOSPHERIC_PRESSURE) / gas
@@ -273,14 +288,11 @@ def _follow(x, p_a, p_b, reading, spool, sheet, c, theta, course, sums):
         gas = max(gas + sheet.period * gas_rate, 0.1 * sheet.gas_volume)
 
         sensed = math.hypot(length_a * sheet.pressure_noise_a, length_b * sheet.pressure_noise_b) / c.bulk_modulus
-        noise = sheet.flow_noise**2 + (sheet.flow_error * (reading[k + 1] - reading[k])) ** 2
+        turned = signals.reading[k + 1] - signals.reading[k]
+        noise = sheet.flow_noise**2 + (sheet.flow_error * turned) ** 2
         if min(p_a[k], p_a[k + 1]) < sheet.lowest_a or min(p_b[k], p_b[k + 1]) < sheet.lowest_b:
             noise += CAVITATING**2
-        for residual in range(2):
-            other = residual == 1
-            base = sheet.mean[OIL] * sensed if other else sheet.position_noise
-            value = travel[1] - travel[0] if other else x[k + 1] - x[0] - travel[0]
-            _add_residual(residual, value, base, noise, sensed, k, periods, u.compressibility, sheet, course, sums)
+        _add_sample(x[k + 1] - x[0], noise, sensed, k, periods, u, sheet, course, sums)
 
 
 @inline
@@ -380,10 +392,11 @@ def _build(sources: int) -> Any:
             answer = sheet.transition[best_valve(reading, command, sheet.transition, sheet.spool_noise, valve)]
             error = balance.spool_error[window]
             spool_between(reading, command, answer, sheet.spool_noise, valve, spool, error, smooth)
+            window_signals = _Signals(x, p_a, p_b, reading, spool)
             theta[:] = sheet.mean
             damping, least = FIRST_DAMPING, math.inf
             for _ in range(ITERATIONS):
-                _follow(x, p_a, p_b, reading, spool, sheet, c, theta, course, sums)
+                _follow(window_signals, sheet, c, theta, course, sums)
                 cost = _weigh(sums, sheet, theta, samples - 1, normal, right)
                 if cost < least:
                     gained, least = least - cost, cost

@@ -110,6 +110,14 @@ class SpoolErrors(NamedTuple):
     at_rest: float  # mean size of the error while the command is constant
 
 
+class _Regression(NamedTuple):
+    """Work space of :func:`load_force`."""
+
+    normal: Any  # (4, 4)
+    right: Any  # (4,)
+    row: Any  # (4,)
+
+
 class LoadForce(NamedTuple):
     """The oil's force over position and speed, as a fraction of the supply's force."""
 
@@ -207,8 +215,9 @@ def _moving(x, k, period, stroke, row):
 
 
 @inline
-def load_force(x, p_a, p_b, c, pressure, period, normal, right, row):
-    """:class:`LoadForce`, by least squares; ``normal`` (4, 4), ``right`` and ``row`` (4,) are work space."""
+def load_force(x, p_a, p_b, c, pressure, period, work):
+    """:class:`LoadForce`, by least squares."""
+    normal, right, row = work.normal, work.right, work.row
     samples, stroke, scale = x.shape[0], 2.0 * c.end_stop_position, pressure * c.area_a
     normal[:] = 0.0
     right[:] = 0.0
@@ -251,7 +260,7 @@ def _write_fit(values, window, sheet, balance):
 
 
 @inline
-def _motion(signals, error, estimate, deviation, c, supply, period, normal, right, row):
+def _motion(signals, error, estimate, deviation, c, supply, period, work):
     """:class:`Motion` of a window: signals (5, T), spool error (T,), estimates and deviations of the unknowns."""
     position, p_a, p_b, spool, command = signals
     stroke = 2.0 * c.end_stop_position
@@ -259,7 +268,7 @@ def _motion(signals, error, estimate, deviation, c, supply, period, normal, righ
     x, a, b = summary(position), summary(p_a), summary(p_b)
     s, u, e = summary(spool), summary(command), summary(error)
     errors = spool_errors(spool, error, command)
-    force = load_force(position, p_a, p_b, c, supply, period, normal, right, row)
+    force = load_force(position, p_a, p_b, c, supply, period, work)
     return Motion(
         small_internal_leak=math.asinh(internal / 0.02),
         small_external_leak=math.asinh(external / 0.02),
@@ -326,11 +335,12 @@ def _build_describe(sources: int) -> Any:
         c = _read_coefficients(sheet.coefficients)
         supply, samples, sensors = sheet.mean[SUPPLY], signals.shape[2], lost.shape[1]
         normal, right, row, change = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(PARTS)
+        work = _Regression(normal, right, row)
         for window in range(signals.shape[0]):
             values, error = features[window], balance.spool_error[window]
             estimate, deviation = balance.estimate[window], balance.deviation[window]
             _write_fit(values, window, sheet, balance)
-            motion = _motion(signals[window], error, estimate, deviation, c, supply, sheet.period, normal, right, row)
+            motion = _motion(signals[window], error, estimate, deviation, c, supply, sheet.period, work)
             _write_motion(values, motion)
             for sensor in range(sensors):
                 values[AFTER_MOTION + sensor] = math.log10(lost[window, sensor] + 1e-3)

@@ -113,60 +113,15 @@ def sheet_of(config: TaskConfig) -> Sheet:
     plant, sensors = config.plant, config.sensors
     c = plant_coefficients(plant)
     numbers = settings_of(config)[0]
-
-    def drawn(path: str) -> tuple[float, float]:
-        own = own_value(plant, path)
-        distribution = config.randomisation.get(path)
-        low, high = distribution.bounds(own) if distribution is not None else (own, own)
-        return 0.5 * (low + high), 0.5 * (high - low)
-
-    supply, supply_range = drawn("supply.pressure")
-    dead, dead_range = drawn("cylinder.dead_volume")
-    mean = Unknowns(
-        flow_gain=1.0,
-        supply_pressure=supply,
-        supply_excess=0.6 * c.pump_flow / c.relief_slope if c.supply_dynamics > 0.0 and c.relief_slope > 0.0 else 0.0,
-        underlap=drawn("valve.underlap")[0],
-        null=plant.valve.null_shift,
-        internal_leak=0.0,
-        external_leak=0.0,
-        compressibility=1.1,
-        air_fraction=drawn("fluid.air_fraction")[0],
-        dead_volume=dead - plant.cylinder.dead_volume,
-        bias_a=0.0,
-        bias_b=0.0,
-        tank_pressure=plant.supply.tank_pressure,
-    )
-    spread = Unknowns(
-        flow_gain=0.2,
-        supply_pressure=0.7 * supply_range + 0.1 * supply,
-        supply_excess=0.5 * mean.supply_excess + 1e3,
-        underlap=0.02,
-        null=0.01,
-        internal_leak=2.0,
-        external_leak=1.0,
-        compressibility=0.2,
-        air_fraction=0.003,
-        dead_volume=0.6 * dead_range + 1e-7,
-        bias_a=sensors.pressure_a.bias + 1e3,
-        bias_b=sensors.pressure_b.bias + 1e3,
-        tank_pressure=1e5,
-    )
-    frequency, frequency_range = drawn("valve.natural_frequency")
-    damping, damping_range = drawn("valve.damping_ratio")
-    transition = [
-        _valve_steps(config, frequency + across * frequency_range, damping + along * damping_range)
-        for across in (np.linspace(-1.0, 1.0, FREQUENCIES) if frequency_range > 0.0 else [0.0])
-        for along in (np.linspace(-1.0, 1.0, DAMPINGS) if damping_range > 0.0 else [0.0])
-    ]
-    full_flow = c.edge_gain * math.sqrt(0.5 * supply)
+    mean, spread = _priors(config)
+    full_flow = c.edge_gain * math.sqrt(0.5 * mean.supply_pressure)
     travel = full_flow * config.control_period / min(c.area_a, c.area_b)
     return Sheet(
         coefficients=np.array(c),
         mean=np.array(mean),
         spread=np.array(spread),
         leak_unit=LEAK_UNIT * leak_scale(config),
-        transition=np.array(transition),
+        transition=_candidate_valves(config),
         sensor_low=np.array([getattr(sensors, name).low for name in SENSORS]),
         sensor_high=np.array([getattr(sensors, name).high for name in SENSORS]),
         lowest_a=sensors.pressure_a.low + sensors.pressure_a.bias + 4.0 * sensors.pressure_a.noise,
@@ -182,6 +137,71 @@ def sheet_of(config: TaskConfig) -> Sheet:
         flow_noise=SPOOL_NOISE_LEFT * travel * sensors.spool_position.noise + 1e-12,
         flow_error=travel * FLOW_ERROR,
     )
+
+
+def _middle_and_half(config: TaskConfig, path: str) -> tuple[float, float]:
+    """Middle and half width of the range of a parameter, from which episodes draw it."""
+    own = own_value(config.plant, path)
+    distribution = config.randomisation.get(path)
+    if distribution is None:
+        return own, 0.0
+    low, high = distribution.bounds(own)
+    return 0.5 * (low + high), 0.5 * (high - low)
+
+
+def _priors(config: TaskConfig) -> tuple[Unknowns, Unknowns]:
+    """Means and standard deviations of the priors."""
+    plant, sensors = config.plant, config.sensors
+    c = plant_coefficients(plant)
+    supply, supply_range = _middle_and_half(config, "supply.pressure")
+    dead, dead_range = _middle_and_half(config, "cylinder.dead_volume")
+    excess = 0.0
+    if c.supply_dynamics > 0.0 and c.relief_slope > 0.0:
+        excess = 0.6 * c.pump_flow / c.relief_slope
+    mean = Unknowns(
+        flow_gain=1.0,
+        supply_pressure=supply,
+        supply_excess=excess,
+        underlap=_middle_and_half(config, "valve.underlap")[0],
+        null=plant.valve.null_shift,
+        internal_leak=0.0,
+        external_leak=0.0,
+        compressibility=1.1,
+        air_fraction=_middle_and_half(config, "fluid.air_fraction")[0],
+        dead_volume=dead - plant.cylinder.dead_volume,
+        bias_a=0.0,
+        bias_b=0.0,
+        tank_pressure=plant.supply.tank_pressure,
+    )
+    spread = Unknowns(
+        flow_gain=0.2,
+        supply_pressure=0.7 * supply_range + 0.1 * supply,
+        supply_excess=0.5 * excess + 1e3,
+        underlap=0.02,
+        null=0.01,
+        internal_leak=2.0,
+        external_leak=1.0,
+        compressibility=0.2,
+        air_fraction=0.003,
+        dead_volume=0.6 * dead_range + 1e-7,
+        bias_a=sensors.pressure_a.bias + 1e3,
+        bias_b=sensors.pressure_b.bias + 1e3,
+        tank_pressure=1e5,
+    )
+    return mean, spread
+
+
+def _candidate_valves(config: TaskConfig) -> NDArray[np.float64]:
+    """:func:`_valve_steps` of valves over the ranges of natural frequency and damping ratio."""
+    frequency, frequency_range = _middle_and_half(config, "valve.natural_frequency")
+    damping, damping_range = _middle_and_half(config, "valve.damping_ratio")
+    across = np.linspace(-1.0, 1.0, FREQUENCIES) if frequency_range > 0.0 else np.zeros(1)
+    along = np.linspace(-1.0, 1.0, DAMPINGS) if damping_range > 0.0 else np.zeros(1)
+    valves = []
+    for off in across:
+        for out in along:
+            valves.append(_valve_steps(config, frequency + off * frequency_range, damping + out * damping_range))
+    return np.array(valves)
 
 
 def _valve_steps(config: TaskConfig, frequency: float, damping: float) -> NDArray[np.float64]:

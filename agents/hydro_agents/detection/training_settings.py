@@ -53,27 +53,18 @@ class HeadTrainingSettings(Group):
                 lacks a sensor.
         """
         check_sensors(config)
-        if config.steps < SHORTEST_WINDOW:
-            raise ConfigurationError(
-                f"leakage_head: an episode of {config.steps} control periods is its shortest window: must have at "
-                f"least {SHORTEST_WINDOW}"
-            )
         healthy, faulty = config.leakage.class_bounds[0], config.leakage.faulty_range[0]
-        if self.lowest_healthy_flow >= healthy:
-            raise ConfigurationError(
-                f"leakage_head: lowest_healthy_flow = {self.lowest_healthy_flow:g}: must be below the task's "
-                f"leakage.class_bounds[0] = {healthy:g} l/min"
-            )
-        if self.changing_share + self.orifice_share + self.disturbed_share > 1.0:
-            raise ConfigurationError(
-                f"leakage_head: changing_share = {self.changing_share:g}, orifice_share = {self.orifice_share:g} and "
-                f"disturbed_share = {self.disturbed_share:g}: must be at most 1 together"
-            )
-        if self.highest_flow <= faulty:
-            raise ConfigurationError(
-                f"leakage_head: highest_flow = {self.highest_flow:g}: must be above the task's "
-                f"leakage.faulty_range[0] = {faulty:g} l/min"
-            )
+        wrong = ""
+        if config.steps < SHORTEST_WINDOW:
+            wrong = f"an episode of {config.steps} control periods is its shortest window: at least {SHORTEST_WINDOW}"
+        elif self.lowest_healthy_flow >= healthy:
+            wrong = f"lowest_healthy_flow: must be below the task's leakage.class_bounds[0] = {healthy:g} l/min"
+        elif self.highest_flow <= faulty:
+            wrong = f"highest_flow: must be above the task's leakage.faulty_range[0] = {faulty:g} l/min"
+        elif self.changing_share + self.orifice_share + self.disturbed_share > 1.0:
+            wrong = "changing_share, orifice_share and disturbed_share: must be at most 1 together"
+        if wrong:
+            raise ConfigurationError(f"leakage_head: {wrong}")
 
     def learning_rate_at(self, share: float) -> float:
         """Learning rate when a share (0 to 1) of the training is done: a rise, then a cosine down to nearly zero."""

@@ -145,8 +145,11 @@ class PolicyFeatures:
         if full_preview:
             self.size += len(self._rebuilt)
         if base is not None:
-            self.size += 3 if self.see_correction else 1
-            self.size += len(base.estimate_names) if self.see_estimates else 0
+            self.size += 1
+            if self.see_correction:
+                self.size += 2
+            if self.see_estimates:
+                self.size += len(base.estimate_names)
         self.moving = self.size  # inputs that are normalised
 
     def __call__(
@@ -187,7 +190,9 @@ class PolicyFeatures:
         if self.base is None:
             return self._normalised([*seen, changes]), state
         command, memory = answer or self.base.predict(observation, state.base, episode_start)
-        own = [command, correction, lasting] if self.see_correction else [command]
+        own = [command]
+        if self.see_correction:
+            own += [correction, lasting]
         if self.see_estimates:
             own.append(self.base.estimates(memory))
         state = state._replace(base=memory, base_command=command, lasting=lasting)

@@ -59,7 +59,7 @@ class _StoredFeatures(Group):
         """
         base: Any = None
         if self.base is not None:
-            if self.base.kind not in CONTROLLERS:
+            if self.base.kind not in CONTROLLERS:  # no other one: weights run no code
                 raise ConfigurationError(f"features.base.kind = '{self.base.kind}': unknown to this version")
             base = make_controller(self.base.kind, self.task, self.base.settings)
         if self.any_axis:
@@ -75,7 +75,7 @@ class _StoredPolicy(Group):
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
 
     features: _StoredFeatures
-    layer_sizes: tuple[int, ...] = Field(min_length=2, max_length=33)
+    layer_sizes: tuple[Annotated[int, Field(ge=1, le=LARGEST_LAYER)], ...] = Field(min_length=2, max_length=33)
     activation: Literal["tanh", "relu"] = "tanh"
     output: Literal["linear", "tanh"] = "linear"
     lstm_cells: int | None = Field(None, ge=1, le=LARGEST_LAYER)
@@ -109,7 +109,7 @@ class LSTM(NamedTuple):
             memory = np.where(np.asarray(episode_start)[:, None], np.float32(0.0), memory)
         output, cells = memory[:, :size], memory[:, size:]
         gates = values @ self.inputs.T + output @ self.recurrent.T + self.bias
-        entry, kept, new, shown = (gates[:, gate * size : (gate + 1) * size] for gate in range(4))
+        entry, kept, new, shown = np.split(gates, 4, axis=1)
         cells = _sigmoid(kept) * cells + _sigmoid(entry) * np.tanh(new)
         output = _sigmoid(shown) * np.tanh(cells)
         return output, np.concatenate([output, cells], axis=1)
@@ -117,9 +117,8 @@ class LSTM(NamedTuple):
     @classmethod
     def from_torch(cls, layer: Any) -> LSTM:
         """The weights of a ``torch.nn.LSTM`` with one layer."""
-        weights = {name: _array(value) for name, value in layer.named_parameters()}
-        bias = weights["bias_ih_l0"] + weights["bias_hh_l0"]
-        return cls(weights["weight_ih_l0"], weights["weight_hh_l0"], bias)
+        bias = _array(layer.bias_ih_l0) + _array(layer.bias_hh_l0)
+        return cls(_array(layer.weight_ih_l0), _array(layer.weight_hh_l0), bias)
 
 
 def _sigmoid(x: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -180,12 +179,17 @@ class PolicyController:
         if self.lstm is not None:
             values, hidden = self.lstm(values, state.hidden, episode_start)
             state = state._replace(hidden=hidden)
-        for weight, bias in self.layers[:-1]:
-            values = values @ weight.T + bias
-            values = np.tanh(values, out=values) if self.activation == "tanh" else np.maximum(values, 0.0, out=values)
-        weight, bias = self.layers[-1]
+        *hidden, (weight, bias) = self.layers
+        for weights, biases in hidden:
+            values = values @ weights.T + biases
+            if self.activation == "tanh":
+                np.tanh(values, out=values)
+            else:
+                np.maximum(values, 0.0, out=values)
         output = values @ weight.T + bias
-        command = self.features.command(np.tanh(output) if self.output == "tanh" else output, state)
+        if self.output == "tanh":
+            output = np.tanh(output)
+        command = self.features.command(output, state)
         return (command[0] if single else command), state
 
     @classmethod
@@ -213,10 +217,14 @@ class PolicyController:
             modules = [*policy.actor.latent_pi, policy.actor.mu]
         else:
             modules = [*policy.mlp_extractor.policy_net, policy.action_net]
-        dense = [module for module in modules if hasattr(module, "weight")]  # the others are activations
-        layers = [(_array(module.weight), _array(module.bias)) for module in dense]
-        lstm = LSTM.from_torch(policy.lstm_actor) if hasattr(policy, "lstm_actor") else None
-        inputs = (layers[0][0] if lstm is None else lstm.inputs).shape[1]
+        layers = []
+        for module in modules:
+            if hasattr(module, "weight"):  # the others are activations
+                layers.append((_array(module.weight), _array(module.bias)))
+        lstm, inputs = None, layers[0][0].shape[1]
+        if hasattr(policy, "lstm_actor"):
+            lstm = LSTM.from_torch(policy.lstm_actor)
+            inputs = lstm.inputs.shape[1]
         if features is None or inputs != features.size or len(layers[-1][1]) != 1:
             raise ConfigurationError(
                 "from_sb3: the model's inputs must be PolicyFeatures: train it on AxisVecEnv(..., features=...)"
@@ -261,13 +269,12 @@ class PolicyController:
             features = stored.features.features()
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
-        first, sizes = stored.lstm_cells or features.size, stored.layer_sizes
-        if sizes[0] != first or sizes[-1] != 1 or not all(1 <= size <= LARGEST_LAYER for size in sizes):
-            raise ConfigurationError(
-                f"{path}: layer_sizes = {list(sizes)}: must begin with {first}, end with 1 and stay within 4096"
-            )
+        cells, sizes = stored.lstm_cells, stored.layer_sizes
+        first = cells or features.size
+        if sizes[0] != first or sizes[-1] != 1:
+            raise ConfigurationError(f"{path}: layer_sizes = {list(sizes)}: must begin with {first} and end with 1")
         layers = [(_empty(after, before), _empty(after)) for before, after in pairwise(sizes)]
-        normalisation, lstm, cells = None, None, stored.lstm_cells
+        normalisation, lstm = None, None
         if stored.features.normalised:
             normalisation = Normalisation(_empty(features.moving), _empty(features.moving))
         if cells is not None:
@@ -293,9 +300,11 @@ def _array(tensor: Any) -> NDArray[np.float32]:
 
 def _named(layers: Layers, normalisation: Normalisation | None, lstm: LSTM | None) -> dict[str, NDArray[np.float32]]:
     """The tensors of a policy's file; they share the memory of the arguments."""
-    named = {f"layer{number}.weight": weight for number, (weight, _) in enumerate(layers)}
-    named |= {f"layer{number}.bias": bias for number, (_, bias) in enumerate(layers)}
-    for name, part in {"normalisation": normalisation, "lstm": lstm}.items():
-        if part is not None:
-            named |= {f"{name}.{field}": value for field, value in part._asdict().items()}
+    named = {}
+    for number, (weight, bias) in enumerate(layers):
+        named[f"layer{number}.weight"], named[f"layer{number}.bias"] = weight, bias
+    if normalisation is not None:
+        named["normalisation.centre"], named["normalisation.unit"] = normalisation
+    if lstm is not None:
+        named["lstm.inputs"], named["lstm.recurrent"], named["lstm.bias"] = lstm
     return named

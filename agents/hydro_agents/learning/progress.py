@@ -10,9 +10,8 @@ import time
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -21,7 +20,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
 
 from hydro_agents.learning.any_axis import AnyAxisFeatures
-from hydro_agents.learning.checkpoint import Checkpoint, take
+from hydro_agents.learning.checkpoint import Checkpoints
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
@@ -37,8 +36,7 @@ VALIDATION_RIGS, VALIDATION_PLANTS = 8, 8
 Row = dict[str, float]
 
 
-@dataclass(frozen=True)
-class Progress:
+class Progress(NamedTuple):
     """Progress of a training."""
 
     steps: int
@@ -94,7 +92,7 @@ def read_progress(path: str | Path, steps: float = math.inf) -> list[Row]:
     return rows
 
 
-def training_logger(folder: Path | None, steps: int = 0) -> Logger:
+def training_logger(folder: str | Path | None, steps: int = 0) -> Logger:
     """A logger for ``model.set_logger`` that writes to a folder, or nowhere; ``steps`` of a resumed training are done.
 
     Raises:
@@ -102,48 +100,42 @@ def training_logger(folder: Path | None, steps: int = 0) -> Logger:
     """
     writers: list[KVWriter] = []
     if folder is not None:
-        writers.append(ProgressFile(folder / PROGRESS_FILE, steps))
+        writers.append(ProgressFile(Path(folder) / PROGRESS_FILE, steps))
         with suppress(AssertionError):  # TensorBoard may not be installed
             writers.append(TensorBoardOutputFormat(str(folder)))
     return Logger(None if folder is None else str(folder), writers)
 
 
 class TrainingCallback(BaseCallback):
-    """Logs, validates and writes checkpoints between rollouts; sets the exploration of PPO.
+    """Logs, validates and keeps checkpoints between rollouts; sets the exploration of PPO.
 
-    Its arguments are those of :func:`~hydro_agents.learning.training.train_policy`; ``seconds`` is the duration of the
-    earlier sessions, ``keep`` the file of the checkpoints, the conditions of the training, and the time between
-    checkpoints.
+    Its arguments are those of :func:`~hydro_agents.learning.training.train_policy`.
     """
 
     model: Any
+    seconds_before = 0.0  # duration of the earlier sessions
 
     def __init__(
         self,
         config: TaskConfig,
         settings: PPOSettings,
         features: PolicyFeatures,
-        keep: tuple[Path, dict[str, Any], float] | None,
-        seconds: float,
+        checkpoints: Checkpoints,
         progress: Callable[[Progress], None] | None,
     ) -> None:
         super().__init__()
-        self._config, self._settings, self._features, self._keep = config, settings, features, keep
-        self._progress = progress
-        self._began = time.monotonic() - seconds
-        self._written = -math.inf  # when the last checkpoint was written
-        self._checkpoint: Checkpoint | None = None
-        self._logged = 0  # steps
-        self._base_error = math.nan  # mm, of the corrected controller; computed once
-        self._rigs: list[tuple[AnyAxisFeatures, dict[str, float]]] = []  # for validation, with its errors in m
+        self._config, self._settings, self._features = config, settings, features
+        self._checkpoints, self._progress = checkpoints, progress
+        self._began = time.monotonic()
+        self._logged = -1  # steps; -1: not begun
+
+        self._corrected_error = math.nan  # mm, on the validation plants; computed once
+        self._rigs: list[tuple[AnyAxisFeatures, dict[str, float]]] = []  # for validation, with the errors in m
 
     @property
     def seconds(self) -> float:
         """Duration of training, all sessions together."""
-        return time.monotonic() - self._began
-
-    def _on_training_start(self) -> None:
-        self._logged = self.num_timesteps
+        return self.seconds_before + time.monotonic() - self._began
 
     def _on_rollout_start(self) -> None:
         self._between_rollouts()
@@ -153,61 +145,55 @@ class TrainingCallback(BaseCallback):
 
     def _on_training_end(self) -> None:
         self._between_rollouts()
-        self.write_checkpoint()
-
-    def _passed(self, every: int) -> bool:
-        """Whether a multiple of ``every`` steps was passed since the last row of the log."""
-        return self.num_timesteps // every > self._logged // every
+        self._checkpoints.write()
 
     def _between_rollouts(self) -> None:
         """Log the last rollout and its update, set the exploration of the next, and copy the state at its start.
 
         A rollout and its update share one exploration; otherwise the ratio of PPO would not begin at 1.
         """
-        settings, steps = self._settings, self.num_timesteps
+        share = min(self.num_timesteps / self._settings.total_steps, 1.0)
         with torch.no_grad():
-            share = min(steps / settings.total_steps, 1.0)
-            self.model.policy.log_std.fill_(settings.log_standard_deviation_at(share))
-        due = steps > self._logged
-        if due:
+            self.model.policy.log_std.fill_(self._settings.log_standard_deviation_at(share))
+        begins = self._logged < 0
+        if self.num_timesteps > self._logged and not begins:
             self._log()
-            self._logged = steps
-        if self._keep is not None and (due or self._checkpoint is None):
-            _, made_with, interval = self._keep
-            self._checkpoint = take(self.model, self.model.get_env(), self.seconds, made_with)
-            if time.monotonic() - self._written > interval:
-                self.write_checkpoint()
+        if begins or self.num_timesteps > self._logged:
+            self._checkpoints.keep(self.model, self.model.get_env(), self.seconds)
+        self._logged = self.num_timesteps
 
     def _log(self) -> None:
         """Report, and write a row of the log, with a validation if one is due."""
         steps, every, total = self.num_timesteps, self._settings.validation_every, self._settings.total_steps
-        episodes = np.array([(episode["r"], episode["l"]) for episode in self.model.ep_info_buffer or ()])
         reward, length = math.nan, math.nan  # before the first episode has ended
-        if len(episodes):
+        if self.model.ep_info_buffer:
+            episodes = np.array([(episode["r"], episode["l"]) for episode in self.model.ep_info_buffer])
             reward, length = float(np.mean(episodes[:, 0] / episodes[:, 1])), float(np.mean(episodes[:, 1]))
         if self._progress is not None:
             self._progress(Progress(steps, total, self.seconds, reward))
-        row = {f"reward/{name}": value for name, value in self.model.get_env().mean_rewards().items()}
-        if every and (self._passed(every) or steps >= total):
-            row |= {f"validation/{name}": value for name, value in self._validation().items()}
-        row |= {"rollout/ep_len_mean": length, "rollout/mean_reward": reward, "time/time_elapsed": self.seconds}
-        for name, value in row.items():
-            self.logger.record(name, value)
+        for name, value in self.model.get_env().mean_rewards().items():
+            self.logger.record(f"reward/{name}", value)
+        if every and (steps // every > self._logged // every or steps >= total):
+            for name, value in self._validation().items():
+                self.logger.record(f"validation/{name}", value)
+        self.logger.record("rollout/ep_len_mean", length)
+        self.logger.record("rollout/mean_reward", reward)
+        self.logger.record("time/time_elapsed", self.seconds)
         self.logger.dump(steps)
 
     def _validation(self) -> dict[str, float]:
         if isinstance(self._features, AnyAxisFeatures):
             return self._validation_on_rigs(self._features)
         base = self._features.base
-        if base is not None and math.isnan(self._base_error):
-            self._base_error = validation_errors(self._config, base)[0]
+        if base is not None and math.isnan(self._corrected_error):
+            self._corrected_error = validation_errors(self._config, base)[0]
         mean, worst, failures = validation_errors(self._config, PolicyController.from_sb3(self.model))
         return {
             "mean_error_mm": mean,
             "worst_error_mm": worst,
             "failures": failures,
-            "base_mean_error_mm": self._base_error,
-            "error_to_corrected": mean / self._base_error,
+            "base_mean_error_mm": self._corrected_error,
+            "error_to_corrected": mean / self._corrected_error,
         }
 
     def _validation_on_rigs(self, features: AnyAxisFeatures) -> dict[str, float]:
@@ -224,9 +210,3 @@ class TrainingCallback(BaseCallback):
             errors = family_errors(own.config, policy, VALIDATION_PLANTS, sensor_frame=True)
             ratios.append(math.exp(np.mean([math.log(errors[name] / base[name]) for name in base])))
         return {"error_to_corrected": float(np.median(ratios)), "worst_error_to_corrected": max(ratios)}
-
-    def write_checkpoint(self) -> None:
-        """Write the state at the start of the present rollout, or of the next rollout if none is in progress."""
-        if self._keep is not None and self._checkpoint is not None:
-            self._checkpoint.write(self._keep[0])
-            self._written = time.monotonic()

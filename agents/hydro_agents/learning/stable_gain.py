@@ -55,8 +55,12 @@ def weakest(loops: Iterable[SampledLoop]) -> Weakest | None:
     """The loop with the smallest of the largest stable gains; ``None`` without a loop."""
     found = None
     for loop in loops:
-        limit = found.gain if found is not None and math.isfinite(found.gain) else 1e6
-        gain = loop.largest_stable_gain(limit) if limit > 0.0 else math.inf
+        limit = 1e6
+        if found is not None and math.isfinite(found.gain):
+            limit = found.gain
+        gain = math.inf
+        if limit > 0.0:
+            gain = loop.largest_stable_gain(limit)
         if found is None or gain < found.gain:
             found = Weakest(gain, loop)
     return found
@@ -71,9 +75,10 @@ def nominal_loops(task: TaskConfig, leak: float = HEALTHY_LEAK) -> Iterator[Samp
 def loops_within_ranges(task: TaskConfig) -> Iterator[SampledLoop]:
     """Loops around the task's own plant and around plants drawn from its ranges, with healthy seals."""
     yield from nominal_loops(task)
-    for drawn in drawn_plants(task) if task.randomisation else ():
-        plant = beyond_dead_band(leaking(drawn, HEALTHY_LEAK))
-        yield from _loops(plant, places_in_reach(plant)[::2], task)
+    if task.randomisation:
+        for drawn in drawn_plants(task):
+            plant = beyond_dead_band(leaking(drawn, HEALTHY_LEAK))
+            yield from _loops(plant, places_in_reach(plant)[::2], task)
 
 
 def _loops(plant: PlantParameters, places: list[float], task: TaskConfig) -> Iterator[SampledLoop]:
@@ -91,12 +96,15 @@ def drawn_plants(task: TaskConfig) -> Iterator[PlantParameters]:
         vector = to_vector(task.plant)
         for draw in draws:
             low, high = draw["low"], draw["high"]
-            logarithmic = draw["logarithmic"]
-            value = math.exp(generator.uniform(*np.log([low, high]))) if logarithmic else generator.uniform(low, high)
+            if draw["logarithmic"]:
+                value = math.exp(generator.uniform(*np.log([low, high])))
+            else:
+                value = generator.uniform(low, high)
             if draw["times"] >= 0:
                 value *= vector[draw["times"]]
-            rare = generator.random() < draw["otherwise_probability"]
-            vector[draw["parameter"]] = draw["otherwise"] if rare else value
+            if generator.random() < draw["otherwise_probability"]:
+                value = draw["otherwise"]
+            vector[draw["parameter"]] = value
         yield from_vector(vector)
 
 
@@ -143,8 +151,10 @@ def quiet_gains(task: TaskConfig) -> QuietGains:
     """
     full_speed = max(0.5 * sum(speed_limits(beyond_dead_band(task.plant))), 1e-6)
     exact, lowest = task_config(task, randomisation={}), LOWEST / full_speed
-    own = _largest_quiet_gain(exact, 1, MEDIUM / full_speed, lowest)
-    return QuietGains(own, min(own, _largest_quiet_gain(task, PLANTS, own, lowest)) if task.randomisation else own)
+    own = worst = _largest_quiet_gain(exact, 1, MEDIUM / full_speed, lowest)
+    if task.randomisation:
+        worst = min(own, _largest_quiet_gain(task, PLANTS, own, lowest))
+    return QuietGains(own, worst)
 
 
 def _largest_quiet_gain(task: TaskConfig, plants: int, begin: float, lowest: float) -> float:
@@ -163,7 +173,10 @@ def _largest_quiet_gain(task: TaskConfig, plants: int, begin: float, lowest: flo
                 raise HydroError(f"no proportional gain down to {low:.2g} 1/m lets the axis come to rest")
     while high / low > CLOSE:
         middle = math.sqrt(low * high)
-        low, high = (middle, high) if quiet(middle) else (low, middle)
+        if quiet(middle):
+            low = middle
+        else:
+            high = middle
     return low
 
 
@@ -185,13 +198,18 @@ def pids_from_figures(task: TaskConfig) -> list[PIDGains]:
     Raises:
         ConfigurationError: neither exists.
     """
-    found: list[PIDGains | None] = [pid_from_figures(task)]
+    found = []
+    reason = ""
     try:
-        found.insert(0, pid_with_gain(task, quiet_gains(task).recommended))
+        found.append(pid_with_gain(task, quiet_gains(task).recommended))
     except HydroError as error:
-        if found == [None]:
-            raise ConfigurationError(f"pid: no gains for this rig: {error}; give a file of gains") from None
-    return [gains for gains in found if gains is not None]
+        reason = str(error)
+    from_figures = pid_from_figures(task)
+    if from_figures is not None:
+        found.append(from_figures)
+    if not found:
+        raise ConfigurationError(f"pid: no gains for this rig: {reason}; give a file of gains")
+    return found
 
 
 def pid_from_figures(task: TaskConfig, loops: Iterable[SampledLoop] | None = None) -> PIDGains | None:
@@ -202,8 +220,9 @@ def pid_from_figures(task: TaskConfig, loops: Iterable[SampledLoop] | None = Non
     """
     found = weakest(loops_within_ranges(task) if loops is None else loops)
     moves = min(speed_limits(beyond_dead_band(task.plant))) > 0.0
-    usable = found is not None and moves and 0.0 < found.gain < math.inf
-    return pid_with_gain(task, found.recommended) if found is not None and usable else None
+    if found is None or not moves or not 0.0 < found.gain < math.inf:
+        return None
+    return pid_with_gain(task, found.recommended)
 
 
 def pid_with_gain(task: TaskConfig, gain: float) -> PIDGains:

@@ -18,7 +18,7 @@ from stable_baselines3 import PPO
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
 from hydro_agents.learning.any_axis import AnyAxisFeatures
-from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, restore
+from hydro_agents.learning.checkpoint import Checkpoints, restore
 from hydro_agents.learning.features import PolicyFeatures, periods_per_step
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import Progress, TrainingCallback, training_logger
@@ -42,17 +42,11 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | 
         if base is None:
             raise ConfigurationError("residual: true needs a controller that the policy corrects")
         kind_of(corrected)  # the weights' file must be able to name it
-    samples = 1 if settings.lstm_cells else None  # a memory keeps what it needs
+    scale, memory = settings.residual_scale, settings.lstm_cells is not None  # a memory keeps what it needs
     if settings.law:
-        return AnyAxisFeatures(config, corrected, settings.residual_scale, samples=samples).normalised()
-    features = PolicyFeatures(
-        config,
-        corrected,
-        settings.residual_scale,
-        settings.full_preview,
-        settings.see_estimates,
-        lags=(1,) if samples else None,
-    )
+        return AnyAxisFeatures(config, corrected, scale, samples=1 if memory else None).normalised()
+    seen: dict[str, Any] = {"full_preview": settings.full_preview, "see_estimates": settings.see_estimates}
+    features = PolicyFeatures(config, corrected, scale, **seen, lags=(1,) if memory else None)
     return features.normalised() if settings.normalise else features
 
 
@@ -197,25 +191,22 @@ def train_policy(
         "task": config.model_dump(mode="json"),
         "features": features.describe(),
     }
-    file = Path(folder) / CHECKPOINT_FILE if folder is not None else None
-    checkpoint = Checkpoint.read(file, made_with) if file is not None and resume else None
-    if file is not None and not resume:
-        file.unlink(missing_ok=True)
-    done, seconds = (checkpoint.counters.steps, checkpoint.counters.seconds) if checkpoint is not None else (0, 0.0)
-
+    checkpoints = Checkpoints(folder, made_with, checkpoint_seconds)
+    earlier = checkpoints.earlier(resume)
     env = make_axes(config, settings, features, LEARNING.training(seed, settings.axes).start)
     model = make_model(env, settings, seed)
-    model.set_logger(training_logger(None if folder is None else Path(folder), done))
-    keep = None if file is None else (file, made_with, checkpoint_seconds)
-    callback = TrainingCallback(config, settings, features, keep, seconds, progress)
+    callback = TrainingCallback(config, settings, features, checkpoints, progress)
+    model.set_logger(training_logger(folder, 0 if earlier is None else earlier.steps))
     try:
-        if checkpoint is not None and file is not None:
-            restore(model, env, checkpoint, file)
-        if done < settings.total_steps:
+        if earlier is not None:
+            restore(model, env, earlier)
+            callback.seconds_before = earlier.seconds
+        if model.num_timesteps < settings.total_steps:
+            left = settings.total_steps - model.num_timesteps
             # The callback writes the log after the update.
-            model.learn(settings.total_steps - done, callback, log_interval=10**9, reset_num_timesteps=False)
+            model.learn(left, callback, log_interval=10**9, reset_num_timesteps=False)
     except KeyboardInterrupt:
-        callback.write_checkpoint()
+        checkpoints.write()
         raise
     finally:
         model.logger.close()

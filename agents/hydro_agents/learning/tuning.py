@@ -47,10 +47,10 @@ class Space:
     def __init__(self, gains: type[Group], plant: PlantParameters) -> None:
         space = search_space(gains, plant)
         self.names = tuple(space)
-        ends = np.array([(low, high) for low, high, _ in space.values()])
-        self._logarithmic = np.array([logarithmic for _, _, logarithmic in space.values()])
-        scaled = self._scaled(ends.T)
-        self._low, self._width = scaled[0], scaled[1] - scaled[0]
+        low, high, logarithmic = zip(*space.values(), strict=True)
+        self._logarithmic = np.array(logarithmic)
+        self._low = self._scaled(np.array(low))
+        self._width = self._scaled(np.array(high)) - self._low
 
     def _scaled(self, values: Floats) -> Floats:
         return np.where(self._logarithmic, np.log(np.where(self._logarithmic, values, 1.0)), values)

@@ -72,8 +72,8 @@ class AxisVecEnv(_SharedVecEnv):
     for axes whose episode has ended, and is empty for the others. Such an axis has already begun its next episode.
 
     With ``paired`` each axis has a twin with the same plant, reference and noise, driven by the corrected controller
-    alone; the reward is the difference to the twin's reward. Errors that no controller can avoid cancel out. The twin
-    does not depend on the policy's actions; the policy gradient therefore remains unbiased.
+    alone; the reward is the difference to the twin's. Errors that no controller can avoid cancel out, and the policy
+    gradient remains unbiased, because the twin does not depend on the policy's actions.
 
     Args:
         config: the task, as for the environments.
@@ -133,8 +133,12 @@ class AxisVecEnv(_SharedVecEnv):
 
     def reset(self) -> VecEnvObs:
         """Begin an episode on every axis; returns the policy's inputs (N, size)."""
-        seeds: Any = None if self._seeds[0] is None else self._seeds * (self._total // self.num_envs)
-        options: Any = self._options * (self._total // self.num_envs) if any(self._options) else None
+        seeds: Any = None
+        options: Any = None
+        if self._seeds[0] is not None:
+            seeds = self._seeds * (self._total // self.num_envs)
+        if any(self._options):
+            options = self._options * (self._total // self.num_envs)
         observation, _ = self.env.reset(seed=seeds, options=options)
         self._reset_seeds()
         self._reset_options()
@@ -172,17 +176,15 @@ class AxisVecEnv(_SharedVecEnv):
         before = axes.column("change").copy()
         observation, rewards, terminated, truncated, _ = self.env.step(command)
         price = self._price * _smaller_swing(before, axes.column("change"))
-        worth, costs = rewards - price, axes.column("costs")[:count].mean(axis=0)
-        ended = terminated | truncated
-        done = ended[:count]
+        worth, done = rewards - price, terminated | truncated
+        if self._paired:
+            worth, price = worth[:count] - worth[count:], price[:count] - price[count:]
+            done = done[:count] | done[count:]  # an axis and its twin restart together
         self._returns += rewards[:count]
         self._lengths += 1
-        infos: list[dict[str, Any]] = [{} for _ in range(count)]
-        if self._paired:  # an axis and its twin restart together
-            worth, price = (part[:count] - part[count:] for part in (worth, price))
-            done = done | ended[count:]
-        self._parts += [*-costs, -price.mean(), worth.mean()]
+        self._parts += [*-axes.column("costs")[:count].mean(axis=0), -price.mean(), worth.mean()]
         self._periods += 1
+        infos: list[dict[str, Any]] = [{} for _ in range(count)]
         if done.any():
             self._fill_infos(infos, np.flatnonzero(done), observation, terminated)
             mask = np.concatenate([done, done]) if self._paired else done
@@ -215,8 +217,11 @@ class AxisVecEnv(_SharedVecEnv):
 
     def get_state(self) -> dict[str, Array]:
         """Complete state as copies of named arrays, for :meth:`set_state`."""
-        arrays = {f"{ENV}{name}": array for name, array in self.env.get_state().arrays.items()}
-        return arrays | _leaves(self._own(), "own")
+        arrays: dict[str, Array] = {}
+        _collect(self._own(), "own", arrays)
+        for name, array in self.env.get_state().arrays.items():
+            arrays[f"{ENV}{name}"] = array
+        return arrays
 
     def _own(self) -> _Own:
         return _Own(self._returns, self._lengths, self._twin_commands, self._corrected, self._state)
@@ -225,15 +230,8 @@ class AxisVecEnv(_SharedVecEnv):
         """Restore a state of :meth:`get_state`, from this or another ``AxisVecEnv`` with the same arguments.
 
         Both must have begun: call :meth:`reset` first.
-
-        Raises:
-            ConfigurationError: the arrays describe no possible state of an axis.
         """
         arrays = {name.removeprefix(ENV): array for name, array in state.items() if name.startswith(ENV)}
-        record, steps = arrays["record"], max(task.steps for task in self.env.rigs)
-        finite = all(np.isfinite(record[name]).all() for name in record.dtype.names or ())
-        if not finite or not np.isin(record["step"], np.arange(steps + 1)).all():
-            raise ConfigurationError("env.record: holds no possible state of an axis")
         self.env.set_state(AxesState(self.env.config, arrays))
         own = _restored(self._own(), state, "own")
         self._returns, self._lengths, self._twin_commands, self._corrected, self._state = own
@@ -259,21 +257,23 @@ class _Own(NamedTuple):
     state: FeatureState | None
 
 
-def _leaves(memory: Any, name: str) -> dict[str, Array]:
-    """Copies of the arrays of nested named tuples, by name."""
-    if not isinstance(memory, tuple):
-        return {} if memory is None else {name: memory.copy()}
-    named: Any = memory
-    parts = [_leaves(part, f"{name}.{field}") for field, part in named._asdict().items()]
-    return {place: array for part in parts for place, array in part.items()}
+def _collect(memory: Any, name: str, arrays: dict[str, Array]) -> None:
+    """Copy the arrays of nested named tuples to ``arrays``, by name."""
+    if isinstance(memory, tuple):
+        for field, part in zip(memory._fields, memory, strict=True):  # type: ignore[attr-defined]
+            _collect(part, f"{name}.{field}", arrays)
+    elif memory is not None:
+        arrays[name] = memory.copy()
 
 
 def _restored(memory: Any, arrays: Mapping[str, Array], name: str) -> Any:
-    """Nested named tuples like ``memory``, with copies of the arrays of :func:`_leaves`."""
+    """Nested named tuples like ``memory``, with copies of the arrays of :func:`_collect`."""
+    if memory is None:
+        return None
     if not isinstance(memory, tuple):
-        return None if memory is None else arrays[name].copy()
-    named: Any = memory
-    return type(memory)(*(_restored(part, arrays, f"{name}.{field}") for field, part in named._asdict().items()))
+        return arrays[name].copy()
+    fields = memory._fields  # type: ignore[attr-defined]
+    return type(memory)(*[_restored(getattr(memory, field), arrays, f"{name}.{field}") for field in fields])
 
 
 class RigsVecEnv(_SharedVecEnv):
@@ -314,16 +314,19 @@ class RigsVecEnv(_SharedVecEnv):
 
     def mean_rewards(self) -> dict[str, float]:
         """Mean over the rigs of :meth:`AxisVecEnv.mean_rewards`."""
-        means = [env.mean_rewards() for env in self.envs]
-        return {name: float(np.mean([each[name] for each in means])) for name in means[0]}
+        means = np.mean([list(env.mean_rewards().values()) for env in self.envs], axis=0)
+        return dict(zip(REWARD_PARTS, means.tolist(), strict=True))
 
     def get_state(self) -> dict[str, Array]:
         """Complete state as copies of named arrays, for :meth:`set_state`."""
-        states = enumerate(env.get_state() for env in self.envs)
-        return {f"rig{number}.{name}": array for number, state in states for name, array in state.items()}
+        arrays = {}
+        for number, env in enumerate(self.envs):
+            for name, array in env.get_state().items():
+                arrays[f"rig{number}.{name}"] = array
+        return arrays
 
     def set_state(self, state: Mapping[str, Array]) -> None:
-        """Restore a state of :meth:`get_state`; errors as :meth:`AxisVecEnv.set_state`."""
+        """Restore a state of :meth:`get_state`."""
         for number, env in enumerate(self.envs):
             start = f"rig{number}."
             env.set_state({name.removeprefix(start): array for name, array in state.items() if name.startswith(start)})
