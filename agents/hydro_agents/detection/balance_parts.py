@@ -98,13 +98,15 @@ def whiten(value, slope, other, filtered, whitened, spread, blend, unit):
     innovation = value - filtered[count]
     filtered[count] += blend * innovation
     size = abs(unit * innovation)
-    weight = unit * (1.0 if size < OUTLIER else math.sqrt(OUTLIER / size))
+    weight, square = unit, size * size
+    if size >= OUTLIER:
+        weight, square = unit * math.sqrt(OUTLIER / size), OUTLIER * (2.0 * size - OUTLIER)
     for i in range(count):
         change = spread[i] * (slope[1, i] - slope[0, i] if other else -slope[0, i]) - filtered[i]
         filtered[i] += blend * change
         whitened[i] = weight * change
     whitened[count] = weight * innovation
-    return size * size if size < OUTLIER else OUTLIER * (2.0 * size - OUTLIER)
+    return square
 
 
 @inline

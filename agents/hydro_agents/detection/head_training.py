@@ -33,7 +33,7 @@ from hydro_agents.detection.sheet import RIG_FEATURES
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.jobs import Job, run_jobs
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
-from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, require, restore_optimiser, save_checkpoint
+from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, restore_optimiser, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 
@@ -184,23 +184,18 @@ class _Job:
         for what, own in self.made_with.items():
             if stored.get(what) != own:
                 raise ConfigurationError(f"{self.checkpoint}: was made with other {what}; cannot resume")
-        networks = self._network_tensors()
-        require(tensors, networks, self.checkpoint)
-        self.network.load_state_dict({n.removeprefix("network."): torch.from_numpy(tensors[n]) for n in networks})
+        with torch.no_grad():
+            for name, value in self.network.state_dict().items():
+                value.copy_(torch.from_numpy(tensors[f"network.{name}"]))
         restore_optimiser(self._optimiser, tensors, str(self.checkpoint))
-        try:
-            self.epoch = range(self.settings.epochs + 1).index(stored["epoch"])
-        except (KeyError, TypeError, ValueError):
-            raise ConfigurationError(f"{self.checkpoint}: damaged: its epochs do not fit") from None
-
-    def _network_tensors(self) -> dict[str, NDArray[Any]]:
-        return {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
+        self.epoch = stored["epoch"]
 
     def save(self) -> None:
-        if self.checkpoint is None:
-            return
-        tensors = self._network_tensors() | optimiser_tensors(self._optimiser)
-        save_checkpoint(self.checkpoint, KIND, tensors, {"epoch": self.epoch} | self.made_with)
+        if self.checkpoint is not None:
+            tensors = optimiser_tensors(self._optimiser)
+            for name, value in self.network.state_dict().items():
+                tensors[f"network.{name}"] = value.numpy()
+            save_checkpoint(self.checkpoint, KIND, tensors, {"epoch": self.epoch} | self.made_with)
 
     def simulate(self) -> None:
         for phase, jobs in self.jobs.items():
@@ -209,8 +204,9 @@ class _Job:
                 self.progress(phase, done, total, math.nan)
 
             found, _ = run_jobs(jobs, self.folder, None, report)
-            if error := next((each.error for each in found.values() if each.error), ""):
-                raise ConfigurationError(error)
+            for result in found.values():
+                if result.error:
+                    raise ConfigurationError(result.error)
             self.windows[phase] = LabelledWindows.joined([LabelledWindows(**found[key].metrics) for key in jobs])
 
     def tensors(self) -> dict[str, NDArray[Any]]:

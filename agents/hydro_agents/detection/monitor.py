@@ -63,7 +63,8 @@ class HeadDetector:
             general = LeakageHead.load(self._elsewhere) if self._elsewhere is not None else self.head
             if not general.for_any_axis:
                 other = f"a control period of {1e3 * own.control_period:g} ms"
-                other = "another rig" if own.plant != task.plant else other
+                if own.plant != task.plant:
+                    other = "another rig"
                 raise ConfigurationError(f"the leakage head was trained for {other}")
             self._moved = task, general.moved_to(task)
         return self._moved[1]

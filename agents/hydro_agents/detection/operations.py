@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Observation, ObservationLayout, as_batch
-from hydro_agents.learning.loading import shipped
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.types import Floats
@@ -212,7 +211,12 @@ def loaded(config: TaskConfig) -> TaskConfig:
 
 
 def _shipped(kind: str) -> Make:
-    return lambda config, count, seed: shipped(kind, config)
+    def make(config: TaskConfig, count: int, seed: int) -> Controller:
+        from hydro_agents.learning.loading import shipped
+
+        return shipped(kind, config)
+
+    return make
 
 
 def _manner(name: str) -> Make:

@@ -95,7 +95,7 @@ def load_policy(path: Path, config: TaskConfig, gains: GainsFor, trainer: Traine
     from hydro_agents.learning.trainers import TRAINERS
 
     policy: Any = (trainer or TRAINERS["ppo"]).load(path)
-    features = getattr(policy, "features", None)
+    features: Any = getattr(policy, "features", None)
     if not getattr(features, "for_any_axis", False) or features.config == config:
         loaded: Controller = policy
     else:

@@ -64,8 +64,9 @@ class _StoredFeatures(Group):
             base = make_controller(self.base.kind, self.task, self.base.settings)
         if self.any_axis:
             return AnyAxisFeatures(self.task, base, self.correction, self.error, len(self.history_lags))
-        seen = {"full_preview": self.full_preview, "see_estimates": self.see_estimates}
-        features = PolicyFeatures(self.task, base, self.residual_scale, **seen, lags=self.history_lags)
+        features = PolicyFeatures(
+            self.task, base, self.residual_scale, self.full_preview, self.see_estimates, lags=self.history_lags
+        )
         if self.history_signals != features.history:
             raise ConfigurationError("was trained on another history of signals than this version computes")
         return features

@@ -45,8 +45,9 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: Controller | 
     scale, memory = settings.residual_scale, settings.lstm_cells is not None  # a memory keeps what it needs
     if settings.law:
         return AnyAxisFeatures(config, corrected, scale, samples=1 if memory else None).normalised()
-    seen: dict[str, Any] = {"full_preview": settings.full_preview, "see_estimates": settings.see_estimates}
-    features = PolicyFeatures(config, corrected, scale, **seen, lags=(1,) if memory else None)
+    features = PolicyFeatures(
+        config, corrected, scale, settings.full_preview, settings.see_estimates, lags=(1,) if memory else None
+    )
     return features.normalised() if settings.normalise else features
 
 

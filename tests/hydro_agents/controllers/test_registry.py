@@ -33,9 +33,6 @@ class Group:
 
 ready = Simple()
 number = 3
-
-def command(observation):
-    return observation["error"]
 """
 
 
@@ -61,31 +58,22 @@ def test_a_class_a_function_and_an_object_of_ones_own():
 @pytest.mark.parametrize(
     ("kind", "settings", "message"),
     [
-        ("pdi", {}, r"kind 'pdi': unknown; did you mean pid\? known: pid, .*or 'module:attribute'"),
+        ("pdi", {}, r"kind 'pdi': unknown; did you mean pid\?"),
         ("pid", {"proportional": -1}, "pid: proportional = -1"),
-        ("pid", {"gain": 1}, "pid: .*gain.*unknown key"),
         ("my_controllers:", {}, "'my_controllers:': must be 'module:attribute'"),
-        (":Simple", {}, "must be 'module:attribute'"),
-        ("not_a_module:Simple", {}, "'not_a_module' cannot be imported: ModuleNotFoundError"),
         ("broken:Simple", {}, "'broken' cannot be imported: ModuleNotFoundError: No module named 'not_a_module'"),
         ("my_controllers:Absent", {}, "'my_controllers' has no 'Absent'"),
         ("my_controllers:number", {}, "needs a method predict, or must be a class or function"),
         ("my_controllers:ready", {"gain": 1.0}, "is already a controller and takes no settings"),
         ("my_controllers:Tuned", {"gian": 1.0}, "cannot be made .*TypeError: .*'gian'"),
-        ("my_controllers:command", {}, "cannot be made .*TypeError"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(kind, settings, message):
+def test_what_is_wrong_is_told_in_one_line_with_its_name(kind, settings, message):
     with refused(message):
         make_controller(kind, CONFIG, settings)
-
-
-def test_an_opponent_is_named_in_the_message():
-    with refused("mine: 'my_controllers:Absent'"):
-        load_controller("my_controllers:Absent", CONFIG, "mine")
-    with refused("mine: 'ppoo': unknown"):
-        load_controller("ppoo", CONFIG, "mine")
-    assert type(load_controller("my_controllers:Simple", CONFIG, "mine")).__name__ == "Simple"
+    if not settings and ":" in kind:
+        with refused(f"mine: .*{message}"):
+            load_controller(kind, CONFIG, "mine")
 
 
 def test_the_file_tells_each_gain_in_the_units_of_a_plc_and_reads_back_unchanged(tmp_path: Path) -> None:

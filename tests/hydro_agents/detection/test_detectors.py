@@ -16,7 +16,6 @@ from hydro_agents.evaluation.leak_protocol import simulated_windows as simulated
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 from hydro_env.task.configuration import task_config
-from hydro_rig.estimation.estimator import EstimatorDetector
 
 CONFIG = TaskConfig()
 FAULTS = {
@@ -27,7 +26,6 @@ FAULTS = {
     "rod seal": {"external_leak": 2.0},
     "return line": {"tank_pressure": 1e6},
 }
-CAUSES = {"none": Cause.NONE, "rod seal": Cause.EXTERNAL_LEAK, "sensor": Cause.SENSOR, "return line": Cause.RETURN_LINE}
 
 
 def made(fault, leak, samples=200):
@@ -36,47 +34,6 @@ def made(fault, leak, samples=200):
     protocol = LeakProtocol(detectors={"D": {"kind": "head"}}, base="c", conditions=conditions)
     signals, _ = simulated(protocol.task_in("c"), "PID", protocol.cases_in("c", leak, 2), samples)
     return Windows.of(signals)
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_the_estimator_reads_the_leak_and_names_the_fault(fault):
-    reading = EstimatorDetector().read(made(fault, 0.5), CONFIG)
-    assert reading.answers.all()
-    assert reading.cause.tolist() == [CAUSES.get(fault, Cause.VALVE)] * 2
-    np.testing.assert_allclose(reading.flow_lpm, 0.5, atol=0.05)
-    assert (reading.probability > 0.99).all()
-    assert all(bool(text) == (fault != "none") for text in reading.fault)
-
-
-def test_only_windows_with_all_commands_are_read():
-    windows = made("none", 0.5)
-    windows.signals[0, SIGNALS.index("previous_command"), 3] = np.nan
-    reading = EstimatorDetector().read(windows, CONFIG)
-    assert reading.answers.tolist() == [False, True]
-    assert reading.why.tolist() == [Why.NO_COMMANDS, Why.ANSWERED]
-    assert reading.cause[0] == Cause.UNDETERMINED
-    assert np.isnan(reading.flow_lpm[0])
-    windows.signals[1, SIGNALS.index("previous_command"), 3] = np.nan
-    nothing = EstimatorDetector().read(windows, CONFIG)
-    assert nothing.why.tolist() == [Why.NO_COMMANDS] * 2
-    assert not nothing.answers.any()
-
-
-def test_a_window_that_no_leak_explains_is_unknown():
-    windows = made("none", 0.5)
-    windows.signals[0, 0] = windows.signals[0, 0, ::-1]  # no axis moves against its command
-    assert EstimatorDetector().read(windows, CONFIG).cause.tolist() == [Cause.UNKNOWN, Cause.NONE]
-
-
-def test_changes_of_the_task_reach_the_fit():
-    detector = make_detector(DetectorChoice(kind="estimator", task={"command_latency_range": (1e-3, 2e-3)}))
-    assert isinstance(detector, EstimatorDetector)
-    assert detector.refuses(TaskConfig(control_period=0.01), 10) == ""
-    assert detector.threshold is None
-    reading, found = detector.read_and_fit(made("none", 0.5), CONFIG)
-    assert found is not None
-    assert "command_latency" in found.names
-    np.testing.assert_allclose(reading.flow_lpm, 0.5, atol=0.05)
 
 
 def test_the_shipped_head_reads_the_windows_of_its_axis_and_leaves_others_to_that_for_any_axis():

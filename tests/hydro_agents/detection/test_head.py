@@ -180,10 +180,6 @@ def test_interrupted_training_resumes_to_the_same_head(small_head, tmp_path):
     save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored)
     with refused("was made with other controllers"):
         trained(tmp_path, controller=PID(PIDGains(), CONFIG), resume=True)
-    for change in ({"epoch": 99}, {"epoch": "2"}):
-        save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored | change)
-        with refused("damaged: "):
-            trained(tmp_path, resume=True)
 
 
 def test_a_training_that_is_stopped_while_it_simulates_goes_on_there(small_head, tmp_path):
@@ -206,18 +202,20 @@ def test_inputs_of_the_network_are_normalised_on_training_data():
     assert inputs.std(axis=0).max() < 1.01
 
 
-def test_leaks_to_train_on_must_suit_the_task():
-    for change, message in (
-        ({"lowest_healthy_flow": 5.0}, r"lowest_healthy_flow = 5: must be below the task's leakage.class_bounds\[0\]"),
-        ({"lowest_healthy_flow": 0.03}, "lowest_healthy_flow = 0.03"),
-        ({"highest_flow": 0.1}, "highest_flow = 0.1: must be above"),
-        (
-            {"changing_share": 0.7, "orifice_share": 0.6},
-            "= 0.7, orifice_share = 0.6 and disturbed_share = 0.15: must be at most",
-        ),
-    ):
-        with refused(message):
-            trained(settings=SETTINGS.model_copy(update=change))
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lowest_healthy_flow": 0.03}, "lowest_healthy_flow: must be below"),
+        ({"highest_flow": 0.1}, "highest_flow: must be above"),
+        ({"changing_share": 0.7, "orifice_share": 0.6}, "must be at most 1 together"),
+    ],
+)
+def test_leaks_to_train_on_must_suit_the_task(change, message):
+    with refused(message):
+        trained(settings=SETTINGS.model_copy(update=change))
+
+
+def test_the_shortest_window_is_an_episode_of_the_task():
     with refused("an episode of 49 control periods is its shortest window"):
         SETTINGS.check(TaskConfig(episode_duration=0.245))
     SETTINGS.check(TaskConfig(episode_duration=0.25))

@@ -237,22 +237,14 @@ def study(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["pid", "mpc"])
-def test_every_kind_is_tuned_and_resumed(kind, study, tmp_path):
+def test_the_command_tunes_every_kind_and_resumes(kind, study, tmp_path):
     folder = tmp_path / "out"
     train(kind, folder, study, steps=14)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     make_controller(kind, TaskConfig(), read_yaml(folder / f"{kind}.yaml"))
     train(kind, folder, study, steps=14, resume=True)  # nothing is left to do
-    wrong = tmp_path / "wrong.yaml"
-    wrong.write_text("proportional: -3\n")
-    for options, message in (
-        ({}, "holds results already"),
-        ({"resume": True, "objective": "mean"}, "was written with another objective"),
-        ({"resume": True, "seed": 5}, "was written with another seed"),
-        ({"resume": True, "start": wrong}, r"wrong\.yaml: proportional = -3"),
-    ):
-        with refused(message if kind == "pid" or "start" not in options else "wrong.yaml"):
-            train(kind, folder, study, steps=14, **options)
+    with refused("was written with another objective"):
+        train(kind, folder, study, steps=14, resume=True, objective="mean")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     train(kind, folder, study, steps=28, resume=True)
     assert len((folder / "tuning.csv").read_text().splitlines()) == 2 + 28
