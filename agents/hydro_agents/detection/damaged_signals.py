@@ -24,6 +24,15 @@ the smallest that is judged, 20 equal readings occur by chance once in 10¹¹ sa
 
 
 @inline
+def mark_missing(values, lost):
+    """Mark NaN by 1 in ``lost``, anything else by 0."""
+    for k in range(values.shape[0]):
+        lost[k] = 0.0
+        if values[k] != values[k]:
+            lost[k] = 1.0
+
+
+@inline
 def mark_lost(values, low, high, far, lost):
     """Mark lost samples by 1 in ``lost``: NaN, and short falls to the lower end of the sensor's range.
 
@@ -32,8 +41,7 @@ def mark_lost(values, low, high, far, lost):
     samples = values.shape[0]
     end = low + 1e-9 * (high - low)
     begin = 0  # of the run of readings at the end of the range
-    for k in range(samples):
-        lost[k] = 0.0 if values[k] == values[k] else 1.0
+    mark_missing(values, lost)
     for k in range(samples + 1):
         if not (k < samples and values[min(k, samples - 1)] <= end):
             if k - begin <= LONGEST_GAP:
@@ -56,7 +64,9 @@ def fill_gaps(values, lost, filled):
         if lost[k] == 0.0:
             first = k
             break
-    held, share = values[first] if values[first] == values[first] else 0.0, 0.0
+    held, share = values[first], 0.0
+    if values[first] != values[first]:
+        held = 0.0
     for k in range(samples):
         if lost[k] == 0.0:
             held = values[k]
@@ -76,10 +86,8 @@ def _build_repair(sources: int) -> Any:
                 values = signals[window, sensor]
                 mark_lost(values, sheet.sensor_low[sensor], sheet.sensor_high[sensor], far, flags)
                 lost[window, sensor] = fill_gaps(values, flags, filled[window, sensor])
-            values = signals[window, COMMAND]
-            for k in range(values.shape[0]):
-                flags[k] = 0.0 if values[k] == values[k] else 1.0
-            fill_gaps(values, flags, filled[window, COMMAND])
+            mark_missing(signals[window, COMMAND], flags)
+            fill_gaps(signals[window, COMMAND], flags, filled[window, COMMAND])
             if lost[window, SPOOL] == 1.0:  # no such sensor
                 usual = sheet.transition[sheet.transition.shape[0] // 2]
                 follow_commands(filled[window, COMMAND], usual[POINTS], valve, filled[window, SPOOL])
@@ -97,7 +105,10 @@ def _build_find_stuck(sources: int) -> Any:
                 run = 0.0
                 stuck[window, sensor] = 0.0
                 for k in range(1, signals.shape[2]):
-                    run = run + 1.0 if values[k] == values[k - 1] and low < values[k] < high else 0.0
+                    if values[k] == values[k - 1] and low < values[k] < high:
+                        run += 1.0
+                    else:
+                        run = 0.0
                     if run >= shortest:
                         stuck[window, sensor] = 1.0
 

@@ -152,15 +152,14 @@ class TrainingPlan:
             episodes: number of runs; rounding may add a few.
             first_seed: of the first run.
         """
-        own = self.controllers if self.settings.law is None else ()
-        digests = [fingerprint(controller) for controller in own]
+        digests = [fingerprint(controller) for controller in self.controllers]
         jobs, seed = {}, first_seed
         for number, chunk in enumerate(self.chunks(episodes)):
             seeds = np.arange(seed, seed + chunk.axes)
             seed += chunk.axes
             acting, digest = None, "none"
-            if own and chunk.controller >= 0:
-                acting, digest = own[chunk.controller], digests[chunk.controller]
+            if self.settings.law is None and chunk.controller >= 0:
+                acting, digest = self.controllers[chunk.controller], digests[chunk.controller]
                 if acting is None:
                     continue
             arguments = (self.settings, chunk, seeds, self.rigs[number % len(self.rigs)])

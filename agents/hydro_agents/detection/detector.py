@@ -127,12 +127,16 @@ class Windows:
     @classmethod
     def joined(cls, parts: Sequence[Windows]) -> Windows:
         """Several sets of windows of the same length as one."""
-        signals, begin, end = (
-            np.concatenate([getattr(part, name) for part in parts]) for name in ("signals", "begin", "end")
+        auxiliary = {}
+        for name in AUXILIARY:
+            if any(name in part.auxiliary for part in parts):
+                auxiliary[name] = np.concatenate([part.auxiliary_signal(name) for part in parts])
+        return cls(
+            np.concatenate([part.signals for part in parts]),
+            np.concatenate([part.begin for part in parts]),
+            np.concatenate([part.end for part in parts]),
+            auxiliary,
         )
-        recorded = [name for name in AUXILIARY if any(name in part.auxiliary for part in parts)]
-        auxiliary = {name: np.concatenate([part.auxiliary_signal(name) for part in parts]) for name in recorded}
-        return cls(signals, begin, end, auxiliary)
 
     def __len__(self) -> int:
         return len(self.signals)
@@ -165,10 +169,12 @@ class Windows:
 
     def unrecorded(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """The unknowns; the offset of its transducer in place of a pressure that was recorded in every window."""
-        everywhere = {
-            name for name, signal in RECORDED.items() if np.isfinite(self.auxiliary_signal(signal)).any(axis=1).all()
-        }
-        return tuple(f"{RECORDED[name]}_bias" if name in everywhere else name for name in names)
+        left = []
+        for name in names:
+            if name in RECORDED and np.isfinite(self.auxiliary_signal(RECORDED[name])).any(axis=1).all():
+                name = f"{RECORDED[name]}_bias"
+            left.append(name)
+        return tuple(left)
 
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
         """Some of the windows."""
@@ -257,8 +263,11 @@ class Reading(NamedTuple):
         values = dict.fromkeys(cls._fields, np.nan) | {"fault": "", "why": Why.ANSWERED} | known
         values |= {"score": score, "cause": cause}
         kinds: Any = {"fault": object, "cause": np.int8, "why": np.int8}
-        arrays = (np.asarray(value, dtype=kinds.get(name, np.float64)) for name, value in values.items())
-        return cls(*(np.broadcast_to(array, score.shape).copy() for array in arrays))
+        arrays: list[Any] = []
+        for name, value in values.items():
+            array = np.asarray(value, dtype=kinds.get(name, np.float64))
+            arrays.append(np.broadcast_to(array, score.shape).copy())
+        return cls(*arrays)
 
     @property
     def answers(self) -> NDArray[np.bool_]:

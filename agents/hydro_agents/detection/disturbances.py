@@ -95,7 +95,8 @@ def drawn(generator: np.random.Generator, kinds: NDArray[np.str_], steps: int, p
         kind = DISTURBANCES[name]
         low, high = sorted(np.abs(kind.size))
         size = np.sign(kind.size[0]) * np.exp(generator.uniform(np.log(low), np.log(high)))
-        size *= generator.choice((-1.0, 1.0)) if kind.signed else 1.0
+        if kind.signed:
+            size *= generator.choice((-1.0, 1.0))
         start = generator.uniform(-0.5, 0.9) * time[-1]
         course[axis, kind.row] = size * kind.shape(time, start, float(np.exp(generator.uniform(*np.log(kind.time)))))
     ripple = kinds == "pump ripple"  # an accumulator on the way to the valve would damp it

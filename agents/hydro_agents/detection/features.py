@@ -163,7 +163,8 @@ def share_of_full(command):
     """Share of the samples with a full command."""
     count = 0.0
     for k in range(command.shape[0]):
-        count += 1.0 if abs(command[k]) > FULL_COMMAND else 0.0
+        if abs(command[k]) > FULL_COMMAND:
+            count += 1.0
     return count / command.shape[0]
 
 
@@ -179,7 +180,12 @@ def spool_errors(spool, error, command):
         covariance += error[k] * told / samples
         variance += told * told / samples
         change = command[k] - command[max(k - 1, 0)]
-        turning += error[k] * (1.0 if change > 0.0 else (-1.0 if change < 0.0 else 0.0)) / samples
+        direction = 0.0
+        if change > 0.0:
+            direction = 1.0
+        elif change < 0.0:
+            direction = -1.0
+        turning += error[k] * direction / samples
         if abs(change) < STILL_COMMAND:
             resting += abs(error[k])
             rests += 1.0
@@ -208,8 +214,9 @@ def changes(value, deviation, change):
 def _moving(x, k, period, stroke, row):
     """Regressors of the force at sample ``k``: constant, position, speed, and its direction."""
     samples = x.shape[0]
-    inside = k >= 2 and k < samples - 2
-    speed = (x[min(k + 2, samples - 1)] - x[max(k - 2, 0)]) / (4.0 * period) if inside else 0.0
+    speed = 0.0
+    if k >= 2 and k < samples - 2:
+        speed = (x[k + 2] - x[k - 2]) / (4.0 * period)
     row[0], row[1] = 1.0, x[k] / (0.5 * stroke)
     row[2], row[3] = speed / stroke, math.tanh(speed / (5e-3 * stroke))
 

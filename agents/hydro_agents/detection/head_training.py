@@ -59,7 +59,8 @@ def make_network(width: int, inputs: int = len(FEATURES), dropout: float = 0.0) 
     layers: list[nn.Module] = []
     for layer in range(LAYERS - 1):
         layers += [nn.Linear(sizes[layer], sizes[layer + 1]), nn.ReLU()]
-        layers += [nn.Dropout(dropout)] if dropout else []
+        if dropout:
+            layers.append(nn.Dropout(dropout))
     return nn.Sequential(*layers, nn.Linear(sizes[-2], sizes[-1]))
 
 
@@ -101,7 +102,7 @@ def train_head(
     torch.set_num_threads(1)  # more threads cost more than this small network gains
     torch.manual_seed(seed)
     began = time.monotonic()
-    job = _Job(config, controllers, settings, seed, Path(folder) if folder else None, progress or (lambda *_: None))
+    job = _Job(config, controllers, settings, seed, folder, progress or (lambda *_: None))
     if resume:
         job.restore()
     job.save()
@@ -158,13 +159,18 @@ class _Job:
         controllers: Sequence[Controller],
         settings: HeadTrainingSettings,
         seed: int,
-        folder: Path | None,
+        folder: str | Path | None,
         progress: Progress,
     ) -> None:
-        self.settings, self.seed, self.folder, self.progress = settings, seed, folder, progress
-        self.checkpoint = folder / CHECKPOINT_FILE if folder is not None else None
+        self.settings, self.seed, self.progress = settings, seed, progress
+        self.folder = self.checkpoint = None
+        if folder is not None:
+            self.folder = Path(folder)
+            self.checkpoint = self.folder / CHECKPOINT_FILE
         self.jobs = simulations(config, controllers, settings, seed)
-        inputs = len(FEATURES) + (len(RIG_FEATURES) if settings.law is not None else 0)
+        inputs = len(FEATURES)
+        if settings.law is not None:
+            inputs += len(RIG_FEATURES)
         self.network = make_network(settings.width, inputs, settings.dropout)
         rate, decay = settings.learning_rate, settings.weight_decay
         self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)
@@ -280,7 +286,7 @@ def calibrated(
         tensors["still_shift"][0] = np.clip(logits[1] - logits[0], -LARGEST_SHIFT, LARGEST_SHIFT)
     probability = probabilities(output, windows.features, float(tensors["still_shift"][0]))
     for label in range(len(LABELS)):
-        without = windows.labels[:, label] == 0.0 if label > 0 else clean
+        without = clean if label == 0 else windows.labels[:, label] == 0.0
         tensors["thresholds"][label] = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
     threshold = min(float(tensors["thresholds"][0]), 1.0)
     found, size = quantiles(output), size_target(windows.size)

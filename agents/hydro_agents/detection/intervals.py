@@ -86,8 +86,9 @@ def distances(quantiles: NDArray[np.float64], size: NDArray[Any], chosen: NDArra
     off = np.column_stack([(middle - size) / (middle - low), (size - middle) / (high - middle)])
     found = np.ones((len(SIZES), 2))
     for number, place in enumerate(SIZES):
-        near = np.abs(size - place) < REACH
-        mine = near & chosen if (near & chosen).sum() >= FEWEST else near
+        mine = near = np.abs(size - place) < REACH
+        if (near & chosen).sum() >= FEWEST:
+            mine = near & chosen
         if mine.any():
             found[number] = np.quantile(off[mine], 0.5 * (1.0 + COVERAGE), axis=0)
     return np.maximum(found, 0.0)

@@ -89,6 +89,10 @@ class HeadDetector:
         excess: Any = logit(np.column_stack([getattr(found, name) for name in _OTHER_LABELS])) - thresholds
         named = np.where(excess.max(axis=1) > 0.0, np.array(OTHER_CAUSES)[excess.argmax(axis=1)], Cause.NONE)
         evidence = logit(found.probability) + logit(self.head.settings.threshold) - logit(head.settings.threshold)
+        faults = []
+        for row in excess > 0.0:
+            words = [cause.in_full for cause, above in zip(OTHER_CAUSES, row, strict=True) if above]
+            faults.append(" and ".join(words))
         return Reading.of(
             np.where(stuck, np.nan, evidence),
             np.where(stuck, Cause.SENSOR, np.where(outside, Cause.UNKNOWN, named)),
@@ -96,10 +100,7 @@ class HeadDetector:
             flow_lpm=found.flow_lpm,
             low_lpm=found.low_lpm,
             high_lpm=found.high_lpm,
-            fault=[
-                " and ".join(cause.in_full for cause, above in zip(OTHER_CAUSES, row, strict=True) if above)
-                for row in excess > 0.0
-            ],
+            fault=faults,
             why=np.where(outside, Why.OUTSIDE, Why.ANSWERED),
         )
 

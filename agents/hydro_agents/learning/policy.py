@@ -110,7 +110,7 @@ class LSTM(NamedTuple):
             memory = np.where(np.asarray(episode_start)[:, None], np.float32(0.0), memory)
         output, cells = memory[:, :size], memory[:, size:]
         gates = values @ self.inputs.T + output @ self.recurrent.T + self.bias
-        entry, kept, new, shown = np.split(gates, 4, axis=1)
+        entry, kept, new, shown = (gates[:, gate * size : (gate + 1) * size] for gate in range(4))
         cells = _sigmoid(kept) * cells + _sigmoid(entry) * np.tanh(new)
         output = _sigmoid(shown) * np.tanh(cells)
         return output, np.concatenate([output, cells], axis=1)
@@ -180,13 +180,13 @@ class PolicyController:
         if self.lstm is not None:
             values, hidden = self.lstm(values, state.hidden, episode_start)
             state = state._replace(hidden=hidden)
-        *hidden, (weight, bias) = self.layers
-        for weights, biases in hidden:
+        *dense, (weight, bias) = self.layers
+        for weights, biases in dense:
             values = values @ weights.T + biases
             if self.activation == "tanh":
-                np.tanh(values, out=values)
+                values = np.tanh(values, out=values)
             else:
-                np.maximum(values, 0.0, out=values)
+                values = np.maximum(values, 0.0, out=values)
         output = values @ weight.T + bias
         if self.output == "tanh":
             output = np.tanh(output)

@@ -92,19 +92,19 @@ def trainer(kind: str) -> Trainer:
     """The trainer of a name in :data:`TRAINERS`, or of ``my_module:MyTrainer``.
 
     Raises:
-        ConfigurationError: the trainer is unknown or cannot be loaded.
+        ConfigurationError: the trainer is unknown or cannot be made.
     """
     if kind in TRAINERS:
         return TRAINERS[kind]
     if ":" not in kind:
         raise ConfigurationError(f"trainer '{kind}': {unknown(kind, TRAINERS)}, or my_module:MyTrainer")
-    given = imported(kind)
-    try:
-        made: Any = given() if isinstance(given, type) else given
-    except Exception as error:  # a user's class may raise anything
-        raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason(error)}") from None
-    missing = [part for part in ("settings", "train", "load") if not hasattr(made, part)]
-    if missing:
-        raise ConfigurationError(f"trainer '{kind}': lacks {', '.join(missing)}")
+    made: Any = imported(kind)
+    if isinstance(made, type):
+        try:
+            made = made()
+        except Exception as error:  # a user's class may raise anything
+            raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason(error)}") from None
+    if not (hasattr(made, "settings") and hasattr(made, "train") and hasattr(made, "load")):
+        raise ConfigurationError(f"trainer '{kind}': needs settings, train and load")
     checked: Trainer = made
     return checked

@@ -163,7 +163,7 @@ def train_policy(
     progress: Callable[[Progress], None] | None = None,
     checkpoint_seconds: float = 20.0,
 ) -> PolicyController:
-    """Train a new policy, or continue from a checkpoint as if there had been no interruption.
+    """Train a new policy, or continue from a checkpoint as if there had been no interruption; returns the policy.
 
     Args:
         config: the task.
@@ -174,9 +174,6 @@ def train_policy(
         resume: continue from the checkpoint in ``folder``.
         progress: called after every update.
         checkpoint_seconds: time between checkpoints; the first is written before the first rollout.
-
-    Returns:
-        The trained policy.
 
     Raises:
         ConfigurationError: the settings are impossible, or the checkpoint is missing, damaged or of other settings.
@@ -212,13 +209,16 @@ def train_policy(
     finally:
         model.logger.close()
         env.close()
-    record = {
+    record: dict[str, Any] = {"seed": seed, "steps": int(model.num_timesteps), "seconds": round(callback.seconds, 1)}
+    record |= _described(model, config, settings)
+    return PolicyController.from_sb3(model, features.applied(settings.applied_share), record)
+
+
+def _described(model: Any, config: TaskConfig, settings: PPOSettings) -> dict[str, Any]:
+    """What the weights' file tells about a training."""
+    return {
         "algorithm": f"{type(model).__name__} ({type(model).__module__.split('.')[0].replace('_', '-')})",
-        "seed": seed,
-        "steps": int(model.num_timesteps),
-        "seconds": round(callback.seconds, 1),
         "control_period": config.control_period,
         "command_latency": config.command_latency_range or config.command_latency,
         "settings": settings.model_dump(mode="json"),
     }
-    return PolicyController.from_sb3(model, features.applied(settings.applied_share), record)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from hydro_agents.detection.detector import CAUSE_OF_FAULT, SIGNALS, VERDICTS, Cause, Reading, Why, Windows, logit
+from hydro_agents.detection.detector import CAUSE_OF_FAULT, VERDICTS, Cause, Reading, Why, Windows, logit
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector

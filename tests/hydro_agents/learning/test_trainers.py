@@ -59,7 +59,7 @@ def test_ppo_is_a_trainer(tmp_path):
     [
         ("td3", "trainer 'td3': unknown; known: ppo, or my_module:MyTrainer"),
         ("a2c_trainer:Absent", "Absent"),
-        ("a2c_trainer:A2CSettings", "lacks settings, train, load"),
+        ("a2c_trainer:A2CSettings", "needs settings, train and load"),
         ("builtins:type", "cannot be made: TypeError"),
     ],
 )
