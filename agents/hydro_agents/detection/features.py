@@ -267,7 +267,7 @@ def _write_fit(values, window, sheet, balance):
 
 
 @inline
-def _motion(signals, error, estimate, deviation, c, supply, period, work):
+def _motion_of(signals, error, estimate, deviation, c, supply, period, work):
     """:class:`Motion` of a window: signals (5, T), spool error (T,), estimates and deviations of the unknowns."""
     position, p_a, p_b, spool, command = signals
     stroke = 2.0 * c.end_stop_position
@@ -347,7 +347,7 @@ def _build_describe(sources: int) -> Any:
             values, error = features[window], balance.spool_error[window]
             estimate, deviation = balance.estimate[window], balance.deviation[window]
             _write_fit(values, window, sheet, balance)
-            motion = _motion(signals[window], error, estimate, deviation, c, supply, sheet.period, work)
+            motion = _motion_of(signals[window], error, estimate, deviation, c, supply, sheet.period, work)
             _write_motion(values, motion)
             for sensor in range(sensors):
                 values[AFTER_MOTION + sensor] = math.log10(lost[window, sensor] + 1e-3)

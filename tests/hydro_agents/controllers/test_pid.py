@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from refusal import refused
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.running.cases import Cases, run_cases
@@ -146,8 +145,3 @@ def test_a_valve_with_an_overlap_of_3_percent_is_no_dead_band_in_the_loop():
         command = gain * np.abs(run.position - run.reference)[:, -1]
         assert (least <= command).all()
         assert (command <= most).all()
-
-
-def test_an_unknown_signal_is_named():
-    with refused("holds no 'flow'"):
-        LAYOUT.index("flow")

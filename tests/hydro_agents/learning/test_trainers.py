@@ -7,8 +7,6 @@ from refusal import refused
 from stable_baselines3 import PPO, SAC, TD3
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.controllers.base import rows
-from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
@@ -117,15 +115,3 @@ def test_plain_observations_are_those_of_the_vector_environment():
         for axis in np.flatnonzero(done):
             np.testing.assert_array_equal(infos[axis]["terminal_observation"], info["final_obs"][axis])
             assert infos[axis]["TimeLimit.truncated"] == (not terminated[axis])
-
-
-def test_memory_of_some_axes_goes_on_alone():
-    features = PolicyFeatures(CONFIG, BASE)
-    observations = np.random.default_rng(0).standard_normal((50, 4, len(LAYOUT.names))).astype(np.float32)
-    state, part, some = None, None, np.array([3, 1])
-    for number, row in enumerate(observations):
-        inputs, state = features(row, state, None)
-        if part is not None:
-            few, part = features(row[some], part, None)
-            np.testing.assert_array_equal(few, inputs[some])
-        part = rows(state, some) if number == 39 else part
