@@ -93,7 +93,7 @@ FILES = {
         (f"simulate --rig {10_000 * 'a'}", "unknown"),
         ("evaluate --head absent", "absent"),
         ("study --config study.yaml", "pdi"),
-        ("study --config included.yaml", "ppo.yaml"),
+        ("study --config included.yaml", "total_steps = -1"),
         ("record -o new.csv --task empty.yaml", "empty.yaml"),
         ("train ppo --resume", "nothing to resume"),
     ],
