@@ -132,11 +132,12 @@ def shake(folder: Path) -> None:
     )
     training, test = (sorted((folder / name).glob("*.csv")) for name in ("train", "test"))
     with ProgressDisplay() as display:
+        files = [*training[::8], *test]
         found = identify(
-            [*training[::8], *test],
+            files,
             task_config(rig=SHAKE_RIG),
             read_rig(SHAKE_RIG),
-            columns,
+            [columns] * len(files),
             display.update,
             [str(one) for one in test],
         )

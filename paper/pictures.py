@@ -38,7 +38,8 @@ def legend_below(panels: Sequence[Axes], columns: int) -> list[Axes]:
     handles, labels = panels[0].get_legend_handles_labels()
     figure_of(panels).legend(handles, labels, loc="outside lower center", ncols=columns)
     for axes in panels:
-        for artist in [*axes.lines, *axes.collections, *axes.containers]:
+        artists: list[Any] = [*axes.lines, *axes.collections, *axes.containers]
+        for artist in artists:
             artist.set_label("_none")
     return list(panels)
 
@@ -49,8 +50,9 @@ def leak_lines(
     """A line per leak: column ``y`` over column ``x``."""
     for index, leak in enumerate(leaks):
         part = table[table["leak_lpm"] == leak]
-        options = {} if mark else {"marker": ""}
-        axes.plot(part[x], part[y], label=f"leak {flow(leak)}", color=f"C{index}", **options)
+        (line,) = axes.plot(part[x], part[y], label=f"leak {flow(leak)}", color=f"C{index}")
+        if not mark:
+            line.set_marker("")
 
 
 def paint_displacement(table: pd.DataFrame) -> list[Axes]:

@@ -35,7 +35,8 @@ def equations(rows: np.ndarray, axis: Mapping[str, float]) -> np.ndarray:
     taken = axis["area_a"] * np.gradient(position, time) + volume / OIL * np.gradient(a, time)
     leak = axis["smallest_leak"] / 6e4 * (a - b) / 1e7 / full_flow
     terms = np.stack([gain * opening - taken / full_flow, leak, gain, gain * opening])
-    return terms[:, : len(time) // TOGETHER * TOGETHER].reshape(4, -1, TOGETHER).mean(axis=2)
+    blocks: np.ndarray = terms[:, : len(time) // TOGETHER * TOGETHER].reshape(4, -1, TOGETHER).mean(axis=2)
+    return blocks
 
 
 def looks(rows: np.ndarray, axis: Mapping[str, float]) -> Iterator[tuple[float, float, float]]:

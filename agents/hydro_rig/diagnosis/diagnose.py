@@ -185,7 +185,8 @@ def read_windows(
         rest, more = detector.read_and_fit(windows.part(others), config, later)
         if more is not None:
             fitted = join([fitted, more])
-    both = Reading(*map(np.concatenate, zip(reading, rest, strict=True)))
+    fields: list[Any] = [np.concatenate(pair) for pair in zip(reading, rest, strict=True)]
+    both = Reading(*fields)
     in_time = np.argsort(np.concatenate([first, others]))
     return both.part(in_time), fitted
 

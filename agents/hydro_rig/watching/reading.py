@@ -81,8 +81,9 @@ def row_of(live: Lively, config: TaskConfig, oil: Oil, blocks: Sequence[Blocks] 
         if not len(windows):
             return Read()
         measured, fitted = read_windows(windows, config, threads=1)
-        at_40 = referred(Leak(measured.flow_lpm, measured.low_lpm, measured.high_lpm), oil, temperature)
-        sizes = {"flow_lpm": at_40.value, "low_lpm": at_40.low, "high_lpm": at_40.high}
+        leaks: list[Any] = [measured.flow_lpm, measured.low_lpm, measured.high_lpm]
+        at_40 = referred(Leak(*leaks), oil, temperature)
+        sizes: dict[str, Any] = {"flow_lpm": at_40.value, "low_lpm": at_40.low, "high_lpm": at_40.high}
         return Read(measured._replace(**sizes), fitted=fitted)
 
     checked = check_samples(samples, live.findings, config)
