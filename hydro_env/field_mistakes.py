@@ -95,7 +95,7 @@ def _schema_at(root: Schema, path: Sequence[int | str]) -> Schema:
     for part in path:
         if isinstance(part, int):
             entries = schema.get("prefixItems", [])
-            inner = entries[part] if part < len(entries) else schema.get("items")
+            inner = entries[part] if 0 <= part < len(entries) else schema.get("items")
         else:
             named = [*schema.get("patternProperties", {}).values(), schema.get("additionalProperties")]
             inner = schema.get("properties", {}).get(part, named[0])

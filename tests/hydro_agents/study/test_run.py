@@ -96,7 +96,7 @@ def algorithm(tmp_path, monkeypatch):
 def settings(algorithm, monkeypatch):
     """The study; its report has one line: drawing takes longer than everything else here."""
     page = lambda title, *_, **__: SimpleNamespace(write=lambda path, _: path.write_text(title))  # noqa: E731
-    monkeypatch.setattr(controller_pages, "draw_study", page)
+    monkeypatch.setattr(controller_pages, "controllers_page", page)
     return StudySettings(**VALUES)
 
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from hydro_agents.detection.detector import Cause, Why, Windows
+from hydro_agents.detection.detector import SIGNALS, Cause, Why, Windows
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
-from hydro_agents.detection.features import SIGNALS
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.evaluation.leak_protocol import simulated_windows as simulated
 from hydro_env import TaskConfig
