@@ -77,8 +77,8 @@ def link_to_source(app: Sphinx, env: Any, node: Any, content: nodes.TextElement)
     return content if address == "" or node["reftarget"] in ANNOTATIONS else None
 
 
-ANNOTATIONS = ("NDArray", "Array", "Floats", "Layers", "VecEnv", "AutoresetMode", "Any", "Path")
-"""Names in annotations that stand for types of other packages."""
+ANNOTATIONS = ("NDArray", "Array", "Floats", "Layers", "VecEnv", "AutoresetMode", "Any", "Path", "Trainer")
+"""Names in annotations that stand for types of other packages, or of modules that are imported when they are needed."""
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -14,7 +14,7 @@ def test_a_new_result_is_kept_and_shown(tmp_path, monkeypatch):
     folder = tmp_path / "results" / "study"
     for made in (tmp_path / "tables", folder / "tables"):
         made.mkdir(parents=True)
-    kept.to_csv(folder / "tables" / "ratios.csv", index=False)
+    kept.to_csv(folder / "tables" / "comparison.csv", index=False)
     origin = '{"version": "9.9.0", "date": "2030-01-01", "command": "hydro study"}'
     (folder / documents.ORIGIN).write_text(origin, encoding="utf-8")
     (tmp_path / "page.md").write_text("A\n<!-- table: study -->\nold\n<!-- end -->\nB\n", encoding="utf-8")

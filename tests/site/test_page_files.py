@@ -119,7 +119,7 @@ def test_the_lines_of_c_compile(tmp_path):
 
 def test_the_trainings_of_the_page_are_those_of_a_study(tmp_path):
     practice, study = (yaml.safe_load(text) for text in blocks("learning.md"))
-    study["controllers"]["mine"] = {"kind": "ppo", "settings": practice}
+    study["controllers"]["mine"] = {"kind": "ppo", "corrects": "PID", "settings": practice}
     found = StudySettings.from_yaml(written(yaml.safe_dump(study), tmp_path)).controllers
     assert found["with full preview"].settings.full_preview
     assert found["mine"].settings.practice["disturbance"]["share"] == 0.3

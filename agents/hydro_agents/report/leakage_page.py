@@ -137,6 +137,8 @@ def by_size(page: Page, tables: Mapping[str, pd.DataFrame], names: Sequence[str]
     if "sizes" not in tables:
         return
     sizes = tables["sizes"].query("condition == @base and level > @HEALTHY").sort_values("level")
+    if not sizes["rms_log10"].notna().any():  # no detector gives a size
+        return
     axes = panel(ylabel="error of the size, RMS of log10", ylim=(0.0, 1.1 * sizes["rms_log10"].max()))
     draw(axes, sizes, "level", "rms_log10", names, "detector")
     bound = sizes.dropna(subset=["bound_rms_log10"]).drop_duplicates("level")

@@ -63,7 +63,6 @@ THRESHOLDS = SeedRange(1_000_000, 100_000, "the thresholds of detectors and the 
 CHOICES = SeedRange(1_100_000, 120_000, "choices among the trainings of a study")
 BENCHMARK_TRAINING = SeedRange(1_220_000, 200_000, "training recordings of the benchmark of leaking axes")
 BENCHMARK_VALIDATION = SeedRange(1_420_000, 80_000, "validation recordings of that benchmark")
-ALARM_CALIBRATION = SeedRange(1_500_000, 100_000, "the calibration of alarms")
 LEARNING_CURVE = SeedRange(1_600_000, 10_000, "the errors of policies while they learn")
 CONTROLLER_VECTORS = SeedRange(1_700_000, 10_000, "the test vectors of exported controllers")
 HEAD_VECTORS = SeedRange(1_710_000, 10_000, "the test vectors of an exported leakage head")
@@ -83,7 +82,6 @@ BENCHMARK_TEST = SeedRange(2_320_000, 80_000, "test recordings of that benchmark
 LEAKAGE = SeedRange(2_400_000, 50_000, "the windows of the leakage protocol")
 DETECTION = SeedRange(2_500_000, 200_000, "the episodes that a leakage head watches")
 ANY_AXIS = SeedRange(2_450_000, 50_000, "plants of drawn test rigs")
-ALARMS = SeedRange(2_700_000, 100_000, "the test of alarms")
 EXPERIMENT_AXES = SeedRange(2_900_000, 50_000, "experiments, and the example of a study")
 
 LEDGER = {name: each for name, each in vars().items() if isinstance(each, SeedRange)}

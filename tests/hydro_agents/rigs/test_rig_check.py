@@ -310,7 +310,7 @@ def test_half_of_the_largest_stable_gain_and_the_inverse_speeds(rig):
 
 def test_a_study_on_another_rig_begins_with_gains_that_are_stable_there():
     study = default_study(Path("own_rig_quick"), rig=RIGS[0])
-    settings = PIDGains(**study.controllers["PID"].settings)
+    settings = study.controllers["PID"].settings
     own = pid_from_figures(study.task)
     assert stable_start(study.task, settings) == own  # those of the paper's rig are unstable here
     assert stable_start(study.task, own) is own
@@ -319,7 +319,7 @@ def test_a_study_on_another_rig_begins_with_gains_that_are_stable_there():
 
 def test_gains_that_were_tuned_for_the_rig_remain_the_start():
     study = default_study(Path("own_rig_quick"))
-    settings = PIDGains(**study.controllers["PID"].settings)
+    settings = study.controllers["PID"].settings
     assert stable_start(study.task, settings) is settings
 
 

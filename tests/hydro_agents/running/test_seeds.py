@@ -9,7 +9,10 @@ from hydro_agents.running.seeds import LEDGER, TEST_SEEDS, TRAINING_SEEDS, VALID
 ROOT = Path(__file__).resolve().parents[3]
 LEDGER_FILE = ROOT / "agents/hydro_agents/running/seeds.py"
 SOURCES = [
-    file for folder in ("agents", "benchmarks") for file in sorted((ROOT / folder).rglob("*.py")) if file != LEDGER_FILE
+    file
+    for folder in ("agents", "benchmarks", "challenge")
+    for file in sorted((ROOT / folder).rglob("*.py"))
+    if file != LEDGER_FILE
 ]
 SETS = {"TRAINING_SEEDS": TRAINING_SEEDS, "VALIDATION_SEEDS": VALIDATION_SEEDS, "TEST_SEEDS": TEST_SEEDS}
 CALCULATED = (ast.BinOp, ast.AugAssign, ast.Subscript)

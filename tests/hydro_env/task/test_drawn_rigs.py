@@ -156,7 +156,7 @@ def test_what_needs_one_rig_says_so(tmp_path):
     task = task_config(rig="drawn", law={"count": 2})
     with refused("law: a controller is made for one rig"):
         FlowLinearising(FlowLinearisingGains(), task)
-    with refused("law: weights are those for one rig"):
+    with refused("law: a controller is made for one rig"):
         shipped("ppo", task)
     with refused("control_period: the law draws it with each rig"):
         task_config(rig="drawn", control_period=0.002)
