@@ -12,9 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
-from safetensors import SafetensorError
-from safetensors.numpy import load as unpack
-from safetensors.numpy import save as pack
 
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_env import ConfigurationError
@@ -157,7 +154,9 @@ def require(tensors: Tensors, wanted: Tensors, where: str | Path, finite: bool =
 
 
 def _packed(tensors: Tensors) -> bytes:
-    content: bytes = pack({name: np.ascontiguousarray(array).reshape(array.shape) for name, array in tensors.items()})
+    from safetensors.numpy import save
+
+    content: bytes = save({name: np.ascontiguousarray(array).reshape(array.shape) for name, array in tensors.items()})
     return content
 
 
@@ -182,8 +181,11 @@ def _content(path: Path) -> bytes:
 
 
 def _unpacked(content: bytes, path: Path) -> dict[str, NDArray[Any]]:
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
     try:
-        return dict(unpack(content))
+        return dict(load(content))
     except (SafetensorError, KeyError, TypeError, ValueError, OverflowError) as error:  # KeyError: BF16 and the like
         reason = str(error).replace("\n", " ")
         raise ConfigurationError(f"{path}: damaged or not a safetensors file of NumPy arrays ({reason})") from None
