@@ -179,16 +179,15 @@ def read_windows(
         return detector.read_and_fit(windows, config)
     hasty = EstimatorDetector(threads=threads, restarts=1)
     reading, fitted = hasty.read_and_fit(windows.part(first), config, progress)
-    rest = Reading.of(np.full(len(others), np.nan), Cause.UNKNOWN, why=Why.NOT_READ)
+    unread = Reading.of(np.full(len(windows), np.nan), Cause.UNKNOWN, why=Why.NOT_READ)
+    reading = unread.replaced(first, reading)
     if len(others) and fitted is not None and fitted.holds.any():
         later = None if progress is None else lambda done: progress(2 * len(first) + done)
         rest, more = detector.read_and_fit(windows.part(others), config, later)
+        reading = reading.replaced(others, rest)
         if more is not None:
             fitted = join([fitted, more])
-    fields: list[Any] = [np.concatenate(pair) for pair in zip(reading, rest, strict=True)]
-    both = Reading(*fields)
-    in_time = np.argsort(np.concatenate([first, others]))
-    return both.part(in_time), fitted
+    return reading, fitted
 
 
 def _about_auxiliary(recording: Recording) -> list[Finding]:
