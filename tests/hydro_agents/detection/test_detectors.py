@@ -5,35 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from faulty_windows import made
 from refusal import refused
 
-from hydro_agents.detection.detector import CAUSE_OF_FAULT, VERDICTS, Cause, Reading, Why, Windows, logit
+from hydro_agents.detection.detector import CAUSE_OF_FAULT, VERDICTS, Cause, Reading, Why, logit
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
-from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.evaluation.leak_protocol import simulated_windows as simulated
 from hydro_env import TaskConfig
 from hydro_env.files import validate
 from hydro_env.task.configuration import task_config
 
 CONFIG = TaskConfig()
-FAULTS = {
-    "none": {},
-    "valve": {"valve_null_shift": -0.01},
-    "valve edges": {"valve_underlap": 0.025},
-    "sensor": {"pressure_a_offset": 0.03},
-    "rod seal": {"external_leak": 2.0},
-    "return line": {"tank_pressure": 1e6},
-}
-
-
-def made(fault, leak, samples=200):
-    """Two windows of the same two plants with a fault and a leak in l/min."""
-    conditions = {"c": {"duration": samples * 0.005, "faults": FAULTS[fault]}}
-    protocol = LeakProtocol(detectors={"D": {"kind": "head"}}, base="c", conditions=conditions)
-    signals, _ = simulated(protocol.task_in("c"), "PID", protocol.cases_in("c", leak, 2), samples)
-    return Windows.of(signals)
 
 
 def test_the_shipped_head_reads_the_windows_of_its_axis_and_leaves_others_to_that_for_any_axis():

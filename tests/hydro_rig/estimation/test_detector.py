@@ -2,32 +2,15 @@
 
 import numpy as np
 import pytest
+from faulty_windows import FAULTS, made
 
-from hydro_agents.detection.detector import SIGNALS, Cause, Why, Windows
+from hydro_agents.detection.detector import SIGNALS, Cause, Why
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
-from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.evaluation.leak_protocol import simulated_windows as simulated
 from hydro_env import TaskConfig
 from hydro_rig.estimation.estimator import EstimatorDetector
 
 CONFIG = TaskConfig()
-FAULTS = {
-    "none": {},
-    "valve": {"valve_null_shift": -0.01},
-    "valve edges": {"valve_underlap": 0.025},
-    "sensor": {"pressure_a_offset": 0.03},
-    "rod seal": {"external_leak": 2.0},
-    "return line": {"tank_pressure": 1e6},
-}
 CAUSES = {"none": Cause.NONE, "rod seal": Cause.EXTERNAL_LEAK, "sensor": Cause.SENSOR, "return line": Cause.RETURN_LINE}
-
-
-def made(fault, leak, samples=200):
-    """Two windows of the same two plants with a fault and a leak in l/min."""
-    conditions = {"c": {"duration": samples * 0.005, "faults": FAULTS[fault]}}
-    protocol = LeakProtocol(detectors={"D": {"kind": "head"}}, base="c", conditions=conditions)
-    signals, _ = simulated(protocol.task_in("c"), "PID", protocol.cases_in("c", leak, 2), samples)
-    return Windows.of(signals)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
