@@ -4,7 +4,7 @@ Run: python benchmarks/diagnosis.py [--only faults sensors] [--share 1.0]
 
 Each recording lasts 4 s (two windows), has a test seed of its own, and takes the whole way: file, checks, both
 detectors, verdict. The shipped PID moves the axis; plant and family of references are drawn from the default task.
-Recordings with errors of every kind: hostile_inputs.py --recordings.
+Recordings with errors of every kind: hostile_inputs.py.
 """
 
 from __future__ import annotations

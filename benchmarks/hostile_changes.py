@@ -14,8 +14,8 @@ Values = Callable[[Any], Any]  # of the values of a column
 
 COLUMNS = ["time [s]", "position [mm]", "pressure_a [bar]", "pressure_b [bar]", "spool_position [%]", "command [V]"]
 TIME, POSITION, A, B, SPOOL, COMMAND = COLUMNS
-PRESSURES, SENSORS = [A, B], COLUMNS[1:5]
-PERIOD, HALF_STROKE = 0.005, 200.0  # s; mm
+PRESSURES = [A, B]
+HALF_STROKE = 200.0  # mm
 START = datetime(2026, 3, 1, 8)
 NUMBERED = [f"channel {k}" for k in range(1, 7)]
 GERMAN = ["Zeit [s]", "Weg [mm]", "Druck A [bar]", "Druck B [bar]", "Ventilschieber [%]", "Stellgröße [V]"]
@@ -161,11 +161,6 @@ def rows(function: Callable[[pd.DataFrame], Any]) -> Change:
     return lambda table: table.iloc[np.asarray(function(table))]
 
 
-def filtered(names: Sequence[str], seconds: float) -> Change:
-    """A filter of the first order in the amplifier."""
-    return on(names, lambda values: values.ewm(alpha=1.0 - np.exp(-PERIOD / seconds), adjust=False).mean())
-
-
 def summary(time: object) -> Change:
     """A row of means at the end."""
     return lambda table: pd.concat([table.astype(object), table.mean().to_frame().T.assign(**{TIME: time})])
@@ -174,11 +169,6 @@ def summary(time: object) -> Change:
 def jitter(size: float) -> Change:
     """Stamps that jitter by a standard deviation in s, in the right order."""
     return on(TIME, lambda time: np.sort(time + size * np.random.default_rng(3).standard_normal(len(time))).round(6))
-
-
-def exchanged(table: pd.DataFrame) -> pd.DataFrame:
-    """Spool and command in each other's column."""
-    return table.assign(**{SPOOL: 10.0 * table[COMMAND], COMMAND: 0.1 * table[SPOOL]})
 
 
 def set_point(table: pd.DataFrame) -> pd.DataFrame:

@@ -1,156 +1,229 @@
-"""Hostile inputs for every command of ``hydro``: is each answered with one clear line?
+"""What ``hydro diagnose`` answers on 456 recordings that are mangled as maintenance people export them.
 
-``python benchmarks/hostile_inputs.py FOLDER --count 2000 --seed 0`` damages valid files, options and names as
-``hostile_inputs.yaml`` lists them, a case per number, and writes ``cases_0.csv``. Numbers that are in it already are
-left out; ``--number 7`` shows one case. Bad are a traceback, a hang, more than one line, an unknown exit code, a
-half-written folder, and exit code 0 for what is wrong beyond doubt. Each fiftieth case is a process of its own.
+Run: python benchmarks/hostile_inputs.py FOLDER [--jobs 2]
 
-``--recordings [--jobs 2]`` mangles recordings of healthy and leaking axes instead (``hostile_recordings.py``), and
-counts wrong verdicts of ``hydro diagnose``; ``recordings.csv`` holds every case, and those in it are left out.
+``hostile_recordings.py`` lists the ways. ``recordings.csv`` in the folder holds every case; those in it are left out.
+Where the message advises something that the map or the command can say, the recording is read again with the advice
+followed, as a reader of the message would. Verdict, leak and causes come from the diagnosis; only advice is text.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
-import os
-import random
+import contextlib
+import io
+import pickle
 import re
-import shutil
-import signal
-import subprocess
-import sys
-import tempfile
+import time
 import traceback
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import joblib
 import pandas as pd
 import yaml
 
-ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "agents"), str(ROOT / "tests")]
+from benchmarks.hostile_changes import Mangling
+from benchmarks.hostile_recordings import manglings
+from hydro_agents.detection.monitor import load_head
+from hydro_agents.learning.loading import shipped
+from hydro_env import HydroError, TaskConfig
+from hydro_rig.diagnosis.diagnose import Companion, Diagnosis, diagnose
+from hydro_rig.diagnosis.verdict import Kind, Leak, Limits
+from hydro_rig.estimation.estimator import WEAR
+from hydro_rig.recordings.columns import own_map, read_map
+from hydro_rig.recordings.files import read_columns
+from hydro_rig.recordings.findings import Weight
+from hydro_rig.recordings.guessed_map import UnknownHeadingsError
+from hydro_rig.recordings.recording import read_recording
+from hydro_rig.recordings.simulated import record_axis
 
-from command_line import COMMAND, Answer, done, environment, hydro, own_lines  # type: ignore[import-not-found]  # noqa: E402
-from hostile_damage import CASES, damage, write_table  # type: ignore[import-not-found]  # noqa: E402
-
-from benchmarks.hostile_answers import run as mangled_recordings  # noqa: E402
-from hydro_env.folders import config_folder  # noqa: E402
-
-LONG = "a" * 5000  # for a word of the cases
-LINES = {kind: CASES[kind] for kind in ("arguments", "nameplate", "output")}
-LINES["options"] = [f"{line} --{name}={{}}" for line, names in CASES["options"].items() for name in names.split()]
-VERDICTS = ("diagnose", "trend", "leak-test")  # commands whose exit codes 10 to 14 are answers
-UNCLEAR = re.compile("|".join(CASES["unclear"]))
-PROGRESS = re.compile(r"[\w ]+: +\d+ %|hydro: left out: ")
-
-
-def prepare(base: Path) -> None:
-    """Valid files of every kind."""
-    base.mkdir(parents=True)
-    done("record", "-o", base / "recs/rec.csv", "--duration", "2", "--leakage", "0.5")
-    done("simulate", "-o", base / "run", "--duration", "0.02")
-    for place in ("rec.csv", "file"):
-        shutil.copy(base / "recs/rec.csv", base / place)
-    hydro("trend", base / "recs", "--append", base / "trend.csv")
-    for name, source in CASES["configs"].items():
-        text = (config_folder() / f"{source}.yaml").read_text()
-        (base / f"{name}.yaml").write_text(text.replace("../", f"{config_folder()}/"))
-    shutil.copytree(ROOT / "agents/hydro_agents/pretrained", base / "weights")
-    table = pd.read_csv(base / "rec.csv", comment="#")
-    for ending in ("parquet", "mat"):
-        write_table(table, base / f"rec.{ending}")
-    columns = {name.split(" ")[0]: {"column": name, "unit": name.split("[")[1][:-1], "gain": 1.0} for name in table}
-    columns["time"] = {"column": "time [s]", "unit": "s", "equidistant": False}
-    (base / "map.yaml").write_text(yaml.safe_dump(columns, sort_keys=False))
+TASK = TaskConfig(episode_duration=10.0)
+LIMITS = Limits.of(TASK)
+AXES = [(2, 0.01), (1, 0.3), (1, 0.01), (2, 0.3)]  # seed, leak in l/min at 100 bar
+MOST_ADVICE = 3  # times that advice is followed on the way to an answer
+REFUSED = "refused"  # as kind of an answer
+OUTCOMES = ["traceback", "healthy called leaking", "leaking called healthy", "wrong cause", "wrong size", "cannot tell"]
+WRONG = OUTCOMES[:5]
+ROW = ["axis", "leak", "kind", "mangling", "advice", "outcome", "verdict", "causes", "value", "low", "high", "seconds"]
 
 
-def case(draw: random.Random) -> tuple[str, list[str], str, bool]:
-    """In the folder of the case: the kind, a command line, the damage, and whether it is wrong beyond doubt."""
-    more = ["recording", "options", "options", "options", "arguments", "nameplate", "output"]
-    kind = draw.choice([*CASES["files"], *CASES["files"], *more])
-    if kind not in CASES["files"]:
-        word = draw.choice(CASES["places" if kind == "output" else "words"]).replace("LONG", LONG)
-        return kind, [part.format(word) for part in draw.choice(LINES[kind]).split()], "", True
-    files = CASES["files"][kind]
-    file, long = Path(draw.choice(files["names"].split())), files.get("long", [])
-    content, command = file.read_bytes(), draw.choice([*files.get("quick", []), *long])
-    how, wrong = damage(draw, file)
-    while command in long and not wrong:
-        shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
-        file.write_bytes(content)
-        how, wrong = damage(draw, file)
-    wrong &= kind != "table of trends" or file.exists()  # without a table a new one begins
-    given = {"X": str(file), "S": str(file.with_suffix(""))}
-    return kind, [given.get(part, part) for part in command.split()], f"{file}: {how}", wrong
+class Answer(NamedTuple):
+    """What was answered."""
+
+    kind: str  # of the verdict, or "refused", or "traceback"
+    causes: frozenset[str] = frozenset()  # that the verdict names: signals, and unknowns of the estimator
+    leak: Leak | None = None
+    text: str = ""  # all that was said; advice stands there
+    guess: str = ""  # a map
 
 
-def answer_of(line: list[str], apart: bool) -> Answer | subprocess.CompletedProcess[str]:
-    """Run a command in this process, or in one of its own; after a minute it gets a Ctrl-C, and has code 130."""
-    signal.alarm(60)
-    try:
-        if not apart:
-            return hydro(*line)
-        return subprocess.run([*COMMAND, *line], capture_output=True, text=True, check=False, env=environment())
-    except (Exception, KeyboardInterrupt) as error:
-        return Answer(130 if isinstance(error, KeyboardInterrupt) else 1, "", traceback.format_exc())
-    finally:
-        signal.alarm(0)
+def outcome(answer: Answer, truth: float, true: frozenset[str]) -> str:
+    """Whether an answer is right.
 
+    Args:
+        answer: of the diagnosis.
+        truth: l/min at 100 bar, the leak of the axis.
+        true: causes that may be named.
 
-def fault(answer: Answer | subprocess.CompletedProcess[str], line: list[str], wrong: bool) -> str:
-    """What is bad about an answer; empty: nothing."""
-    lines = [text for text in own_lines(answer.stderr) if not PROGRESS.match(text)]
-    listed = len(lines) < 2 or ("mistakes" in lines[0] and all(text.startswith("  ") for text in lines[1:]))
-    said = re.sub("is not a readable.*", "", answer.stderr)  # what a library says about a damaged file
-    refused = answer.returncode == 2
-    faults = {
-        "hang": answer.returncode == 130,
-        "traceback": "Traceback" in answer.stderr,
-        "exit code": answer.returncode not in ((0, 2, *range(10, 15)) if line[0] in VERDICTS else (0, 2)),
-        "silent": wrong and answer.returncode in (0, 10),
-        "unclear": UNCLEAR.search(said),
-        "no clear line": refused and not (lines and lines[0].startswith("hydro: ") and max(map(len, lines)) < 3000),
-        "more lines": refused and not listed,
-        "left a file": refused and (Path("out").exists() or Path("out.csv").exists()),
+    Returns one of :data:`OUTCOMES`, "refused" or "right". A leak has the wrong size if its whole interval is more than
+    a fifth of the truth away; a verdict of another fault with a leak that is surely no fault calls the axis healthy.
+    """
+    leak, leaking = answer.leak, truth >= LIMITS.fault
+    no_fault = answer.kind == Kind.HEALTHY or (
+        answer.kind == Kind.OTHER and leak is not None and leak.high < LIMITS.fault
+    )
+    found = {
+        "traceback": answer.kind == "traceback",
+        "healthy called leaking": not leaking and answer.kind == Kind.LEAK,
+        "leaking called healthy": leaking and no_fault,
+        "wrong cause": not answer.causes <= true or (answer.kind == Kind.OTHER and not answer.causes),
+        "wrong size": answer.kind == Kind.LEAK
+        and (leak is None or max(leak.low - truth, truth - leak.high) > 0.2 * truth),
+        "cannot tell": answer.kind == Kind.UNKNOWN,
+        REFUSED: answer.kind == REFUSED,
     }
-    return next((name for name, found in faults.items() if found), "")
+    return next((name for name, holds in found.items() if holds), "right")
 
 
-def main() -> None:
-    """Run the cases and print a table by kind."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    for name, usual in (("count", 2000), ("seed", 0), ("number", -1)):
-        parser.add_argument(f"--{name}", type=int, default=usual)
-    parser.add_argument("--recordings", action="store_true", help="verdicts on mangled recordings")
-    parser.add_argument("--jobs", type=int, default=1, help="of --recordings: processes")
-    given = parser.parse_args()
-    if given.recordings:
-        mangled_recordings(given.folder, given.jobs)
-        return
-    base, cases = given.folder.absolute() / "valid", given.folder.absolute() / f"cases_{given.seed}.csv"
-    if not base.exists():
-        prepare(base)
-    known = {int(row[0]) for row in csv.reader(cases.open())} if cases.exists() else set()
-    numbers = [number for number in range(given.count) if number not in known]
-    signal.signal(signal.SIGALRM, signal.default_int_handler)
-    for number in [given.number] if given.number >= 0 else numbers:
-        with tempfile.TemporaryDirectory() as place:
-            shutil.copytree(base, place, dirs_exist_ok=True)
-            os.chdir(place)
-            kind, line, how, wrong = case(random.Random(f"{given.seed}/{number}"))
-            answer = answer_of(line, apart=number % 50 == 0)
-            bad = fault(answer, line, wrong) or "good"
-        said = answer.stderr.strip()[-300:]
-        row = [number, kind, bad, answer.returncode, " ".join(line)[:300], how, wrong, said]
-        if given.number >= 0:
-            print(*row, answer.stdout, answer.stderr, sep="\n")
-            return
-        with cases.open("a") as file:
-            csv.writer(file).writerow(row)
-    table = pd.read_csv(cases, header=None)
-    print(pd.crosstab(table[1], table[2], rownames=["kind"], colnames=[""], margins=True).to_string())
+def causes_of(diagnosis: Diagnosis) -> frozenset[str]:
+    """Signals and unknowns of the estimator that a verdict names."""
+    verdict = diagnosis.verdict
+    if verdict.kind not in (Kind.OTHER, Kind.LEAK):
+        return frozenset()
+    signals = (one.signal for one in diagnosis.checked.findings if one.weight is Weight.FAULT)
+    unknowns = {name.removesuffix("_bias"): wear.what for name, wear in WEAR.items()}
+    named = {signal for signal in signals if f"{signal} " in verdict.why}
+    return frozenset(named | {name for name, what in unknowns.items() if what in verdict.why})
+
+
+class Reader:
+    """Diagnoses recordings; what was read alike before has the answer of before."""
+
+    def __init__(self) -> None:
+        self._companion = Companion.of(load_head(None, TASK))
+        self._known: dict[bytes, Answer] = {}
+
+    def answer(self, file: Path, columns: Path | None, window: float) -> Answer:
+        """The answer of the command with a map and a length of windows in s."""
+        said = io.StringIO()
+        try:
+            with contextlib.redirect_stderr(said):
+                given = None if columns is None else read_map(columns)
+                key = pickle.dumps((read_recording(file, given)._replace(source=""), window))
+                if key not in self._known:
+                    diagnosis = diagnose(file, TASK, self._companion, given, window)
+                    lines = [one.line() for one in diagnosis.checked.findings]
+                    verdict = diagnosis.verdict
+                    text = "\n".join([verdict.why, *lines])
+                    self._known[key] = Answer(verdict.kind.value, causes_of(diagnosis), verdict.leak, text)
+                return self._known[key]
+        except UnknownHeadingsError as error:
+            return Answer(REFUSED, text=str(error), guess=error.guess)
+        except HydroError as error:
+            return Answer(REFUSED, text=str(error))
+        except Exception:
+            return Answer("traceback", text=traceback.format_exc()[-500:])
+
+
+def followed(answer: Answer, columns: Mapping[str, Any], window: float) -> tuple[dict[str, Any], float, str]:
+    """The map and the windows that an answer advises, and the advice in short; empty: it advises nothing else."""
+    changed: dict[str, Any] = {name: dict(entry) for name, entry in columns.items()}
+    if answer.guess:
+        guess = yaml.safe_load(answer.guess) or {}
+        return (guess, window, "map") if {"time", "command"} <= set(guess) else (changed, window, "")
+    advice = []
+    if "time" in changed and (found := re.search(r"equidistant: ([\w.]+(?: m?s)?)\b", answer.text)):
+        advice.append(found[0])
+        changed["time"]["equidistant"] = yaml.safe_load(found[1])
+    for line in answer.text.split("\n"):
+        signals = [name for name in changed if re.match(rf"{name}\b", line)]
+        signals = ["pressure_a", "pressure_b"] if line.startswith("pressures read") else signals
+        if found := re.search(r"in (\S+)(?: or \S+)? instead of \S+ would fit", line):
+            advice += [f"{signal} in {found[1]}" for signal in signals]
+            for signal in signals:
+                changed[signal]["unit"] = found[1]
+        elif found := re.search(r"an offset of (\S+) \S+ would fit", line):
+            advice += [f"{signal} + {found[1]}" for signal in signals]
+            for signal in signals:
+                changed[signal]["offset"] = float(found[1])
+    if found := re.search(r"--window ([\d.]+)", answer.text):
+        advice.append(found[0])
+        window = float(found[1])
+    return changed, window, ", ".join(sorted(set(advice)))
+
+
+def cases_of(reader: Reader, folder: Path, name: str, mangling: Mangling, axis: tuple[int, float]) -> list[list[Any]]:
+    """One row for the recording as it is, and one more each time that new advice is followed."""
+    (seed, leak), rows = axis, []
+    table = pd.read_csv(folder / f"axis_{seed}_{leak:g}.csv", comment="#")
+    file, place = folder / f"mangled_{seed}_{leak:g}.{mangling.ending}", folder / f"map_{seed}_{leak:g}.yaml"
+    file.write_bytes(mangling.write(mangling.change(table)))
+    columns: dict[str, Any] | None = None
+    window, advice, taken = 2.0, "", []
+    for _ in range(1 + MOST_ADVICE):
+        begin = time.perf_counter()
+        answer = reader.answer(file, None if columns is None else place, window)
+        judged = outcome(answer, leak, mangling.true)
+        size = [""] * 3 if answer.leak is None else [f"{part:.4g}" for part in answer.leak]
+        verdict, causes = f"{answer.kind}: {' '.join(answer.text.split())[:400]}", " ".join(sorted(answer.causes))
+        seconds = f"{time.perf_counter() - begin:.1f}"
+        rows.append([seed, leak, mangling.kind, name, advice, judged, verdict, causes, *size, seconds])
+        if columns is None and not answer.guess and answer.kind != "traceback":
+            with contextlib.suppress(HydroError):
+                given = own_map(read_columns(file).headings, str(file))
+                columns = {signal: {"column": column.column} for signal, column in given.columns().items()}
+        columns, window, advice = followed(answer, columns or {}, window)
+        taken.append(advice)
+        if not advice or advice in taken[:-1]:
+            break
+        place.write_text(yaml.safe_dump(columns, allow_unicode=True))
+    return rows
+
+
+def axis_cases(folder: Path, cases: Path, axis: tuple[int, float], known: set[str]) -> None:
+    """Append the cases of an axis to a CSV, but for manglings that are known."""
+    seed, leak = axis
+    recording = folder / f"axis_{seed}_{leak:g}.csv"
+    if not recording.exists():
+        record_axis(recording, TASK, shipped("pid", TASK), seed, leak)
+    reader = Reader()
+    for name, mangling in manglings().items():
+        if name not in known:
+            rows = cases_of(reader, folder, name, mangling, axis)
+            pd.DataFrame(rows, columns=ROW).to_csv(cases, mode="a", header=False, index=False)
+
+
+def run(folder: Path, jobs: int) -> None:
+    """Diagnose all mangled recordings; print tables by kind, and the cases with a wrong answer."""
+    folder.mkdir(parents=True, exist_ok=True)
+    cases = folder / "recordings.csv"
+    if not cases.exists():
+        cases.write_text(",".join(ROW) + "\n")
+    done = pd.read_csv(cases)
+    known = {axis: set(done[(done.axis == axis[0]) & (done.leak == axis[1])].mangling) for axis in AXES}
+    work = (joblib.delayed(axis_cases)(folder, cases, axis, known[axis]) for axis in AXES)
+    joblib.Parallel(n_jobs=jobs)(work)
+    show(pd.read_csv(cases, keep_default_na=False))
+
+
+def show(table: pd.DataFrame) -> None:
+    """Print what was answered."""
+    for title, part in (("as it is", table[table.advice == ""]), ("advice followed", table[table.advice != ""])):
+        if len(part):
+            counts = pd.crosstab(part.kind, part.outcome, rownames=["kind"], colnames=[title], margins=True)
+            names = [name for name in ["right", REFUSED, *OUTCOMES[::-1], "All"] if name in counts]
+            print(counts[names].to_string(), end="\n\n")
+    wrong = table[table.outcome.isin(WRONG)]
+    print(f"{len(wrong)} wrong answers")
+    for row in wrong.itertuples():
+        print(f"{row.outcome}: axis {row.axis}, {row.leak:g} l/min, {row.mangling} ({row.advice}): {row.verdict[:160]}")
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    given = parser.parse_args()
+    run(given.folder, given.jobs)

@@ -1,4 +1,4 @@
-"""Recordings as maintenance people export them, for ``hostile_answers.py``: 114 ways to mangle four axes.
+"""Recordings as maintenance people export them, for ``hostile_inputs.py``: 114 ways to mangle four axes.
 
 Each way says what of it is true of the axis, so that a verdict may name it: a sensor that sticks really sticks. Only
 what no reading can tell apart is true as well: a position that reads 5 % too much looks like a larger valve.

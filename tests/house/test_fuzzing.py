@@ -1,7 +1,6 @@
 """Random damage to files, settings and arrays that a user can give: the answer is a result or one clear line.
 
-Each target draws a valid input and damages it. A few hundred cases run always, thousands with ``-m slow``; commands
-are tried by benchmarks/hostile_inputs.py.
+Each target draws a valid input and damages it. A few hundred cases run always, thousands with ``-m slow``.
 """
 
 import contextlib

@@ -3,8 +3,8 @@
 import pandas as pd
 import pytest
 
-from benchmarks.hostile_answers import Answer, followed, outcome
 from benchmarks.hostile_changes import COLUMNS
+from benchmarks.hostile_inputs import Answer, followed, outcome
 from benchmarks.hostile_recordings import manglings
 from hydro_rig.diagnosis.verdict import Kind, Leak
 
