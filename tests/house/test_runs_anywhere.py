@@ -189,24 +189,36 @@ evaluation: {plants: 3, leak_levels: [0.01], families: [step]}
 """
 
 
+EACH_LINE = """
+import sys
+from hydro_agents.commands.application import main
+for line in sys.argv[1:]:
+    sys.argv = ["hydro", *line.split()]
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, line
+"""
+
+
 def test_study_evaluation_and_training_need_no_rig_package(tmp_path):
     shutil.copytree(ROOT / "agents/hydro_agents", tmp_path / "hydro_agents")
     (tmp_path / "sitecustomize.py").write_text(WITHOUT_RIG)
     (tmp_path / "study.yaml").write_text(SMALL_STUDY)
-    for line in (
+    lines = (
         "study --config study.yaml --jobs 2 --output study",
         "evaluate --config study.yaml --output evaluated",
         "train pid --config study.yaml --steps 8 --output trained",
         "--help",
-    ):
-        answer = subprocess.run(
-            [sys.executable, "-m", "hydro_agents.commands.application", *line.split()],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert answer.returncode == 0, answer.stderr
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", EACH_LINE, *lines],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.returncode == 0, answer.stderr
     assert "check-rig" in answer.stdout
     assert "diagnose" not in answer.stdout

@@ -12,10 +12,9 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from cmaes import CMA, SepCMA
 from joblib import effective_n_jobs
 
 from hydro_agents.controllers.base import Controller, search_space
@@ -37,6 +36,9 @@ from hydro_env.files import Group, read_text, validate, write_text
 from hydro_env.mistakes import unknown
 from hydro_env.task.configuration import task_config
 from hydro_env.types import Floats
+
+if TYPE_CHECKING:
+    from cmaes import CMA, SepCMA
 
 EVALUATIONS = 2800
 
@@ -179,6 +181,8 @@ def _settings(kind: str, search: Search, start: Group, tasks: Sequence[TaskConfi
 
 
 def _optimiser(space: Space, start: Group, search: Search) -> CMA | SepCMA:
+    from cmaes import CMA, SepCMA  # loads scipy.stats
+
     strategy = SepCMA if search.separable else CMA
     bounds = np.tile([0.0, 1.0], (len(space.names), 1))
     point = space.point(start)

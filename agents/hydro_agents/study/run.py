@@ -21,7 +21,6 @@ import pandas as pd
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import GAINS_FILE, make_controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.head_training import simulations
 from hydro_agents.evaluation.participants import participants
 from hydro_agents.evaluation.runner import Results, plan, run
 from hydro_agents.learning.loading import load_controller
@@ -175,6 +174,8 @@ def _early_jobs(study: StudySettings, known: Mapping[str, Controller], seed: int
             yield job
     if study.leakage_head is not None:
         acting = [known.get(name) for name in study.controllers]
+        from hydro_agents.detection.head_training import simulations  # loads torch
+
         for jobs in simulations(study.task, acting, study.leakage_head, seed).values():
             yield from jobs.values()
 

@@ -11,7 +11,6 @@ import pandas as pd
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import GAINS_FILE, gains_text, make_controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.head_training import train_head
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from hydro_agents.learning.stable_gain import stable_start
@@ -151,6 +150,8 @@ def train_leakage_head(
     Raises:
         ConfigurationError: the settings are impossible, or the rig lacks a sensor that the head reads.
     """
+    from hydro_agents.detection.head_training import train_head  # loads torch
+
     settings = study.leakage_head or HeadTrainingSettings()
     settings.check(study.task)
     resume = any(folder.glob(HEAD_CHECKPOINTS))
