@@ -9,6 +9,7 @@ from challenge.axes import FIRST_NEW, axes_table, read_task, seed_of, task_of
 from challenge.entries.cusum import looks as cusum_looks
 from challenge.recordings import SHARES, block_seeds, labels_folder, write_challenge
 from challenge.score import BUDGETS, outcomes_of, score
+from hydro_agents.learning import stable_gain
 
 pytest.importorskip("pyarrow")
 
@@ -19,6 +20,7 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("axes")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recordings, "DURATION", 3.0)
+        patch.setattr(stable_gain, "DRAWN", 8)
         write_challenge(place, 30)
     return place
 

@@ -1,8 +1,11 @@
-"""``python -m paper``: the files, the page, wrong use."""
+"""``python -m paper``, run once with fewer leaks where they cost seconds: files, page, trends, verdicts, wrong use."""
 
 import re
+from functools import partial
 from importlib import import_module
+from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from browser import problems_everywhere
@@ -11,6 +14,24 @@ from refusal import refused
 from hydro_env.task.sensors import Sensors
 from paper import run as command
 from paper.moves import displacement_table
+from paper.rig import LAWS
+from paper.settling import friction_scan_table, settling_table
+
+KEPT = Path(__file__).parents[2] / "docs" / "tables" / "verdicts.csv"
+QUICK = {
+    "fig13_settling_time": partial(settling_table, leaks=(0.01, 0.1, 1.0, 4.0)),
+    "friction_scan": partial(friction_scan_table, leaks=(0.01, 1.0), shares=(0.0, 0.02, 0.2, 1.0)),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("reproduce") / "new"
+    quick = tuple(entry._replace(compute=QUICK.get(entry.key, entry.compute)) for entry in command.FIGURES)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command, "FIGURES", quick)
+        command.reproduce_to_folder(path, overwrite=False)
+    return path
 
 
 def test_every_figure_has_picture_and_table(folder):
@@ -58,3 +79,61 @@ def test_every_equation_has_a_function_that_exists(folder):
         for name in names.split(", "):
             module, _, function = name.rpartition(".")
             assert callable(getattr(import_module(module), function)), name
+
+
+@pytest.fixture(scope="module")
+def table(folder):
+    return pd.read_csv(folder / "fig13_settling_time.csv", keep_default_na=False, na_values=[""])
+
+
+def picked(table, law, friction="none", underlap=False):
+    return table[
+        (table["law"] == law) & (table["friction"] == friction) & (table["valve_null_leakage"] == underlap)
+    ].sort_values("leak_lpm")
+
+
+@pytest.mark.parametrize("underlap", [False, True])
+@pytest.mark.parametrize("law", list(LAWS))
+def test_settling_time_falls_with_the_leak(table, law, underlap):
+    part = picked(table, law, underlap=underlap)
+    assert len(part) == 4
+    assert np.all(np.diff(part["clean_s"]) < 0.0)
+    assert part["clean_s"].iloc[0] > 5.0 * part["clean_s"].iloc[-1]
+    assert np.all(np.diff(part["signal_s"]) < 0.0)
+
+
+def test_linear_theory_holds_for_the_laminar_law_without_friction(table):
+    part = picked(table, "laminar")
+    assert part["theory_s"].to_numpy() == pytest.approx(part["clean_s"].to_numpy(), rel=0.03)
+    assert table[table["friction"] != "none"]["theory_s"].isna().all()
+
+
+def test_the_signal_agrees_with_the_clean_acceleration(table):
+    for law in LAWS:
+        part = picked(table, law)
+        slow = part[part["clean_s"] > 0.3]
+        assert len(slow) >= 2
+        assert slow["signal_s"].to_numpy() == pytest.approx(slow["clean_s"].to_numpy(), rel=0.15)
+
+
+def test_friction_hides_the_trend(table):
+    part = picked(table, "laminar", friction="stribeck", underlap=True)
+    assert part["clean_s"].iloc[0] < 1.5 * part["clean_s"].iloc[-1]
+
+
+def test_friction_hides_the_trend_little_by_little(folder):
+    table = pd.read_csv(folder / "friction_scan.csv")
+    scan = table.pivot(index="friction_share", columns="leak_lpm", values="settling_s")
+    assert scan[0.01].is_monotonic_decreasing
+    assert scan.loc[0.0, 0.01] > 3.0 * scan.loc[0.0, 1.0]
+    assert scan.loc[1.0, 0.01] < 1.5 * scan.loc[1.0, 1.0]
+
+
+def test_the_command_writes_what_the_documentation_shows(folder):
+    """The figures of this test have fewer leaks than those of the documentation; the verdicts are the same."""
+    written, kept = (
+        pd.read_csv(file, comment="#")[["conclusion", "verdict"]] for file in (folder / "verdicts.csv", KEPT)
+    )
+    pd.testing.assert_frame_equal(written, kept)
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    assert all(conclusion in page for conclusion in kept["conclusion"])

@@ -9,7 +9,7 @@ import pytest
 from hydro_env import PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
 from hydro_env.task.sensors import Sensors
-from paper.rig import LAWS, SAMPLE_TIME, quick_stop
+from paper.rig import SAMPLE_TIME, quick_stop
 from paper.settling import trends
 from paper.signals import (
     ACCELEROMETER_RANGE,
@@ -21,46 +21,6 @@ from paper.signals import (
     recorded_acceleration,
     swing_envelope,
 )
-
-
-@pytest.fixture(scope="module")
-def table(folder):
-    return pd.read_csv(folder / "fig13_settling_time.csv", keep_default_na=False, na_values=[""])
-
-
-def picked(table, law, friction="none", underlap=False):
-    return table[
-        (table["law"] == law) & (table["friction"] == friction) & (table["valve_null_leakage"] == underlap)
-    ].sort_values("leak_lpm")
-
-
-@pytest.mark.parametrize("underlap", [False, True])
-@pytest.mark.parametrize("law", list(LAWS))
-def test_settling_time_falls_with_the_leak(table, law, underlap):
-    part = picked(table, law, underlap=underlap)
-    assert len(part) == 4
-    assert np.all(np.diff(part["clean_s"]) < 0.0)
-    assert part["clean_s"].iloc[0] > 5.0 * part["clean_s"].iloc[-1]
-    assert np.all(np.diff(part["signal_s"]) < 0.0)
-
-
-def test_linear_theory_holds_for_the_laminar_law_without_friction(table):
-    part = picked(table, "laminar")
-    assert part["theory_s"].to_numpy() == pytest.approx(part["clean_s"].to_numpy(), rel=0.03)
-    assert table[table["friction"] != "none"]["theory_s"].isna().all()
-
-
-def test_the_signal_agrees_with_the_clean_acceleration(table):
-    for law in LAWS:
-        part = picked(table, law)
-        slow = part[part["clean_s"] > 0.3]
-        assert len(slow) >= 2
-        assert slow["signal_s"].to_numpy() == pytest.approx(slow["clean_s"].to_numpy(), rel=0.15)
-
-
-def test_friction_hides_the_trend(table):
-    part = picked(table, "laminar", friction="stribeck", underlap=True)
-    assert part["clean_s"].iloc[0] < 1.5 * part["clean_s"].iloc[-1]
 
 
 def test_a_drift_does_not_fool_the_detector():
@@ -131,11 +91,3 @@ def test_trends_are_those_of_the_times():
     found = trends(pd.DataFrame([{**row, "leak_lpm": leak, "clean_s": time} for leak, time in times.items()]))
     assert not found["falls"].any()
     assert found.loc[("none", False, "laminar"), 4.0] == 0.6
-
-
-def test_friction_hides_the_trend_little_by_little(folder):
-    table = pd.read_csv(folder / "friction_scan.csv")
-    scan = table.pivot(index="friction_share", columns="leak_lpm", values="settling_s")
-    assert scan[0.01].is_monotonic_decreasing
-    assert scan.loc[0.0, 0.01] > 3.0 * scan.loc[0.0, 1.0]
-    assert scan.loc[1.0, 0.01] < 1.5 * scan.loc[1.0, 1.0]
