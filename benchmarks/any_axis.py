@@ -25,11 +25,10 @@ from benchmarks.kept_rows import kept_rows
 from benchmarks.no_tuning import tuned_for
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.controllers.pid import PID
+from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.rig_gains import gain_sets, searched_gains
-from hydro_agents.learning.stable_gain import proportional
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.limit_cycles import counted_at_rest
@@ -74,6 +73,18 @@ def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, A
         "limit_cycles": int(rest["limit_cycles"]),
         **errors,
     }
+
+
+def proportional(task: TaskConfig, gain: float) -> PIDGains:
+    """A proportional controller (1/m) that adds the overlap of the valve; saturation leaves nothing in its integral."""
+    return PIDGains(
+        proportional=gain,
+        integral=0.0,
+        feedforward_extending=0.0,
+        feedforward_retracting=0.0,
+        anti_windup_time=10.0,
+        overlap_compensation=1.0 if task.plant.valve.overlap else 0.0,
+    )
 
 
 def controllers_on(task: TaskConfig, weights: str, tuned: Path | None) -> dict[str, Callable[[], Controller]]:

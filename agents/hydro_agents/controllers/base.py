@@ -272,14 +272,13 @@ def search_space(gains: type[Group], plant: PlantParameters) -> dict[str, tuple[
 
     Bounds of a command per speed (s/m) are those of the paper's rig; on a faster rig they are lower.
     """
-    space, usual, own = {}, max(speed_limits(PlantParameters())), max(speed_limits(plant))
-    slower = usual / own if own > 0.0 else 1.0
+    space, slower = {}, max(speed_limits(PlantParameters())) / max(speed_limits(plant))
     for name, info in gains.model_fields.items():
         extra: Any = info.json_schema_extra or {}
         if "search" in extra and (not extra["needs"] or attrgetter(extra["needs"])(plant) != 0.0):
             factor = slower if extra["unit"] == "s/m" else 1.0
-            low, high = (factor * end for end in extra["search"])
-            space[name] = (low, high, extra["logarithmic"])
+            low, high = extra["search"]
+            space[name] = (factor * low, factor * high, extra["logarithmic"])
     return space
 
 

@@ -33,7 +33,7 @@ from hydro_agents.detection.sheet import RIG_FEATURES
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.jobs import Job, run_jobs
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
-from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, restore_optimiser, save_checkpoint
+from hydro_agents.running.weights import flat, load_checkpoint, restore_optimiser, restored, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 
@@ -190,17 +190,14 @@ class _Job:
         for what, own in self.made_with.items():
             if stored.get(what) != own:
                 raise ConfigurationError(f"{self.checkpoint}: was made with other {what}; cannot resume")
-        with torch.no_grad():
-            for name, value in self.network.state_dict().items():
-                value.copy_(torch.from_numpy(tensors[f"network.{name}"]))
-        restore_optimiser(self._optimiser, tensors, str(self.checkpoint))
+        self.network.load_state_dict(restored(self.network.state_dict(), tensors, "network"))
+        restore_optimiser(self._optimiser, tensors, "optimiser")
         self.epoch = stored["epoch"]
 
     def save(self) -> None:
         if self.checkpoint is not None:
-            tensors = optimiser_tensors(self._optimiser)
-            for name, value in self.network.state_dict().items():
-                tensors[f"network.{name}"] = value.numpy()
+            optimiser = flat(self._optimiser.state_dict()["state"], "optimiser")
+            tensors = optimiser | flat(self.network.state_dict(), "network")
             save_checkpoint(self.checkpoint, KIND, tensors, {"epoch": self.epoch} | self.made_with)
 
     def simulate(self) -> None:

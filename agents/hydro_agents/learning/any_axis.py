@@ -75,8 +75,11 @@ class AnyAxisFeatures(PolicyFeatures):
         reach = horizon * config.control_period / own
         more = [min(reach, 8.0) / 4.0, math.log(error / USUAL_ERROR)]
         self._sheet = np.array([*data_sheet(config).values(), *more], np.float32)
-        self.moving = len(HISTORY_SIGNALS) * (1 + len(lags)) + self._weights.shape[1] + 3 + len(base.estimate_names)
-        self.size = self.moving + len(self._sheet)
+
+    @property
+    def size(self) -> int:
+        """Number of inputs: those that move, and the data sheet."""
+        return self.moving + len(self._sheet)
 
     def _columns_of(self, names: tuple[str, ...]) -> NDArray[np.int64]:
         present = ["previous_command" if name not in self.layout.names else name for name in HISTORY_SIGNALS]

@@ -8,6 +8,7 @@ sees 10 µm and 10 mm.
 from __future__ import annotations
 
 from copy import copy
+from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -98,7 +99,6 @@ class PolicyFeatures:
         full_preview: whether the policy sees every sample of the preview; those between the shown ones come from
             memory.
         see_estimates: whether the policy sees the estimates of the corrected controller.
-        normalisation: of the inputs; ``None`` leaves them as they are.
         lags: ages of the samples in the history, in control periods; default: :func:`history_lags` of the task.
 
     Raises:
@@ -123,16 +123,16 @@ class PolicyFeatures:
         residual_scale: float = 0.2,
         full_preview: bool = False,
         see_estimates: bool = False,
-        normalisation: Normalisation | None = None,
         lags: tuple[int, ...] | None = None,
     ) -> None:
-        self.config, self.base, self.normalisation = config, base, normalisation
-        self.layout = ObservationLayout.of(config)
-        self.residual_scale = residual_scale if base is not None else 1.0
-        self.see_estimates = see_estimates and base is not None
-        self.full_preview = full_preview
-        if self.see_estimates and base is not None and not base.estimate_names:
-            raise ConfigurationError(f"see_estimates: {type(base).__name__} has no estimates")
+        self.config, self.base = config, base
+        self.normalisation: Normalisation | None = None  # leaves the inputs as they are
+        self.layout, self.full_preview = ObservationLayout.of(config), full_preview
+        self.residual_scale, self.see_estimates = 1.0, False
+        if base is not None:
+            self.residual_scale, self.see_estimates = residual_scale, see_estimates
+            if see_estimates and not base.estimate_names:
+                raise ConfigurationError(f"see_estimates: {type(base).__name__} has no estimates")
         self.history = tuple(name for name in HISTORY_SIGNALS if name in self.layout.names)  # a rig may lack sensors
         self.lags = lags if lags is not None else history_lags(config)
         self._columns = self._columns_of(self.history)
@@ -141,16 +141,18 @@ class PolicyFeatures:
         self._blend = np.float32(config.control_period / (config.control_period + LASTING_TIME))
         self._preview = Preview(config)
         self._rebuilt = np.setdiff1d(np.arange(self._preview.horizon + 2), [1, *(1 + n for n in self._preview.counts)])
-        self.size = len(self.layout.names) + len(self.history) * len(self.lags)
-        if full_preview:
-            self.size += len(self._rebuilt)
-        if base is not None:
-            self.size += 1
-            if self.see_correction:
-                self.size += 2
-            if self.see_estimates:
-                self.size += len(base.estimate_names)
-        self.moving = self.size  # inputs that are normalised
+
+    @cached_property
+    def moving(self) -> int:
+        """Number of inputs that are normalised."""
+        plain = copy(self)
+        plain.normalisation = None
+        return plain(np.zeros((1, len(self.layout.names)), np.float32), None, None)[0].shape[1]
+
+    @property
+    def size(self) -> int:
+        """Number of inputs."""
+        return self.moving
 
     def __call__(
         self,

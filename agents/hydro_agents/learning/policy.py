@@ -78,7 +78,7 @@ class _StoredPolicy(Group):
     features: _StoredFeatures
     layer_sizes: tuple[Annotated[int, Field(ge=1, le=LARGEST_LAYER)], ...] = Field(min_length=2, max_length=33)
     activation: Literal["tanh", "relu"] = "tanh"
-    output: Literal["linear", "tanh"] = "linear"
+    output: Literal["linear"] = "linear"  # limited to ±1
     lstm_cells: int | None = Field(None, ge=1, le=LARGEST_LAYER)
     training: dict[str, Any] = {}
 
@@ -138,7 +138,6 @@ class PolicyController:
         layers: (weight (out, in), bias (out,)) of each layer of the actor.
         activation: activation of the hidden layers, ``tanh`` or ``relu``.
         training: record of the training (JSON).
-        output: ``linear`` (limited to ±1, as PPO's) or ``tanh`` (as SAC's).
         lstm: recurrent layer between features and ``layers``; its memory is part of the state.
 
     Example:
@@ -159,11 +158,10 @@ class PolicyController:
         layers: Layers,
         training: dict[str, Any] | None = None,
         activation: str = "tanh",
-        output: str = "linear",
         lstm: LSTM | None = None,
     ) -> None:
         self.features, self.layers, self.training = features, layers, training or {}
-        self.activation, self.output, self.lstm = activation, output, lstm
+        self.activation, self.lstm = activation, lstm
 
     def predict(
         self,
@@ -188,8 +186,6 @@ class PolicyController:
             else:
                 values = np.maximum(values, 0.0, out=values)
         output = values @ weight.T + bias
-        if self.output == "tanh":
-            output = np.tanh(output)
         command = self.features.command(output, state)
         return (command[0] if single else command), state
 
@@ -200,8 +196,8 @@ class PolicyController:
         """Copy the actor of a model that was trained on ``AxisVecEnv``.
 
         Args:
-            model: of PPO, A2C, SAC or TQC with an ``MlpPolicy``, or of RecurrentPPO with an ``MlpLstmPolicy``; its
-                dense layers are of tanh or relu.
+            model: of PPO or A2C with an ``MlpPolicy``, or of RecurrentPPO with an ``MlpLstmPolicy``; its dense layers
+                are of tanh or relu.
             features: map observations to the model's inputs; default: those of the model's environment.
             training: record of the training.
 
@@ -211,15 +207,10 @@ class PolicyController:
         policy = model.policy
         features = features or getattr(model.get_env(), "features", None)
         activation = getattr(getattr(policy, "activation_fn", None), "__name__", "none").lower()
-        off_policy = hasattr(getattr(policy, "actor", None), "latent_pi")  # of SAC and TQC
-        if not (off_policy or hasattr(policy, "action_net")) or activation not in ("tanh", "relu"):
+        if not hasattr(policy, "action_net") or activation not in ("tanh", "relu"):
             raise ConfigurationError(f"from_sb3: {type(policy).__name__}: must be an MlpPolicy of tanh or relu layers")
-        if off_policy:
-            modules = [*policy.actor.latent_pi, policy.actor.mu]
-        else:
-            modules = [*policy.mlp_extractor.policy_net, policy.action_net]
         layers = []
-        for module in modules:
+        for module in (*policy.mlp_extractor.policy_net, policy.action_net):
             if hasattr(module, "weight"):  # the others are activations
                 layers.append((_array(module.weight), _array(module.bias)))
         lstm, inputs = None, layers[0][0].shape[1]
@@ -230,7 +221,7 @@ class PolicyController:
             raise ConfigurationError(
                 "from_sb3: the model's inputs must be PolicyFeatures: train it on AxisVecEnv(..., features=...)"
             )
-        return cls(features, layers, training, activation, "tanh" if off_policy else "linear", lstm)
+        return cls(features, layers, training, activation, lstm)
 
     def moved_to(self, config: TaskConfig, gains: GainsFor = searched_gains) -> PolicyController:
         """A policy for any axis on the rig of another task; ``gains`` finds those of the controller that it corrects.
@@ -250,7 +241,7 @@ class PolicyController:
             "features": self.features.describe(),
             "layer_sizes": [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)],
             "activation": self.activation,
-            "output": self.output,
+            "output": "linear",
         }
         if self.lstm is not None:
             settings["lstm_cells"] = self.lstm.recurrent.shape[1]
@@ -287,7 +278,7 @@ class PolicyController:
         if normalisation is not None and not (normalisation.unit > 0.0).all():
             raise ConfigurationError(f"{path}: tensor 'normalisation.unit' must be positive")
         features.normalisation = normalisation
-        return cls(features, layers, stored.training, stored.activation, stored.output, lstm)
+        return cls(features, layers, stored.training, stored.activation, lstm)
 
 
 def _empty(*shape: int) -> NDArray[np.float32]:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import CONTROLLERS
 from hydro_agents.learning.stable_gain import pids_from_figures
 from hydro_agents.learning.trials import Cost
@@ -35,9 +35,7 @@ RESTS = 96  # standstills
 PER_LIMIT_CYCLE = {"pid": 15.0, "flow_linearising": 1.5}
 """What a limit cycle at all of them adds to the logarithm of the error; that of a PID is millimetres large."""
 
-_PIDS: dict[str, list[PIDGains]] = {}
-_CHOSEN: dict[tuple[str, str], Group] = {}
-_SEARCHED: dict[tuple[str, str], Group] = {}
+_FOUND: dict[tuple[str, str, str], Any] = {}  # by what was sought, kind and task
 
 
 def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
@@ -50,10 +48,10 @@ def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
         ConfigurationError: no PID follows from the figures.
     """
     if kind == "pid":
-        key = repr(config)
-        if key not in _PIDS:
-            _PIDS[key] = pids_from_figures(config)
-        return [*_PIDS[key]]
+        key = "sets", kind, repr(config)
+        if key not in _FOUND:
+            _FOUND[key] = pids_from_figures(config)
+        return [*_FOUND[key]]
     group = CONTROLLERS[kind][1]
     sets = [group()]
     file = config_folder() / "agents" / f"{kind}_sets.yaml"
@@ -62,28 +60,27 @@ def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
     return sets
 
 
-def chosen_gains(kind: str, config: TaskConfig) -> Group:
+def chosen_gains(kind: str, config: TaskConfig) -> Any:
     """The set of :func:`gain_sets` that controls the simulated rig of the task best, if clearly so; in seconds."""
-    key = kind, repr(config)
-    if key not in _CHOSEN:
+    key = "chosen", kind, repr(config)
+    if key not in _FOUND:
         sets = gain_sets(kind, config)
-        chosen = 0
+        _FOUND[key] = sets[0]
         if len(sets) > 1:
             errors = [cost.equal for cost in costs_on_rig(kind, sets, config)]
             if min(errors) < CLEARLY * errors[0]:
-                chosen = int(np.argmin(errors))
-        _CHOSEN[key] = sets[chosen]
-    return _CHOSEN[key]
+                _FOUND[key] = sets[int(np.argmin(errors))]
+    return _FOUND[key]
 
 
-def searched_gains(kind: str, config: TaskConfig) -> Group:
+def searched_gains(kind: str, config: TaskConfig) -> Any:
     """Gains from a short search around :func:`chosen_gains`; it takes about a minute.
 
     Fresh cases decide between the best candidate of each generation, the choice and the first set: a search favours
     what some cases happen to like. Limit cycles at rest count against each.
     """
-    key = kind, repr(config)
-    if key not in _SEARCHED:
+    key = "searched", kind, repr(config)
+    if key not in _FOUND:
         print(f"hydro: {kind}: a simulation of the rig searches gains; about a minute", file=sys.stderr)
         chosen = chosen_gains(kind, config)
         found = [gain_sets(kind, config)[0], chosen]
@@ -97,8 +94,8 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
         for number, gains in enumerate(leaders):
             counts = counted_at_rest(CONTROLLERS[kind][0](gains, config), config, STANDSTILLS, RESTS)
             errors[number] += PER_LIMIT_CYCLE[kind] * counts["limit_cycles"] / RESTS
-        _SEARCHED[key] = leaders[int(np.argmin(errors))]
-    return _SEARCHED[key]
+        _FOUND[key] = leaders[int(np.argmin(errors))]
+    return _FOUND[key]
 
 
 def costs_on_rig(kind: str, sets: Sequence[Group], config: TaskConfig) -> list[Cost]:

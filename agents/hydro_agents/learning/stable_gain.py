@@ -46,21 +46,15 @@ class Weakest(NamedTuple):
         """Recommended proportional gain, 1/m: half of the largest stable one."""
         return SHARE_OF_STABLE * self.gain
 
-    def gain_margin(self, gain: float) -> float:
-        """Gain margin of the loop with a proportional gain (1/m), dB."""
-        return 20.0 * math.log10(self.gain / gain)
-
 
 def weakest(loops: Iterable[SampledLoop]) -> Weakest | None:
     """The loop with the smallest of the largest stable gains; ``None`` without a loop."""
     found = None
     for loop in loops:
-        limit = 1e6
-        if found is not None and math.isfinite(found.gain):
-            limit = found.gain
-        gain = math.inf
-        if limit > 0.0:
-            gain = loop.largest_stable_gain(limit)
+        limit = 1e6 if found is None else min(found.gain, 1e6)
+        if limit == 0.0:
+            break
+        gain = loop.largest_stable_gain(limit)
         if found is None or gain < found.gain:
             found = Weakest(gain, loop)
     return found
@@ -178,18 +172,6 @@ def _largest_quiet_gain(task: TaskConfig, plants: int, begin: float, lowest: flo
         else:
             high = middle
     return low
-
-
-def proportional(task: TaskConfig, gain: float) -> PIDGains:
-    """A proportional controller (1/m) that adds the overlap of the valve; saturation leaves nothing in its integral."""
-    return PIDGains(
-        proportional=gain,
-        integral=0.0,
-        feedforward_extending=0.0,
-        feedforward_retracting=0.0,
-        anti_windup_time=10.0,
-        overlap_compensation=1.0 if task.plant.valve.overlap else 0.0,
-    )
 
 
 def pids_from_figures(task: TaskConfig) -> list[PIDGains]:

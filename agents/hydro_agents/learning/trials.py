@@ -128,10 +128,3 @@ def summed_up(costs: Sequence[Floats], cases: Sequence[Cases]) -> list[Cost]:
             parts.append(rows[:, families == family].mean(axis=1))
     means, equal = costs[0].mean(axis=1), np.exp(np.mean(np.log(parts), axis=0))
     return [Cost(*pair) for pair in np.stack([means, equal], axis=1).tolist()]
-
-
-def over_tasks(costs: Sequence[Sequence[Cost]]) -> list[Cost]:
-    """The costs of each candidate on one task, or their geometric means over several."""
-    if len(costs) == 1:
-        return list(costs[0])
-    return [Cost(*pair) for pair in np.exp(np.log(costs).mean(axis=0)).tolist()]

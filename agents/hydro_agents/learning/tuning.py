@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from joblib import effective_n_jobs
+from joblib import Parallel, delayed, effective_n_jobs
 
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
@@ -24,13 +24,10 @@ from hydro_agents.learning.trials import (
     REST,
     Cost,
     costs_of,
-    over_tasks,
     resting_cases,
     summed_up,
     tuning_cases,
 )
-from hydro_agents.running.cases import Cases
-from hydro_agents.running.jobs import Columns, Job, run_jobs
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_text, validate, write_text
 from hydro_env.mistakes import unknown
@@ -49,20 +46,18 @@ class Space:
     def __init__(self, gains: type[Group], plant: PlantParameters) -> None:
         space = search_space(gains, plant)
         self.names = tuple(space)
-        low, high, logarithmic = zip(*space.values(), strict=True)
+        self._ends, logarithmic = np.array([row[:2] for row in space.values()]).T, [row[2] for row in space.values()]
         self._logarithmic = np.array(logarithmic)
-        self._low = self._scaled(np.array(low))
-        self._width = self._scaled(np.array(high)) - self._low
+        self._low, high = self._scaled(self._ends)
+        self._width = high - self._low
 
     def _scaled(self, values: Floats) -> Floats:
         return np.where(self._logarithmic, np.log(np.where(self._logarithmic, values, 1.0)), values)
 
     def point(self, gains: Group) -> Floats:
         """Gains as a point of the cube, (n,); a gain outside its search range is clipped to it."""
-        values = np.array([float(getattr(gains, name)) for name in self.names])
-        tiny = np.exp(self._low)
-        scaled = self._scaled(np.where(self._logarithmic, np.maximum(values, tiny), values))
-        point: Floats = np.clip((scaled - self._low) / self._width, 0.0, 1.0)
+        values = np.clip([float(getattr(gains, name)) for name in self.names], *self._ends)
+        point: Floats = np.clip((self._scaled(values) - self._low) / self._width, 0.0, 1.0)
         return point
 
     def values(self, point: Floats) -> dict[str, float]:
@@ -134,7 +129,6 @@ def tune(
     tasks = [config] if isinstance(config, TaskConfig) else list(config)
     settings = _settings(kind, search, start, tasks)
     rows = _read(log, settings) if log is not None and resume else []
-    resumed = len(rows)
     space = Space(group, tasks[0].plant)
     optimiser = _optimiser(space, start, search)
     best: Tuned | None = None
@@ -143,7 +137,7 @@ def tune(
         gains = [_gains(start, space.values(point), search.separable) for point in points]
         new = generation >= len(rows)
         if new:
-            rows.append(costs_of_sets(kind, gains, tasks, search.cases, search.seed, generation > resumed))
+            rows.append(costs_of_sets(kind, gains, tasks, search.cases, search.seed))
         costs = [getattr(cost, search.objective) for cost in rows[generation]]
         optimiser.tell(list(zip(points, costs, strict=True)))
         evaluations = (generation + 1) * search.population
@@ -164,11 +158,7 @@ def tune(
 
 def _settings(kind: str, search: Search, start: Group, tasks: Sequence[TaskConfig]) -> dict[str, Any]:
     """What a log must have in common with the search that continues it."""
-    described: Any = [task.model_dump(mode="json") for task in tasks]
-    if len(tasks) == 1:
-        described = described[0]
-    else:
-        described = hashlib.sha256(json.dumps(described).encode()).hexdigest()
+    described = json.dumps([task.model_dump(mode="json") for task in tasks])
     return {
         "kind": kind,
         "objective": search.objective,
@@ -176,7 +166,7 @@ def _settings(kind: str, search: Search, start: Group, tasks: Sequence[TaskConfi
         "cases": search.cases,
         "population": search.population,
         "start": start.model_dump(mode="json"),
-        "task": described,
+        "task": hashlib.sha256(described.encode()).hexdigest(),
     }
 
 
@@ -202,14 +192,9 @@ def _gains(start: Group, values: Mapping[str, float], rounded: bool) -> Group | 
 
 
 def costs_of_sets(
-    kind: str,
-    gains: Sequence[Group | None],
-    tasks: Sequence[TaskConfig],
-    cases: int,
-    seed: int,
-    at_once: bool = False,
+    kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
 ) -> list[Cost]:
-    """The costs of some sets of gains, of several tasks the geometric means; each job costs a part of the sets.
+    """The costs of some sets of gains, of several tasks the geometric means; each worker costs a part of the sets.
 
     Args:
         kind: the controller.
@@ -217,42 +202,34 @@ def costs_of_sets(
         tasks: the tasks.
         cases: of each set, beside the resting ones.
         seed: of the cases.
-        at_once: start the jobs in parallel without a first one alone.
     """
     count = min(effective_n_jobs(None), len(gains))
-    jobs = {}
+    calls = []
     for part in range(count):
-        begin, end = len(gains) * part // count, len(gains) * (part + 1) // count
-        jobs[str(begin)] = Job(cost_candidates, None, (kind, list(gains[begin:end]), list(tasks), cases, seed))
-    results, _ = run_jobs(jobs, None, None, None, at_once and count > 1)
-    for result in results.values():
-        if result.error:
-            raise ConfigurationError(result.error)
+        own = gains[len(gains) * part // count : len(gains) * (part + 1) // count]
+        calls.append(delayed(cost_candidates)(kind, own, tasks, cases, seed))
+    parts = Parallel(n_jobs=count)(calls)
     # Sums come after all parts are joined: their last bit depends on the number of candidates.
-    costs = {name: np.concatenate([results[key].metrics[name] for key in jobs]) for name in results["0"].metrics}
+    costs = [np.concatenate(rows) for rows in zip(*parts, strict=True)]
     found = []
     for number, task in enumerate(tasks):
-        found.append(summed_up([costs[f"{number}"], costs[f"{number} rest"]], _cases(task, cases, seed + number)))
-    return over_tasks(found)
-
-
-def _cases(task: TaskConfig, count: int, seed: int) -> tuple[Cases, Cases]:
-    return tuning_cases(task, count, seed), resting_cases(seed)
+        both = tuning_cases(task, cases, seed + number), resting_cases(seed + number)
+        found.append(summed_up(costs[2 * number : 2 * number + 2], both))
+    if len(tasks) == 1:
+        return found[0]
+    return [Cost(*pair) for pair in np.exp(np.log(found).mean(axis=0)).tolist()]
 
 
 def cost_candidates(
-    _: None, kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
-) -> Columns:
-    """Costs of some candidates of a kind, (candidates, cases): ``0`` and ``0 rest`` of the first task, ``1``, …
-
-    A candidate that is ``None`` is refused.
-    """
-    costs: Columns = {}
+    kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
+) -> list[Floats]:
+    """Costs of some candidates of a kind, (candidates, cases), on each task: of its cases, and of the resting ones."""
+    costs = []
     for number, task in enumerate(tasks):
-        moving, resting = _cases(task, cases, seed + number)
         controllers = [_controller(kind, one, task) for one in gains]
-        costs[f"{number}"] = costs_of(task, moving, controllers)
-        costs[f"{number} rest"] = costs_of(task_config(task, episode_duration=REST), resting, controllers, JUDGED)
+        still = task_config(task, episode_duration=REST)
+        costs.append(costs_of(task, tuning_cases(task, cases, seed + number), controllers))
+        costs.append(costs_of(still, resting_cases(seed + number), controllers, JUDGED))
     return costs
 
 
@@ -279,19 +256,16 @@ def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Cost]]:
     Raises:
         ConfigurationError: the log is damaged or belongs to other settings.
     """
+    text = read_text(log)
     try:
-        first, _, *lines = read_text(log).splitlines()
-        written = json.loads(first.removeprefix("# "))
-        if not isinstance(written, dict):
-            raise ValueError("its first line holds no settings")
-        for name, value in json.loads(json.dumps(settings)).items():
-            if written.get(name) != value:
-                raise ConfigurationError(f"{log}: was written with another {name}; --overwrite begins anew")
-        rows = np.loadtxt(lines, delimiter=",", ndmin=2).reshape(-1, settings["population"], 4)
+        first, *lines = text.splitlines()
+        written = dict(json.loads(first.removeprefix("# ")))
+        rows = np.loadtxt(lines[1:], delimiter=",", ndmin=2).reshape(-1, settings["population"], 4)
         if not np.array_equal(rows[..., :2], np.moveaxis(np.indices(rows.shape[:2]), 0, -1)):
             raise ValueError("a row is out of order")
-    except ConfigurationError:
-        raise
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
+    for name, value in json.loads(json.dumps(settings)).items():
+        if written.get(name) != value:
+            raise ConfigurationError(f"{log}: was written with another {name}; --overwrite begins anew")
     return [[Cost(*pair) for pair in generation] for generation in rows[..., 2:].tolist()]

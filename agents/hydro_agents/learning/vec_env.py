@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -25,7 +25,6 @@ from hydro_env.axes import AxesState
 from hydro_env.task.rewards import REWARD_TERMS
 
 Array = NDArray[Any]
-ENV = "env."
 
 REWARD_PARTS = (*REWARD_TERMS, "prices", "learned")
 """The terms of the task; the prices, relative to the twin; and what the policy learns from, before ``reward_scale``."""
@@ -215,26 +214,23 @@ class AxisVecEnv(_SharedVecEnv):
                 "episode": {"r": float(self._returns[axis]), "l": int(self._lengths[axis]), "t": 0.0},
             }
 
-    def get_state(self) -> dict[str, Array]:
-        """Complete state as copies of named arrays, for :meth:`set_state`."""
-        arrays: dict[str, Array] = {}
-        _collect(self._own(), "own", arrays)
-        for name, array in self.env.get_state().arrays.items():
-            arrays[f"{ENV}{name}"] = array
-        return arrays
+    def get_state(self) -> dict[str, Any]:
+        """Complete state, for :meth:`set_state`: nested mappings and tuples of arrays; no later step changes it."""
+        return {
+            "env": self.env.get_state().arrays,
+            "returns": self._returns.copy(),
+            "lengths": self._lengths.copy(),
+            "twin_commands": self._twin_commands,
+            "corrected": self._corrected,
+            "features": self._state,
+        }
 
-    def _own(self) -> _Own:
-        return _Own(self._returns, self._lengths, self._twin_commands, self._corrected, self._state)
-
-    def set_state(self, state: Mapping[str, Array]) -> None:
-        """Restore a state of :meth:`get_state`, from this or another ``AxisVecEnv`` with the same arguments.
-
-        Both must have begun: call :meth:`reset` first.
-        """
-        arrays = {name.removeprefix(ENV): array for name, array in state.items() if name.startswith(ENV)}
-        self.env.set_state(AxesState(self.env.config, arrays))
-        own = _restored(self._own(), state, "own")
-        self._returns, self._lengths, self._twin_commands, self._corrected, self._state = own
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Restore a state of :meth:`get_state`, from this or another ``AxisVecEnv`` with the same arguments."""
+        self.env.set_state(AxesState(self.env.config, state["env"]))
+        self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
+        self._twin_commands, self._corrected = state["twin_commands"], state["corrected"]
+        self._state = state["features"]
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -245,35 +241,6 @@ def _smaller_swing(before: Array, change: Array) -> Array:
     """The smaller of two successive changes of each command where it reverses; else 0."""
     smaller = np.minimum(np.abs(change), np.abs(before))
     return np.where(change * before < 0.0, smaller, 0.0)
-
-
-class _Own(NamedTuple):
-    """What the adaptor remembers of N axes beside its environment."""
-
-    returns: Array
-    lengths: Array
-    twin_commands: Array
-    corrected: Any  # memory of the corrected controller on the axes and their twins
-    state: FeatureState | None
-
-
-def _collect(memory: Any, name: str, arrays: dict[str, Array]) -> None:
-    """Copy the arrays of nested named tuples to ``arrays``, by name."""
-    if isinstance(memory, tuple):
-        for field, part in zip(memory._fields, memory, strict=True):  # type: ignore[attr-defined]
-            _collect(part, f"{name}.{field}", arrays)
-    elif memory is not None:
-        arrays[name] = memory.copy()
-
-
-def _restored(memory: Any, arrays: Mapping[str, Array], name: str) -> Any:
-    """Nested named tuples like ``memory``, with copies of the arrays of :func:`_collect`."""
-    if memory is None:
-        return None
-    if not isinstance(memory, tuple):
-        return arrays[name].copy()
-    fields = memory._fields  # type: ignore[attr-defined]
-    return type(memory)(*[_restored(getattr(memory, field), arrays, f"{name}.{field}") for field in fields])
 
 
 class RigsVecEnv(_SharedVecEnv):
@@ -317,19 +284,14 @@ class RigsVecEnv(_SharedVecEnv):
         means = np.mean([list(env.mean_rewards().values()) for env in self.envs], axis=0)
         return dict(zip(REWARD_PARTS, means.tolist(), strict=True))
 
-    def get_state(self) -> dict[str, Array]:
-        """Complete state as copies of named arrays, for :meth:`set_state`."""
-        arrays = {}
-        for number, env in enumerate(self.envs):
-            for name, array in env.get_state().items():
-                arrays[f"rig{number}.{name}"] = array
-        return arrays
+    def get_state(self) -> dict[str, Any]:
+        """Complete state, for :meth:`set_state`."""
+        return {f"rig{number}": env.get_state() for number, env in enumerate(self.envs)}
 
-    def set_state(self, state: Mapping[str, Array]) -> None:
+    def set_state(self, state: Mapping[str, Any]) -> None:
         """Restore a state of :meth:`get_state`."""
-        for number, env in enumerate(self.envs):
-            start = f"rig{number}."
-            env.set_state({name.removeprefix(start): array for name, array in state.items() if name.startswith(start)})
+        for env, part in zip(self.envs, state.values(), strict=True):
+            env.set_state(part)
 
     def close(self) -> None:
         """Stop the worker threads."""

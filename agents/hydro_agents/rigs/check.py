@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
 LEAKS = (HEALTHY_LEAK, 0.3, 1.0, 4.0)  # l/min at 100 bar: a healthy seal, and three leaking ones
 
-OVERDAMPED = "overdamped"  # instead of a damping ratio
+OVERDAMPED, HELD_NOWHERE = "overdamped", "cannot be held"  # instead of a figure
 
 BAR, MILLIMETRE, CUBIC_CENTIMETRE, SQUARE_CENTIMETRE = 1e5, 1e-3, 1e-6, 1e-4
 
@@ -82,7 +82,8 @@ def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig
     place = resting_place(parameters)
     return [
         *_geometry(parameters),
-        *_flows_and_speeds(parameters),
+        *_valve(parameters),
+        *_speeds(parameters),
         *_forces(parameters),
         *_oscillation(parameters, place),
         *_loop(task or TaskConfig(plant=parameters, randomisation=default_randomisation(parameters)), place),
@@ -98,20 +99,16 @@ def resting_place(parameters: PlantParameters) -> float:
     """
     low, high = reachable_range(parameters)
     middle = 0.0 if low < 0.0 < high else 0.5 * (low + high)
-    if _can_be_held(parameters, middle):
-        return middle
-    held = [place for place in np.linspace(low, high, 41).tolist() if _can_be_held(parameters, place)]
+    held = []
+    for place in (middle, *np.linspace(low, high, 41).tolist()):
+        with suppress(HydroError):
+            equilibrium(parameters, place)
+            if place == middle:
+                return middle
+            held.append(place)
     if not held:
         equilibrium(parameters, middle)  # raises the error with the reason
     return float(held[len(held) // 2])
-
-
-def _can_be_held(parameters: PlantParameters, position: float) -> bool:
-    try:
-        equilibrium(parameters, position)
-    except HydroError:
-        return False
-    return True
 
 
 def _geometry(parameters: PlantParameters) -> list[Row]:
@@ -128,7 +125,7 @@ def _geometry(parameters: PlantParameters) -> list[Row]:
     return rows
 
 
-def _flows_and_speeds(parameters: PlantParameters) -> list[Row]:
+def _valve(parameters: PlantParameters) -> list[Row]:
     c, supply, valve = plant_coefficients(parameters), parameters.supply, parameters.valve
     spool_per_volt = c.drive_rate / c.coil_rate * c.spool_gain
     drop = supply.pressure - supply.tank_pressure
@@ -138,27 +135,31 @@ def _flows_and_speeds(parameters: PlantParameters) -> list[Row]:
         Row("valve", "gain K of one edge", "fully open", c.edge_gain / LITRE_PER_MINUTE * BAR**0.5, "l/(min √bar)"),
         Row("valve", "rated flow", rated, valve.rated_flow / LITRE_PER_MINUTE, "l/min"),
         Row("valve", "spool at 10 V", "full = 1", min(FULL_VOLTAGE * spool_per_volt, 1.0), "1"),
-        Row("valve", "dead band", "to each side", valve.overlap / spool_per_volt, "V", "dead band"),
-        Row("valve", "no-load flow", f"{drop / BAR:g} bar over both edges", flow / LITRE_PER_MINUTE, "l/min"),
     ]
-    rows = [row for row in rows if valve.overlap or row.key != "dead band"]
-    free, limits, external = speed_limits(parameters), force_limits(parameters), parameters.load.external_force
+    if valve.overlap:
+        rows.append(Row("valve", "dead band", "to each side", valve.overlap / spool_per_volt, "V", "dead band"))
+    rows.append(Row("valve", "no-load flow", f"{drop / BAR:g} bar over both edges", flow / LITRE_PER_MINUTE, "l/min"))
+    return rows
+
+
+def _speeds(parameters: PlantParameters) -> list[Row]:
+    c, supply, external = plant_coefficients(parameters), parameters.supply, parameters.load.external_force
+    free, limits = speed_limits(parameters), force_limits(parameters)
     slow_out = speed_limits(parameters, external + limits.extending * 2 / 3).extending
     slow_in = speed_limits(parameters, external - limits.retracting * 2 / 3).retracting
-    ways = (("out", free.extending, slow_out, c.area_a), ("in", free.retracting, slow_in, c.area_b))
-    for way, speed, slow, area in ways:
-        flow = speed * area / LITRE_PER_MINUTE
+    rows, lasting = [], [Row("speed", "flow of the pump", "", supply.pump_flow / LITRE_PER_MINUTE, "l/min")]
+    for way, speed, slow, area in (
+        ("out", free.extending, slow_out, c.area_a),
+        ("in", free.retracting, slow_in, c.area_b),
+    ):
+        flow, fed = speed * area / LITRE_PER_MINUTE, min(speed, supply.pump_flow / area) / MILLIMETRE
         rows += [
             Row("speed", f"no-load speed {way}", "fully open", speed / MILLIMETRE, "mm/s", f"speed {way}"),
             Row("speed", f"speed {way}", "2/3 of force limit", slow / MILLIMETRE, "mm/s", f"loaded {way}"),
             Row("speed", f"flow from the supply {way}", "no-load speed", flow, "l/min"),
         ]
-    if supply.model != "constant":
-        rows.append(Row("speed", "flow of the pump", "", supply.pump_flow / LITRE_PER_MINUTE, "l/min"))
-        for way, speed, _, area in ways:
-            fed, name = min(speed, supply.pump_flow / area) / MILLIMETRE, f"lasting speed {way}"
-            rows.append(Row("speed", name, "fed by the pump alone", fed, "mm/s", f"lasting {way}"))
-    return rows
+        lasting.append(Row("speed", f"lasting speed {way}", "fed by the pump alone", fed, "mm/s", f"lasting {way}"))
+    return rows if supply.model == "constant" else rows + lasting
 
 
 def _forces(parameters: PlantParameters) -> list[Row]:
@@ -175,15 +176,13 @@ def _forces(parameters: PlantParameters) -> list[Row]:
 
 
 def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
-    group, half = "oil column", 0.5 * parameters.cylinder.stroke
-
-    def frequency(position: float) -> float:
-        return closed_port_natural_frequency(parameters, position) / (2 * math.pi)
-
-    positions, softest = (-half, -0.5 * half, 0.0, 0.5 * half, half), softest_position(parameters)
-    rows = [Row(group, "natural frequency, ports shut", _position(x), frequency(x), "Hz") for x in positions]
+    group, half, softest = "oil column", 0.5 * parameters.cylinder.stroke, softest_position(parameters)
+    rows = []
+    for position in (-half, -0.5 * half, 0.0, 0.5 * half, half):
+        frequency = closed_port_natural_frequency(parameters, position) / (2 * math.pi)
+        rows.append(Row(group, "natural frequency, ports shut", _position(position), frequency, "Hz"))
     lowest, at = closed_port_natural_frequency(parameters, softest), _position(softest)
-    rows.append(Row(group, "lowest natural frequency", at, frequency(softest), "Hz", "lowest frequency"))
+    rows.append(Row(group, "lowest natural frequency", at, lowest / (2 * math.pi), "Hz", "lowest frequency"))
     rows.append(Row(group, "the same", at, lowest, "rad/s"))
     for position in dict.fromkeys((0.0, softest)):
         stiffness = closed_port_stiffness(parameters, position) * MILLIMETRE / 1e3
@@ -195,80 +194,76 @@ def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
 
 
 def _loop(task: TaskConfig, place: float) -> list[Row]:
-    group, largest = "position loop", "largest stable gain"
+    group, largest, friction = "position loop", "largest stable gain", "simulated with friction"
     places = places_in_reach(task.plant)
     span = f"worst, {places[0] / MILLIMETRE:+.0f} to {places[-1] / MILLIMETRE:+.0f} mm"
     timed = f"{largest} ({1e3 * task.control_period:g} ms, {1e3 * task.command_latency:g} ms late)"
-    over_reach = {leak: weakest(nominal_loops(task, leak)) for leak in LEAKS}
-    worst = weakest(loops_within_ranges(task))
-    leaky = {leak: beyond_dead_band(leaking(task.plant, leak)) for leak in LEAKS}
-    here = {leak: f"{_position(place)}, {leak_text(leak)}" for leak in LEAKS}
-    rows, sampled = [], []
-    for leak, plant in leaky.items():
-        thumb, gain = _figure(_rule_of_thumb, plant, place), _figure(partial(_largest_gain, task), plant, place)
-        rows.append(Row(group, "gain 2 ζ ω / speed (no sampling)", here[leak], thumb, "1/m"))
-        sampled.append(Row(group, timed, here[leak], gain, "1/m"))
-        at, key = f"{span}, {leak_text(leak)}", "gain over the reach" if leak == HEALTHY_LEAK else ""
-        sampled.append(Row(group, largest, at, _gain(over_reach[leak]), "1/m", key))
-    within = f"worst of {DRAWN} plants in the ranges, {leak_text(HEALTHY_LEAK)}"
-    sampled.append(Row(group, largest, within, _gain(worst), "1/m", "gain in the ranges"))
+    plants = {f"{_position(place)}, {leak_text(leak)}": beyond_dead_band(leaking(task.plant, leak)) for leak in LEAKS}
+    rows = []
+    for here, plant in plants.items():
+        rows.append(Row(group, "gain 2 ζ ω / speed (no sampling)", here, _figure(_rule_of_thumb, plant, place), "1/m"))
+    healthy = None
+    for leak, (here, plant) in zip(LEAKS, plants.items(), strict=True):
+        rows.append(Row(group, timed, here, _figure(_largest_gain, plant, place, task), "1/m"))
+        over_reach, key = weakest(nominal_loops(task, leak)), ""
+        if leak == HEALTHY_LEAK:
+            healthy, key = over_reach, "gain over the reach"
+        rows.append(Row(group, largest, f"{span}, {leak_text(leak)}", _gain(over_reach), "1/m", key))
+    worst, within = weakest(loops_within_ranges(task)), f"worst of {DRAWN} plants in the ranges"
+    rows.append(Row(group, largest, f"{within}, {leak_text(HEALTHY_LEAK)}", _gain(worst), "1/m", "gain in the ranges"))
     try:
         quiet = quiet_gains(task)
     except HydroError:
-        return [*rows, *sampled]
-    recommended, simulated = quiet.recommended, "simulated with friction"
-    sampled.append(Row(group, "recommended gain", simulated, recommended, "1/m", "recommended gain"))
-    for which, quietest, weak in (
-        ("own values", quiet.own, over_reach[HEALTHY_LEAK]),
-        ("worst in the ranges", quiet.worst, worst),
-    ):
-        at, margin = f"recommended gain, {which}", 20.0 * math.log10(quietest / recommended)
-        sampled.append(Row(group, "largest quiet gain", f"{which}, {simulated}", quietest, "1/m", f"quiet, {which}"))
-        sampled.append(Row(group, "gain margin", f"{at}, {simulated}", margin, "dB", f"gain margin, {which}"))
+        return rows
+    recommended = quiet.recommended
+    rows.append(Row(group, "recommended gain", friction, recommended, "1/m", "recommended gain"))
+    for which, gain, weak in (("own values", quiet.own, healthy), ("worst in the ranges", quiet.worst, worst)):
+        at, margin = f"recommended gain, {which}", 20.0 * math.log10(gain / recommended)
+        rows.append(Row(group, "largest quiet gain", f"{which}, {friction}", gain, "1/m", f"quiet, {which}"))
+        rows.append(Row(group, "gain margin", f"{at}, {friction}", margin, "dB", f"gain margin, {which}"))
         if weak is not None:
-            phase = _text(weak.loop.phase_margin(recommended))
-            sampled.append(Row(group, "phase margin", f"{at}, without friction", phase, "°", f"phase margin, {which}"))
-    for leak, plant in leaky.items():
-        stiffness = _figure(partial(_static_stiffness, recommended), plant, place)
-        sampled.append(Row(group, "static stiffness", f"recommended gain, {here[leak]}", stiffness, "kN/mm"))
-    return [*rows, *sampled]
+            phase = _figure(weak.loop.phase_margin, recommended)
+            rows.append(Row(group, "phase margin", f"{at}, without friction", phase, "°", f"phase margin, {which}"))
+    for here, plant in plants.items():
+        stiffness = _figure(_static_stiffness, plant, place, recommended)
+        rows.append(Row(group, "static stiffness", f"recommended gain, {here}", stiffness, "kN/mm"))
+    return rows
 
 
 def _gain(loop: Weakest | None) -> float | str:
-    return "cannot be held" if loop is None else _text(loop.gain)
+    return HELD_NOWHERE if loop is None else _figure(float, loop.gain)
 
 
-def _text(value: float) -> float | str:
-    return value if math.isfinite(value) else "unlimited"
-
-
-def _figure(
-    compute: Callable[[PlantParameters, float], float], parameters: PlantParameters, place: float
-) -> float | str:
+def _figure(compute: Callable[..., float], *arguments: Any) -> float | str:
     """A figure, or the reason for its absence."""
     try:
-        return _text(compute(parameters, place))
+        value = compute(*arguments)
     except ArithmeticError:
         return OVERDAMPED
     except HydroError:
-        return "cannot be held"
+        return HELD_NOWHERE
+    return value if math.isfinite(value) else "unlimited"
+
+
+def _mode(parameters: PlantParameters, place: float) -> Any:
+    return linearise(parameters.replace(friction={"model": "none"}), position=place).hydraulic_mode
 
 
 def _damping(parameters: PlantParameters, place: float) -> float:
-    return linearise(parameters.replace(friction={"model": "none"}), position=place).hydraulic_mode.damping_ratio
+    return float(_mode(parameters, place).damping_ratio)
 
 
 def _rule_of_thumb(parameters: PlantParameters, place: float) -> float:
     """2 ζ ω divided by the mean no-load speed: continuous loop, ideal valve, symmetric cylinder (Merritt 1967)."""
-    mode = linearise(parameters.replace(friction={"model": "none"}), position=place).hydraulic_mode
-    return 4.0 * mode.damping_ratio * mode.natural_frequency / sum(speed_limits(parameters))
+    mode = _mode(parameters, place)
+    return float(4.0 * mode.damping_ratio * mode.natural_frequency / sum(speed_limits(parameters)))
 
 
-def _largest_gain(task: TaskConfig, parameters: PlantParameters, place: float) -> float:
+def _largest_gain(parameters: PlantParameters, place: float, task: TaskConfig) -> float:
     return sampled_loop(parameters, place, task.control_period, task.command_latency).largest_stable_gain()
 
 
-def _static_stiffness(gain: float, parameters: PlantParameters, place: float) -> float:
+def _static_stiffness(parameters: PlantParameters, place: float, gain: float) -> float:
     return sampled_loop(parameters, place).static_stiffness(gain) * MILLIMETRE / 1e3
 
 

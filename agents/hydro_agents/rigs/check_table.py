@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ from rich.padding import Padding
 from rich.table import Table as ConsoleTable
 
 from hydro_agents.learning.stable_gain import DRAWN, beyond_dead_band
-from hydro_agents.rigs.check import BAR, LEAKS, MILLIMETRE, OVERDAMPED, Row, check_rig, leak_text
+from hydro_agents.rigs.check import BAR, HELD_NOWHERE, LEAKS, MILLIMETRE, Row, check_rig, leak_text
 from hydro_agents.running.console import PlainConsole, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.tasks import timed_task
@@ -28,6 +29,7 @@ from hydro_env.units import FULL_VOLTAGE
 
 CSV_FILE = "check.csv"
 HEADINGS = ("quantity", "at", "value", "unit")
+PRESSURES = ("pressure_a", "pressure_b")
 WEAK_DAMPING = 0.05  # damping ratio below which an axis rings: after five periods a step still oscillates by a fifth
 
 
@@ -35,39 +37,51 @@ def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, s
     """Speeds, forces, frequency, damping, gain and a verdict, each as (name, text)."""
     figures = {row.key: row for row in rows if row.key}
     text = {key: row.text(3) for key, row in figures.items()}
+    short = {key: row.text(2) for key, row in figures.items()}
     healthy, leaking = (f"damping {leak_text(leak)}" for leak in (LEAKS[0], LEAKS[-1]))
     # Gains in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed; beyond a dead band.
     full_speed = sum(speed_limits(beyond_dead_band(parameters))) / 2.0
-
-    def both(key: str) -> str:
-        value = figures[key].value
-        if isinstance(value, str):
-            return value
-        return f"{value * FULL_VOLTAGE * MILLIMETRE:.3g} V/mm (K_v = {value * full_speed:.3g} 1/s)"
-
-    facts = {
-        "speeds": f"{text['speed out']} mm/s out, {text['speed in']} mm/s in; at 2/3 of the largest force "
-        f"{text['loaded out']} and {text['loaded in']} mm/s",
-        "forces": f"{text['force out']} kN out, {text['force in']} kN in; it reaches {text['reach in']} to "
-        f"{text['reach out']} mm",
-        "natural frequency": f"{text['lowest frequency']} Hz at the softest place "
-        f"({figures['lowest frequency'].at}), ports shut",
-        "damping ratio": f"{figures[healthy].text(2)} with a healthy seal, {figures[leaking].text(2)} with a leak of "
-        f"{leak_text(LEAKS[-1])}, without friction",
-        "largest stable gain": f"{both('gain over the reach')} with the file's own values, "
-        f"{both('gain in the ranges')} on the worst of {DRAWN} plants drawn from their ranges; healthy seal",
-    }
+    for key in ("gain over the reach", "gain in the ranges", "recommended gain"):
+        if key in figures and not isinstance(value := figures[key].value, str):
+            text[key] = f"{value * FULL_VOLTAGE * MILLIMETRE:.3g} V/mm (K_v = {value * full_speed:.3g} 1/s)"
+    facts = [
+        (
+            "speeds",
+            f"{text['speed out']} mm/s out, {text['speed in']} mm/s in; at 2/3 of the largest force "
+            f"{text['loaded out']} and {text['loaded in']} mm/s",
+        ),
+        (
+            "forces",
+            f"{text['force out']} kN out, {text['force in']} kN in; it reaches {text['reach in']} to "
+            f"{text['reach out']} mm",
+        ),
+        (
+            "natural frequency",
+            f"{text['lowest frequency']} Hz at the softest place ({figures['lowest frequency'].at}), ports shut",
+        ),
+        (
+            "damping ratio",
+            f"{short[healthy]} with a healthy seal, {short[leaking]} with a leak of {leak_text(LEAKS[-1])}, "
+            "without friction",
+        ),
+        (
+            "largest stable gain",
+            f"{text['gain over the reach']} with the file's own values, {text['gain in the ranges']} on the worst of "
+            f"{DRAWN} plants drawn from their ranges; healthy seal",
+        ),
+    ]
     if "recommended gain" in figures:
-        gain, phase = (
-            [row.text(2) for key, row in figures.items() if key.startswith(margin)]
-            for margin in ("gain margin", "phase margin")
-        )
-        facts["recommended gain"] = (
-            f"{both('recommended gain')}: a simulation with friction comes to rest with {' and '.join(gain)} dB more; "
-            f"phase margin without friction {'° and '.join(phase)}° (own values and worst)"
+        gain = " and ".join(short[key] for key in short if key.startswith("gain margin"))
+        phase = "° and ".join(short[key] for key in short if key.startswith("phase margin"))
+        facts.append(
+            (
+                "recommended gain",
+                f"{text['recommended gain']}: a simulation with friction comes to rest with {gain} dB more; phase "
+                f"margin without friction {phase}° (own values and worst)",
+            )
         )
     watch = _watched(figures, figures[healthy].value)
-    return [*facts.items(), ("verdict", "; ".join(["it works", *watch]))]
+    return [*facts, ("verdict", "; ".join(["it works", *watch]))]
 
 
 def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:
@@ -79,27 +93,26 @@ def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:
             "must add that (the PID's overlap_compensation; the others invert it), and the gains above suppose it"
         )
     for way in ("out", "in"):
-        lasting, full = (figures[key].value if key in figures else "" for key in (f"lasting {way}", f"speed {way}"))
-        if isinstance(lasting, float) and isinstance(full, float) and lasting < 0.999 * full:
+        lasting: Any = figures.get(f"lasting {way}", figures[f"speed {way}"]).value
+        if lasting < 0.999 * figures[f"speed {way}"].value:
             watch.append(f"the pump alone sustains only {lasting:.3g} mm/s {way}")
     if isinstance(damping, float) and damping < WEAK_DAMPING:
         watch.append("the axis rings: use damping (pressure feedback) or a low gain")
     if "phase margin, own values" in figures and figures["phase margin, own values"].value == 0.0:
         watch.append("with the recommended gain its friction alone keeps it quiet: if it swings, take half")
-    if isinstance(damping, str) and damping != OVERDAMPED:
+    if damping == HELD_NOWHERE:
         watch.append(f"at the examined position: {damping}")
     return watch
 
 
 def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> dict[str, list[str]]:
     """Fields that the content of a rig's file lacks, with their default values, by group."""
-    own = parameters.model_dump()
     unset: dict[str, list[str]] = {}
     for path in PARAMETER_PATHS:
         group, field = path.split(".")
-        value = own[group][field]
         if field not in (values.get(group) or {}):
-            text = f"{value:.4g}" if isinstance(value, float) else str(value)
+            value = attrgetter(path)(parameters)
+            text = f"{value:.4g}" if isinstance(value, float) else value
             unset.setdefault(group, []).append(f"{field} = {text}")
     return unset
 
@@ -119,55 +132,62 @@ def check_to_console(
     Raises:
         ConfigurationError: the rig is wrong or cannot work, the timing is impossible, or the folder cannot be used.
     """
-    given = read_rig(rig) if rig is not None else Rig(PlantParameters(), {}, {}, "rig")
+    given, name = Rig(PlantParameters(), {}, {}, "rig"), "the rig of Kovari (2015)"
+    if rig is not None:
+        given, name = read_rig(rig), rig.name
     task = timed_task(None, rig, period, latency, "check-rig")
-    rows = [*check_rig(given.plant, given.source, task), position_accuracy(given, task), *pressure_sensors(given, task)]
-    warnings = [*implausible(given.plant), *_short_sensors(task)]
-    title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(given)}"
+    rows = [*check_rig(given.plant, given.source, task), *sensor_rows(given, task)]
     files = []
     if folder is not None:
         files = [folder / CSV_FILE]
         with output_folder(folder, "check-rig", [CSV_FILE], overwrite=overwrite):
             write_text(files[0], check_csv(rows))
     facts = ConsoleTable(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for name, text in brief(rows, given.plant):
-        facts.add_row(name, text)
+    for fact in brief(rows, given.plant):
+        facts.add_row(*fact)
     console = PlainConsole()
-    for line in (title, *warnings):
+    for line in (f"{name}: {_summary(given)}", *implausible(given.plant), *_short_sensors(task)):
         console.print(line, soft_wrap=True)
     console.print(facts)
     if rig is not None:
         console.print("Not in the file, taken from the paper's rig (SI units):")
         for group, entries in assumed(read_yaml(rig), given.plant).items():
             console.print(Padding(f"{group}: {', '.join(entries)}", (0, 0, 0, 2)))
-    first = {row.group: place for place, row in reversed(list(enumerate(rows)))}
+    breaks: dict[int, str] = {}
+    for place, row in enumerate(rows):
+        if row.group not in breaks.values():
+            breaks[place] = row.group
     cells = [(row.quantity, row.at, row.text(4), row.unit) for row in rows]
-    table = Table("", HEADINGS, cells, breaks={place: group for group, place in first.items()})
+    table = Table("", HEADINGS, cells, breaks=breaks)
     console.print(console_table(table, left=(0, 1, 3)))  # narrow enough for a terminal of 80 columns
     return files
 
 
 def _short_sensors(task: TaskConfig) -> list[str]:
-    supply, sensors = task.plant.supply.pressure, dict(task.sensors)
-    return [
-        f"warning: sensors.{name} reads to {sensors[name].high / BAR:.4g} bar, the supply has {supply / BAR:.4g} bar"
-        for name in ("pressure_a", "pressure_b")
-        if sensors[name].fitted and sensors[name].high < supply
-    ]
+    warnings, supply = [], task.plant.supply.pressure / BAR
+    for name in PRESSURES:
+        sensor = getattr(task.sensors, name)
+        if sensor.fitted and sensor.high < task.plant.supply.pressure:
+            reads = f"warning: sensors.{name} reads to {sensor.high / BAR:.4g} bar"
+            warnings.append(f"{reads}, the supply has {supply:.4g} bar")
+    return warnings
 
 
 def _summary(rig: Rig) -> str:
     parameters, cylinder = rig.plant, rig.plant.cylinder
     rods = f"{1e3 * cylinder.rod_diameter:.4g}"
-    rods += f" and {1e3 * cylinder.rod_diameter_a:.4g}" if cylinder.rod_diameter_a else ""
-    absent = [name for name in SENSORS if rig.sensors.get(f"sensors.{name}.fitted") is False]
+    if cylinder.rod_diameter_a:
+        rods += f" and {1e3 * cylinder.rod_diameter_a:.4g}"
     facts = [
         f"{1e3 * cylinder.bore_diameter:.4g}/{rods} x {1e3 * cylinder.stroke:.4g} mm",
         f"{parameters.load.mass + cylinder.piston_mass:.4g} kg",
         f"{parameters.supply.pressure / BAR:.4g} bar",
         f"own leak {leak_at_test_pressure(parameters):.3g} l/min at 100 bar",
     ]
-    return ", ".join([*facts, *(f"no sensor for {name}" for name in absent)])
+    for name in SENSORS:
+        if rig.sensors.get(f"sensors.{name}.fitted") is False:
+            facts.append(f"no sensor for {name}")
+    return ", ".join(facts)
 
 
 def check_csv(rows: list[Row]) -> str:
@@ -226,23 +246,24 @@ PLAUSIBLE = (
 )
 
 
-def position_accuracy(rig: Rig, task: TaskConfig) -> Row:
-    """The constant error of the position sensor, which no controller sees, and whether it is an assumption."""
+def sensor_rows(rig: Rig, task: TaskConfig) -> list[Row]:
+    """Largest constant error of the position, which no controller sees; range, noise and error of the pressures.
+
+    Each says whether it is an assumption.
+    """
+
+    def origin(path: str) -> str:
+        return "from the file" if f"sensors.{path}" in rig.sensors else "assumed"
+
     bias = task.sensors.position.bias
-    origin = "from the file" if "sensors.position.bias" in rig.sensors else "assumed"
-    share = f"{100.0 * bias / rig.plant.cylinder.stroke:.2g} % of stroke"
-    return Row("sensors", "largest constant error, position", f"{origin}: {share}", bias / MILLIMETRE, "mm")
-
-
-def pressure_sensors(rig: Rig, task: TaskConfig) -> list[Row]:
-    """Range, noise and constant error of each pressure sensor, and whether they are assumptions."""
-    figures = {"high": "range", "noise": "noise", "bias": "constant error"}
-    rows = []
-    for name in ("pressure_a", "pressure_b"):
+    at = f"{origin('position.bias')}: {100.0 * bias / rig.plant.cylinder.stroke:.2g} % of stroke"
+    rows = [Row("sensors", "largest constant error, position", at, bias / MILLIMETRE, "mm")]
+    for name in PRESSURES:
         sensor = getattr(task.sensors, name)
-        for field, what in figures.items() if sensor.fitted else ():
-            origin = "from the file" if f"sensors.{name}.{field}" in rig.sensors else "assumed"
-            rows.append(Row("sensors", f"{what}, {name}", origin, getattr(sensor, field) / BAR, "bar"))
+        if sensor.fitted:
+            for field, what in (("high", "range"), ("noise", "noise"), ("bias", "constant error")):
+                value = getattr(sensor, field) / BAR
+                rows.append(Row("sensors", f"{what}, {name}", origin(f"{name}.{field}"), value, "bar"))
     return rows
 
 
@@ -250,12 +271,10 @@ def implausible(parameters: PlantParameters) -> list[str]:
     """A warning for each value that hardly any rig has: the field, its value, what follows, and the likely unit."""
     warnings = []
     for figure in PLAUSIBLE:
-        value = figure.compute(parameters)
+        value, own = figure.compute(parameters), attrgetter(figure.path)(parameters)
         if not figure.low <= value <= figure.high:
-            group, field = figure.path.split(".")
-            own, unit = getattr(getattr(parameters, group), field), PARAMETER_UNITS[figure.path]
             warnings.append(
-                f"warning: {figure.path} = {own:.4g} {unit} gives {figure.name} {value:.3g} {figure.unit}: "
-                f"{figure.meant} meant?"
+                f"warning: {figure.path} = {own:.4g} {PARAMETER_UNITS[figure.path]} gives {figure.name} {value:.3g} "
+                f"{figure.unit}: {figure.meant} meant?"
             )
     return warnings

@@ -12,12 +12,11 @@ import inspect
 import io
 import os
 import random
-import sys
 import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import import_module
@@ -167,25 +166,21 @@ def fingerprint(*participants: Any) -> str:
 
     Finished work of a participant with another digest is not reused.
     """
-    digests = [_fingerprint(participant) for participant in participants]
-    return "" if "" in digests else "".join(digests)
-
-
-def _fingerprint(participant: Any) -> str:
-    try:
-        digest = str(joblib.hash(participant))
-    except Exception:  # a user's object may raise anything
-        return ""
-    try:
-        made_in = participant if inspect.isfunction(participant) else type(participant)
-        source = Path(inspect.getfile(made_in)).read_bytes()
-    except (OSError, TypeError):
+    digests = []
+    for participant in participants:
         source = b""
-    return str(joblib.hash((digest, source)))
+        with suppress(OSError, TypeError):
+            made_in = participant if inspect.isfunction(participant) else type(participant)
+            source = Path(inspect.getfile(made_in)).read_bytes()
+        try:
+            digests.append(joblib.hash((str(joblib.hash(participant)), source)))
+        except Exception:  # a user's object may raise anything
+            return ""
+    return "".join(digests)
 
 
 def run_jobs(
-    listed: Mapping[str, Job], folder: Path | None, jobs: int | None, progress: Report | None, at_once: bool = False
+    listed: Mapping[str, Job], folder: Path | None, jobs: int | None, progress: Report | None
 ) -> tuple[dict[str, JobResult], int]:
     """Run jobs, or read the results that are already in a folder; after an interruption, finished results stay there.
 
@@ -196,7 +191,6 @@ def run_jobs(
         folder: of the study; results are files in its :data:`JOBS_FOLDER`. ``None`` keeps none.
         jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
         progress: called when a job finishes.
-        at_once: as in :func:`answers_of`.
 
     Returns:
         The results by the same keys, and the number of results that were read.
@@ -205,53 +199,46 @@ def run_jobs(
         ConfigurationError: a file cannot be written, or a worker was killed.
     """
     results: dict[str, JobResult] = {}
-    waiting: dict[str, Job] = {}
-    for key, job in listed.items():
-        stored = None
-        if folder is not None and job.digest:
-            stored = load_result(folder / JOBS_FOLDER / job.file)
-        if stored is None:
-            waiting[key] = job
-        else:
-            results[key] = stored
+    waiting = dict(listed)
+    if folder is not None:
+        for key, job in listed.items():
+            stored = load_result(folder / JOBS_FOLDER / job.file) if job.digest else None
+            if stored is not None:
+                results[key] = stored
+                del waiting[key]
     reused = len(results)
     mixed = list(waiting)
     random.Random(0).shuffle(mixed)
-
-    if progress is not None:
-        progress("jobs", reused, len(listed))
-    with _closed_at_end(answers_of({key: waiting[key] for key in mixed}, jobs, at_once)) as answers:
+    report = progress or (lambda *_: None)
+    report("jobs", reused, len(listed))
+    with _closed_at_end(answers_of({key: waiting[key] for key in mixed}, jobs)) as answers:
         for key, result in answers:
             results[key] = result
-            if folder is not None and listed[key].digest and not result.error:
+            if folder is not None and listed[key].digest:
                 save_result(folder / JOBS_FOLDER / listed[key].file, result)
-            if progress is not None:
-                progress("jobs", len(results), len(listed))
+            report("jobs", len(results), len(listed))
     return results, reused
 
 
-def answers_of(
-    waiting: Mapping[str, Job], jobs: int | None, at_once: bool = False
-) -> Generator[tuple[str, JobResult], None, None]:
+def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[str, JobResult], None, None]:
     """Results of jobs in the order of completion, each with its key; those of closed ones are lost.
 
-    A participant that has no :func:`fingerprint` stays in this process.
+    A participant that has no :func:`fingerprint` stays in this process. So does the first of the other jobs: they read
+    the code that it compiled from the disk.
 
     Args:
         waiting: the jobs.
         jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
-        at_once: give all of them to the workers. Otherwise the first one runs in this process, and the others read the
-            code that it compiled from the disk: better for many short jobs.
 
     Raises:
         ConfigurationError: a worker was killed, or has another version of the code.
     """
-    left = dict(waiting)
-    here = [key for key, job in left.items() if job.participant is not None and not job.digest]
-    if not at_once and len(here) < len(left):
-        here.insert(0, next(key for key in left if key not in here))
+    here = [key for key, job in waiting.items() if job.participant is not None and not job.digest]
+    left = {key: job for key, job in waiting.items() if key not in here}
+    here += list(left)[:1]
     for key in here:
-        yield _run_alone(key, left.pop(key))
+        left.pop(key, None)
+        yield _run_alone(key, waiting[key])
     if not left:
         return
     # Dask has as many jobs under way as the cluster has cores; what is sent to it can be fewer.
@@ -301,17 +288,8 @@ def _closed_at_end(answers: Generator[Any, None, None]) -> Iterator[Generator[An
 
 
 def _run_alone(key: str, job: Job) -> tuple[str, JobResult]:
-    """Run a job on one core."""
-    torch = sys.modules.get("torch")
-    threads = torch.get_num_threads() if torch is not None else 1
-    if torch is not None:
-        torch.set_num_threads(1)  # as many jobs as cores run side by side
-    try:
-        with parallel_config("sequential"):  # jobs of a job do not go to the pool that waits for it
-            return key, job.run()
-    finally:
-        if torch is not None:
-            torch.set_num_threads(threads)
+    with parallel_config("sequential"):  # jobs of a job do not go to the pool that waits for it
+        return key, job.run()
 
 
 def _in_worker(key: str, job: Job, code: str) -> tuple[str, JobResult]:
@@ -321,17 +299,17 @@ def _in_worker(key: str, job: Job, code: str) -> tuple[str, JobResult]:
 
 
 def _kept(file: Path, job: Job, code: str) -> None:
-    _, result = _in_worker(file.name, job, code)
-    if not result.error:
-        save_result(file, result)
+    save_result(file, _in_worker(file.name, job, code)[1])
 
 
 def save_result(path: Path, result: JobResult) -> None:
-    """Write a result atomically.
+    """Write a result atomically; an error is none.
 
     Raises:
         ConfigurationError: the file cannot be written.
     """
+    if result.error:
+        return
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **result.metrics)
     write_whole(path, content.getvalue())

@@ -1,4 +1,4 @@
-"""Weights as safetensors with a JSON file, checkpoints as one file, with an optimiser; loading runs no code."""
+"""Weights as safetensors with a JSON file, checkpoints as one file; loading runs no code."""
 
 from __future__ import annotations
 
@@ -11,44 +11,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, model_validator
 
-from hydro_agents.controllers.base import ObservationLayout
 from hydro_env import ConfigurationError
-from hydro_env.files import Group, write_whole
+from hydro_env.files import write_whole
 
 Tensors = Mapping[str, NDArray[Any]]
 CHECKPOINT_VERSION, WEIGHTS_VERSION = 1, 2
 LARGEST_FILE = 2**31  # largest size of a file of weights or a checkpoint in bytes; a larger one must be a mistake
 _DESCRIPTION, _DIGEST = "description", "digest"
-_OPTIMISER = "optimiser."
-
-
-class StoredLayout(Group):
-    """The part of a weights' JSON that describes observations; subclasses add their own fields."""
-
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
-
-    observation_names: tuple[str, ...]
-    observation_scale: tuple[float, ...]
-    control_period: float = Field(gt=0.0, le=1.0)
-
-    @model_validator(mode="after")
-    def _consistent(self) -> StoredLayout:
-        if len(self.observation_names) != len(self.observation_scale) or not all(self.observation_scale):
-            raise ValueError("observation_scale must hold one number other than zero per name")
-        try:
-            _ = self.layout.preview_times
-        except ValueError:
-            raise ValueError(
-                "observation_names: a preview must contain its time, such as reference_preview_5ms"
-            ) from None
-        return self
-
-    @property
-    def layout(self) -> ObservationLayout:
-        """The observations that the weights were trained on."""
-        return ObservationLayout(self.observation_names, self.observation_scale, self.control_period)
 
 
 def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mapping[str, Any]) -> Path:
@@ -133,12 +103,11 @@ def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], dic
     return tensors, _described(tensors.pop(_DESCRIPTION).tobytes(), kind, path, CHECKPOINT_VERSION)
 
 
-def require(tensors: Tensors, wanted: Tensors, where: str | Path, finite: bool = True) -> None:
+def require(tensors: Tensors, wanted: Tensors, where: str | Path) -> None:
     """Check that arrays have the names, shapes and number types of the ``wanted`` ones.
 
     Raises:
-        ConfigurationError: an array is missing, has another shape or type, or (with ``finite``) contains NaN or
-            infinity.
+        ConfigurationError: an array is missing, has another shape or type, or contains NaN or infinity.
     """
     for name, like in wanted.items():
         if name not in tensors:
@@ -149,7 +118,7 @@ def require(tensors: Tensors, wanted: Tensors, where: str | Path, finite: bool =
                 f"{where}: tensor '{name}' holds {array.dtype} of shape {array.shape}, "
                 f"must be {like.dtype} of shape {like.shape}"
             )
-        if finite and not np.isfinite(array).all():
+        if not np.isfinite(array).all():
             raise ConfigurationError(f"{where}: tensor '{name}' holds values that are not finite")
 
 
@@ -203,36 +172,58 @@ def _described(text: bytes, kind: str, path: Path, version: int) -> dict[str, An
     return dict(settings)
 
 
-def optimiser_tensors(optimiser: Any) -> dict[str, NDArray[Any]]:
-    """The state of a torch optimiser as arrays, ``optimiser.<parameter>.<name>``; none before its first step."""
-    return {
-        f"{_OPTIMISER}{index}.{name}": np.array(value.detach().cpu().numpy())
-        for index, entry in optimiser.state_dict()["state"].items()
-        for name, value in entry.items()
-    }
+# The state of a training ----------------------------------------------------------------------------------------------
 
 
-def restore_optimiser(optimiser: Any, tensors: Tensors, where: str) -> None:
-    """Restore the arrays of :func:`optimiser_tensors` into an Adam optimiser of the same parameters.
+def flat(state: Any, name: str) -> dict[str, NDArray[Any]]:
+    """Copies of the arrays and tensors of nested mappings and tuples by name, ``name.key.field``; ``None`` has none.
 
-    Raises:
-        ConfigurationError: the arrays do not belong to such an optimiser; ``where`` names the file.
+    An array with named fields becomes bytes, which safetensors holds.
     """
+    if state is None:
+        return {}
+    arrays: dict[str, NDArray[Any]] = {}
+    if isinstance(state, Mapping | tuple):
+        for key, part in _parts(state).items():
+            arrays |= flat(part, f"{name}.{key}")
+        return arrays
+    if hasattr(state, "detach"):
+        state = state.detach().cpu().numpy()
+    array = np.array(state)
+    if array.dtype.names is not None:
+        array = np.frombuffer(array.tobytes(), np.uint8)
+    return {name: array}
+
+
+def restored(like: Any, arrays: Tensors, name: str) -> Any:
+    """A state with the structure of ``like`` and copies of the arrays of :func:`flat`."""
+    if like is None:
+        return None
+    if isinstance(like, Mapping | tuple):
+        parts = {key: restored(part, arrays, f"{name}.{key}") for key, part in _parts(like).items()}
+        if isinstance(like, Mapping):
+            return parts
+        make = getattr(like, "_make", tuple)
+        return make(parts.values())
+    if hasattr(like, "new_tensor"):
+        return like.new_tensor(arrays[name])
+    return arrays[name].view(like.dtype).reshape(like.shape).copy()
+
+
+def _parts(state: Mapping[Any, Any] | tuple[Any, ...]) -> Mapping[Any, Any]:
+    """The parts of a mapping, a named tuple or a tuple by key, field or number."""
+    if isinstance(state, Mapping):
+        return state
+    return dict(zip(getattr(state, "_fields", range(len(state))), state, strict=True))
+
+
+def restore_optimiser(optimiser: Any, arrays: Tensors, name: str) -> None:
+    """Restore the state of a torch optimiser, of which :func:`flat` made arrays; before its first step it has none."""
     import torch
 
-    stored = {name: array for name, array in tensors.items() if name.startswith(_OPTIMISER)}
-    wanted: dict[str, NDArray[Any]] = {}
-    parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]] if stored else []
-    for index, parameter in enumerate(parameters):
-        if parameter.requires_grad:
-            like = parameter.detach().cpu().numpy()
-            entry = {"step": np.zeros((), dtype=np.float32), "exp_avg": like, "exp_avg_sq": like}
-            wanted |= {f"{_OPTIMISER}{index}.{name}": array for name, array in entry.items()}
-    require(stored, wanted, where)
-    for name in stored.keys() - wanted.keys():
-        raise ConfigurationError(f"{where}: tensor '{name}' does not belong to this optimiser")
     state: dict[int, dict[str, Any]] = {}
-    for name, array in stored.items():
-        _, index_text, key = name.split(".")
-        state.setdefault(int(index_text), {})[key] = torch.from_numpy(np.array(array))
+    for place, array in arrays.items():
+        if place.startswith(f"{name}."):
+            index, key = place.removeprefix(f"{name}.").split(".")
+            state.setdefault(int(index), {})[key] = torch.from_numpy(array.copy())
     optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})

@@ -80,9 +80,8 @@ def test_an_interrupted_training_ends_as_an_uninterrupted_one_bit_for_bit(tmp_pa
     assert parts.training["algorithm"] == "RecurrentPPO (sb3-contrib)"
 
 
-@pytest.mark.parametrize("missing", ["lstm.inputs", "lstm.recurrent"])
-def test_damaged_weights_are_refused(missing, tmp_path):
-    file = train(tmp_path, total_steps=96).save(tmp_path / "policy")
+def test_damaged_weights_are_refused(tmp_path):
+    file, missing = train(tmp_path, total_steps=96).save(tmp_path / "policy"), "lstm.inputs"
     tensors = load_file(file)
     save_file({name: value for name, value in tensors.items() if name != missing}, file)
     redigested(file)

@@ -1,5 +1,7 @@
 """The adaptor keeps to stable-baselines3's contract, and a twin cancels what no controller can help."""
 
+import copy
+
 import numpy as np
 import pytest
 from refusal import refused
@@ -214,7 +216,7 @@ def test_state_goes_back_and_into_another_adaptor(kind):
     other.reset()
     run(env)
     state = env.get_state()
-    kept = {name: array.copy() for name, array in state.items()}
+    kept = copy.deepcopy(state)
     first = run(env)
     np.testing.assert_equal(state, kept)
     for again in (env, other):

@@ -4,12 +4,14 @@ import cmath
 import csv
 import math
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from command_line import ROOT, assert_one_clear_line, hydro
 
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
+from hydro_agents.learning import stable_gain
 from hydro_agents.learning.stable_gain import (
     beyond_dead_band,
     leaking,
@@ -20,17 +22,27 @@ from hydro_agents.learning.stable_gain import (
     weakest,
 )
 from hydro_agents.rigs.check import check_rig
-from hydro_agents.rigs.check_table import assumed, brief, check_csv, implausible
+from hydro_agents.rigs.check_table import assumed, brief, implausible
 from hydro_agents.rigs.rig_file import answers_from, new_rig
 from hydro_agents.study.settings import default_study
-from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv
+from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parts.valve import edge_openings
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 
-ROWS = check_rig(PlantParameters())
+FEW = mock.patch.multiple(stable_gain, DRAWN=6, PLANTS=3)
+"""Few drawn plants, where a test does not ask for the worst of many."""
+
+with FEW:
+    ROWS = check_rig(PlantParameters())
+
+
+@pytest.fixture
+def few():
+    with FEW:
+        yield
 
 
 def figure(quantity, at=""):
@@ -66,7 +78,9 @@ def test_known_figures(quantity, at, value, tolerance):
 def test_the_formulas_of_the_page_give_the_same_figures():
     """docs/own_rig.md, The calculation by hand; the friction-free axis without leak, oil without air."""
     rig = PlantParameters().replace(fluid={"air_fraction": 0.0}, lines={"volume_a": 1e-4, "wall_bulk_modulus": 3e8})
-    found = {row.quantity: row.value for row in check_rig(rig) if row.at in ("fully open", "x = +100.0 mm")}
+    task = TaskConfig(plant=rig, randomisation={})
+    rows = check_rig(rig, task=task)
+    found = {row.quantity: row.value for row in rows if row.at in ("fully open", "x = +100.0 mm")}
     area_a, area_b = math.pi / 4 * 0.04**2, math.pi / 4 * (0.04**2 - 0.028**2)
     ratio, supply, tank = area_a / area_b, rig.supply.pressure, rig.supply.tank_pressure
     gain = rig.valve.rated_flow / math.sqrt(rig.valve.rated_pressure_drop / 2)
@@ -82,6 +96,11 @@ def test_the_formulas_of_the_page_give_the_same_figures():
     assert found["natural frequency, ports shut"] == pytest.approx(frequency, rel=2e-3)
 
 
+def test_every_number_has_a_unit_and_its_place():
+    assert all(row.unit for row in ROWS if not isinstance(row.value, str))
+    assert len({row[:3] for row in ROWS}) == len(ROWS)
+
+
 def test_leakage_damps_adds_margin_and_softens():
     def over_leaks(quantity, at):
         return [figure(quantity, at.format(leak)) for leak in ("0.01", "0.3", "1", "4")]
@@ -94,17 +113,20 @@ def test_leakage_damps_adds_margin_and_softens():
 
 
 def rows_of(**changes):
-    rows = check_rig(PlantParameters().replace(**changes))
+    rig = PlantParameters().replace(**changes)
+    rows = check_rig(rig, task=TaskConfig(plant=rig, randomisation={}))
     return {(row.quantity, row.at): row.value for row in rows}
 
 
 CIRCUITS = {
-    "pump": {"supply": {"model": "pump"}},
     "pump standing": {"supply": {"pump_flow": 0.0}},
     "line alone": {"supply": {"model": "pump", "pump_flow": 0.0, "relief_slope": 0.0}},
     "lugre, ideal valve": {"friction": {"model": "lugre"}, "valve": {"model": "ideal"}},
-    "constant supply, no spring": {"supply": {"model": "constant"}, "load": {"spring_stiffness": 0.0}},
-    "no leak": {"leakage": {"internal_resistance": math.inf}},
+    "constant supply, no spring, no leak": {
+        "supply": {"model": "constant"},
+        "load": {"spring_stiffness": 0.0},
+        "leakage": {"internal_resistance": math.inf},
+    },
 }
 
 
@@ -124,25 +146,18 @@ def test_what_has_no_limit_is_said_in_words():
     assert rows["spool at 10 V", "full = 1"] == pytest.approx(0.01)
 
 
-def test_every_number_has_a_unit_and_its_place():
-    assert all(row.unit for row in ROWS if not isinstance(row.value, str))
-    assert len({row[:3] for row in ROWS}) == len(ROWS)
-    table = list(csv.DictReader(check_csv(ROWS).splitlines()))
-    assert [row["quantity"] for row in table] == [row.quantity for row in ROWS]
-
-
-def test_the_command_prints_and_writes(tmp_path):
+def test_the_command_prints_and_writes(tmp_path, few):
     (tmp_path / "odd.yaml").write_text("valve: {rated_flow: 0.02}")
-    for rig in (*sorted((ROOT / "configs" / "rigs").glob("*.yaml")), tmp_path / "odd.yaml"):
+    for rig in (ROOT / "configs" / "rigs" / "kovari_2015.yaml", tmp_path / "odd.yaml"):
         result = hydro("check-rig", "--rig", rig, "--output", tmp_path / rig.stem)
         assert result.returncode == 0, result.stderr
         assert rig.name in result.stdout
         assert "largest stable gain" in result.stdout
         assert (tmp_path / rig.stem / "check.csv").stat().st_size > 1000
         warnings = [line for line in result.stdout.splitlines() if line.startswith("warning: ")]
-        assert len(warnings) == (rig.stem == "odd")  # no shipped rig has one
-    again = hydro("check-rig", "--output", tmp_path / "kovari_2015")
-    assert_one_clear_line(again, "holds results already")
+        assert len(warnings) == (rig.stem == "odd")
+    for file in (ROOT / "configs" / "rigs").glob("*.yaml"):
+        assert not implausible(read_rig(file).plant)
 
 
 def test_the_brief_lines_say_the_main_figures_in_units_of_the_workshop():
@@ -164,7 +179,7 @@ def test_the_brief_lines_say_the_main_figures_in_units_of_the_workshop():
 
 def test_a_damped_axis_with_a_strong_pump_simply_works():
     rig = PlantParameters().replace(load={"viscous_damping": 2e4}, supply={"model": "constant"})
-    assert dict(brief(check_rig(rig), rig))["verdict"] == "it works"
+    assert dict(brief(check_rig(rig, task=TaskConfig(plant=rig, randomisation={})), rig))["verdict"] == "it works"
 
 
 def test_the_values_that_a_file_leaves_open_are_listed():
@@ -188,19 +203,18 @@ def test_the_gain_with_an_overlapped_valve_is_that_beyond_its_dead_band():
         opened, _ = edge_openings(0.2 + way, dead)
         same, _ = edge_openings(way, alive)
         assert alive.edge_gain * same == pytest.approx(dead.edge_gain * opened, rel=1e-12)
-    rows = check_rig(rig)
+    exact = TaskConfig(plant=rig, randomisation={})
+    rows = check_rig(rig, task=exact)
     [dead_band] = [row.value for row in rows if row.quantity == "dead band"]
     assert dead_band == pytest.approx(2.0)
     # The flow gain there is 1 / 0.8 of that without an overlap, so that the stable gain is 0.8 times as large.
-    limits = [
-        next(row.value for row in found if row.quantity == "largest stable gain" and "0.3 l/min" in row.at)
-        for found in (rows, check_rig(rig.replace(valve={"overlap": 0.0, "underlap": 0.0016})))
-    ]
+    plain = task_config(exact, plant={"valve": {"overlap": 0.0, "underlap": 0.0016}})
+    limits = [weakest(nominal_loops(task, 0.3)).gain for task in (exact, plain)]
     assert limits[0] / limits[1] == pytest.approx(0.8, rel=0.02)
     assert "the valve is overlapped, dead within ±2 V" in dict(brief(rows, rig))["verdict"]
 
 
-def test_the_timing_is_that_of_the_options(tmp_path):
+def test_the_timing_is_that_of_the_options(tmp_path, few):
     answer = hydro("check-rig", "--rig", "symmetric_eha", "--period", "1ms", "--latency", "0.5ms", "--output", tmp_path)
     assert answer.returncode == 0, answer.stderr
     rows = {
@@ -223,7 +237,7 @@ def test_margins_are_those_of_the_loop():
     """A gain larger by the gain margin, or a phase turned by the phase margin, is just stable."""
     task = task_config(None, rig="symmetric_eha")
     found = weakest(nominal_loops(task))
-    assert found.gain_margin(found.recommended) == pytest.approx(6.02, abs=0.01)
+    assert found.recommended == pytest.approx(0.5 * found.gain)
     for gain in (0.2 * found.gain, found.recommended, 0.9 * found.gain):
         margin = found.loop.phase_margin(gain)
         assert 0.0 < margin < 180.0
@@ -252,9 +266,6 @@ def test_a_figure_that_cannot_be_meant_warns_in_one_line(path, changes):
     assert line.startswith(f"warning: {path} = ")
 
 
-RIGS = ("symmetric_eha", "aalborg_svsdp_2017")
-
-
 def loops_of(plant, task):
     """Loops at five positions of the reach; a plant that cannot be held at one of them has none there."""
     loops = []
@@ -268,12 +279,11 @@ def loops_of(plant, task):
 
 OWN = {
     "63/45 x 500": ("63 mm", "45 mm", "500 mm", "40 l/min", "160 bar", "200 kg"),
-    "100/56 x 1000": ("100 mm", "56 mm", "1000 mm", "100 l/min", "210 bar", "1500 kg"),
 }
 KEYS = ("bore", "rod", "stroke", "rated_flow", "supply_pressure", "mass")
 
 
-@pytest.mark.parametrize("name", ["kovari_2015", *RIGS, *OWN])
+@pytest.mark.parametrize("name", ["kovari_2015", *OWN])
 def test_the_recommended_gain_is_stable_on_every_drawn_plant(name, tmp_path):
     """The plants come from the environment's own draws, which the search for the gain does not use."""
     rig = name
@@ -294,9 +304,8 @@ def test_the_recommended_gain_is_stable_on_every_drawn_plant(name, tmp_path):
         assert not all(loop.is_stable(nominal.recommended) for loop in loops)
 
 
-@pytest.mark.parametrize("rig", RIGS)
-def test_half_of_the_largest_stable_gain_and_the_inverse_speeds(rig):
-    task = task_config(None, rig=rig)
+def test_half_of_the_largest_stable_gain_and_the_inverse_speeds(few):
+    task = task_config(None, rig="symmetric_eha")
     gains, exact = pid_from_figures(task), task.model_copy(update={"randomisation": {}})
     loops = loops_of(leaking(task.plant, 0.01), task)
     largest = 2.0 * pid_from_figures(exact).proportional
@@ -308,8 +317,8 @@ def test_half_of_the_largest_stable_gain_and_the_inverse_speeds(rig):
     assert gains.feedforward_retracting * back == pytest.approx(1.0)
 
 
-def test_a_study_on_another_rig_begins_with_gains_that_are_stable_there():
-    study = default_study(Path("own_rig_quick"), rig=RIGS[0])
+def test_a_study_on_another_rig_begins_with_gains_that_are_stable_there(few):
+    study = default_study(Path("own_rig_quick"), rig="symmetric_eha")
     settings = study.controllers["PID"].settings
     own = pid_from_figures(study.task)
     assert stable_start(study.task, settings) == own  # those of the paper's rig are unstable here
@@ -317,7 +326,7 @@ def test_a_study_on_another_rig_begins_with_gains_that_are_stable_there():
     assert all(loop.is_stable(own.proportional) for loop in loops_within_ranges(study.task))
 
 
-def test_gains_that_were_tuned_for_the_rig_remain_the_start():
+def test_gains_that_were_tuned_for_the_rig_remain_the_start(few):
     study = default_study(Path("own_rig_quick"))
     settings = study.controllers["PID"].settings
     assert stable_start(study.task, settings) is settings

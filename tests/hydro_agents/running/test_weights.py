@@ -16,7 +16,7 @@ from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.weights import load_checkpoint, load_weights, require, save_checkpoint, save_weights
 from hydro_env import ConfigurationError
 
-CASES = int(os.environ.get("HYDRO_FUZZ_CASES", "60"))
+CASES = int(os.environ.get("HYDRO_FUZZ_CASES", "20"))
 LOADERS = {"policy": PolicyController.load, "leakage_head": LeakageHead.load}
 ODD_VALUES = ("text", None, True, [], {}, [None], 0, -1, 1.5, 10**30, 1e308, float("inf"), float("nan"))
 ODD_TEXTS = (b"", b"null", b"[]", b"{", b"\xff\xfe\x00", b"1e999", b"9" * 6000, b"[" * 100_000, b'{"a":' * 50_000)
