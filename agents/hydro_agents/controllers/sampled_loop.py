@@ -108,30 +108,6 @@ class SampledLoop:
         first = self._first_unstable(gain * np.exp(-1j * np.radians(angles)))
         return float("inf") if first is None else float(angles[max(first - 1, 0)])
 
-    def response(self, gain: float, frequencies: Floats) -> NDArray[np.complex128]:
-        """Reference to position of the closed loop at frequencies in Hz, shape (n,), complex, m per m.
-
-        Exact at the sampling instants, up to half the sampling frequency: T = g P(z) / (1 + g P(z)),
-        P(z) = c (z − Φ)⁻¹ (Γ_new + Γ_old / z) z^(−late) and z = exp(j 2π f · period) (Åström & Wittenmark 1997,
-        section 2.6).
-        """
-        n = len(self.input_new)
-        z = np.exp(2j * np.pi * np.asarray(frequencies, dtype=np.float64) * self.control_period)[:, None]
-        matrices = z[:, :, None] * np.eye(n) - self.transition
-        states = np.linalg.solve(matrices, (self.input_new + self.input_old / z)[:, :, None])
-        opened = gain * self.position_size * states[:, 0, 0] / z[:, 0] ** self.late
-        closed = opened / (1.0 + opened)
-        return np.asarray(closed, dtype=np.complex128)
-
-    def final_value(self, gain: float) -> float:
-        """Final position of a stable closed loop in m per m of reference; below 1 with a leak."""
-        matrix, n = self.closed(gain), len(self.input_new)
-        drive = np.zeros(len(matrix))
-        drive[n] = gain
-        if not self.late:
-            drive[:n] = self.input_new * gain
-        return float(np.linalg.solve(np.eye(len(matrix)) - matrix, drive)[0] * self.position_size)
-
     def static_stiffness(self, gain: float) -> float:
         """Constant external force per steady-state position error, N/m, with the loop closed; inf without an error."""
         matrix = self.a.copy()

@@ -194,7 +194,7 @@ def simulated(
         acting = Disturbed(acting, moves)
 
     measured, cases = MeasuredColumns.of(task), Cases(seeds, scale * leaks, faults=faults)
-    run = run_cases(task, acting, cases, measured.columns, states=False, chunk=count)
+    run = run_cases(task, acting, cases, measured.columns, states=False)
     assert run.signals is not None
     signals = measured.si(run.signals).astype(np.float32)
     if moves is not None:

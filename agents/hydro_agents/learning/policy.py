@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import copy
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -21,12 +20,12 @@ from hydro_agents.learning.features import (
     PolicyFeatures,
 )
 from hydro_agents.learning.rig_gains import GainsFor, searched_gains
-from hydro_agents.running.weights import load_weights, require, save_weights
+from hydro_agents.running.weights import load_weights, save_weights
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.errors import reason
 from hydro_env.files import Group, validate
 
 KIND = "policy"
-LARGEST_LAYER = 4096
 LONGEST_LAG = 10_000  # control periods; more must be a mistake
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
@@ -46,7 +45,7 @@ class _StoredFeatures(Group):
     see_estimates: bool = False
     normalised: bool = False
     history_signals: tuple[str, ...]
-    history_lags: tuple[Annotated[int, Field(ge=1, le=LONGEST_LAG)], ...] = Field(min_length=1, max_length=100)
+    history_lags: tuple[Annotated[int, Field(ge=1, le=LONGEST_LAG)], ...]
     any_axis: bool = False
     correction: float = Field(0.2, gt=0.0, le=2.0)
     error: float = Field(1.0, gt=0.0, le=1e6)
@@ -76,10 +75,10 @@ class _StoredPolicy(Group):
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
 
     features: _StoredFeatures
-    layer_sizes: tuple[Annotated[int, Field(ge=1, le=LARGEST_LAYER)], ...] = Field(min_length=2, max_length=33)
+    layer_sizes: tuple[int, ...] = Field(min_length=2)
     activation: Literal["tanh", "relu"] = "tanh"
     output: Literal["linear"] = "linear"  # limited to ±1
-    lstm_cells: int | None = Field(None, ge=1, le=LARGEST_LAYER)
+    lstm_cells: int | None = None
     training: dict[str, Any] = {}
 
 
@@ -257,32 +256,22 @@ class PolicyController:
         """
         tensors, settings = load_weights(path, KIND)
         stored = validate(_StoredPolicy, settings, str(path))
+        layers, lstm = [], None
         try:
             features = stored.features.features()
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{path}: {error}") from None
-        cells, sizes = stored.lstm_cells, stored.layer_sizes
-        first = cells or features.size
-        if sizes[0] != first or sizes[-1] != 1:
-            raise ConfigurationError(f"{path}: layer_sizes = {list(sizes)}: must begin with {first} and end with 1")
-        layers = [(_empty(after, before), _empty(after)) for before, after in pairwise(sizes)]
-        normalisation, lstm = None, None
-        if stored.features.normalised:
-            normalisation = Normalisation(_empty(features.moving), _empty(features.moving))
-        if cells is not None:
-            lstm = LSTM(_empty(4 * cells, features.size), _empty(4 * cells, cells), _empty(4 * cells))
-        wanted = _named(layers, normalisation, lstm)
-        require(tensors, wanted, path)
-        for name, array in wanted.items():
-            array[...] = tensors[name]
-        if normalisation is not None and not (normalisation.unit > 0.0).all():
-            raise ConfigurationError(f"{path}: tensor 'normalisation.unit' must be positive")
-        features.normalisation = normalisation
-        return cls(features, layers, stored.training, stored.activation, lstm)
-
-
-def _empty(*shape: int) -> NDArray[np.float32]:
-    return np.empty(shape, dtype=np.float32)
+            if stored.features.normalised:
+                features.normalisation = Normalisation(tensors["normalisation.centre"], tensors["normalisation.unit"])
+            if stored.lstm_cells is not None:
+                lstm = LSTM(tensors["lstm.inputs"], tensors["lstm.recurrent"], tensors["lstm.bias"])
+            for number in range(len(stored.layer_sizes) - 1):
+                layers.append((tensors[f"layer{number}.weight"], tensors[f"layer{number}.bias"]))
+            policy = cls(features, layers, stored.training, stored.activation, lstm)
+            command, _ = policy.predict(np.zeros((1, len(features.layout.names)), np.float32))
+        except Exception as error:  # damaged weights with a digest of their own may raise anything
+            raise ConfigurationError(f"{path}: {reason(error)}") from None
+        if command.shape != (1, 1) or not np.isfinite(command).all():
+            raise ConfigurationError(f"{path}: gives no finite command")
+        return policy
 
 
 def _array(tensor: Any) -> NDArray[np.float32]:
@@ -291,7 +280,7 @@ def _array(tensor: Any) -> NDArray[np.float32]:
 
 
 def _named(layers: Layers, normalisation: Normalisation | None, lstm: LSTM | None) -> dict[str, NDArray[np.float32]]:
-    """The tensors of a policy's file; they share the memory of the arguments."""
+    """The tensors of a policy's file."""
     named = {}
     for number, (weight, bias) in enumerate(layers):
         named[f"layer{number}.weight"], named[f"layer{number}.bias"] = weight, bias

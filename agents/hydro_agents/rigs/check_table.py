@@ -44,44 +44,27 @@ def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, s
     for key in ("gain over the reach", "gain in the ranges", "recommended gain"):
         if key in figures and not isinstance(value := figures[key].value, str):
             text[key] = f"{value * FULL_VOLTAGE * MILLIMETRE:.3g} V/mm (K_v = {value * full_speed:.3g} 1/s)"
-    facts = [
-        (
-            "speeds",
-            f"{text['speed out']} mm/s out, {text['speed in']} mm/s in; at 2/3 of the largest force "
-            f"{text['loaded out']} and {text['loaded in']} mm/s",
-        ),
-        (
-            "forces",
-            f"{text['force out']} kN out, {text['force in']} kN in; it reaches {text['reach in']} to "
-            f"{text['reach out']} mm",
-        ),
-        (
-            "natural frequency",
-            f"{text['lowest frequency']} Hz at the softest place ({figures['lowest frequency'].at}), ports shut",
-        ),
-        (
-            "damping ratio",
-            f"{short[healthy]} with a healthy seal, {short[leaking]} with a leak of {leak_text(LEAKS[-1])}, "
-            "without friction",
-        ),
-        (
-            "largest stable gain",
-            f"{text['gain over the reach']} with the file's own values, {text['gain in the ranges']} on the worst of "
-            f"{DRAWN} plants drawn from their ranges; healthy seal",
-        ),
-    ]
+    facts = {
+        "speeds": f"{text['speed out']} mm/s out, {text['speed in']} mm/s in; at 2/3 of the largest force "
+        f"{text['loaded out']} and {text['loaded in']} mm/s",
+        "forces": f"{text['force out']} kN out, {text['force in']} kN in; it reaches {text['reach in']} to "
+        f"{text['reach out']} mm",
+        "natural frequency": f"{text['lowest frequency']} Hz at the softest place "
+        f"({figures['lowest frequency'].at}), ports shut",
+        "damping ratio": f"{short[healthy]} with a healthy seal, {short[leaking]} with a leak of "
+        f"{leak_text(LEAKS[-1])}, without friction",
+        "largest stable gain": f"{text['gain over the reach']} with the file's own values, "
+        f"{text['gain in the ranges']} on the worst of {DRAWN} plants drawn from their ranges; healthy seal",
+    }
     if "recommended gain" in figures:
         gain = " and ".join(short[key] for key in short if key.startswith("gain margin"))
         phase = "° and ".join(short[key] for key in short if key.startswith("phase margin"))
-        facts.append(
-            (
-                "recommended gain",
-                f"{text['recommended gain']}: a simulation with friction comes to rest with {gain} dB more; phase "
-                f"margin without friction {phase}° (own values and worst)",
-            )
+        facts["recommended gain"] = (
+            f"{text['recommended gain']}: a simulation with friction comes to rest with {gain} dB more; phase margin "
+            f"without friction {phase}° (own values and worst)"
         )
     watch = _watched(figures, figures[healthy].value)
-    return [*facts, ("verdict", "; ".join(["it works", *watch]))]
+    return [*facts.items(), ("verdict", "; ".join(["it works", *watch]))]
 
 
 def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:

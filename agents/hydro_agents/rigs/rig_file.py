@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -86,28 +85,21 @@ def parsed(question: Question, text: str) -> float | str:
             if word not in known:
                 raise ConfigurationError(f"{place}: '{word[:40]}': {one_of(word, known)}")
         return ",".join(words)
-    unit = question.unit
+    unit, share = question.unit, question.example.endswith("%")
     if unit == SIGNAL:
         unit = "A" if text.strip().endswith(tuple(UNITS["A"])) else "V"
     try:
         value = in_si(text, unit)
-    except ValueError as error:
-        raise ConfigurationError(f"{place}: {error}") from None
-    try:
         number = float(value)
+        if isinstance(value, str) and number != 0.0 and (unit != "1" or share):
+            raise ValueError("has no unit")
     except ValueError:
-        comma = "; decimals need a point" if re.match(r"[-+]?\d*,\d", text.strip()) else ""
-        example = f"must be a number with its unit, such as {question.example}"
-        raise ConfigurationError(f"{place}: {example}{comma}") from None
-    share = question.example.endswith("%")
-    if isinstance(value, str) and number != 0.0 and (question.unit != "1" or share):
-        raise ConfigurationError(f"{place}: needs a unit, such as {question.example}")
+        raise ConfigurationError(f"{place}: must be a number with its unit, such as {question.example}") from None
     if share and not 0.0 <= number < 1.0:
         raise ConfigurationError(f"{place}: must be within 0 to 100 %")
-    if number == 0.0 and (question.required or question.key in DIVISORS):
+    positive = question.required or question.key in DIVISORS
+    if question.key != "external_force" and not (number > 0.0 or (number == 0.0 and not positive)):
         raise ConfigurationError(f"{place}: must be above 0")
-    if question.key != "external_force" and not number >= 0.0:
-        raise ConfigurationError(f"{place}: must not be negative")
     return number
 
 

@@ -18,18 +18,15 @@ from hydro_env.plant.analysis import leak_at_test_pressure
 from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
 from hydro_env.plant.workable import refuse_unworkable
-from hydro_env.task.configuration import LEAKAGE_LIMIT
 from hydro_env.task.rig import read_rig
 from hydro_env.types import Floats
-from hydro_env.units import LITRE_PER_MINUTE
+from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
 CSV_FILE = "trajectory.csv"
 PICTURE_FILE = "trajectory.png"
 RIG_FILE = "rig.yaml"
 FILES = (CSV_FILE, PICTURE_FILE, RIG_FILE)
 SAMPLE_TIME = 1e-3  # s, for which each voltage is held
-LONGEST_RUN = 3600.0
-LARGEST_VOLTAGE = 10.0
 SHAPES = ("step", "sine", "sweep", "stop")
 
 
@@ -51,7 +48,7 @@ def input_voltage(signal: str, voltage: float, samples: int, sample_time: float,
         low, high = 0.5, 50.0
         rate = math.log(high / low) / duration
         shape = np.sin(2 * math.pi * low * (np.exp(rate * time) - 1.0) / rate)
-    return np.clip(holding + voltage * shape, -LARGEST_VOLTAGE, LARGEST_VOLTAGE)
+    return np.clip(holding + voltage * shape, -FULL_VOLTAGE, FULL_VOLTAGE)
 
 
 def simulate_to_folder(
@@ -74,16 +71,8 @@ def simulate_to_folder(
     """
     if signal not in SHAPES:
         raise ConfigurationError(f"--input {signal}: {unknown(signal, SHAPES)}")
-    if not abs(voltage) <= LARGEST_VOLTAGE:
-        raise ConfigurationError(f"--voltage = {voltage:g} V: must be within -10 to 10 V")
-    if not SAMPLE_TIME <= duration <= LONGEST_RUN:
-        raise ConfigurationError(f"--duration = {duration:g} s: must be {SAMPLE_TIME:g} to {LONGEST_RUN:g} s")
-    parameters = PlantParameters()
-    if rig is not None:
-        parameters = read_rig(rig).plant
+    parameters = PlantParameters() if rig is None else read_rig(rig).plant
     if leakage is not None:
-        if not 0.0 <= leakage <= LEAKAGE_LIMIT:
-            raise ConfigurationError(f"--leakage = {leakage:g} l/min: must be within 0 to {LEAKAGE_LIMIT:g} l/min")
         parameters = parameters.replace(leakage=leak_past_piston(leakage, "laminar"))
     refuse_unworkable(parameters, str(rig or "rig"))
     if position is None:

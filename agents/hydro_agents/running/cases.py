@@ -126,9 +126,8 @@ def run_cases(
     cases: Cases,
     signal_columns: Sequence[int] | NDArray[np.int64] | None = None,
     states: bool = True,
-    chunk: int = 2048,
 ) -> Rollout:
-    """Run one episode of every case with a controller.
+    """Run one episode of every case with a controller, all of them together.
 
     Args:
         config: the task.
@@ -136,7 +135,6 @@ def run_cases(
         cases: the episodes; the seed of each case draws all quantities that the case does not fix.
         signal_columns: columns of the observation to keep.
         states: keep positions, commands and so on as well.
-        chunk: number of cases that run together; does not change results.
 
     Raises:
         ConfigurationError: the task draws its rigs.
@@ -156,15 +154,10 @@ def run_cases(
     check_predict(controller)
     if config.law is not None:
         raise ConfigurationError("law: a run is on one rig; rig_tasks(config) lists those of the law")
-    parts = [_run_chunk(config, controller, part, signal_columns, states) for part in cases.chunks(chunk)]
-    joined: dict[str, Any] = {}
-    for name in Rollout.__dataclass_fields__:
-        values = [getattr(part, name) for part in parts]
-        joined[name] = values[0] if name == "time" or values[0] is None else np.concatenate(values)
-    return Rollout(**joined)
+    return _run(config, controller, cases, signal_columns, states)
 
 
-def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns: Any, keep_states: bool) -> Rollout:
+def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any, keep_states: bool) -> Rollout:
     count, steps = len(cases), config.steps
     # NEXT_STEP shows the last sample of an episode before its axis restarts.
     env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)

@@ -17,7 +17,6 @@ from hydro_env.files import write_whole
 
 Tensors = Mapping[str, NDArray[Any]]
 CHECKPOINT_VERSION, WEIGHTS_VERSION = 1, 2
-LARGEST_FILE = 2**31  # largest size of a file of weights or a checkpoint in bytes; a larger one must be a mistake
 _DESCRIPTION, _DIGEST = "description", "digest"
 
 
@@ -141,9 +140,6 @@ def digest_of_weights(content: bytes, settings: Mapping[str, Any]) -> str:
 
 def _content(path: Path) -> bytes:
     try:
-        size = path.stat().st_size
-        if size > LARGEST_FILE:
-            raise ConfigurationError(f"{path}: holds {size} bytes, more than {LARGEST_FILE}: not read")
         return path.read_bytes()
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from hydro_agents.controllers.adrc import ADRC, ADRCGains
-from hydro_agents.controllers.pid import PID, PIDGains
+from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import controller_from_gains, gain_rows, gains_text, make_controller
 from hydro_agents.learning.loading import found_in, load_controller
 from hydro_env import TaskConfig
@@ -91,24 +90,12 @@ def test_the_file_tells_each_gain_in_the_units_of_a_plc_and_reads_back_unchanged
     assert controller_from_gains(file, TaskConfig()).gains == gains
 
 
-def test_the_names_of_the_gains_tell_the_controller(tmp_path: Path) -> None:
-    config, file = TaskConfig(), tmp_path / "mine.yaml"
-    file.write_text("proportional: 12.0\n", encoding="utf-8")
-    controller = load_controller(str(file), config, "mine")
-    assert isinstance(controller, PID)
-    assert controller.gains == PIDGains(proportional=12.0)
-    file.write_text(gains_text(ADRCGains()), encoding="utf-8")
-    assert isinstance(controller_from_gains(file, config), ADRC)
-
-
 NONE = r"must hold the gains of one controller \(pid, "
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is empty"),
-        ("speed: 1.0\n", NONE),
         ("proportional: 12.0\nspeed: 1.0\n", NONE),
         ("proportional: -1.0\n", r"pid: proportional = -1\.0"),
     ],
@@ -126,11 +113,6 @@ def test_the_folder_of_a_controller_stands_for_its_weights_or_gains(tmp_path: Pa
     assert found_in(tmp_path) == str(tmp_path / "gains.yaml")
     (tmp_path / "policy.json").write_text("{}", encoding="utf-8")
     assert found_in(str(tmp_path)) == str(tmp_path / "policy")
-
-
-def test_gains_without_a_study_are_not_exported_for_a_guessed_rig(tmp_path: Path) -> None:
-    with refused("gains belong to a rig"):
-        _task_of_gains(tmp_path / "gains.yaml")
 
 
 def test_gains_of_a_study_are_exported_for_its_rig(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from hydro_env import PlantParameters, TaskConfig, equilibrium, resistance_from_
 from hydro_env.errors import HydroError
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.states import STATE_NAMES
+from paper.loop import final_value, response
 
 
 def leaking(flow, **groups):
@@ -108,7 +109,7 @@ def test_timing_is_that_of_the_task():
 def test_whole_periods_of_latency_only_turn_the_phase_and_cost_gain():
     frequencies = np.array([1.0, 5.0, 20.0, 60.0])
     loops = [sampled_loop(leaking(1.0), 0.0, 2e-3, latency) for latency in (1e-3, 3e-3, 5e-3)]
-    opened = [answer / (1.0 - answer) for answer in (loop.response(20.0, frequencies) for loop in loops)]
+    opened = [answer / (1.0 - answer) for answer in (response(loop, 20.0, frequencies) for loop in loops)]
     turn = np.exp(-2j * np.pi * frequencies * 2e-3)
     np.testing.assert_allclose(opened[1], opened[0] * turn)
     np.testing.assert_allclose(opened[2], opened[0] * turn**2)
@@ -117,6 +118,6 @@ def test_whole_periods_of_latency_only_turn_the_phase_and_cost_gain():
     for loop, gain in zip(loops, largest, strict=True):  # at the limit the open loop passes through −1
         values = np.linalg.eigvals(loop.closed(gain))
         frequency = np.abs(np.angle(values[np.argmax(np.abs(values))])) / (2.0 * np.pi * 2e-3)
-        answer = loop.response(gain * (1.0 - 1e-6), np.array([frequency]))
+        answer = response(loop, gain * (1.0 - 1e-6), np.array([frequency]))
         assert abs((answer / (1.0 - answer))[0] + 1.0) < 1e-3
-        assert loop.final_value(0.5 * gain) == pytest.approx(loops[0].final_value(0.5 * gain))
+        assert final_value(loop, 0.5 * gain) == pytest.approx(final_value(loops[0], 0.5 * gain))

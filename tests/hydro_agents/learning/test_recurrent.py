@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from refusal import redigested, refused
-from safetensors.numpy import load_file, save_file
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.base import rows as rows_of
@@ -78,12 +76,3 @@ def test_an_interrupted_training_ends_as_an_uninterrupted_one_bit_for_bit(tmp_pa
     np.testing.assert_equal(parts.lstm, whole.lstm)
     np.testing.assert_array_equal(parts.layers[-1][0], whole.layers[-1][0])
     assert parts.training["algorithm"] == "RecurrentPPO (sb3-contrib)"
-
-
-def test_damaged_weights_are_refused(tmp_path):
-    file, missing = train(tmp_path, total_steps=96).save(tmp_path / "policy"), "lstm.inputs"
-    tensors = load_file(file)
-    save_file({name: value for name, value in tensors.items() if name != missing}, file)
-    redigested(file)
-    with refused(missing):
-        PolicyController.load(file)

@@ -3,17 +3,14 @@
 import numpy as np
 import pandas as pd
 import pytest
-from driven import commands
 from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import discount, make_env, make_features, make_model, train_policy
 from hydro_agents.running.cases import validation_errors
 from hydro_env import TaskConfig
-from hydro_env.files import validate
 from hydro_env.task.configuration import task_config
 from hydro_env.task.paces import pace
 
@@ -34,15 +31,6 @@ def test_same_seed_gives_the_same_weights_whatever_is_logged_and_another_does_no
     np.testing.assert_array_equal(weights_of(first), weights_of(second))
     assert not np.array_equal(weights_of(first), weights_of(other))
     assert first.training["steps"] == 1024
-
-
-@pytest.mark.parametrize("residual", [True, False])
-def test_weights_round_trip(tmp_path, residual):
-    seen = {"full_preview": True, "activation": "tanh"}
-    policy = train_policy(CONFIG, SETTINGS.model_copy(update={"residual": residual, "total_steps": 256, **seen}), BASE)
-    policy.save(tmp_path / "policy")
-    again = PolicyController.load(tmp_path / "policy.safetensors")
-    np.testing.assert_array_equal(commands(again, CONFIG), commands(policy, CONFIG))
 
 
 def test_log_of_a_training(tmp_path):
@@ -125,18 +113,3 @@ def test_practice_changes_what_occurs_and_not_what_the_policy_sees():
     ):
         with refused(message):
             env(**practice)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"reward_scale": float("nan")}, "reward_scale = nan"),
-        ({"axes": 65536, "steps_per_rollout": 65536}, "axes × steps_per_rollout = 4294967296 must not exceed"),
-        ({"axes": 4, "steps_per_rollout": 4, "minibatches": 16}, "into parts of at least 2"),
-        ({"axes": 4, "steps_per_rollout": 5, "minibatches": 3}, "minibatches = 3 must divide"),
-        ({"hidden_sizes": []}, "hidden_sizes"),
-    ],
-)
-def test_impossible_settings_are_refused_with_one_line(change, message):
-    with refused(message):
-        validate(PPOSettings, change, "ppo.yaml")

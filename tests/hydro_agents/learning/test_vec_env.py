@@ -10,7 +10,7 @@ from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.vec_env import AxisVecEnv
-from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.paces import pace
 from hydro_env.task.rewards import REWARD_TERMS
@@ -22,22 +22,6 @@ BASE = PID(PIDGains(), CONFIG)
 
 def make(count=6, base=BASE, **options):
     return AxisVecEnv(CONFIG, count, PolicyFeatures(CONFIG, base, 0.5), **options)
-
-
-def test_residual_of_zero_is_the_pid():
-    env = make(seed=11)
-    env.reset()
-    plain = ServoHydraulicVectorEnv(6, CONFIG, autoreset_mode="SameStep")
-    observation, _ = plain.reset(seed=11)
-    memory, ended = None, None
-    for _ in range(45):
-        inputs, reward, done, _ = env.step(np.zeros((6, 1)))
-        action, memory = BASE.predict(observation, memory, ended)
-        observation, expected, terminated, truncated, _ = plain.step(action)
-        ended = terminated | truncated
-        np.testing.assert_array_equal(reward, expected.astype(np.float32))
-        np.testing.assert_array_equal(done, ended)
-        np.testing.assert_array_equal(inputs[:, : len(LAYOUT.names)], observation)
 
 
 def test_paired_reward_of_the_pid_against_itself_is_zero():
@@ -226,21 +210,6 @@ def test_state_goes_back_and_into_another_adaptor(kind):
             np.testing.assert_array_equal(reward, reward2)
             np.testing.assert_array_equal(done, done2)
             assert [info.get("episode") for info in infos] == [info.get("episode") for info in infos2]
-
-
-@pytest.mark.parametrize("paired", [False, True])
-def test_each_axis_has_its_own_options(paired):
-    env = make(3, paired=paired)
-    env.set_options([{"leakage_flow_lpm": 0.1}, {"reference": "sine"}, {"leakage_flow_lpm": 3.0, "reference": "step"}])
-    env.reset()
-    times = 2 if paired else 1  # a twin has the options of its axis
-    leak, family = (env.env.axes.column(name).tolist() for name in ("leak_flow", "reference_family"))
-    assert leak[::3] == pytest.approx([0.1] * times)
-    assert leak[2::3] == pytest.approx([3.0] * times)
-    assert not {0.1, 3.0} & {*leak[1::3]}
-    assert [REFERENCE_FAMILIES[int(one)] for one in family[1:3]] == ["sine", "step"]
-    with refused("reset options: 1 entries for 3 axes"):
-        make(3).env.reset(options=[{"leakage_flow_lpm": 1.0}])
 
 
 def test_a_drawn_rig_staggers_by_its_own_steps_and_its_late_state_can_be_set():

@@ -88,16 +88,15 @@ def test_each_case_is_the_episode_of_a_single_environment():
 
 
 def test_chunks_do_not_change_results_and_without_states_only_signals_are_kept():
-    sizes = Proportional()
     whole = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR])
-    parts = run_cases(CONFIG, sizes, CASES, signal_columns=[ERROR], chunk=2)
-    np.testing.assert_equal(vars(parts), vars(whole))
-    assert {call[3] for call in sizes.calls} == {1, 2}
+    parts = [run_cases(CONFIG, Proportional(), part) for part in CASES.chunks(2)]
+    for name in ("position", "command", "leakage_flow_lpm"):
+        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name))
     signals = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR], states=False)
     for name in ("position", "reference", "command", "spool", "reward"):
         assert getattr(signals, name).shape == (5, 0)
     np.testing.assert_array_equal(signals.signals, whole.signals)
-    assert run_cases(CONFIG, Proportional(), CASES).signals is None
+    assert parts[0].signals is None
 
 
 def test_commands_beyond_one_are_recorded_as_they_acted():
@@ -108,14 +107,6 @@ def test_commands_beyond_one_are_recorded_as_they_acted():
     assert np.abs(far.command).max() == 1.0
     for name in ("position", "command", "spool", "reward"):
         np.testing.assert_array_equal(getattr(far, name), getattr(near, name))
-
-
-def test_a_part_of_the_cases():
-    part, bare = CASES.part(1, 3), Cases(np.arange(4)).part(2, 9)
-    assert (part.seeds.tolist(), part.leakage_flow_lpm.tolist(), part.families.tolist()) == (
-        *([12, 13], [4.0, 0.3], ["sine", "step"]),
-    )
-    assert (len(part), len(bare), bare.leakage_flow_lpm, bare.families) == (2, 2, None, None)
 
 
 def test_the_controller_gets_its_memory_back_and_hears_where_episodes_begin():

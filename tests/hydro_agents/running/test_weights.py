@@ -13,7 +13,7 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import STEPS, ProgressFile, read_progress
 from hydro_agents.running.folders import pretrained_folder
-from hydro_agents.running.weights import load_checkpoint, load_weights, require, save_checkpoint, save_weights
+from hydro_agents.running.weights import load_checkpoint, load_weights, save_checkpoint, save_weights
 from hydro_env import ConfigurationError
 
 CASES = int(os.environ.get("HYDRO_FUZZ_CASES", "20"))
@@ -98,7 +98,7 @@ def changed_bytes(content, generator):
     [
         (changed_settings, "json", 0.5),
         (lambda content, generator: ODD_TEXTS, "json", 1.0),
-        (changed_tensors, "safetensors", 1.0),
+        (changed_tensors, "safetensors", 0.5),
         (changed_bytes, "safetensors", 0.0),
     ],
 )
@@ -145,20 +145,6 @@ def test_a_checkpoint_holds_what_was_put_in_and_is_refused_with_any_byte_changed
         assert all(np.array_equal(tensors[name], array) for name, array in TENSORS.items())
 
 
-@pytest.mark.parametrize(
-    "found",
-    [
-        {},
-        {"weight": np.zeros((3, 2), dtype=np.float32)},
-        {"weight": np.zeros((2, 3))},
-        {"weight": np.full((2, 3), np.inf, dtype=np.float32)},
-    ],
-)
-def test_tensors_must_be_those_that_are_wanted(found):
-    with refused("file: .*tensor 'weight'"):
-        require(found, {"weight": TENSORS["weight"]}, "file")
-
-
 def test_logs_that_were_changed(tmp_path):
     file = tmp_path / "progress.csv"
     good = f"{STEPS},a,b\n" + "".join(f"{100 * n},{n}.5,\n" for n in range(1, 9))
@@ -191,11 +177,3 @@ def test_weights_with_a_flipped_bit_are_refused(suffix, tmp_path):
         file.write_bytes(damaged)
         with pytest.raises(ConfigurationError):
             load_weights(tmp_path / "w", "kind")
-
-
-def test_names_with_dots_are_different_weights(tmp_path):
-    for rate in ("0.001", "0.002"):
-        save_weights(tmp_path / f"ppo_lr{rate}", "policy", {"rate": np.float32([len(rate)])}, {"rate": rate})
-    for rate in ("0.001", "0.002"):
-        for suffix in ("", ".json", ".safetensors"):
-            assert load_weights(tmp_path / f"ppo_lr{rate}{suffix}", "policy")[1]["rate"] == rate
