@@ -98,7 +98,9 @@ def resting_place(parameters: PlantParameters) -> float:
         HydroError: none of the candidate positions can be held.
     """
     low, high = reachable_range(parameters)
-    middle = 0.0 if low < 0.0 < high else 0.5 * (low + high)
+    middle = 0.0
+    if not low < 0.0 < high:
+        middle = 0.5 * (low + high)
     held = []
     for place in (middle, *np.linspace(low, high, 41).tolist()):
         with suppress(HydroError):
@@ -159,13 +161,17 @@ def _speeds(parameters: PlantParameters) -> list[Row]:
             Row("speed", f"flow from the supply {way}", "no-load speed", flow, "l/min"),
         ]
         lasting.append(Row("speed", f"lasting speed {way}", "fed by the pump alone", fed, "mm/s", f"lasting {way}"))
-    return rows if supply.model == "constant" else rows + lasting
+    if supply.model != "constant":
+        rows += lasting
+    return rows
 
 
 def _forces(parameters: PlantParameters) -> list[Row]:
     limits, (low, high) = force_limits(parameters), reachable_range(parameters)
     stiffness = parameters.load.spring_stiffness
-    against = f"spring {stiffness / 1e3:g} N/mm" if stiffness else "stroke"
+    against = "stroke"
+    if stiffness:
+        against = f"spring {stiffness / 1e3:g} N/mm"
     pressure = f"{parameters.supply.pressure / BAR:g} bar"
     return [
         Row("force", "force limit out", pressure, limits.extending / 1e3, "kN", "force out"),

@@ -114,8 +114,10 @@ def answers_from(texts: Mapping[str, str]) -> dict[str, Any]:
         raise ConfigurationError(f"new-rig: {', '.join(missing)}: must be given; on a terminal the command asks")
     figures = {question.key: parsed(question, texts[question.key]) for question in QUESTIONS if question.key in texts}
     if "full_signal" in figures:
-        current = texts["full_signal"].strip().endswith("A")
-        figures["full_current" if current else "full_voltage"] = figures.pop("full_signal")
+        key = "full_voltage"
+        if texts["full_signal"].strip().endswith("A"):
+            key = "full_current"
+        figures[key] = figures.pop("full_signal")
     return figures
 
 
@@ -264,7 +266,9 @@ def new_rig(figures: Mapping[str, Any], source: str) -> tuple[str, Rig]:
             unit = next(iter(UNITS[CHANNEL_UNITS[name]]))
             parts = [f"{field}: {_shown(value, unit)}" for field, value in fields.items()]
             text += f"  {name}: {{{', '.join(parts)}}}\n"
-    how = "given" if "position_accuracy" in texts else "assumed"
+    how = "assumed"
+    if "position_accuracy" in texts:
+        how = "given"
     error = position_error(figures)
     share = f"{100 * error / figures['stroke']:.3g} % of the stroke"
     text += f"# largest constant error of the position sensor (bias), {how}: {1e3 * error:.3g} mm, {share}\n"

@@ -278,6 +278,8 @@ def family_errors(
     families = _families(config)
     seeds = np.tile(np.array(SCALES.take(plants, SCALES.count - plants)), len(families))
     run = run_cases(config, controller, Cases(seeds, families=np.repeat(families, plants)))
-    position = run.position + run.position_bias[:, None] if sensor_frame else run.position
+    position = run.position
+    if sensor_frame:
+        position = position + run.position_bias[:, None]
     errors = np.abs(position - run.reference).mean(axis=1).reshape(len(families), plants).mean(axis=1)
     return dict(zip(families, errors.tolist(), strict=True))

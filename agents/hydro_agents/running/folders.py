@@ -32,8 +32,9 @@ def shipped_weights(name: str, config: TaskConfig) -> Path:
     """
     if config.law is not None:
         raise ConfigurationError("law: a controller is made for one rig; rig_tasks(config) lists those of the law")
-    at_home = config.plant == PlantParameters() and config.control_period == TaskConfig().control_period
-    return pretrained_folder() / (name if at_home else f"{name}_any_axis")
+    if config.plant != PlantParameters() or config.control_period != TaskConfig().control_period:
+        name = f"{name}_any_axis"
+    return pretrained_folder() / name
 
 
 @contextmanager

@@ -95,12 +95,15 @@ def counted(rows: pd.DataFrame) -> dict[str, float]:
         none) and its ``frequency_hz``.
     """
     cycles = rows[rows["limit_cycle"].astype(bool)].sort_values("amplitude_um")
+    amplitude, frequency = 0.0, np.nan
+    if len(cycles):
+        amplitude, frequency = cycles[["amplitude_um", "frequency_hz"]].iloc[-1].astype(float)
     return {
         "limit_cycles": len(cycles),
         "standstills": len(rows),
         "failures": int(rows["failed"].sum()),
-        "largest_amplitude_um": float(cycles["amplitude_um"].iloc[-1]) if len(cycles) else 0.0,
-        "frequency_hz": float(cycles["frequency_hz"].iloc[-1]) if len(cycles) else np.nan,
+        "largest_amplitude_um": float(amplitude),
+        "frequency_hz": float(frequency),
     }
 
 
@@ -136,12 +139,16 @@ def rest_text(counts: Mapping[str, Any]) -> str:
 
 def amplitude_text(micrometres: float) -> str:
     """An amplitude in µm, or in mm if it is larger than one."""
-    return f"{number(micrometres / 1e3, digits=2)} mm" if micrometres >= 1e3 else f"{number(micrometres, 0)} µm"
+    if micrometres >= 1e3:
+        return f"{number(micrometres / 1e3, digits=2)} mm"
+    return f"{number(micrometres, 0)} µm"
 
 
 def rest_warning(controller: str, counts: Mapping[str, Any], baseline: bool) -> str:
     """One line about a controller that does not come to rest; empty for one that does."""
     if comes_to_rest(counts):
         return ""
-    more = ": ratios to it compare with a controller that does not come to rest" if baseline else ""
-    return f"{controller}: {rest_text(counts)}{more}"
+    warning = f"{controller}: {rest_text(counts)}"
+    if baseline:
+        warning += ": ratios to it compare with a controller that does not come to rest"
+    return warning

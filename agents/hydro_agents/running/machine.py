@@ -33,7 +33,9 @@ class Origin(NamedTuple):
     def of(cls, facts: Mapping[str, str]) -> Origin:
         """The origin from the facts of a run: command, date, hydro_env, commit."""
         commit = facts.get("commit", "")
-        made_with = facts.get("hydro_env", "") + (f", commit {commit}" if commit else "")
+        made_with = facts.get("hydro_env", "")
+        if commit:
+            made_with += f", commit {commit}"
         return cls(facts.get("command", ""), facts.get("date", ""), made_with)
 
 

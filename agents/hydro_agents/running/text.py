@@ -18,10 +18,16 @@ def number(value: float, decimals: int | None = None, digits: int = 3) -> str:
 
     The minus is a minus sign (−), and zero has no sign.
     """
-    if not np.isfinite(value):
-        return "–" if np.isnan(value) else "∞" if value > 0 else "−∞"
-    text = f"{value:.{decimals_for(value, digits) if decimals is None else decimals}f}"
-    return text.lstrip("-") if float(text) == 0.0 else text.replace("-", "−")
+    if np.isnan(value):
+        return "–"
+    if np.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if decimals is None:
+        decimals = decimals_for(value, digits)
+    text = f"{value:.{decimals}f}"
+    if float(text) == 0.0:
+        return text.lstrip("-")
+    return text.replace("-", "−")
 
 
 def decimals_for(size: float, digits: int = 3) -> int:
@@ -43,7 +49,9 @@ def span(low: float, high: float, decimals: int = 0) -> str:
 
 def listed(parts: Sequence[str]) -> str:
     """Parts as a list in a sentence: a, b and c."""
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+    if len(parts) == 1:
+        return parts[0]
+    return f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def capitalised(text: str) -> str:
@@ -57,7 +65,9 @@ def duration(seconds: float) -> str:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+    if hours:
+        return f"{hours} h {minutes} min"
+    return f"{minutes} min {rest} s"
 
 
 FAMILY_NAMES = {
@@ -81,8 +91,9 @@ def family_name(family: str) -> str:
 
 def correction_name(name: str, base: str) -> str:
     """The name of a policy that corrects another controller: "PPO on flow linearisation", "PPO on PID"."""
-    on = f" on {base if base[:2].isupper() else base[:1].lower() + base[1:]}"
-    return name if name.endswith(on) else f"{name}{on}"
+    if not base[:2].isupper():
+        base = base[:1].lower() + base[1:]
+    return f"{name.removesuffix(f' on {base}')} on {base}"
 
 
 @dataclass(frozen=True)
