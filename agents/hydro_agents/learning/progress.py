@@ -155,11 +155,9 @@ class TrainingCallback(BaseCallback):
         share = min(self.num_timesteps / self._settings.total_steps, 1.0)
         with torch.no_grad():
             self.model.policy.log_std.fill_(self._settings.log_standard_deviation_at(share))
-        begins = self._logged < 0
-        if self.num_timesteps > self._logged and not begins:
+        if self._logged >= 0:
             self._log()
-        if begins or self.num_timesteps > self._logged:
-            self._checkpoints.keep(self.model, self.model.get_env(), self.seconds)
+        self._checkpoints.keep(self.model, self.model.get_env(), self.seconds)
         self._logged = self.num_timesteps
 
     def _log(self) -> None:

@@ -103,10 +103,6 @@ class PPOSettings(Group):
             )
         return self
 
-    def updates(self, steps: int) -> int:
-        """Number of gradient steps in so many control periods."""
-        return self.epochs * self.minibatches * -(-steps // (self.axes * self.steps_per_rollout))
-
     def learning_rate_at(self, remaining: float) -> float:
         """Learning rate when the share ``remaining`` of the training (1 to 0) is left."""
         share = min(1.0 - remaining, 1.0)  # the last rollout may exceed the end
