@@ -12,6 +12,7 @@ import inspect
 import io
 import os
 import random
+import sys
 import warnings
 import zipfile
 import zlib
@@ -288,8 +289,17 @@ def _closed_at_end(answers: Generator[Any, None, None]) -> Iterator[Generator[An
 
 
 def _run_alone(key: str, job: Job) -> tuple[str, JobResult]:
-    with parallel_config("sequential"):  # jobs of a job do not go to the pool that waits for it
-        return key, job.run()
+    """Run a job on one core: as many jobs as cores run side by side, and a user's may use torch."""
+    torch = sys.modules.get("torch")
+    if torch is not None:
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+    try:
+        with parallel_config("sequential"):  # jobs of a job do not go to the pool that waits for it
+            return key, job.run()
+    finally:
+        if torch is not None:
+            torch.set_num_threads(threads)
 
 
 def _in_worker(key: str, job: Job, code: str) -> tuple[str, JobResult]:
