@@ -235,12 +235,8 @@ def test_a_recurrent_policy_sees_one_sample_of_history_on_every_rig(tmp_path):
 
 
 def test_what_cannot_be_is_refused(policy):
-    for settings, message in (
-        ({"normalise": False}, "law: needs residual: true and normalise: true"),
-        ({"axes": 13, "minibatches": 1}, "axes = 13: must be a multiple of law.count = 3"),
-    ):
-        with refused(message):
-            validate(PPOSettings, SETTINGS.model_dump() | settings, "test")
+    with refused("axes = 13: must be a multiple of law.count = 3"):
+        validate(PPOSettings, SETTINGS.model_dump() | {"axes": 13, "minibatches": 1}, "test")
     with refused("moved_to: must be a policy for any axis"):
         PolicyController.load(pretrained_folder() / "policy").moved_to(RIGS[0])
     blind = task_config(TASK, sensors={"pressure_a": {"fitted": False}})
