@@ -25,7 +25,6 @@ from hydro_agents.rigs.rig_file import QUESTIONS, Question, answers_from, parsed
 from hydro_agents.rigs.rig_file import new_rig as written_rig
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
-from hydro_env.task.configuration import LEAKAGE_LIMIT
 
 
 def new_rig(
@@ -156,10 +155,7 @@ def simulate(
         float, typer.Option(min=-10.0, max=10.0, help="Amplitude in V, added to the voltage that holds the start.")
     ] = 3.0,
     duration: Annotated[float, typer.Option(min=1e-3, max=3600.0, help="Length in s.")] = 1.0,
-    leakage: Annotated[
-        float | None,
-        typer.Option(min=0.0, max=LEAKAGE_LIMIT, help="Leak in l/min at 100 bar, instead of the rig's own."),
-    ] = None,
+    leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar, instead of the rig's own.")] = None,
     position: Annotated[
         float | None,
         typer.Option(help="Start at rest, in m from mid-stroke; default: mid-stroke if it can be held."),

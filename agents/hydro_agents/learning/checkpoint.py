@@ -118,6 +118,7 @@ def restore(model: Any, env: AxisVecEnv | RigsVecEnv, checkpoint: Checkpoint) ->
     model._last_obs, model._last_episode_starts = tensors["observation"].copy(), tensors["episode_start"].copy()
     episodes = [{"r": reward, "l": int(length), "t": 0.0} for reward, length in tensors["episodes"].tolist()]
     model.ep_info_buffer, model.ep_success_buffer = deque(episodes, maxlen=LAST_EPISODES), deque(maxlen=LAST_EPISODES)
-    np.random.set_state(("MT19937", tensors["numpy_generator.key"], int(tensors["numpy_generator.position"])))
+    generator: Any = "MT19937", tensors["numpy_generator.key"], int(tensors["numpy_generator.position"])
+    np.random.set_state(generator)
     torch.set_rng_state(torch.from_numpy(tensors["torch_generator"].copy()))
     model.num_timesteps, model._n_updates = checkpoint.steps, checkpoint.updates

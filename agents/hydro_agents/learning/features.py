@@ -147,7 +147,8 @@ class PolicyFeatures:
         """Number of inputs that are normalised."""
         plain = copy(self)
         plain.normalisation = None
-        return plain(np.zeros((1, len(self.layout.names)), np.float32), None, None)[0].shape[1]
+        inputs, _ = plain(np.zeros((1, len(self.layout.names)), np.float32), None, None)
+        return len(inputs[0])
 
     @property
     def size(self) -> int:

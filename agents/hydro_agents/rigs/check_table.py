@@ -76,8 +76,9 @@ def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:
             "must add that (the PID's overlap_compensation; the others invert it), and the gains above suppose it"
         )
     for way in ("out", "in"):
-        lasting: Any = figures.get(f"lasting {way}", figures[f"speed {way}"]).value
-        if lasting < 0.999 * figures[f"speed {way}"].value:
+        full: Any = figures[f"speed {way}"]
+        lasting: Any = figures.get(f"lasting {way}", full).value
+        if lasting < 0.999 * full.value:
             watch.append(f"the pump alone sustains only {lasting:.3g} mm/s {way}")
     if isinstance(damping, float) and damping < WEAK_DAMPING:
         watch.append("the axis rings: use damping (pressure feedback) or a low gain")

@@ -18,6 +18,7 @@ from hydro_env.plant.analysis import leak_at_test_pressure
 from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
 from hydro_env.plant.workable import refuse_unworkable
+from hydro_env.task.configuration import LEAKAGE_LIMIT
 from hydro_env.task.rig import read_rig
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
@@ -73,6 +74,8 @@ def simulate_to_folder(
         raise ConfigurationError(f"--input {signal}: {unknown(signal, SHAPES)}")
     parameters = PlantParameters() if rig is None else read_rig(rig).plant
     if leakage is not None:
+        if not 0.0 <= leakage <= LEAKAGE_LIMIT:
+            raise ConfigurationError(f"--leakage = {leakage:g} l/min: must be within 0 to {LEAKAGE_LIMIT:g} l/min")
         parameters = parameters.replace(leakage=leak_past_piston(leakage, "laminar"))
     refuse_unworkable(parameters, str(rig or "rig"))
     if position is None:

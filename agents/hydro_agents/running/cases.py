@@ -278,7 +278,7 @@ def family_errors(
     families = _families(config)
     seeds = np.tile(np.array(SCALES.take(plants, SCALES.count - plants)), len(families))
     run = run_cases(config, controller, Cases(seeds, families=np.repeat(families, plants)))
-    position = run.position
+    position: NDArray[Any] = run.position
     if sensor_frame:
         position = position + run.position_bias[:, None]
     errors = np.abs(position - run.reference).mean(axis=1).reshape(len(families), plants).mean(axis=1)

@@ -215,14 +215,15 @@ def test_the_gain_with_an_overlapped_valve_is_that_beyond_its_dead_band():
 
 
 def test_the_timing_is_that_of_the_options(tmp_path, few):
-    answer = hydro("check-rig", "--rig", "symmetric_eha", "--period", "1ms", "--latency", "0.5ms", "--output", tmp_path)
+    rig = "kovari_2015"
+    answer = hydro("check-rig", "--rig", rig, "--period", "1ms", "--latency", "0.5ms", "--output", tmp_path)
     assert answer.returncode == 0, answer.stderr
     rows = {
         (row["quantity"], row["at"]): row["value"]
         for row in csv.DictReader((tmp_path / "check.csv").open(encoding="utf-8"))
     }
     gain = float(rows["largest stable gain (1 ms, 0.5 ms late)", "mid-stroke, 0.01 l/min"])
-    plant = leaking(read_rig("symmetric_eha").plant, 0.01)
+    plant = leaking(read_rig(rig).plant, 0.01)
     expected, usual = (sampled_loop(plant, 0.0, *at).largest_stable_gain() for at in ((1e-3, 0.5e-3), (5e-3, 1e-3)))
     assert gain == pytest.approx(expected, rel=1e-6)
     assert gain != pytest.approx(usual, rel=0.1)
