@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,8 +47,6 @@ other rigs it grows with their flow (:func:`~hydro_agents.detection.sheet.leak_s
 LEAST_TRAVEL = 20.0  # smallest travel of an axis in motion, in standard deviations of the position's noise
 
 LEAST_GAIN = 3.0  # of twice the log-likelihood per step of a moving supply, by which its course is believed
-
-LOOSER = 1.5  # standard deviations of what an axis has shown in motion, as priors at rest, over those found there
 
 LEAST_DEVIATION = 0.1
 """Smallest credible standard deviation of the leak, as a fraction of the healthy bound: the model is not exact."""
@@ -118,7 +115,6 @@ class EstimatorDetector:
         windows: Windows,
         task: TaskConfig,
         progress: Progress | None = None,
-        known: Mapping[str, Prior] = MappingProxyType({}),
     ) -> tuple[Reading, Estimate | None]:
         """Read windows, and return the estimates with wear as well, one for each window with commands.
 
@@ -128,13 +124,12 @@ class EstimatorDetector:
             windows: N windows.
             task: rig, ranges and sensors.
             progress: called with the number of finished fits, at most two per window with commands.
-            known: what the axes have shown before (:func:`shown`).
         """
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
             return Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS), None
         used, expected = windows.part(chosen), task_config(task, **self.changes)
-        names, wear = default_unknowns(expected), {**wear_priors(expected), **known}
+        names, wear = default_unknowns(expected), wear_priors(expected)
         worn = self._estimate(used, expected, (*names, *wear), wear, progress=progress)
         moves = self._with_moving_supply(used, expected, worn)
         excess = _excess(worn, task)
@@ -241,15 +236,6 @@ def wear_priors(task: TaskConfig) -> dict[str, Prior]:
         channel: getattr(task.sensors, channel).bias for channel in ("pressure_a", "pressure_b", "spool_position")
     }
     return wide | {f"{channel}_bias": Prior(0.0, WIDE_BIAS * bias) for channel, bias in biases.items() if bias > 0.0}
-
-
-def shown(found: Estimate, task: TaskConfig) -> dict[str, Prior]:
-    """What the first window, in motion, has shown of valve, return line and sensors, as priors for later windows."""
-    priors = wear_priors(task)
-    for name, value, remaining in zip(found.names, found.values[0], found.remaining[0], strict=True):
-        if name in priors:
-            priors[name] = replace(priors[name], mean=value, deviation=LOOSER * remaining * priors[name].deviation)
-    return priors
 
 
 def healthy_range(task: TaskConfig, name: str) -> tuple[float, float]:

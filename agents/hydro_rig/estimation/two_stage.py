@@ -15,8 +15,7 @@ from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Win
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import TaskConfig
 from hydro_env.types import Floats
-from hydro_rig.estimation.estimator import EstimatorDetector, shown
-from hydro_rig.estimation.unknowns import Prior
+from hydro_rig.estimation.estimator import EstimatorDetector
 
 RATION = 60.0  # s; the estimator reads no window of an axis before this time has passed since the last one
 
@@ -30,19 +29,14 @@ class TwoStageDetector:
 
     The rows of successive windows are the same axes; windows without times are all read. The detector remembers when
     each axis was asked: use a ``deepcopy`` for another run.
-
-    With ``remembers`` the estimator is asked in motion too, and reads an axis at rest with what the last motion has
-    shown of valve, return line and sensors. A wide reading is no answer then, and an axis that was never read in motion
-    gets none at rest.
     """
 
     threshold: float | None = None
 
-    def __init__(self, head: HeadDetector, estimator: EstimatorDetector | None = None, remembers: bool = False):
-        self.head, self.estimator, self.remembers = head, estimator or EstimatorDetector(), remembers
+    def __init__(self, head: HeadDetector, estimator: EstimatorDetector | None = None) -> None:
+        self.head, self.estimator = head, estimator or EstimatorDetector()
         self._asked: Floats = np.empty(0)  # s, end of the last window of each axis that the estimator read
         self._named: NDArray[np.int8] = np.empty(0, dtype=np.int8)  # the cause that it then named
-        self._shown: list[dict[str, Prior]] = []  # by each axis in its last motion
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """The reason if the head cannot read such windows."""
@@ -53,45 +47,24 @@ class TwoStageDetector:
         count = len(windows)
         if len(self._asked) != count or (windows.end < self._asked).any():  # other axes
             self._asked, self._named = np.full(count, -np.inf), np.zeros(count, dtype=np.int8)
-            self._shown = [{}] * count
         free = ~(windows.end - self._asked < RATION)  # NaN: unknown times
         self._named[free] = Cause.NONE
         first = self.head.read(windows, task)
-        activity = activity_of(windows.signals, task.control_period)
-        moving = activity == Activity.MOVING
+        moving = activity_of(windows.signals, task.control_period) == Activity.MOVING
         seen = first.probability >= self.head.on(task).settings.threshold
         doubtful = ~(moving & first.answers) | (first.cause != Cause.NONE) | seen
         first = first._replace(score=np.where(first.answers, first.flow_lpm, np.nan))
-        rows, still = np.flatnonzero(free & (doubtful | self.remembers)), np.flatnonzero(~moving)
+        rows, still = np.flatnonzero(free & doubtful), np.flatnonzero(~moving)
         result = first.replaced(still, Reading.of(np.full(len(still), np.nan), why=Why.NOT_ASKED))
         if len(rows):
-            second = self._estimated(windows, rows, activity == Activity.STANDING, task)
+            second = self.estimator.read(windows.part(rows), task)
             self._asked[rows] = windows.end[rows]
             self._named[rows] = np.where(second.answers, second.cause, Cause.NONE)
             # A wide answer says little, but says it: its standard deviation weighs it.
             cause = np.where(second.cause == Cause.UNDETERMINED, Cause.NONE, second.cause).astype(np.int8)
             deviation = 0.5 * (second.high_lpm - second.low_lpm) / HALF_WIDTH
-            cause = second.cause if self.remembers else cause
             second = second._replace(score=second.flow_lpm, sigma=deviation, cause=cause)
             better = np.flatnonzero(second.answers | ~moving[rows])
             result = result.replaced(rows[better], second.part(better))
         known = (self._named != Cause.NONE) & result.answers
         return result._replace(cause=np.where(known, self._named, result.cause).astype(np.int8))
-
-    def _estimated(
-        self, windows: Windows, rows: NDArray[np.int64], standing: NDArray[np.bool_], task: TaskConfig
-    ) -> Reading:
-        """What the estimator reads in the windows of some rows; each with what its axis has shown in motion."""
-        if not self.remembers:
-            return self.estimator.read(windows.part(rows), task)
-        readings = []
-        for row in rows:
-            if standing[row] and not self._shown[row]:
-                readings.append(Reading.of([np.nan], why=Why.AT_REST))
-                continue
-            known = self._shown[row] if standing[row] else {}
-            reading, found = self.estimator.read_and_fit(windows.part(np.array([row])), task, known=known)
-            if found is not None and reading.answers[0] and not standing[row]:
-                self._shown[row] = shown(found, task)
-            readings.append(reading)
-        return Reading(*map(np.concatenate, zip(*readings, strict=True)))

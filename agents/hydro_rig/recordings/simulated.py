@@ -1,20 +1,18 @@
-"""``hydro record``: a recording of a simulated axis with the signals of a rig, or episodes as a data set of Minari."""
+"""``hydro record``: a recording of a simulated axis with the signals of a rig."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import gymnasium as gym
 import numpy as np
 import pandas as pd
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.running.cases import Cases
-from hydro_env import ConfigurationError, TaskConfig, __version__
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import write_text
 from hydro_env.types import Floats
 from hydro_rig.recordings.columns import MEASURED, factor
@@ -30,7 +28,6 @@ WRITTEN_UNITS = {
 
 _FORMAT = "%.7g"  # digits for the 16-bit steps of every sensor
 LONGEST_RECORDING = 3600.0  # s
-MOST_EPISODES = 100_000
 
 
 class Recorded(NamedTuple):
@@ -110,96 +107,3 @@ def recording_csv(time: Floats, signals: Floats, note: str = "") -> str:
 def heading(signal: str) -> str:
     """Heading of a column: ``position [mm]``."""
     return f"{signal} [{WRITTEN_UNITS[signal]}]"
-
-
-def check_dataset(name: str) -> None:
-    """Check that a data set of this name can be made, before any work.
-
-    Raises:
-        ConfigurationError: Minari is missing, the name is invalid, or the data set exists.
-    """
-    try:
-        import minari
-        from minari.dataset.minari_dataset import parse_dataset_id
-    except ImportError:
-        raise ConfigurationError('a data set needs Minari: pip install "hydro_env[minari]"') from None
-    try:
-        parse_dataset_id(name)
-    except (TypeError, ValueError):  # TypeError: a name without a version
-        raise ConfigurationError(f"{name}: must be NAME-v0 or FOLDER/NAME-v0") from None
-    if name in minari.list_local_datasets():
-        raise ConfigurationError(f"{name}: exists; choose another name, or run: minari delete {name}")
-
-
-def record_dataset(
-    name: str,
-    config: TaskConfig,
-    controller: Controller,
-    algorithm: str,
-    episodes: int,
-    first_seed: int,
-    options: Mapping[str, Any],
-    note: str = "",
-    progress: Callable[[int], None] | None = None,
-) -> tuple[int, Path]:
-    """Run episodes of the environment and store them in Minari's folder (``MINARI_DATASETS_PATH``).
-
-    The data set contains the whole task; ``recover_environment`` therefore works on another machine. The infos are
-    those of ``info="flat"``: leak, class, faults and true motion, which are not in the observations. ``options`` are
-    those of ``reset``; ``progress`` is called with the number of finished episodes.
-
-    Returns:
-        The number of steps, and the folder of the data set.
-
-    Raises:
-        ConfigurationError: Minari is missing, or an option or the name is impossible.
-    """
-    check_dataset(name)
-    import minari
-
-    if not 1 <= episodes <= MOST_EPISODES:
-        raise ConfigurationError(f"episodes {episodes}: must be within 1 to {MOST_EPISODES}")
-    buffers = []
-    with gym.make("hydro_env:ServoHydraulic-v0", config=config.model_dump(mode="json"), info="flat") as env:
-        for number in range(episodes):
-            buffers.append(_episode(env, controller, number, first_seed + number, options))
-            if progress is not None:
-                progress(number + 1)
-        with warnings.catch_warnings():  # the user adds author and code link
-            warnings.simplefilter("ignore")
-            dataset = minari.create_dataset_from_buffers(
-                name,
-                buffers,
-                env=env,
-                algorithm_name=algorithm,
-                description=note,
-                requirements=[f"hydro_env=={__version__}"],
-            )
-    return int(dataset.total_steps), Path(dataset.storage.data_path).parent
-
-
-def _episode(env: Any, controller: Controller, number: int, seed: int, options: Mapping[str, Any]) -> Any:
-    """One episode; Minari's own collector would need JAX."""
-    from minari.data_collector import EpisodeBuffer
-
-    observation, info = env.reset(seed=seed, options=dict(options))
-    observations, infos, steps = [observation], [info], []
-    memory, over = None, False
-    while not over:
-        action, memory = controller.predict(observation, memory)
-        observation, reward, terminated, truncated, info = env.step(action)
-        observations.append(observation)
-        infos.append(info)
-        steps.append((action, reward, terminated, truncated))
-        over = terminated or truncated
-    actions, rewards, terminations, truncations = zip(*steps, strict=True)
-    return EpisodeBuffer(
-        id=number,
-        seed=seed,
-        observations=np.stack(observations),
-        actions=np.stack(actions),
-        rewards=list(rewards),
-        terminations=list(terminations),
-        truncations=list(truncations),
-        infos={key: np.array([each[key] for each in infos]) for key in info},
-    )

@@ -103,23 +103,14 @@ def test_another_verdict_stays():
 # A rig that the model does not describe ------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def wrong_rig(tmp_path_factory):
-    """A recording of 6 s, of which a shorter one is the first rows."""
-    path = tmp_path_factory.mktemp("rod") / "a.csv"
-    recorded_file(path, OTHER_ROD, leakage=1.0, duration=6.0)
-    return path.read_text().splitlines(keepends=True)
-
-
-@pytest.mark.parametrize("seconds", [1, 6])  # one window; more than are tried
-def test_another_rig_ends_in_cannot_tell_after_any_duration(wrong_rig, tmp_path, seconds):
-    (tmp_path / "a.csv").write_text("".join(wrong_rig[: 2 + 200 * seconds]))
-    answer = hydro("diagnose", tmp_path / "a.csv", "--window", 1, "--output", tmp_path / "out")
+def test_another_rig_ends_in_cannot_tell_after_the_first_windows(tmp_path):
+    recorded_file(tmp_path / "a.csv", OTHER_ROD, leakage=1.0, duration=1.5)
+    answer = hydro("diagnose", tmp_path / "a.csv", "--window", 0.5, "--output", tmp_path / "out")
     assert answer.returncode == UNKNOWN, answer.stderr
     assert own_lines(answer.stdout)[-1].startswith("cannot tell: the model does not describe this rig")
     remarks = pd.read_csv(tmp_path / "out" / "leak.csv")["estimator_remark"].tolist()
-    assert remarks.count(Why.MISFIT.word) == min(seconds, 2)
-    assert remarks.count(Why.NOT_READ.word) == max(seconds - 2, 0)
+    assert remarks.count(Why.MISFIT.word) == 2
+    assert remarks.count(Why.NOT_READ.word) == 1
 
 
 @pytest.mark.parametrize("error", [ConfigurationError("pressure_a: 1 bar"), np.linalg.LinAlgError("Singular\nmatrix")])
@@ -143,11 +134,11 @@ def test_a_failure_inside_a_reading_is_one_line(recordings, monkeypatch, error):
     ],
 )
 def test_a_command_beyond_full_scale(tmp_path, volts, code, words):
-    recorded_file(tmp_path / "a.csv", duration=2.0, family="step")
+    recorded_file(tmp_path / "a.csv", duration=1.0, family="step")
     table = pd.read_csv(tmp_path / "a.csv", comment="#")
     assert table["command [V]"].max() == 10.0
     table["command [V]"] = table["command [V]"].where(table["command [V]"] < 10.0, volts)
     table.to_csv(tmp_path / "b.csv", index=False)
-    answer = hydro("diagnose", tmp_path / "b.csv", "--output", tmp_path / "out")
+    answer = hydro("diagnose", tmp_path / "b.csv", "--window", 1, "--output", tmp_path / "out")
     assert words in answer.stdout, answer.stderr
     assert answer.returncode == code

@@ -20,8 +20,8 @@ from hydro_rig.estimation.unknowns import LEAKAGE, priors_of
 from hydro_rig.identification.data_sheet import contradictions, lines_to_paste
 
 TASK = TaskConfig()
-LEAKS = np.array([0.01, 0.3])
-DRIFT = np.eye(5)[1][:, None] * np.linspace(0.0, 2.5e5, 404)  # Pa, of the pressure in chamber a
+LEAK = 0.3
+DRIFT = np.eye(5)[1][:, None] * np.linspace(0.0, 1.25e5, 202)  # Pa, of the pressure in chamber a
 
 
 def process(white, slow, memory, shape, random):
@@ -91,10 +91,9 @@ def test_spikes_are_found_and_a_step_is_none():
 
 @pytest.fixture(scope="module")
 def clean():
-    """Signals (2, 5, 404) of two moving axes with the leaks LEAKS."""
-    first = VALIDATION_SEEDS[0] + 5100
-    cases = Cases(np.array([first, first + 1]), LEAKS, np.array(["multi_sine", "point_to_point"]))
-    return known_windows(TASK, shipped("pid", TASK), cases, begin=0.5, length=2.015).signals
+    """Signals (1, 5, 202) of a moving axis."""
+    cases = Cases(np.array([VALIDATION_SEEDS[0] + 5100]), np.array([LEAK]), np.array(["multi_sine"]))
+    return known_windows(TASK, shipped("pid", TASK), cases, begin=0.5, length=1.005).signals
 
 
 def noisier(signals, factor):
@@ -119,7 +118,7 @@ def shifted(signals, rows):
 CHANGES = {
     "noise times 3": (lambda signals: noisier(signals, 3.0), "scatters 3"),
     "spikes": (spiky, "has spikes"),
-    "drift of 2.5 bar": (lambda signals: signals + DRIFT[:, : signals.shape[2]], "differs slowly"),
+    "drift of a pressure": (lambda signals: signals + DRIFT[:, : signals.shape[2]], "differs slowly"),
     "row late": (lambda signals: shifted(noisier(signals, 2.0), 1), "acts −"),
     "row early": (lambda signals: shifted(signals, -1), "acts 6.0 ms after its row"),
 }
@@ -130,8 +129,8 @@ def test_a_recording_that_contradicts_the_data_sheet_is_read(clean, name):
     change, words = CHANGES[name]
     reading, found = EstimatorDetector(threads=1).read_and_fit(Windows.of(change(clean)), TASK)
     assert reading.answers.all()
-    assert (np.abs(found.value(LEAKAGE) - LEAKS) < 4.0 * found.deviation(LEAKAGE)).all()
-    assert (reading.high_lpm - reading.low_lpm < 0.15).all()
+    assert (np.abs(found.value(LEAKAGE) - LEAK) < 4.0 * found.deviation(LEAKAGE)).all()
+    assert (reading.high_lpm - reading.low_lpm < 0.2).all()
     assert any(words in finding.what for finding in contradictions(found, TASK))
     if name == "row late":  # with twice the noise: the lines to paste make a task that agrees with the recording
         lines = yaml.safe_load(lines_to_paste(found, TASK))
