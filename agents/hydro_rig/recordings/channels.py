@@ -141,9 +141,10 @@ def _lost(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> 
     sensor = getattr(config.sensors, signal)
     at_low = (values <= sensor.low + _half_step(sensor)) & ~_under_full_command(samples, signal)
     lost, times = np.zeros(len(values), dtype=np.bool_), 0
+    beside = np.pad(values, 1, constant_values=np.inf)  # of nothing
     for begin, end in zip(*runs_of(at_low), strict=True):
-        beside = [values[place] for place in (begin - 1, end) if 0 <= place < len(values)]
-        if beside and min(beside) - sensor.low > DROP * (sensor.high - sensor.low):
+        fall = min(beside[begin], beside[end + 1]) - sensor.low
+        if DROP * (sensor.high - sensor.low) < fall < np.inf:
             lost[begin:end] = True
             times += 1
     what = f"loses readings: it falls {times} times to {_shown(signal, sensor.low)} and returns"

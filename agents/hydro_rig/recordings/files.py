@@ -7,8 +7,7 @@ channels to the stamps of the command, and reports it as a finding.
 from __future__ import annotations
 
 import importlib
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,15 +40,7 @@ TIMES = ("time", "t", "zeit", "timestamps")
 CONTENTS = ("values", "value", "data", "signals", "signal")
 """Names of the fields of a MAT struct that hold its time, and its numbers, in lower case."""
 
-
-class Channel(NamedTuple):
-    """A channel with or without (None) its own time stamps."""
-
-    group: str
-    name: str
-    unit: str
-    values: Any
-    stamps: Floats | None
+_Channel = tuple[str, Floats, Floats | None]  # heading, values, and its own stamps
 
 
 class Columns(NamedTuple):
@@ -79,7 +70,7 @@ def read_columns(path: Path) -> Columns:
             columns = of_table(pd.read_parquet(path, partitioning=None))
     elif kind == ".mat":
         with library_errors(path, "scipy.io"):
-            columns = of_channels(read_mat(path))
+            columns = read_mat(path)
     elif kind in CONVERSIONS:
         raise ConfigurationError(f"{path}: convert the file first: {CONVERSIONS[kind]}.to_parquet('run.parquet')")
     else:
@@ -164,21 +155,17 @@ def interpolated(time: Floats, own: Floats, values: Floats, longest: float = 0.0
     own, values = own[order], values[order]
     if len(own) < 2:
         return np.full(len(time), np.nan)
+    steps = np.diff(own)
     after = np.clip(np.searchsorted(own, time), 1, len(own) - 1)
-    step = own[after] - own[after - 1]
-    inside = (time >= own[0]) & (time <= own[-1]) & (step <= (longest or LONGEST_STEP * np.median(np.diff(own))))
-    share = (time - own[after - 1]) / np.where(step > 0.0, step, 1.0)
-    between = values[after - 1] + share * (values[after] - values[after - 1])
-    return np.where(inside, between, np.nan)
+    gap = steps[after - 1] > (longest or LONGEST_STEP * np.median(steps))
+    return np.where(gap, np.nan, np.interp(time, own, values, left=np.nan, right=np.nan))
 
 
 def placed(time: Floats, own: Floats, values: Floats, farthest: float) -> Floats:
     """Values at the nearest ``time``, rising, of the samples (own, values), if no farther away; NaN elsewhere."""
-    after = np.clip(np.searchsorted(time, own), 1, len(time) - 1)
-    nearest = after - (own - time[after - 1] < time[after] - own)
-    near = np.abs(time[nearest] - own) <= farthest
     there = np.full(len(time), np.nan)
-    there[nearest[near]] = values[near]
+    nearest = pd.Index(time).get_indexer(own, method="nearest", tolerance=farthest)
+    there[nearest[nearest >= 0]] = values[nearest >= 0]
     return there
 
 
@@ -189,34 +176,20 @@ def of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
     return Columns(headings, [table.iloc[:, k] for k in range(len(headings))], [None] * len(headings), first_line)
 
 
-def of_channels(channels: Sequence[Channel]) -> Columns:
-    """Channels as columns: headings ``name [unit]``, with the group before names that occur twice; time comes first."""
-    names = Counter(channel.name for channel in channels)
-    columns = Columns([], [], [], 0)
-    longest = max((channel.stamps for channel in channels if channel.stamps is not None), key=len, default=None)
-    if longest is not None:
-        columns.headings.append(TIME_HEADING)
-        columns.cells.append(pd.Series(longest))
-        columns.stamps.append(None)
-    for channel in channels:
-        group = f"{channel.group}/" if names[channel.name] > 1 else ""
-        unit = f" [{channel.unit}]" if channel.unit else ""
-        columns.headings.append(f"{group}{channel.name}{unit}")
-        columns.cells.append(pd.Series(channel.values))
-        columns.stamps.append(channel.stamps)
-    return columns
-
-
-def read_mat(path: Path) -> list[Channel]:
-    """Vectors and structs of a MAT file of version 5 to 7; version 7.3 is another format."""
-    channels: list[Channel] = []
+def read_mat(path: Path) -> Columns:
+    """Vectors and structs of a MAT file of version 5 to 7 (7.3 is another format); a time comes first."""
+    channels: list[_Channel] = []
     for name, value in scipy.io.loadmat(path, simplify_cells=True).items():
         if not name.startswith("__"):
             channels += _channels_of(name, value)
-    return channels
+    longest = max((stamps for _, _, stamps in channels if stamps is not None), key=len, default=None)
+    if longest is not None:
+        channels.insert(0, (TIME_HEADING, longest, None))
+    headings, values, stamps = map(list, zip(*channels, strict=True)) if channels else ([], [], [])
+    return Columns(headings, list(map(pd.Series, values)), stamps, 0)
 
 
-def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str = "") -> Iterator[Channel]:
+def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str = "") -> Iterator[_Channel]:
     """The channels in a variable of a MAT file: a vector, or a struct of vectors, of structs, or of a list of them."""
     if isinstance(value, list):
         for number, part in enumerate(value, 1):
@@ -226,7 +199,7 @@ def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str 
     if not isinstance(value, dict):
         values = _vector(value)
         if values is not None and (stamps is None or len(values) == len(stamps)):
-            yield Channel("", name, unit, values, stamps)
+            yield f"{name} [{unit}]" if unit else name, values, stamps
         return
     for key, part in value.items():
         if key.lower() in TIMES and _vector(part) is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import yaml
 
@@ -28,6 +29,10 @@ WORDS = {
 PRESSURE = r"p\w{0,2}|dp|pressure|druck\w*|press|pt\d*"  # words that say that a column holds a pressure
 WANTED = r"soll\w*|ref\w*|setpoint|desired|target|demand|führung\w*"  # of wanted values, which are not measured ones
 OF_CHAMBERS = ("pressure_a", "pressure_b", "load_pressure")
+NEEDED = ("time", "command")
+GUESSED = """# Guessed from the headings. Check columns, units and signs; a unit that no heading gives is assumed.
+# If zero is at the end of the stroke, an offset of minus half the stroke moves it to mid-stroke.
+"""
 
 
 class UnknownHeadingsError(ConfigurationError):
@@ -41,8 +46,8 @@ class UnknownHeadingsError(ConfigurationError):
         self.guess = guess
 
 
-def guessed_map(headings: Sequence[str], source: str) -> str:
-    """A map as YAML: one line per signal that a heading names, and comments on what is assumed or left over.
+def guessed_map(headings: list[str]) -> str:
+    """A map as YAML: one line per signal that a heading names, and comments on what is assumed.
 
     A wrong unit among the assumed ones is found when the recording is checked: no value then fits the rig.
     """
@@ -52,36 +57,21 @@ def guessed_map(headings: Sequence[str], source: str) -> str:
             if place not in found.values() and _fits(signal, heading):
                 found[signal] = place
                 break
-    lines = [
-        f"# Guessed from the headings of {_plain(source)}. Check columns, units and signs.",
-        "# If zero is at the end of the stroke, an offset of minus half the stroke moves it to mid-stroke.",
-    ]
-    for signal in UNITS:
-        if signal in found:
-            lines.append(_line(signal, found[signal], headings))
-        elif signal in ("time", "command"):
-            lines.append(f"# {signal}: which column? It is needed.")
-    left = [heading for place, heading in enumerate(headings) if place not in found.values()]
-    if left:
-        lines.append(f"# not used: {_plain(', '.join(left))}")
-    return "\n".join(lines)
-
-
-def _plain(text: str) -> str:
-    """Text for a comment, in one line."""
-    return "".join(letter if letter.isprintable() else " " for letter in text)
-
-
-def _line(signal: str, place: int, headings: Sequence[str]) -> str:
-    heading, remark = headings[place], ""
-    entry: dict[str, str | int] = {"column": heading}
-    if list(headings).count(heading) > 1 or not heading.isprintable():
-        entry, remark = {"column": place + 1}, f"  # {_plain(heading)}"
-    if split_heading(heading)[1] is None and signal != "time":
-        entry["unit"] = next(iter(UNITS[signal]))
-        remark += "  # the unit is assumed"
-    text = yaml.safe_dump(entry, default_flow_style=True, allow_unicode=True, width=10_000, sort_keys=False).strip()
-    return f"{signal}: {text}{remark}"
+    lines, entries = [GUESSED], {}
+    for signal, units in UNITS.items():
+        if signal not in found:
+            if signal in NEEDED:
+                lines.append(f"# {signal}: which column? It is needed.\n")
+            continue
+        place = found[signal]
+        heading = headings[place]
+        entries[signal] = entry = {"column": heading if headings.count(heading) == 1 else place + 1}
+        if split_heading(heading)[1] is None and signal != "time":
+            entry["unit"] = next(iter(units))
+    if entries:
+        how: Any = {"default_flow_style": None, "allow_unicode": True, "sort_keys": False, "width": 10_000}
+        lines.append(yaml.safe_dump(entries, **how))
+    return "".join(lines).rstrip()
 
 
 def _fits(signal: str, heading: str) -> bool:
@@ -93,7 +83,7 @@ def _fits(signal: str, heading: str) -> bool:
         return False
     if signal in OF_CHAMBERS and unit is None and not _any_is(words, PRESSURE):
         return False
-    if signal not in ("time", "command") and _any_is(words, WANTED):
+    if signal not in NEEDED and _any_is(words, WANTED):
         return False
     return _any_is([*words, "".join(words)], WORDS[signal])
 

@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.activity import MOVING_FROM
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
-from hydro_env.task.sensors import COMMAND, POSITION
+from hydro_env.task.sensors import COMMAND
 from hydro_env.types import Floats
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.recording import FULL_COMMAND, Recording
@@ -44,8 +43,6 @@ class Lively(NamedTuple):
     windows: list[Candidate]  # in the order of time
     first: float  # s, by the clock of the file, of the first and of the last row
     last: float
-    moving: float  # share of its windows in motion; NaN without a position
-    clock_back: float  # s, the most by which the clock ran back; 0: never
     findings: list[Finding]  # about the clock, and signals that were not recorded
 
 
@@ -54,21 +51,18 @@ def liveliest(recording: Recording, window: float, config: TaskConfig, most: int
     first, last = recording.begin, recording.begin + float(recording.time[-1])
     findings = [finding for finding in recording.findings if finding.absent]
     back = np.flatnonzero(np.diff(recording.time) < 0.0) + 1
-    jumps = recording.time[back - 1] - recording.time[back]
     if len(back):
         often = f" {len(back)} times" if len(back) > 1 else ""
-        what = f"runs back{often} by {number(jumps[0], digits=3)} s, {number(recording.time[back[0] - 1], 1)} s"
+        before, after = recording.time[back[0] - 1 : back[0] + 1]
+        what = f"runs back{often} by {number(before - after, digits=3)} s, {number(before, 1)} s"
         findings.append(Finding("clock", f"{what} after the first row; no window crosses it", Weight.NOTE))
     best: dict[int, Candidate] = {}  # by section
-    located = moving = 0
     for begin, end in zip([0, *back], [*back, len(recording.time)], strict=True):
         run = recording.part(int(begin), int(end))
         index = np.floor(run.time / window + 1e-6).astype(np.int64)
         starts = np.flatnonzero(np.diff(index, prepend=-1))
         ends = np.append(starts[1:], len(index))
-        score, travel = _scores(run, starts, ends, window, config)
-        located += int(np.isfinite(travel).sum())
-        moving += int((travel >= MOVING_FROM * window).sum())
+        score = _scores(run, starts, ends, window, config)
         for place, start in enumerate(starts):
             at = run.begin + float(index[start]) * window
             section = int((at - first) // SECTION)
@@ -76,18 +70,11 @@ def liveliest(recording: Recording, window: float, config: TaskConfig, most: int
                 rows = max(int(start) - MARGIN, 0), min(int(ends[place]) + MARGIN, len(index))
                 best[section] = Candidate(float(score[place]), at, run.part(*rows))
     windows = sorted(best.values(), key=lambda one: (-one.score, one.begin))[:most]
-    return Lively(
-        sorted(windows, key=lambda one: one.begin),
-        first,
-        last,
-        moving / located if located else np.nan,
-        float(jumps.max(initial=0.0)),
-        findings,
-    )
+    return Lively(sorted(windows, key=lambda one: one.begin), first, last, findings)
 
 
-def _scores(run: Recording, starts: Places, ends: Places, window: float, config: TaskConfig) -> tuple[Floats, Floats]:
-    """Liveliness of windows of rows, and travel in m (NaN without a position)."""
+def _scores(run: Recording, starts: Places, ends: Places, window: float, config: TaskConfig) -> Floats:
+    """Liveliness of windows of rows."""
     pressure = config.plant.supply.pressure
     size = np.array([config.plant.cylinder.stroke, pressure, pressure, 1.0, 1.0])
     span = np.fmax.reduceat(run.signals, starts, axis=1) - np.fmin.reduceat(run.signals, starts, axis=1)
@@ -104,7 +91,7 @@ def _scores(run: Recording, starts: Places, ends: Places, window: float, config:
     gap[known[:-1]] = np.maximum(gap[known[:-1]], between)
     useless = np.maximum.reduceat(gap, starts) > (LONGEST_FILL + 1.5) * period
     useless |= (count < LEAST_ROWS * window / max(step, 1e-9)) | (full > MOST_ROWS_AT_FULL_COMMAND * count)
-    return score + np.minimum(way / window, 1.0) + UNUSABLE * useless, span[POSITION]
+    return np.asarray(score + np.minimum(way / window, 1.0) + UNUSABLE * useless)
 
 
 def sampled_windows(candidates: Sequence[Candidate], window: float, config: TaskConfig) -> Sampled:
@@ -128,13 +115,8 @@ def sampled_windows(candidates: Sequence[Candidate], window: float, config: Task
     for part in parts:
         for finding in part.findings:
             findings[finding.signal, finding.weight] = finding
-    auxiliary = {}
-    for name in parts[0].auxiliary:
-        auxiliary[name] = np.concatenate([part.auxiliary[name] for part in parts])
-    return parts[0]._replace(
-        place=np.concatenate([part.place for part in parts]),
-        time=np.concatenate([part.time for part in parts]),
-        signals=np.concatenate([part.signals for part in parts], axis=1),
-        findings=list(findings.values()),
-        auxiliary=auxiliary,
-    )
+    joined = {}
+    for name in ("place", "time", "signals"):
+        joined[name] = np.concatenate([getattr(part, name) for part in parts], axis=-1)
+    auxiliary = {name: np.concatenate([part.auxiliary[name] for part in parts]) for name in parts[0].auxiliary}
+    return parts[0]._replace(**joined, findings=list(findings.values()), auxiliary=auxiliary)

@@ -11,14 +11,13 @@ Two balances, valid for every rig of this kind, reveal a wrong sign, exchanged c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import compress, product
-from typing import Any, NamedTuple
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
 
 from hydro_env import ConfigurationError, TaskConfig, simulate
-from hydro_env.compiling import SOURCES, compiled, tuple_replacer
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parts.chambers import chamber_volumes
 from hydro_env.plant.parts.valve import edge_flows
@@ -60,6 +59,11 @@ SLOPES = (0.15, 6.0)
 ROUNDING = 1e-4  # of full scale, by which a command at its limit may exceed it without a word
 LEAST_RESPONSE = 0.2  # of a new command, that the spool follows by the next sample, to identify the command's row
 
+CHANGES = EXCHANGED, TURNED_POSITION, TURNED_VALVE = (
+    "the pressures of the chambers exchanged (of a load pressure, the other sign)",
+    "the other sign of the position",
+    "the other sign of spool and command",
+)
 SETTLED = "a move by a positive command settles it: the axis extends, and chamber a gets the oil"
 
 
@@ -124,9 +128,8 @@ def _within_full_scale(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     beyond = (size > 1.0) & (size <= OVERRANGE)
     if not beyond.any() or (size > OVERRANGE).any():  # the unit is wrong: check_channels says so
         return samples, []
-    signals = samples.signals.copy()
-    signals[COMMAND] = np.clip(signals[COMMAND], -1.0, 1.0)
-    most = float(size[beyond].max())
+    signals, most = samples.signals.copy(), float(size[beyond].max())
+    signals[COMMAND] = signals[COMMAND].clip(-1.0, 1.0)
     what = f"is up to {100.0 * most:.4g} % of full scale ({FULL_VOLTAGE * most:.4g} V): taken as full scale"
     finding = finding_of(beyond, samples.time, "command", what, Weight.NOTE)
     return samples._replace(signals=signals), [finding] if most >= 1.0 + ROUNDING else []
@@ -201,8 +204,8 @@ def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
     if ratio < LEAST_TRAVELLED or (fit.slope > 0.0 and not _plausible(fit.slope)):
         what = f"moves {ratio:.2g} times as far as the valve's flow moves the piston; check its unit and the rig"
         return [*findings, Finding("position", what, Weight.SEVERE)]
-    changes = fit.force_rest and _change_that_helps(signals, config)  # one pressure does not tell which sign is wrong
-    if changes:
+    # One pressure does not tell which sign is wrong.
+    if fit.force_rest and (changes := _change_that_helps(signals, config)):
         what = f"contradict each other; they would fit with {changes}; {SETTLED}"
         return [*findings, Finding("pressures, spool and motion", what, Weight.SEVERE)]
     if fit.slope < 0.0:
@@ -243,7 +246,7 @@ def balance(signals: Floats, config: TaskConfig) -> TwoBalances:
     c = plant_coefficients(config.plant)
     step = max(round(INTERVAL / config.control_period), 1)
     time = step * config.control_period
-    position, pressure_a, pressure_b, _ = (_means(signals[row], step) for row in range(4))
+    position, pressure_a, pressure_b = _means(signals[:SPOOL], step)
     force = c.area_a * pressure_a - c.area_b * pressure_b
     speed = (position[2:] - position[:-2]) / (2.0 * time)
     acceleration = (position[2:] - 2.0 * position[1:-1] + position[:-2]) / time**2
@@ -272,42 +275,29 @@ def balance(signals: Floats, config: TaskConfig) -> TwoBalances:
 
 def flow_into_a(signals: Floats, config: TaskConfig) -> Floats:
     """Flow of the nominal valve into chamber a, m³/s, (T,), at signals (5, T)."""
-    flow = np.empty(signals.shape[1])
-    rest = State(*[0.0] * len(State._fields))._replace(supply_pressure=config.plant.supply.pressure)
-    _fill_flow(np.ascontiguousarray(signals), rest, plant_coefficients(config.plant), flow)
-    return flow
-
-
-def _build(sources: int) -> Any:
-    at_readings = tuple_replacer(State, "pressure_a", "pressure_b", "spool_position")
-
-    def fill_flow(signals: Floats, rest: Any, c: Any, flow: Floats) -> None:
-        assert sources >= 0  # keys numba's cache
-        for k in range(len(flow)):
-            edges = edge_flows(at_readings(rest, signals[PRESSURE_A, k], signals[PRESSURE_B, k], signals[SPOOL, k]), c)
-            flow[k] = edges.supply_to_a - edges.a_to_tank
-
-    return compiled(fill_flow)
-
-
-_fill_flow = _build(SOURCES)
+    c, supply = plant_coefficients(config.plant), config.plant.supply.pressure
+    rest = State(*[0.0] * len(State._fields))._replace(supply_pressure=supply)
+    flow = []
+    for pressure_a, pressure_b, spool in signals[[PRESSURE_A, PRESSURE_B, SPOOL]].T.tolist():
+        here = rest._replace(pressure_a=pressure_a, pressure_b=pressure_b, spool_position=spool)
+        edges = edge_flows(here, c)
+        flow.append(edges.supply_to_a - edges.a_to_tank)
+    return np.array(flow)
 
 
 def _change_that_helps(signals: Floats, config: TaskConfig) -> str:
     """The smallest change of columns after which both balances fit, as text; empty if there is none."""
-    names = (
-        "the pressures of the chambers exchanged (of a load pressure, the other sign)",
-        "the other sign of the position",
-        "the other sign of spool and command",
-    )
-    for chosen in sorted(product((False, True), repeat=3), key=sum)[1:]:
-        changed = signals.copy()
-        if chosen[0]:
-            changed[[PRESSURE_A, PRESSURE_B]] = changed[[PRESSURE_B, PRESSURE_A]]
-        changed[[POSITION, SPOOL]] *= np.where(chosen[1:], -1.0, 1.0)[:, None]
-        fit = balance(changed, config)
-        if fit.force_rest < FITS and _plausible(fit.slope):
-            return " and ".join(compress(names, chosen))
+    for count in range(1, len(CHANGES) + 1):
+        for chosen in combinations(CHANGES, count):
+            changed = signals.copy()
+            if EXCHANGED in chosen:
+                changed[[PRESSURE_A, PRESSURE_B]] = changed[[PRESSURE_B, PRESSURE_A]]
+            for row, change in ((POSITION, TURNED_POSITION), (SPOOL, TURNED_VALVE)):
+                if change in chosen:
+                    changed[row] *= -1.0
+            fit = balance(changed, config)
+            if fit.force_rest < FITS and _plausible(fit.slope):
+                return " and ".join(chosen)
     return ""
 
 
@@ -365,7 +355,6 @@ def _response_at_next_sample(config: TaskConfig) -> float:
 
 
 def _means(values: Floats, step: int) -> Floats:
-    """Means over consecutive groups of samples."""
-    count = len(values) // step
-    means: Floats = values[: count * step].reshape(count, step).mean(axis=1)
-    return means
+    """Means over consecutive groups of samples, (…, T // step), of values (…, T)."""
+    count = values.shape[-1] // step
+    return np.asarray(values[..., : count * step].reshape(*values.shape[:-1], count, step).mean(axis=-1))

@@ -83,23 +83,23 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
     places = {signal: place_of(column, signal, file.headings, source) for signal, column in chosen.items()}
     cells, findings = together(file, places)
     rows = len(cells["command"])
-    for signal, own in cells.items():
-        if len(own) != rows:
-            raise ConfigurationError(
-                f"{source}: {signal}: column '{file.headings[places[signal]][:40]}' has {len(own)} values, that of "
-                f"the command has {rows}, and one of them has no time of its own"
-            )
     units: dict[str, str] = {}
     values: dict[str, Floats] = {}
     dates, begin = _time_stamps(cells["time"])
     for signal, column in chosen.items():
+        heading, own = file.headings[places[signal]], cells[signal]
+        if len(own) != rows:
+            raise ConfigurationError(
+                f"{source}: {signal}: column '{heading[:40]}' has {len(own)} values, that of the command has {rows}, "
+                "and one of them has no time of its own"
+            )
         if signal == "time" and dates is not None:
             values[signal] = dates
-        else:
-            numbers = _numbers(cells[signal], signal, file.first_line, findings)
-            units[signal], size = unit_of(column, signal, file.headings[places[signal]], source)
-            values[signal] = size * (column.gain * numbers + column.offset)
-        values[signal][~np.isfinite(values[signal])] = np.nan
+            continue
+        numbers = _numbers(own, signal, file.first_line, findings)
+        units[signal], size = unit_of(column, signal, heading, source)
+        found = size * (column.gain * numbers + column.offset)
+        values[signal] = np.where(np.isfinite(found), found, np.nan)
     values["command"] = pd.Series(values["command"]).shift(columns.command.rows_early).to_numpy()
     differential = LOAD_PRESSURE in values
     if differential:
@@ -150,7 +150,7 @@ def map_for(file: Columns, source: str) -> ColumnMap:
     try:
         return own_map(file.headings, source)
     except ConfigurationError as error:
-        raise UnknownHeadingsError(str(error), guessed_map(file.headings, source)) from None
+        raise UnknownHeadingsError(str(error), guessed_map(file.headings)) from None
 
 
 def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:
