@@ -28,7 +28,7 @@ from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, own_value
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Mask
 from hydro_rig.estimation.information import bound as smallest_deviation
 from hydro_rig.estimation.known_windows import KnownWindows, known_windows, leak_cases
 from hydro_rig.estimation.replay import Commands, Rows, replay
@@ -156,7 +156,7 @@ def worn_task(config: TaskConfig) -> TaskConfig:
     return task_config(config, randomisation=ranges)
 
 
-def priors_of_test(config: TaskConfig, measured: NDArray[np.bool_]) -> dict[str, Prior]:
+def priors_of_test(config: TaskConfig, measured: Mask) -> dict[str, Prior]:
     """The unknowns of a test and their priors; ``config``: the :func:`worn_task`; ``measured``: the sensors, (4,)."""
     return priors_of(config, unknowns_of(config, config.randomisation, measured))
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 SAME_AREA = 0.1
@@ -127,7 +127,7 @@ def blocks_of(position: Floats, pressure_a: Floats, pressure_b: Floats, flow: Fl
     return Blocks(speeds.mean(axis=1), mean(flow), difference, rise, np.ptp(speeds, axis=1))
 
 
-def _robust(causes: Floats, wanted: Floats, cluster: NDArray[np.int64]) -> tuple[Floats, Floats, float, int]:
+def _robust(causes: Floats, wanted: Floats, cluster: Indices) -> tuple[Floats, Floats, float, int]:
     """Coefficients and deviations (P,), unexplained share of ``wanted``, and number of clusters with weight."""
     weight: NDArray[Any] = np.ones(len(wanted))
     left: NDArray[Any] = wanted

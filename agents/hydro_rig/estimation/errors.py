@@ -13,13 +13,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from hydro_env.compiling import SOURCES, compiled
-from hydro_env.types import Floats
-
-Mask = NDArray[np.bool_]
+from hydro_env.types import Floats, Mask
 
 MEMORIES = np.array([2.0, 6.0, 20.0, 60.0, 200.0])  # samples; candidates of the slow error's correlation time
 RATIOS = np.array([0.0, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0, 4.0, 8.0, 16.0, 40.0])  # slow error over white noise; candidates

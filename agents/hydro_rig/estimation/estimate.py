@@ -11,8 +11,7 @@ from scipy.linalg import block_diag
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.sensors import SENSORS
-from hydro_env.types import Floats
-from hydro_rig.estimation.errors import Mask
+from hydro_env.types import Floats, Mask
 from hydro_rig.estimation.first_guess import first_values
 from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.result import Estimate, join

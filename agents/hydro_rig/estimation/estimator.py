@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
@@ -22,7 +21,7 @@ from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices, Mask
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.result import Estimate
@@ -153,7 +152,7 @@ class EstimatorDetector:
         task: TaskConfig,
         names: tuple[str, ...],
         priors: Mapping[str, Prior],
-        begin: tuple[Estimate, NDArray[np.int64]] | None = None,
+        begin: tuple[Estimate, Indices] | None = None,
         progress: Progress | None = None,
         **changes: Any,
     ) -> Estimate:
@@ -175,7 +174,7 @@ class EstimatorDetector:
             boundary=windows.boundary,
         )
 
-    def _with_moving_supply(self, windows: Windows, task: TaskConfig, worn: Estimate) -> NDArray[np.bool_]:
+    def _with_moving_supply(self, windows: Windows, task: TaskConfig, worn: Estimate) -> Mask:
         """Fit windows whose readings the model does not explain with a supply that moves; returns where it does, (N,).
 
         The better estimates replace those in ``worn``. A recorded supply moves as recorded.
@@ -195,7 +194,7 @@ class EstimatorDetector:
 
 
 def _reading(
-    worn: Estimate, excess: Floats, value: Floats, deviation: Floats, still: NDArray[np.bool_], task: TaskConfig
+    worn: Estimate, excess: Floats, value: Floats, deviation: Floats, still: Mask, task: TaskConfig
 ) -> Reading:
     """The reading of leaks with their standard deviations, (N,) each."""
     fits = worn.holds & (value + SURE * deviation >= 0.0)  # a negative leak: the model is wrong
@@ -265,7 +264,7 @@ def _excess(found: Estimate, task: TaskConfig) -> Floats:
     return np.where(np.isnan(excess), -np.inf, excess)
 
 
-def _in_words(found: Estimate, faulty: NDArray[np.bool_]) -> tuple[str, ...]:
+def _in_words(found: Estimate, faulty: Mask) -> tuple[str, ...]:
     """The faults of each window as text; the size of a fault is the median over all windows that show it."""
     texts: list[list[str]] = [[] for _ in faulty]
     for (name, wear), rows in zip(WEAR.items(), faulty.T, strict=True):

@@ -19,7 +19,7 @@ from hydro_env.plant.parts.leakage import ROD_SEAL
 from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS
 from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -42,7 +42,7 @@ class KnownWindows:
     latency: Floats  # (B,), s
     gain: Floats  # (B, channels), reading over true value; 1 for a sound sensor
     bias: Floats  # (B, channels), SI; a fault's offset included
-    case: NDArray[np.int64]  # (B,), index of the case; failed cases are left out
+    case: Indices  # (B,), index of the case; failed cases are left out
 
     def value(self, name: str) -> Floats:
         """True values (B,) of an unknown of :mod:`hydro_rig.estimation.unknowns`, in its unit."""

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from copy import copy
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.sensors import PRESSURE_A, PRESSURE_B, SENSORS
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices
 from hydro_rig.estimation.replay import RISE, Commands, Rows, replay, times
 from hydro_rig.estimation.unknowns import (
     BIASES,
@@ -30,8 +29,6 @@ from hydro_rig.estimation.unknowns import (
     STARTS,
     Prior,
 )
-
-Indices = NDArray[np.int64]
 
 LONG_STEP, SHORT_STEP = 2.0, 0.05
 """Steps of the finite differences, in standard deviations along each axis of the uncertainty.

@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled, inline
@@ -20,7 +19,7 @@ from hydro_env.plant.states import State
 from hydro_env.task.sensors import POSITION, PRESSURE_A, PRESSURE_B, SENSORS, SPOOL
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import lagged
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices
 from hydro_env.units import FULL_VOLTAGE
 
 ROWS_PER_THREAD = 64  # smallest number of rows per thread; with fewer, starting the thread takes longer than its work
@@ -58,7 +57,7 @@ class Commands(NamedTuple):
         boundary = None if self.boundary is None else self.boundary[:, :, :samples]
         return Commands(self.command[:, :samples], boundary)
 
-    def part(self, windows: NDArray[np.int64]) -> Commands:
+    def part(self, windows: Indices) -> Commands:
         """Some of the windows."""
         boundary = None if self.boundary is None else self.boundary[windows]
         return Commands(self.command[windows], boundary)
@@ -67,7 +66,7 @@ class Commands(NamedTuple):
 class Rows(NamedTuple):
     """R plants; each replays a window."""
 
-    window: NDArray[np.int64]  # (R,), index of the window
+    window: Indices  # (R,), index of the window
     physical: Floats  # (R, parameters), in the order of PARAMETER_PATHS
     start: Floats
     """(R, N_STATES), state at the first sample. NaN as coil current means the current of the first command, NaN as gas

@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from hydro_env import ConfigurationError
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.estimation.errors import Errors
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -34,7 +31,7 @@ class Estimate:
     remaining: Floats  # (B, P), standard deviation over the prior's, both of the scaled unknown
     chi2_per_sample: Floats  # (B,), about 1 if readings and model differ only by noise
     misfit: Floats  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
-    holds: NDArray[np.bool_]  # (B,), whether the model explains the readings
+    holds: Mask  # (B,), whether the model explains the readings
     searches: Indices  # (B,), 1 if the first search gave the result
     scaled: Floats  # (B, P), the values in standard deviations of the prior from its mean
     white: Floats  # (B, channels), standard deviation of the white noise, over that of the data sheet
@@ -83,7 +80,7 @@ class Estimate:
         """Some of the windows."""
         return Estimate(names=self.names, **{name: getattr(self, name)[windows] for name in _PER_WINDOW})
 
-    def take(self, windows: Indices, by: Estimate, better: NDArray[np.bool_]) -> Indices:
+    def take(self, windows: Indices, by: Estimate, better: Mask) -> Indices:
         """Replace windows by those of another estimate; returns the replaced ones.
 
         Args:

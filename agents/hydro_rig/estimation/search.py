@@ -11,9 +11,9 @@ import numpy as np
 from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SPOOL
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices
 from hydro_rig.estimation.errors import Errors, errors_of, spikes_of
-from hydro_rig.estimation.model import LONG_STEP, Indices
+from hydro_rig.estimation.model import LONG_STEP
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of
 from hydro_rig.estimation.unknowns import LATENCY, LEAKAGE, RISE_TIME, STARTS, Prior, prior_of

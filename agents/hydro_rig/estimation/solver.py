@@ -13,11 +13,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.estimation.errors import Errors, whitened
-from hydro_rig.estimation.model import SHORT_STEP, Indices, Model
+from hydro_rig.estimation.model import SHORT_STEP, Model
 from hydro_rig.estimation.unknowns import Prior
 
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])
@@ -105,7 +104,7 @@ class Linearised(NamedTuple):
     residual: Floats  # (B, readings)
     jacobian: Floats  # (B, P, readings), per standard deviation of each unknown's prior
     weight: Floats  # (B, readings), 1 over the mean square of its channel's residuals, at most 1
-    known: NDArray[np.bool_]  # (B, channels, T), readings that exist
+    known: Mask  # (B, channels, T), readings that exist
 
     def covariance(self, belief: Belief) -> Floats:
         """Covariance of the unknowns, (B, P, P), given these readings and the belief."""

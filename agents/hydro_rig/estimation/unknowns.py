@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import RECORDED
 from hydro_env import ConfigurationError, TaskConfig
@@ -26,6 +25,7 @@ from hydro_env.plant.states import STATE_NAMES, STATES
 from hydro_env.task.faults import SIGNED_KINDS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
 from hydro_env.task.sensors import PRESSURE_A, SENSORS
+from hydro_env.types import Floats
 from hydro_env.units import flow_from_resistance
 
 LEAKAGE, EXTERNAL_LEAKAGE = "leakage_flow_lpm", "external_leakage_flow_lpm"
@@ -84,7 +84,7 @@ class Prior:
     deviation: float  # standard deviation, in the unknown's unit; of the natural logarithm if logarithmic
     logarithmic: bool = False
 
-    def value(self, scaled: NDArray[np.float64]) -> NDArray[np.float64]:
+    def value(self, scaled: Floats) -> Floats:
         """Values in the unknown's unit, (…), of scaled ones: standard deviations from the mean."""
         away = self.deviation * scaled
         return self.mean * np.exp(away) if self.logarithmic else self.mean + away

@@ -13,14 +13,13 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.estimation.estimate import estimate, usable_readings
-from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Indices, Model
+from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.search import LARGEST_MISFIT, UNKNOWN_COMMANDS, EstimationSettings, search, timing_priors
 from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of
@@ -154,7 +153,7 @@ def descend(
     return fit(problem, first, effort, shared=shared_and_own(problem.model)[0], progress=progress)
 
 
-def _cost(residual: Floats, known: NDArray[np.bool_], scaled: Floats, shared: Indices, own: Indices) -> float:
+def _cost(residual: Floats, known: Mask, scaled: Floats, shared: Indices, own: Indices) -> float:
     """Twice the negative logarithm of the posterior: of residuals (B, channels, T) over their noise, and the priors.
 
     A channel of a window that scatters more than its noise counts as if it had that noise, as in the search.

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from hydro_agents.detection.detector import Windows
@@ -18,7 +17,7 @@ from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.sensors import PRESSURE_A, SENSORS
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -76,7 +75,7 @@ class Fit(NamedTuple):
         return tuple(one.name for one in self.unknowns)
 
     @property
-    def explained(self) -> NDArray[np.bool_]:
+    def explained(self) -> Mask:
         """Whether the model explains the readings of each window within the sensors' noise, (B,)."""
         return np.asarray(self.misfit < WELL_FITTED)
 
@@ -97,7 +96,7 @@ class Fit(NamedTuple):
         return {one.name: one.value for one in self.unknowns}
 
 
-def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured: NDArray[np.bool_]) -> list[str]:
+def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured: Mask) -> list[str]:
     """Names of the unknowns: parameters with a range, leak, biases of ``measured`` channels, (channels,), and start."""
     plant = [EXTERNAL_LEAKAGE if path == EXTERNAL_RESISTANCE else path for path in ranges]
     biases = [name for name, seen in zip(BIASES, measured, strict=True) if seen and config.sensors.enabled]
@@ -183,7 +182,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
     return Fit(tuple(unknowns), misfit, joint, second)
 
 
-def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
+def widened(fit: Fit, recording: Indices) -> Fit:
     """The fit with intervals at least as wide as the recordings disagree; a single recording is cut in two halves.
 
     ``recording``: number of the recording of each window, (B,). Source: random effects, DerSimonian and Laird,
@@ -205,7 +204,7 @@ def widened(fit: Fit, recording: NDArray[np.int64]) -> Fit:
     return fit._replace(unknowns=tuple(unknowns))
 
 
-def _disagreement(fit: Fit, group: NDArray[np.int64]) -> Floats:
+def _disagreement(fit: Fit, group: Indices) -> Floats:
     """Standard deviation between groups of windows that their own uncertainty does not explain, (p,) scaled.
 
     One Gauss–Newton step from the common values gives the values that each group alone says; ``group``: number of each

@@ -20,12 +20,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution, own_value
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices
 from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE, PATHS, Prior
 from hydro_rig.identification.common_fit import Joint
@@ -83,7 +82,7 @@ class Sides(NamedTuple):
     """What lies to both sides of the p common unknowns."""
 
     reach: Floats  # (p, 2), length of the interval below and above the value, scaled
-    open: NDArray[np.int64]  # (p,), 1: only a lower end is known, −1: only an upper one, 0: both or none
+    open: Indices  # (p,), 1: only a lower end is known, −1: only an upper one, 0: both or none
 
 
 def sides_of(problem: Problem, joint: Joint, spread: Spread, ends: Floats, follows: bool) -> Sides:

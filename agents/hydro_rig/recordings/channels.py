@@ -11,10 +11,10 @@ from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL, Sensor
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Mask
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.recordings.columns import MEASURED, UNITS
-from hydro_rig.recordings.findings import Finding, Mask, Weight, finding_of, missing_weight, runs_of, severe_if
+from hydro_rig.recordings.findings import Finding, Weight, finding_of, missing_weight, runs_of, severe_if
 from hydro_rig.recordings.recording import FULL_COMMAND
 from hydro_rig.recordings.sampling import Sampled, cut
 

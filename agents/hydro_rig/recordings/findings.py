@@ -6,14 +6,12 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.running.text import number
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices, Mask
 
 MOST_MISSING = 0.9  # largest share of missing readings of a sensor: every tenth row, by a slower program, tells enough
 MOST_MISSING_COMMANDS = 0.2  # the same for the command, without which the axis cannot be simulated
-Mask = NDArray[np.bool_]  # true where a finding is about a row, (n,)
 
 
 class Weight(StrEnum):
@@ -47,7 +45,7 @@ class Finding(NamedTuple):
         return ", ".join(parts)
 
 
-def runs_of(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def runs_of(mask: Mask) -> tuple[Indices, Indices]:
     """First index of each run of true values, and the index after its last."""
     edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)

@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import COMMAND
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.recording import FULL_COMMAND, Recording
 from hydro_rig.recordings.row_distance import LARGEST_DEVIATION
@@ -25,8 +24,6 @@ MARGIN = 5  # rows before and after a window, from which lost rows at its ends a
 MOST_ROWS_AT_FULL_COMMAND = 0.5  # largest share of rows at full command in a useful window
 LEAST_ROWS = 0.8  # of a whole window
 UNUSABLE = -1e3  # added to the score of a window that lacks commands
-
-Places = NDArray[np.int64]
 
 
 class Candidate(NamedTuple):
@@ -73,7 +70,7 @@ def liveliest(recording: Recording, window: float, config: TaskConfig, most: int
     return Lively(sorted(windows, key=lambda one: one.begin), first, last, findings)
 
 
-def _scores(run: Recording, starts: Places, ends: Places, window: float, config: TaskConfig) -> Floats:
+def _scores(run: Recording, starts: Indices, ends: Indices, window: float, config: TaskConfig) -> Floats:
     """Liveliness of windows of rows."""
     pressure = config.plant.supply.pressure
     size = np.array([config.plant.cylinder.stroke, pressure, pressure, 1.0, 1.0])

@@ -6,12 +6,11 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import ConfigurationError
 from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.recordings.findings import Finding
 from hydro_rig.recordings.recording import FULL_COMMAND
 from hydro_rig.recordings.sampling import Sampled, bridged, cut
@@ -48,7 +47,7 @@ class Parts(NamedTuple):
     """Recordings cut in parts."""
 
     fitted: Windows  # for the fit
-    recording: NDArray[np.int64]  # (B,), the number of the recording of each of these windows
+    recording: Indices  # (B,), the number of the recording of each of these windows
     amplitudes: int  # number of different largest commands among the recordings of the fit
     held_back: list[Stretch]
     reason: str  # how the held-back parts were chosen
@@ -172,7 +171,7 @@ def _by_amplitude(cuts: Mapping[int, Windows]) -> list[list[int]]:
     return amplitudes
 
 
-def _shows_position(windows: Windows) -> NDArray[np.bool_]:
+def _shows_position(windows: Windows) -> Mask:
     """The windows (B,) with most readings of the position, not at rest at the end of its range, or with a fast move.
 
     A slow sensor has few readings in every window.
@@ -180,7 +179,7 @@ def _shows_position(windows: Windows) -> NDArray[np.bool_]:
     travel = _ranges(windows.signals)[:, POSITION]
     readings = np.isfinite(windows.signals[:, POSITION]).mean(axis=1)
     most = readings > 0.5 * readings.max(initial=0.0)
-    shows: NDArray[np.bool_] = most | (travel > FAST * travel.max(initial=0.0))
+    shows: Mask = most | (travel > FAST * travel.max(initial=0.0))
     return shows
 
 
@@ -207,13 +206,13 @@ def _most_varied(windows: Windows, most: int) -> Windows:
     return windows.part(np.sort(np.argsort(-activity, kind="stable")[:most]))
 
 
-def lively(windows: Windows, most: int) -> NDArray[np.int64]:
+def lively(windows: Windows, most: int) -> Indices:
     """Numbers of the windows with the longest way of the command, which show best whether the model holds."""
     way = np.nansum(np.abs(np.diff(windows.signals[:, COMMAND], axis=1)), axis=1)
     return np.sort(np.argsort(-way, kind="stable")[:most])
 
 
-def _with_motion(windows: Windows) -> NDArray[np.bool_]:
+def _with_motion(windows: Windows) -> Mask:
     """The windows (B,) of a recording to hold back: the last stretch of them with its share of the travel or more.
 
     It has HELD_BACK_SHARE of the windows, and at most MOST_TRAVEL of the travel. Without such a stretch it is the last.

@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import COMMAND, POSITION
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.recordings.files import interpolated
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_rig.recordings.recording import Recording
@@ -52,7 +51,7 @@ OWN_PERIOD = 1e-3  # s, approximate distance of the samples on a log's own grid;
 class Sampled(NamedTuple):
     """A recording at the control period; T samples."""
 
-    place: NDArray[np.int64]  # (T,), number of the control period since the first sample, rising; a gap skips numbers
+    place: Indices  # (T,), number of the control period since the first sample, rising; a gap skips numbers
     time: Floats  # (T,), s
     signals: Floats  # (5, T), SI, in the order of SIGNALS: column k holds u_{k-1}
     period: float  # s
@@ -64,7 +63,7 @@ class Sampled(NamedTuple):
 
 EQUIDISTANT = " ('equidistant: true' for the time in the map takes the rows as equidistant)"
 
-_Grid = tuple[NDArray[np.int64], Floats, Floats, float, bool]
+_Grid = tuple[Indices, Floats, Floats, float, bool]
 """Rows of a recording as samples: place and time (T,), values (channels, T), period in s; whether by a clock that may
 not be that of the controller."""
 
@@ -161,9 +160,7 @@ def _without_jitter(time: Floats, rows: Floats, step: float, findings: list[Find
     return np.concatenate(times), np.concatenate(values, axis=1), any(moved)
 
 
-def _own_grid(
-    time: Floats, values: Floats, place: NDArray[np.int64], distance: float, findings: list[Finding]
-) -> _Grid:
+def _own_grid(time: Floats, values: Floats, place: Indices, distance: float, findings: list[Finding]) -> _Grid:
     """The samples of a log on its own grid of about OWN_PERIOD.
 
     From a faster log, readings are medians of the rows around each sample, which leave out spikes. As many commands as
@@ -220,14 +217,14 @@ def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     return samples, [finding_of(filled, time, "command", what, Weight.NOTE)]
 
 
-def _spread(values: Floats, at: NDArray[np.int64], count: int) -> Floats:
+def _spread(values: Floats, at: Indices, count: int) -> Floats:
     """The values (…, n) at their places (n,) among ``count``; NaN elsewhere."""
     whole = np.full((*values.shape[:-1], count), np.nan)
     whole[..., at] = values
     return whole
 
 
-def likely_commands(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
+def likely_commands(signals: Floats, filled: Mask) -> Floats:
     """The commands at ``filled`` (T,), from the known signals (5, T) in the three rows before and after.
 
     Each is the linear combination that fits the sure commands best among those with the same rows known.
@@ -273,7 +270,7 @@ def cut(samples: Sampled, length: int) -> Windows:
     return Windows(signals, begin, begin + length * samples.period, auxiliary)
 
 
-def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], float]:
+def _places(time: Floats, distance: float) -> tuple[Indices, float]:
     """Number of row distances since the first row, (n,), and the jitter of the stamps in s, 95 % quantile."""
     place, off = np.zeros(len(time), dtype=np.int64), np.zeros(len(time))
     clock, count = float(time[0]), 0
@@ -287,7 +284,7 @@ def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], float]:
     return place, float(np.quantile(off, 0.95))
 
 
-def _add_gaps(place: NDArray[np.int64], time: Floats, distance: float, findings: list[Finding]) -> None:
+def _add_gaps(place: Indices, time: Floats, distance: float, findings: list[Finding]) -> None:
     """Append a finding about missing rows; those of a pause cost a window, and those of many gaps every window."""
     missing = np.diff(place, prepend=-1) - 1
     gaps = np.flatnonzero(missing > 0)
@@ -320,7 +317,7 @@ def _steady(time: Floats, rows: Floats, distance: float) -> tuple[Floats, Floats
     return steady, moved, True
 
 
-def _phase(place: NDArray[np.int64], command: Floats, rows: int, distance: float, config: TaskConfig) -> int | None:
+def _phase(place: Indices, command: Floats, rows: int, distance: float, config: TaskConfig) -> int | None:
     """Index of the sample among the ``rows`` of a control period, from the rows in which the command changes.
 
     ``None``: they change at no fixed place in it.
