@@ -63,8 +63,8 @@ def diagnose(
     config = task_config(task, rig=rig)
     companion = Companion.named(detector)
     mapped = read_map(columns) if columns is not None else None
-    with reading(as_json) as progress:
-        diagnosis = diagnose_recording(recording, config, companion, mapped, window, progress)
+    with reading(as_json):
+        diagnosis = diagnose_recording(recording, config, companion, mapped, window)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line())
     say(*([json.dumps(in_json(diagnosis), indent=1, ensure_ascii=False)] if as_json else lines))
     raise typer.Exit(EXIT_CODES[diagnosis.verdict.kind])
@@ -113,8 +113,8 @@ def trend(
     from hydro_rig.watching.page import trend_page
     from hydro_rig.watching.watch import watch
 
-    with reading(as_json) as progress:
-        found = watch(recordings, append, columns or [], task, rig or [], oil, limit, jobs, progress)
+    with reading(as_json):
+        found = watch(recordings, append, columns or [], task, rig or [], oil, limit, jobs)
     page = append.with_suffix(".html")
     trend_page(found.trends, append.name, found.left_out).write(page, Origin.now(command_line()))
     for line in found.left_out:

@@ -66,6 +66,6 @@ def identify(
     known = read_rig(rig)
     config = task_config(task, rig=known.source)
     maps = maps_of(columns or [], recordings)
-    with reading() as progress:
-        found = identify_recordings(recordings, config, known, maps, progress, hold_back or [])
+    with reading():
+        found = identify_recordings(recordings, config, known, maps, hold_back or [])
     say(*identify_to_folder(output, found, overwrite, command_line()))

@@ -44,7 +44,7 @@ def leak_test(
     from hydro_env.task.configuration import task_config
     from hydro_rig.diagnosis import leak_test_page as pages
     from hydro_rig.diagnosis.leak_test_plan import plan
-    from hydro_rig.diagnosis.leak_test_reading import read_leak_test, silent
+    from hydro_rig.diagnosis.leak_test_reading import read_leak_test
     from hydro_rig.diagnosis.verdict import EXIT_CODES
     from hydro_rig.recordings.columns import read_map
 
@@ -60,8 +60,8 @@ def leak_test(
     folder = output or Path("results/leak_test")
     refuse_taken(folder, pages.JOB, pages.READING_FILES, overwrite)
     mapped = read_map(columns) if columns is not None else None
-    with reading() as progress:
-        found = read_leak_test(recording, config, mapped, progress or silent)
+    with reading():
+        found = read_leak_test(recording, config, mapped)
     with output_folder(folder, pages.JOB, pages.READING_FILES, overwrite=overwrite):
         pages.write_reading(folder, found, command_line())
     lines = [finding.line() for finding in found.checked.findings]

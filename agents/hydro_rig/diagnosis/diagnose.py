@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +18,7 @@ from hydro_rig.diagnosis.pipeline import Judged, Read, flow_blocks, judged
 from hydro_rig.diagnosis.verdict import EXIT_CODES
 from hydro_rig.diagnosis.volume_balance import leak_of_blocks
 from hydro_rig.estimation.estimator import EstimatorDetector
+from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.findings import Finding, Weight
@@ -60,8 +60,6 @@ class Companion(NamedTuple):
         return not isinstance(self.detector, HeadDetector)
 
 
-Progress = Callable[[str, int, int], None]
-
 FIRST_WINDOWS = 2  # liveliest windows, which show whether the model describes the rig at all
 
 
@@ -99,7 +97,6 @@ def diagnose(
     detector: LeakageHead | Detector | Companion,
     columns: ColumnMap | None = None,
     window: float = 2.0,
-    progress: Progress | None = None,
 ) -> Diagnosis:
     """Read a recording, check it, let the estimator and another detector read it, and judge.
 
@@ -109,7 +106,6 @@ def diagnose(
         detector: the leakage head, or another detector, that reads beside the estimator.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
         window: s, of the windows that the estimator reads; a head has its own.
-        progress: called with phase, done, total.
 
     Raises:
         ConfigurationError: the recording cannot be read at all.
@@ -136,18 +132,12 @@ def diagnose(
     note = companion.detector.refuses(config, length)
 
     def read(windows: Windows) -> Read:
-        commanded = np.flatnonzero(windows.commanded)
-
-        def report(done: int) -> None:
-            if progress is not None and len(commanded):
-                progress("estimator", done, 2 * len(commanded))
-
         if not len(windows):
             return Read()
-        report(0)
-        estimator, fitted = read_windows(windows, config, report)
+        estimator, fitted = read_windows(windows, config)
         if note:
             return Read(estimator, None, fitted)
+        commanded = np.flatnonzero(windows.commanded)
         reading = companion.detector.read(windows.part(commanded), config)
         return Read(estimator, reading.among(commanded, len(windows), Why.NO_COMMANDS), fitted)
 
@@ -164,26 +154,26 @@ def diagnose(
     return Diagnosis(**vars(result), recording=recording, companion=companion, note=note)
 
 
-def read_windows(
-    windows: Windows, config: TaskConfig, progress: Callable[[int], None] | None = None, threads: int | None = None
-) -> tuple[Reading, Estimate | None]:
+def read_windows(windows: Windows, config: TaskConfig, threads: int | None = None) -> tuple[Reading, Estimate | None]:
     """Read all windows with the estimator; if the model explains none of the liveliest, the others are not tried.
 
     ``threads`` is that of :class:`~hydro_rig.estimation.estimator.EstimatorDetector`.
     """
     commanded = np.flatnonzero(windows.commanded)
+    tell("estimator", 0, len(commanded))
     first = commanded[lively(windows.part(commanded), FIRST_WINDOWS)]
     others = np.setdiff1d(np.arange(len(windows)), first)
     detector = EstimatorDetector(threads=threads)
     if not len(first):
         return detector.read_and_fit(windows, config)
     hasty = EstimatorDetector(threads=threads, restarts=1)
-    reading, fitted = hasty.read_and_fit(windows.part(first), config, progress)
+    reading, fitted = hasty.read_and_fit(windows.part(first), config)
+    tell("estimator", len(first), len(commanded))
     unread = Reading.of(np.full(len(windows), np.nan), Cause.UNKNOWN, why=Why.NOT_READ)
     reading = unread.replaced(first, reading)
     if len(others) and fitted is not None and fitted.holds.any():
-        later = None if progress is None else lambda done: progress(2 * len(first) + done)
-        rest, more = detector.read_and_fit(windows.part(others), config, later)
+        rest, more = detector.read_and_fit(windows.part(others), config)
+        tell("estimator", len(commanded), len(commanded))
         reading = reading.replaced(others, rest)
         if more is not None:
             fitted = join([fitted, more])

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydro_agents.detection.detector import HALF_WIDTH, Cause, Reading, Why, Windows
-from hydro_agents.running.jobs import Report
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
@@ -42,10 +41,6 @@ MOST_WINDOWS = 30  # a longer recording is read from the first change of the com
 BEFORE = 1.0  # s of rest before the first change of the command that are read
 APART = 3.0  # uncertainty of the leak over that of its sum with the flow of the edges, up to which they are apart
 STEP = 0.01  # of the differences of the flow of the edges, in standard deviations of the priors
-
-
-def silent(phase: str, done: int, total: int) -> None:
-    """Shows no progress."""
 
 
 class Quantity(NamedTuple):
@@ -111,16 +106,13 @@ class LeakTest(Judged):
         return found
 
 
-def read_leak_test(
-    path: Path, config: TaskConfig, columns: ColumnMap | None = None, report: Report = silent
-) -> LeakTest:
+def read_leak_test(path: Path, config: TaskConfig, columns: ColumnMap | None = None) -> LeakTest:
     """Read the recording of a leak test.
 
     Args:
         path: the recording.
         config: the task of the rig.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
-        report: called with phase, done, total.
 
     Raises:
         ConfigurationError: the recording cannot be read at all.
@@ -135,7 +127,7 @@ def read_leak_test(
         if len(windows) < 2:
             return Read(Reading.of([np.nan], why=Why.FEW_WINDOWS))
         measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
-        fit = quantities(common_fit(windows, task, priors_of_test(task, measured), report), task)
+        fit = quantities(common_fit(windows, task, priors_of_test(task, measured)), task)
         return Read(_reading(fit, config))
 
     result = judged(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,7 +32,6 @@ def estimate(
     physical: Floats | None = None,
     first: Mapping[str, Floats | float] | None = None,
     settings: EstimationSettings | None = None,
-    progress: Callable[[int], None] | None = None,
     boundary: Floats | None = None,
 ) -> Estimate:
     """Estimate the unknowns of measured windows: maximum a posteriori, with the simulator as model.
@@ -46,7 +45,6 @@ def estimate(
         physical: known parameters of each window, (B, parameters); ``None``: those of the task's plant.
         first: initial values by name, each (B,) or a number; ``None``: guessed from the signals.
         settings: of the search.
-        progress: called with the number of finished windows.
         boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
 
     Raises:
@@ -80,8 +78,6 @@ def estimate(
     parts, together = [], max(SAMPLES_PER_BATCH // windows.shape[2], 1)
     for rows in np.split(np.arange(len(windows)), range(together, len(windows), together)):
         parts.append(_searched(problem.part(rows), scaled[rows], settings, lost[rows]))
-        if progress is not None:
-            progress(int(rows[-1]) + 1)
     return join(parts)
 
 

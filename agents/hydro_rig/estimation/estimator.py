@@ -8,7 +8,7 @@ A window at rest shows no signs of wear, whatever the valve is like, so that its
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -35,8 +35,6 @@ from hydro_rig.estimation.unknowns import (
     course_of,
     default_unknowns,
 )
-
-Progress = Callable[[int], None]
 
 WIDE_BIAS = 3.0  # standard deviation of a sensor's offset, relative to the largest offset of the data sheet
 WIDEST_READING = 0.05
@@ -113,23 +111,17 @@ class EstimatorDetector:
         self,
         windows: Windows,
         task: TaskConfig,
-        progress: Progress | None = None,
     ) -> tuple[Reading, Estimate | None]:
         """Read windows, and return the estimates with wear as well, one for each window with commands.
 
-        The estimate is ``None`` if there is no such window.
-
-        Args:
-            windows: N windows.
-            task: rig, ranges and sensors.
-            progress: called with the number of finished fits, at most two per window with commands.
+        The estimate is ``None`` if there is no such window. Arguments as of :meth:`read`.
         """
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
             return Reading.of(np.full(len(windows), np.nan), why=Why.NO_COMMANDS), None
         used, expected = windows.part(chosen), task_config(task, **self.changes)
         names, wear = default_unknowns(expected), wear_priors(expected)
-        worn = self._estimate(used, expected, (*names, *wear), wear, progress=progress)
+        worn = self._estimate(used, expected, (*names, *wear), wear)
         moves = self._with_moving_supply(used, expected, worn)
         excess = _excess(worn, task)
         value, deviation = worn.value(LEAKAGE).copy(), worn.deviation(LEAKAGE).copy()
@@ -138,8 +130,7 @@ class EstimatorDetector:
         still = travel < LEAST_TRAVEL * task.sensors.position.noise  # it cannot show whether the valve is worn
         simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still & ~moves)
         if len(simple):
-            again = None if progress is None else lambda done: progress(len(chosen) + done)
-            plain = self._estimate(used.part(simple), expected, names, {}, (worn, simple), again, horizons=())
+            plain = self._estimate(used.part(simple), expected, names, {}, (worn, simple), horizons=())
             better = np.flatnonzero(plain.holds)
             value[simple[better]] = plain.value(LEAKAGE)[better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[better]
@@ -153,7 +144,6 @@ class EstimatorDetector:
         names: tuple[str, ...],
         priors: Mapping[str, Prior],
         begin: tuple[Estimate, Indices] | None = None,
-        progress: Progress | None = None,
         **changes: Any,
     ) -> Estimate:
         """Estimate unknowns of windows, from rows of another estimate on; ``changes`` are those of the settings."""
@@ -170,7 +160,6 @@ class EstimatorDetector:
             priors={name: prior for name, prior in priors.items() if name in names},
             first=first,
             settings=replace(self.settings, **changes),
-            progress=progress,
             boundary=windows.boundary,
         )
 

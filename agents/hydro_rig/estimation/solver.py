@@ -9,7 +9,7 @@ which leaves a small problem of the shared unknowns.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.estimation.errors import Errors, whitened
 from hydro_rig.estimation.model import SHORT_STEP, Model
+from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.unknowns import Prior
 
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])
@@ -155,6 +156,7 @@ class Effort(NamedTuple):
     step: float = SHORT_STEP  # of the differences after the first, standard deviations
     thorough: bool = True  # end only after a step with little damping: a small gain with a damped step ends nothing
     give_up: float = 1e4  # largest damping; a window that no step with more improves is finished
+    phase: str = ""  # under which its iterations are told
 
 
 def fit(
@@ -163,7 +165,6 @@ def fit(
     effort: Effort,
     samples: int | None = None,
     shared: Indices = NONE_SHARED,
-    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Floats, Floats]:
     """Improve the unknowns of windows until convergence: scaled unknowns, (B, P), and directions, (B, S, S).
 
@@ -176,14 +177,13 @@ def fit(
         effort: of the search.
         samples: number of first samples that are used; ``None``: all.
         shared: indices of the unknowns that all windows have in common.
-        progress: called with the number of iterations and its limit.
     """
     problem = problem._replace(belief=problem.belief.without(shared))
     scaled, level, active = first.copy(), np.full(len(first), 1e-2), np.arange(len(first))
     directions = np.empty((len(first), *[len(problem.model.simulated)] * 2))
     for iteration in range(effort.iterations):
-        if progress is not None:
-            progress(iteration, effort.iterations)
+        if effort.phase:
+            tell(effort.phase, iteration, effort.iterations)
         here, part = scaled[active], problem.part(active)
         linear = part.linearised(here, directions[active] if iteration else None, samples)
         equations = linear.equations(here, part.belief, shared)

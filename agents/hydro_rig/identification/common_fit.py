@@ -7,19 +7,18 @@ fitted again from them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from hydro_agents.detection.detector import Windows
-from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
 from hydro_env.types import Floats, Indices, Mask
 from hydro_rig.estimation.estimate import estimate, usable_readings
 from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
+from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.result import Estimate
 from hydro_rig.estimation.search import LARGEST_MISFIT, UNKNOWN_COMMANDS, EstimationSettings, search, timing_priors
 from hydro_rig.estimation.solver import Effort, Problem, fit, misfit_of
@@ -42,8 +41,9 @@ LOOSENED = 4.0  # factor on the variance of the common values, as the prior of a
 MOST_DAMPING = 5e5
 """A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
 
-ROUGH = Effort(40, 1.0, LONG_STEP, give_up=MOST_DAMPING)
-FINE = Effort(25, 0.02, SHORT_STEP, give_up=MOST_DAMPING)
+PHASE = "common fit"
+ROUGH = Effort(40, 1.0, LONG_STEP, give_up=MOST_DAMPING, phase=PHASE)
+FINE = Effort(25, 0.02, SHORT_STEP, give_up=MOST_DAMPING, phase=PHASE)
 """A common fit begins with long differences, which bridge the roughness of friction, and ends with short ones, which
 alone follow a curved valley to its lowest point."""
 
@@ -118,16 +118,15 @@ class Common(NamedTuple):
         return int((self.misfit < WELL_FITTED).sum())
 
 
-def fit_together(problem: Problem, first: Floats, progress: Callable[[int, int], None] | None = None) -> Joint:
+def fit_together(problem: Problem, first: Floats) -> Joint:
     """The most probable shared parameters and start states of several windows.
 
     Args:
         problem: of the B windows.
         first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
-        progress: called with the number of iterations and its limit.
     """
     shared, own = shared_and_own(problem.model)
-    scaled, directions = descend(problem, first, progress, FINE)
+    scaled, directions = descend(problem, first, FINE)
     belief = problem.belief.without(shared)
     for _ in range(LINEARISATIONS):
         linear = problem.linearised(scaled, directions, central=True)
@@ -146,11 +145,9 @@ def shared_and_own(model: Model) -> tuple[Indices, Indices]:
     return np.flatnonzero(~start), np.flatnonzero(start)
 
 
-def descend(
-    problem: Problem, first: Floats, progress: Callable[[int, int], None] | None, effort: Effort = ROUGH
-) -> tuple[Floats, Floats]:
+def descend(problem: Problem, first: Floats, effort: Effort = ROUGH) -> tuple[Floats, Floats]:
     """Unknowns at the end of a search, (B, P) scaled, and the directions of its differences."""
-    return fit(problem, first, effort, shared=shared_and_own(problem.model)[0], progress=progress)
+    return fit(problem, first, effort, shared=shared_and_own(problem.model)[0])
 
 
 def _cost(residual: Floats, known: Mask, scaled: Floats, shared: Indices, own: Indices) -> float:
@@ -164,12 +161,12 @@ def _cost(residual: Floats, known: Mask, scaled: Floats, shared: Indices, own: I
     return float(likelihood.sum() + (scaled[:, own] ** 2).sum() + (scaled[0, shared] ** 2).sum())
 
 
-def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], report: Report) -> Common:
+def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> Common:
     """Fit windows of one recording, or of several of one axis, together."""
-    report("windows", 0, len(windows))
+    tell("windows", 0, len(windows))
     alone = fitted_alone(windows, config, priors)
-    report("windows", len(windows), len(windows))
-    best = _common_fit(windows, config, priors, alone, report)
+    tell("windows", len(windows), len(windows))
+    best = _common_fit(windows, config, priors, alone)
     if best.explained < len(windows):
         if 2 * best.explained >= len(windows):
             again = np.flatnonzero(~(best.misfit < WELL_FITTED))
@@ -178,23 +175,22 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
             again = np.sort(np.argsort(alone.misfit)[:FEW])
             other = fitted_alone(windows.part(again), config, priors, RANDOMLY)
         if len(alone.take(again, other, other.misfit < alone.misfit[again])):
-            second = _common_fit(windows, config, priors, alone, report)
+            second = _common_fit(windows, config, priors, alone)
             best = max(best, second, key=lambda found: (found.explained, -float(np.median(found.misfit))))
     if 2 * best.explained < len(windows) and config.sensors.enabled:
         timing = {name: prior for name, prior in timing_priors(config).items() if name not in best.model.names}
-        timed = _continued(best, timing, "timing", report) if timing else best
+        timed = _continued(best, timing) if timing else best
         if timed.explained > best.explained:  # otherwise it would only take up another error of the model
             best = timed
     if 2 * best.explained < len(windows):
-        drift = {NULL_DRIFT: prior_of(config, NULL_DRIFT)}
-        drifting = _continued(best, drift, "null", report)
+        drifting = _continued(best, {NULL_DRIFT: prior_of(config, NULL_DRIFT)})
         if np.median(drifting.misfit) < MUCH_BETTER * np.median(best.misfit):
             best = drifting
-    report("common fit", 1, 1)
+    tell(PHASE, 1, 1)
     return best
 
 
-def _continued(found: Common, more: Mapping[str, Prior], phase: str, report: Report) -> Common:
+def _continued(found: Common, more: Mapping[str, Prior]) -> Common:
     """A fit continued with more unknowns.
 
     With a latency the command may stand a row early or late: the row at which the readings differ least begins.
@@ -210,9 +206,8 @@ def _continued(found: Common, more: Mapping[str, Prior], phase: str, report: Rep
             moved = trials[0].copy()
             moved[:, names.index(LATENCY)] = rows * period / more[LATENCY].deviation
             trials.append(moved)
-    progress = partial(report, phase)
-    rough = [descend(problem, trial, progress)[0] for trial in trials]
-    joint = fit_together(problem, rough[int(np.argmin(costs_of(problem, rough)))], progress)
+    rough = [descend(problem, trial)[0] for trial in trials]
+    joint = fit_together(problem, rough[int(np.argmin(costs_of(problem, rough)))])
     return Common.of(len(found.misfit), np.flatnonzero(np.isfinite(found.misfit)), problem, joint)
 
 
@@ -239,17 +234,15 @@ def _nearby(windows: Windows, config: TaskConfig, found: Common, first: Floats) 
     return search(problem, first, ROUGHLY)
 
 
-def _common_fit(
-    windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], alone: Estimate, report: Report
-) -> Common:
+def _common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], alone: Estimate) -> Common:
     """The best common fit of the consistent windows from several starting values."""
-    kept, progress = without_outliers(alone.misfit), partial(report, "common fit")
+    kept = without_outliers(alone.misfit)
     for again in (False, True):  # the second time without the outliers of the first
         problem = replayed(windows.part(kept), config, priors)
-        rough = [descend(problem, first, progress)[0] for first in _first_values(problem, alone, kept)]
+        rough = [descend(problem, first)[0] for first in _first_values(problem, alone, kept)]
         costs = costs_of(problem, rough)
         order = np.argsort(costs)
-        joint = fit_together(problem, rough[order[0]], progress)
+        joint = fit_together(problem, rough[order[0]])
         still = without_outliers(joint.misfit)
         if again or len(still) == len(kept):
             break
@@ -257,7 +250,7 @@ def _common_fit(
     second = None
     for place in order[1:]:
         if costs[place] < costs[order[0]] + PROMISING and _far(rough[place][0, joint.shared], joint):
-            other = fit_together(problem, rough[place], progress)
+            other = fit_together(problem, rough[place])
             joint, other = (joint, other) if joint.cost <= other.cost else (other, joint)
             if other.cost < joint.cost + AS_GOOD and _far(other.common, joint):
                 second = other

@@ -13,7 +13,6 @@ import numpy as np
 from scipy import stats
 
 from hydro_agents.detection.detector import Windows
-from hydro_agents.running.jobs import Report
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.sensors import PRESSURE_A, SENSORS
@@ -108,7 +107,6 @@ def fit_windows(
     windows: Windows,
     config: TaskConfig,
     ranges: Mapping[str, Distribution],
-    progress: Report | None = None,
 ) -> Fit:
     """Fit the unknowns to windows of one recording.
 
@@ -117,8 +115,7 @@ def fit_windows(
     """
     measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
-    report = progress or (lambda phase, done, total: None)
-    return _summary(common_fit(windows, config, priors, report), config, ranges)
+    return _summary(common_fit(windows, config, priors), config, ranges)
 
 
 def _beside_edges(common: Common, config: TaskConfig, ends: Floats) -> tuple[Joint, Spread, Sides]:

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_agents.running.jobs import Report
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.rig import Rig
@@ -211,7 +210,6 @@ def identify(
     config: TaskConfig,
     rig: Rig,
     maps: Sequence[ColumnMap | None] | None = None,
-    progress: Report | None = None,
     hold_back: Sequence[str] = (),
 ) -> Identification:
     """Read recordings of one axis, check them, fit the unknowns of the rig file, and test the fit on held-back parts.
@@ -221,7 +219,6 @@ def identify(
         config: the task on this rig.
         rig: the rig; its ranges define the unknown parameters.
         maps: the signal of each column, one map for each recording; default: the names that ``hydro record`` writes.
-        progress: called with phase, done, total.
         hold_back: patterns of names of recordings that test the fit instead of being used for it; default: chosen by
             motion and amplitude (:func:`~hydro_rig.recordings.parts.parts_of`).
 
@@ -241,7 +238,7 @@ def identify(
     config = on_grid(config, checked[0].samples.period)
     parts = parts_of([one.samples for one in checked], sources, whole)
     config, rig = _with_bent_valve(config, rig, parts)
-    fit = widened(fit_windows(parts.fitted, config, rig.randomisation, progress), parts.recording)
+    fit = widened(fit_windows(parts.fitted, config, rig.randomisation), parts.recording)
     try:
         plant = found_plant(fit, config)
     except ConfigurationError as error:

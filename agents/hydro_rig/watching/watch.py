@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 from joblib import Parallel, delayed
 
 from hydro_agents.detection.sheet import leak_scale
-from hydro_agents.running.jobs import Report
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import write_text
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
+from hydro_rig.estimation.progress import tell
 from hydro_rig.recordings.columns import ColumnMap, maps_of
 from hydro_rig.recordings.files import read_columns
 from hydro_rig.recordings.recording import map_for
@@ -55,7 +55,6 @@ def watch(
     oil: str = "46",
     limit: float | None = None,
     jobs: int = 1,
-    progress: Report | None = None,
 ) -> Watched:
     """Read the files that the table does not hold, and write the table.
 
@@ -68,7 +67,6 @@ def watch(
         oil: see :meth:`Oil.of`.
         limit: leak whose date is told, l/min at 100 bar and 40 °C; default: 0.3, scaled with the flow of the rig.
         jobs: files that are read side by side.
-        progress: called when a file is finished.
 
     Raises:
         ConfigurationError: a setting is impossible, no file can be read, or the table cannot be written.
@@ -89,8 +87,7 @@ def watch(
         else:
             table = with_row(table, file, row)
             write_text(table_file, table.to_csv(index=False, lineterminator="\n"))
-        if progress is not None:
-            progress("files", done, len(new))
+        tell("files", done, len(new))
     if table.empty:
         if maps_by_name[new[0]] is None:
             map_for(read_columns(new[0].path), str(new[0].path))  # shows a guessed map if the headings are unknown

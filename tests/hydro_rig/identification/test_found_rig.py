@@ -177,7 +177,7 @@ def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(mo
     """The first common fit leaves out one window; the second would leave out another: its result is of all it had."""
     misfits = {4: [1.0, 1.0, 1.0, 50.0], 3: [1.0, 1.0, 40.0]}
 
-    def fitted(problem, first, progress):
+    def fitted(problem, first):
         misfit = np.array(misfits[len(problem)])
         return Joint(None, np.zeros(1, np.int64), None, None, misfit, None, None, 0.0)
 
@@ -186,7 +186,7 @@ def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(mo
     for name, function in replaced.items():
         monkeypatch.setattr(common_fit, name, function)
     alone = SimpleNamespace(misfit=np.ones(4))
-    found = common_fit._common_fit(Windows.of(np.zeros((4, 5, 10))), CONFIG, {}, alone, lambda *_: None)
+    found = common_fit._common_fit(Windows.of(np.zeros((4, 5, 10))), CONFIG, {}, alone)
     assert found.misfit.tolist() == [1.0, 1.0, 40.0, math.inf]
 
 

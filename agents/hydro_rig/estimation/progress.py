@@ -1,0 +1,28 @@
+"""What a long fit has done so far, told to the display of the command that waits for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from hydro_agents.running.jobs import Report
+
+_display: ContextVar[Report | None] = ContextVar("display", default=None)
+
+
+@contextmanager
+def told_to(display: Report | None) -> Iterator[None]:
+    """What is told inside the block goes to a display; ``None``: to nobody."""
+    token = _display.set(display)
+    try:
+        yield
+    finally:
+        _display.reset(token)
+
+
+def tell(phase: str, done: int, total: int) -> None:
+    """How far a phase is."""
+    display = _display.get()
+    if display is not None:
+        display(phase, done, total)
