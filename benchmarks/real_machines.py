@@ -102,7 +102,7 @@ def festo(folder: Path, samples: list[int], fitted: list[int]) -> None:
         for place, chamber in enumerate("AB", 1):
             parts = [part for part in found.held_back if names[path_of[part.recording]] == (volts, chamber)]
             ratios = 100.0 * np.median([part.speed_ratios for part in parts], axis=0)
-            position = 1e3 * np.median([part.error[0] for part in parts])
+            position = 1e3 * np.median([part.whole.error[0] for part in parts])
             pressures = 1e-5 * np.median([moving_errors(part, place) for part in parts], axis=0)
             cells = [f"{ratio:+.1f} %" for ratio in ratios] + [f"{pressure:+.2f}" for pressure in pressures]
             lines.append((f"{volts} V", chamber.lower(), f"{position:.1f}", *cells))

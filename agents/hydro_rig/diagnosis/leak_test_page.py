@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from hydro_agents.report.kit import BLUE, GREY, Page, drawn, panels, signal
+from hydro_agents.report.kit import BLUE, GREY, Page, drawn, signal, time_panels
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised, number
 from hydro_env.files import write_text
@@ -66,7 +66,7 @@ def plan_page(plan: Plan) -> Page:
     begin = (steps["seconds"].cumsum() - steps["seconds"]).to_list()
     columns = {"opening, %": (100.0 * steps["opening"]).to_list(), "for, s": steps["seconds"].to_list()}
     page.table(pd.DataFrame(columns | {"what": steps["what"].to_list()}, index=begin), "Steps, by their begin in s")
-    time = plan.task.control_period * np.arange(plan.position.shape[1], dtype=np.float64)
+    time = plan.task.control_period * np.arange(plan.signals.shape[2], dtype=np.float64)
     draw_course(page, f"Simulated axes with worn valves, leak {SIMULATED_LEAK:g} l/min", time, plan.signals[0])
     return page
 
@@ -103,12 +103,9 @@ def reading_page(test: LeakTest) -> Page:
 
 def draw_course(page: Page, title: str, time: Floats, signals: Floats) -> None:
     """Valve command, position and pressures (5, T) over time."""
-    command, position, pressure = panels(3, height=5.0)
+    command, position, pressure = axes = time_panels(("command, %", "position, mm", "pressure, bar"), 5.0)
     signal(command, time, 100.0 * signals[COMMAND], color=GREY)
     signal(position, time, 1e3 * signals[POSITION], color=GREY)
     signal(pressure, time, 1e-5 * signals[PRESSURE_A], color=GREY, label="a (bore)")
     signal(pressure, time, 1e-5 * signals[PRESSURE_B], color=BLUE, label="b (rod)")
-    for axes, label in ((command, "command, %"), (position, "position, mm"), (pressure, "pressure, bar")):
-        axes.set_ylabel(label)
-    pressure.set_xlabel("time, s")
-    page.figure([command, position, pressure], title)
+    page.figure(axes, title)

@@ -27,7 +27,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import Distribution, own_value
-from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
+from hydro_env.task.sensors import COMMAND, POSITION, SENSORS
 from hydro_env.types import Floats, Mask
 from hydro_rig.estimation.information import bound as smallest_deviation
 from hydro_rig.estimation.known_windows import KnownWindows, known_windows, leak_cases
@@ -37,19 +37,18 @@ from hydro_rig.identification.fit import unknowns_of
 
 MOVE = 0.5  # s, of each part of a short move
 RAMP = 2.0  # full strokes per second with which the opening changes: a sudden change makes the axis swing
-SHARES = (1.0, 0.3, 0.1, 0.0)  # of the largest opening, one after the other at each stop; 0: the valve is closed
+SHARES = (0.3, 0.1)  # of the largest opening, one after the other at each stop, before the valve is closed
 MOVES = 2  # short moves off each stop
 STOPS = {"both": (1.0, -1.0), "extended": (1.0,), "retracted": (-1.0,)}
 
 WEAR = {
-    "valve.null_shift": (-0.02, 0.02),
-    "valve.underlap": (0.0, 0.04),
-    "supply.tank_pressure": (-0.5e5, 4e5),
+    "valve.null_shift": Distribution(uniform=(-0.02, 0.02)),
+    "valve.underlap": Distribution(uniform=(0.0, 0.04)),
+    "supply.tank_pressure": Distribution(uniform=(-0.5e5, 4e5)),
+    "valve.rated_flow": Distribution(factor=(0.75, 1.25)),
+    "valve.edge_ratio": Distribution(factor=(0.85, 1.18)),
 }
-"""What wear and a clogged return line add to a parameter, SI."""
-
-WEAR_FACTORS = {"valve.rated_flow": (0.75, 1.25), "valve.edge_ratio": (0.85, 1.18)}
-"""By what wear of the edges multiplies a parameter."""
+"""What wear and a clogged return line add to a parameter, SI, or by what they multiply it."""
 
 LARGEST_OPENING = 0.3  # of full stroke
 PLANTS = 6  # simulated ones, of the training seeds
@@ -77,8 +76,6 @@ class Plan:
     steps: Sequence[Step]
     bound: Floats  # (N,), smallest standard deviation of the leak, l/min at 100 bar
     signals: Floats  # (N, 5, T), measured
-    position: Floats  # (N, T), m, without noise
-    pressures: Floats  # (N, 2, T), Pa
     speed: float  # m/s, the largest
 
     @property
@@ -116,7 +113,7 @@ def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None,
         travel = _travel_times(task, signs, duration, opening)
         steps = steps_of(task, dict(zip(signs, travel, strict=True)), duration, opening)
         windows = simulated(task, steps, PLANTS)
-        position, pressures = _true_course(task, windows)
+        position = _true_positions(task, windows)
         fastest = float(np.abs(np.gradient(position, task.control_period, axis=1)).max())
         if fastest <= speed:
             break
@@ -133,26 +130,26 @@ def plan(config: TaskConfig, duration: float = 60.0, speed: float | None = None,
         kept = 0
     if kept < PLANTS:
         raise ConfigurationError(
-            f"leak-test: {PLANTS - kept} of {PLANTS} simulated axes go beyond a limit of the rig; they reach "
-            f"{1e-5 * pressures.max():.0f} bar: lower --speed, or test another --stop"
+            f"leak-test: {PLANTS - kept} of {PLANTS} simulated axes go beyond a limit of the rig, such as "
+            f"{1e-5 * config.failure.pressure_rating:.0f} bar: lower --speed, or test another --stop"
         )
     fitted = np.array([getattr(task.sensors, name).fitted for name in SENSORS])
     bound = smallest_deviation(task, windows, priors_of_test(task, fitted))
-    return Plan(task, steps, bound, windows.signals, position, pressures, fastest)
+    return Plan(task, steps, bound, windows.signals, fastest)
 
 
 def worn_task(config: TaskConfig) -> TaskConfig:
     """The task with a valve that may be worn and a return line that may be clogged; wider ranges of the rig stay."""
     ranges: dict[str, Any] = {path: drawn.model_dump(exclude_none=True) for path, drawn in config.randomisation.items()}
-    for path in (*WEAR, *WEAR_FACTORS):
+    for path, wear in WEAR.items():
         own = own_value(config.plant, path)
         drawn = config.randomisation.get(path, Distribution(uniform=(own, own)))
         if drawn.times is not None:
             continue
         low, high = drawn.bounds(own)
-        ends = [own + end for end in WEAR[path]] if path in WEAR else [own * end for end in WEAR_FACTORS[path]]
-        lowest = -0.5 if path == "valve.null_shift" else 0.0
-        ranges[path] = {"uniform": (max(min(low, ends[0]), lowest), max(high, ends[1]))}
+        ends = [end if wear.relative else own + end for end in wear.bounds(own)]
+        least = max(min(low, *ends), -0.5 if path == "valve.null_shift" else 0.0)
+        ranges[path] = {"uniform": (least, max(high, *ends))}
     return task_config(config, randomisation=ranges)
 
 
@@ -181,25 +178,27 @@ def steps_of(task: TaskConfig, travel: Mapping[float, float], duration: float, o
         duration: of the test, s.
         opening: the largest one.
     """
-    overlap = task.plant.valve.overlap
-    dead = overlap if overlap < opening else 0.0
+    period, dead = task.control_period, task.plant.valve.overlap
+    if dead >= opening:
+        dead = 0.0
     rest = (duration - sum(travel.values())) / len(travel) - 2 * MOVE * MOVES
-    each = rest / len(SHARES)
-    steps = []
+    each = rest / (len(SHARES) + 2)  # with the largest and the closed opening
+    steps: list[Step] = []
+
+    def add(size: float, seconds: float, what: str) -> None:  # whole control periods, and openings of four decimals
+        whole = max(round(seconds / period), 1) * period
+        steps.append(Step(round(size, 4), float(f"{whole:.9g}"), what))
+
     for sign, seconds in travel.items():
         name = "extended" if sign > 0.0 else "retracted"
-        steps.append(Step(sign * opening, seconds + each, f"press against the {name} stop"))
-        for share in SHARES[1:]:
-            less = sign * (dead + share * (opening - dead))
-            steps.append(Step(less, each, "press less") if share else Step(0.0, each, "valve closed"))
+        add(sign * opening, seconds + each, f"press against the {name} stop")
+        for share in SHARES:
+            add(sign * (dead + share * (opening - dead)), each, "press less")
+        add(0.0, each, "valve closed")
         for _ in range(MOVES):
-            steps += [Step(-0.5 * sign * opening, MOVE, "move off the stop"), Step(0.5 * sign * opening, MOVE, "back")]
-    period = task.control_period
-    rounded = []
-    for step in steps:  # whole control periods, and openings of four decimals
-        seconds = max(round(step.seconds / period), 1) * period
-        rounded.append(Step(round(step.opening, 4), float(f"{seconds:.9g}"), step.what))
-    return rounded
+            add(-0.5 * sign * opening, MOVE, "move off the stop")
+            add(0.5 * sign * opening, MOVE, "back")
+    return steps
 
 
 class Played:
@@ -233,17 +232,16 @@ def simulated(
     return known_windows(standing, Played(openings), cases, 0.0, (len(openings) - 2) * task.control_period)
 
 
-def _true_course(task: TaskConfig, windows: KnownWindows) -> tuple[Floats, Floats]:
-    """Position (N, T) and pressures (N, 2, T) of simulated axes, without noise."""
+def _true_positions(task: TaskConfig, windows: KnownWindows) -> Floats:
+    """Positions (N, T) of simulated axes, m, without noise."""
     commands, rows = Commands(windows.signals[:, COMMAND]), np.arange(len(windows.signals))
-    read = replay(task, commands, Rows(rows, windows.physical, windows.start, windows.latency))
-    return read[:, POSITION], read[:, [PRESSURE_A, PRESSURE_B]]
+    return replay(task, commands, Rows(rows, windows.physical, windows.start, windows.latency))[:, POSITION]
 
 
 def _travel_times(task: TaskConfig, signs: Sequence[float], duration: float, opening: float) -> Sequence[float]:
     """Seconds that the slowest simulated axis needs to each stop of the test, in order."""
     steps = [Step(sign * opening, duration, "trial") for sign in signs]
-    position, _ = _true_course(task, simulated(task, steps, PLANTS))
+    position = _true_positions(task, simulated(task, steps, PLANTS))
     length = round(duration / task.control_period)
     times = []
     for place in range(len(signs)):

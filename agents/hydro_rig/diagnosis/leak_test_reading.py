@@ -99,10 +99,11 @@ class LeakTest(Judged):
             "windows": len(self.windows),
         }
         if self.fit is not None:
-            parts = {"seal_lpm": self.fit.seal, "edges_lpm": self.fit.edges, "both_lpm": self.fit.both}
-            for name, quantity in (parts | self.fit.quantities).items():
+            fit = self.fit
+            parts = {"seal_lpm": fit.seal, "edges_lpm": fit.edges, "both_lpm": fit.both, **fit.quantities}
+            for name, quantity in parts.items():
                 found[name] = quantity.leak._asdict() | {"bound": quantity.bound}
-            found |= {"apart": self.fit.apart, "explained": self.fit.common.explained}
+            found |= {"apart": fit.apart, "explained": fit.common.explained}
         return found
 
 
@@ -166,23 +167,16 @@ def quantities(common: Common, task: TaskConfig) -> LeakFit:
     def quantity(value: float, slope: Floats) -> Quantity:
         return Quantity(value, float(np.sqrt(slope @ wide @ slope)), float(np.sqrt(slope @ covariance @ slope)))
 
-    scale = model.derivative(joint.scaled[0])[joint.shared]
-    values = model.values(joint.scaled[0])[joint.shared]
-    quantities = {
-        name: quantity(float(values[row]), scale[row] * np.eye(len(names))[row])
-        for row, name in enumerate(names)
-        if name == LEAKAGE or name in WEAR or name.startswith("valve.")
-    }
-    flow, slope = edge_flow(common, task)
-    leak = names.index(LEAKAGE)
-    own = scale[leak] * np.eye(len(names))[leak]
-    return LeakFit(
-        common=common,
-        quantities=quantities,
-        seal=quantities[LEAKAGE],
-        edges=quantity(flow, slope),
-        both=quantity(float(values[leak]) + flow, own + slope),
-    )
+    values = model.values(joint.scaled[0])[joint.shared].tolist()
+    slopes = np.diag(model.derivative(joint.scaled[0])[joint.shared])
+    found = {}
+    for name, value, slope in zip(names, values, slopes, strict=True):
+        if name == LEAKAGE or name in WEAR or name.startswith("valve."):
+            found[name] = quantity(value, slope)
+    flow, by_edges = edge_flow(common, task)
+    seal, edges = found[LEAKAGE], quantity(flow, by_edges)
+    both = quantity(seal.value + flow, slopes[names.index(LEAKAGE)] + by_edges)
+    return LeakFit(common, found, seal, edges, both)
 
 
 def edge_flow(common: Common, task: TaskConfig) -> tuple[float, Floats]:
@@ -201,11 +195,8 @@ def edge_flow(common: Common, task: TaskConfig) -> tuple[float, Floats]:
         return float(total) / LITRE_PER_MINUTE
 
     here = joint.scaled[0]
-    slope = []
-    for place in joint.shared:
-        step = np.zeros_like(here)
-        step[place] = STEP
-        slope.append((flow(here + step) - flow(here - step)) / (2.0 * STEP))
+    steps = STEP * np.eye(len(here))[joint.shared]
+    slope = [(flow(here + step) - flow(here - step)) / (2.0 * STEP) for step in steps]
     return flow(here), np.array(slope)
 
 

@@ -71,24 +71,16 @@ def as_json(found: Identification, command: str) -> Any:
             "known_ends": {0: "both", 1: "low", -1: "high"}[one.side],
             "widening": one.widening,
         }
-    parts = [
-        {
-            "recording": sources[part.recording],
-            "from_s": part.begin,
-            "to_s": part.begin + float(part.time[-1]),
-            "share_of_variance": by_sensor(part.share),
-            **by_sensor(part.error, "_rms"),
-            "speed_rms": part.speed_error,
-            **dict(zip(("speed_out", "speed_in"), part.speed_ratios, strict=True)),
-        }
-        for part in found.held_back
-    ]
-    forecasts = [
-        {"over_s": over, "speed_rms": forecast.speed_error}
-        | by_sensor(forecast.share, "_share_of_variance")
-        | by_sensor(forecast.error, "_rms")
-        for over, forecast in found.tested.items()
-    ]
+    parts = []
+    for part in found.held_back:
+        errors, (out, back) = part.whole, part.speed_ratios
+        place = {"recording": sources[part.recording], "from_s": part.begin, "to_s": part.begin + float(part.time[-1])}
+        shares = {"share_of_variance": by_sensor(errors.share), "speed_rms": errors.speed_error}
+        parts.append(place | shares | by_sensor(errors.error, "_rms") | {"speed_out": out, "speed_in": back})
+    forecasts = []
+    for over, forecast in found.tested.items():
+        sizes = by_sensor(forecast.share, "_share_of_variance") | by_sensor(forecast.error, "_rms")
+        forecasts.append({"over_s": over, "speed_rms": forecast.speed_error} | sizes)
     whole = {
         "command": command,
         "hydro_env": __version__,

@@ -12,7 +12,7 @@ from hydro_agents.running.text import number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parameters import to_vector
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SENSORS
-from hydro_env.types import Floats
+from hydro_env.types import Floats, Mask
 from hydro_rig.estimation.estimate import estimate
 from hydro_rig.estimation.model import Model, noise_of
 from hydro_rig.estimation.unknowns import BIASES, GAINS, LATENCY, NULL_DRIFT, RISE_TIME, Prior, priors_of, starts_of
@@ -51,22 +51,13 @@ class HeldBack(NamedTuple):
     time: Floats  # (T,), s, from its begin
     measured: Floats  # (channels, T), SI
     simulated: Floats  # (channels, T), SI, biases included
-    share: Floats  # (channels,), share of variance explained; NaN for an absent channel, or one without motion
+    moves: Mask  # (channels,), whether a channel moves so far that its share of variance has a meaning
     forecasts: Floats = NO_FORECASTS  # (2, N, channels, T'), measured and simulated from N measured states, SI
 
-    def moved(self, row: int) -> bool:
-        """Whether a channel moved so far that its share of variance has a meaning."""
-        return not math.isnan(self.share[row])
-
     @property
-    def error(self) -> Floats:
-        """Root mean square of simulated minus measured readings, SI, (channels,); NaN for an absent channel."""
-        return np.array([_size([errors]) for errors in self.simulated - self.measured])
-
-    @property
-    def speed_error(self) -> float:
-        """Root mean square of the error of the speed, m/s; NaN if the axis stood still or left the sensor's range."""
-        return _size([self._speed(self.simulated) - self._speed(self.measured)])
+    def whole(self) -> Forecast:
+        """How well this part is simulated as a whole."""
+        return whole_parts([self])
 
     @property
     def speed_ratios(self) -> tuple[float, float]:
@@ -116,12 +107,11 @@ def simulate_held_back(
     measured = signals[: len(SENSORS)]
     (simulated,) = rig.simulated(signals[None], None if edge is None else edge[None], count)
     time = period * np.arange(signals.shape[1], dtype=np.float64)
-    share, least = np.full(len(SENSORS), np.nan), LEAST_MOTION * noise_of(config)
-    for row, values in enumerate(measured):
-        if np.isfinite(values).any() and np.nanstd(values) >= least[row]:
-            share[row] = _share([(values, simulated[row])])
+    moves = np.zeros(len(SENSORS), np.bool_)
+    for row, (values, noise) in enumerate(zip(measured, noise_of(config), strict=True)):
+        moves[row] = np.isfinite(values).any() and np.nanstd(values) >= LEAST_MOTION * noise
     forecasts = rig.forecasts(signals, edge)
-    return HeldBack(part.recording, part.begin + first * period, time, measured, simulated, share, forecasts)
+    return HeldBack(part.recording, part.begin + first * period, time, measured, simulated, moves, forecasts)
 
 
 class _Rig(NamedTuple):
@@ -190,7 +180,7 @@ def _judged(pieces: Sequence[tuple[HeldBack, Floats]]) -> Forecast:
     for row in range(len(SENSORS)):
         pairs: list[tuple[Floats, Floats]] = []
         for part, both in pieces:
-            if part.moved(row):
+            if part.moves[row]:
                 pairs += zip(*both[:, :, row], strict=True)
         shares.append(_share(pairs))
         errors.append(_size([both[1, :, row] - both[0, :, row] for _, both in pieces]))
@@ -232,7 +222,7 @@ def _first_known(position: Floats, count: int) -> int:
     return int(known.argmax())
 
 
-def sizes_of(errors: HeldBack | Forecast) -> list[float]:
+def sizes_of(errors: Forecast) -> list[float]:
     """Errors of position (mm), speed (mm/s) and both pressures (bar); NaN: none."""
     position, pressures = 1e3 * errors.error[POSITION], 1e-5 * errors.error[[PRESSURE_A, PRESSURE_B]]
     return [float(position), 1e3 * errors.speed_error, *pressures.tolist()]

@@ -84,7 +84,7 @@ def rig_line(plant: PlantParameters) -> str:
 
 def held_back(page: Page, found: Identification) -> None:
     """The part that the fit did not use with the largest error, and how errors grow."""
-    worst = max(found.held_back, key=lambda part: np.nan_to_num(part.error[POSITION]))
+    worst = max(found.held_back, key=lambda part: np.nan_to_num(part.whole.error[POSITION]))
     page.text(
         f"The fit did not use these parts: {found.parts.reason}. The simulation gets the state at the start of a part "
         "and the recorded commands, and then runs freely: its errors add up. The table also begins every 2 s at the "

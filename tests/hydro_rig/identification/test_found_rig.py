@@ -53,10 +53,10 @@ def test_errors_are_told_in_mm_mm_per_s_and_bar():
     measured[1] = 20e5
     simulated = measured.copy()
     simulated[POSITION], simulated[1] = 1.02 * measured[POSITION], 20.5e5
-    part = HeldBack(0, 0.0, time, measured, simulated, np.full(4, np.nan))
+    part = HeldBack(0, 0.0, time, measured, simulated, np.zeros(4, bool))
     assert part.speed_ratios == pytest.approx((0.02, 0.02))
-    assert part.error[1] == pytest.approx(0.5e5)
-    assert part.speed_error == pytest.approx(2e-3, rel=0.05)
+    assert part.whole.error[1] == pytest.approx(0.5e5)
+    assert part.whole.speed_error == pytest.approx(2e-3, rel=0.05)
     assert errors_in_words(whole_parts([part, part])) == "1.2 mm, 2.0 mm/s, 0.50 bar (a)"
     nothing = np.full((4, 400), np.nan)
     assert errors_in_words(whole_parts([part._replace(measured=nothing)])) == ""
@@ -86,7 +86,7 @@ def test_a_fit_that_explains_no_window_says_so_first(misfit):
     """A bore that is 4 % wrong predicts the motion, but differs from the readings of every window."""
     fit = fit_of({"valve.rated_flow": (9e-4, 1e-3, 1.1e-3)})._replace(misfit=np.full(5, misfit))
     time, moving = np.linspace(0.0, 1.0, 101), np.tile(np.linspace(0.0, 0.1, 101), (4, 1))
-    held = HeldBack(0, 0.0, time, moving, moving + 1e-5, np.ones(4))
+    held = HeldBack(0, 0.0, time, moving, moving + 1e-5, np.ones(4, bool))
     rig = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(8e-4, 2e-3))})
     empty = dict.fromkeys(("recordings", "checked", "parts"), ())
     found = Identification(rig=rig, config=CONFIG, fit=fit, plant=PlantParameters(), held_back=[held], **empty)
