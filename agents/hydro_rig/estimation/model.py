@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
+from typing import Any
 
 import numpy as np
 
@@ -112,9 +113,9 @@ class Model:
 
     def _set_priors(self, priors: Mapping[str, Prior]) -> None:
         self.priors, self.names = dict(priors), tuple(priors)
-        self._mean = np.array([prior.mean for prior in priors.values()])
-        self._deviation = np.array([prior.deviation for prior in priors.values()])
-        self._logarithmic = np.array([prior.logarithmic for prior in priors.values()], dtype=np.bool_)
+        parts: Any = [(prior.mean, prior.deviation, prior.logarithmic) for prior in priors.values()]
+        mean, deviation, logarithmic = np.array(parts).reshape(-1, 3).T
+        self._together: Any = Prior(mean, deviation, logarithmic != 0.0)  # of all unknowns, (P,)
         # A bias adds to the readings: its derivative needs no simulation.
         self._added = {place: BIASES.index(name) for place, name in enumerate(self.names) if name in BIASES}
         self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
@@ -146,22 +147,15 @@ class Model:
 
     def values(self, scaled: Floats) -> Floats:
         """Scaled values to values in their units, both (…, P)."""
-        with np.errstate(over="ignore"):
-            logarithmic = self._mean * np.exp(np.where(self._logarithmic, self._deviation * scaled, 0.0))
-        values: Floats = np.where(self._logarithmic, logarithmic, self._mean + self._deviation * scaled)
-        return values
+        return np.asarray(self._together.value(scaled))
 
     def scaled(self, values: Floats) -> Floats:
         """The inverse of :meth:`values`."""
-        ratio = np.where(self._logarithmic, values / np.where(self._logarithmic, self._mean, 1.0), 1.0)
-        linear = (values - self._mean) / self._deviation
-        scaled: Floats = np.where(self._logarithmic, np.log(ratio) / self._deviation, linear)
-        return scaled
+        return np.asarray(self._together.scaled(values))
 
     def derivative(self, scaled: Floats) -> Floats:
         """Change of each value per change of its scaled value, (…, P)."""
-        slope: Floats = np.where(self._logarithmic, self.values(scaled), 1.0) * self._deviation
-        return slope
+        return np.asarray(self._together.slope(scaled))
 
     def readings(self, scaled: Floats, samples: int | None = None) -> Floats:
         """Readings over their noise of R rows, (R, channels, T).
@@ -255,7 +249,7 @@ class Model:
         jacobian = np.zeros((count, unknowns, len(SENSORS), read.shape[-1]))
         jacobian[:, self.simulated] = (back @ moves.reshape(count, moved, -1)).reshape(moves.shape)
         for place, channel in self._added.items():
-            jacobian[:, place, channel] = self._deviation[place] / self.noise[channel]
+            jacobian[:, place, channel] = self._together.deviation[place] / self.noise[channel]
         return read[:, 0], jacobian
 
     def directions(self, precision: Floats, length: float) -> Floats:

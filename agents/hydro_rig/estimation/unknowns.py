@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from hydro_env.plant.states import STATE_NAMES, STATES
 from hydro_env.task.faults import SIGNED_KINDS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
 from hydro_env.task.sensors import PRESSURE_A, SENSORS
-from hydro_env.types import Floats
 from hydro_env.units import flow_from_resistance
 
 LEAKAGE, EXTERNAL_LEAKAGE = "leakage_flow_lpm", "external_leakage_flow_lpm"
@@ -78,21 +77,27 @@ _FAULT_OF = {
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior of an unknown: a normal distribution of its value or of its logarithm."""
+    """Prior of an unknown, or of P ones, (P,): a normal distribution of its value or of its logarithm."""
 
     mean: float  # in the unknown's unit; the median if logarithmic
     deviation: float  # standard deviation, in the unknown's unit; of the natural logarithm if logarithmic
     logarithmic: bool = False
 
-    def value(self, scaled: Floats) -> Floats:
+    def value(self, scaled: Any) -> Any:
         """Values in the unknown's unit, (…), of scaled ones: standard deviations from the mean."""
         away = self.deviation * scaled
-        return self.mean * np.exp(away) if self.logarithmic else self.mean + away
+        with np.errstate(over="ignore"):
+            by_factor = self.mean * np.exp(np.where(self.logarithmic, away, 0.0))
+        return np.where(self.logarithmic, by_factor, self.mean + away)
 
-    def scaled(self, value: float) -> float:
+    def scaled(self, value: Any) -> Any:
         """The inverse of :meth:`value`."""
-        away = math.log(value / self.mean) if self.logarithmic else value - self.mean
-        return away / self.deviation
+        ratio = np.where(self.logarithmic, value, 1.0) / np.where(self.logarithmic, self.mean, 1.0)
+        return np.where(self.logarithmic, np.log(ratio), value - self.mean) / self.deviation
+
+    def slope(self, scaled: Any) -> Any:
+        """Change of a value per change of its scaled value, (…)."""
+        return np.where(self.logarithmic, self.value(scaled), 1.0) * self.deviation
 
 
 def starts_of(config: TaskConfig) -> list[str]:

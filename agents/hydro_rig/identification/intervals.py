@@ -181,7 +181,7 @@ def beside_the_edge(name: str, prior: Prior, plant: PlantParameters, limit: floa
     would be a claim: that the limit begins where the motion ended.
     """
     own = own_value(plant, name)
-    nominal = prior.scaled(own) if own > 0.0 or not prior.logarithmic else math.nan
+    nominal = float(prior.scaled(own)) if own > 0.0 or not prior.logarithmic else math.nan
     if min(limit, end) <= nominal <= max(limit, end):
         return nominal
     return 0.5 * (limit + end)
