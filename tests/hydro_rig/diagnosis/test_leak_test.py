@@ -21,7 +21,7 @@ from hydro_rig.diagnosis.leak_test_plan import (
     simulated,
     worn_task,
 )
-from hydro_rig.diagnosis.leak_test_reading import Quantity, edge_flow, read_leak_test
+from hydro_rig.diagnosis.leak_test_reading import edge_flow, read_leak_test
 from hydro_rig.diagnosis.verdict import EXIT_CODES, Kind
 from hydro_rig.estimation.model import Model
 from hydro_rig.recordings.simulated import recording_csv
@@ -106,11 +106,6 @@ def test_the_reading_finds_leak_and_wear(tmp_path):
     assert facts["exit_code"] == EXIT_CODES[Kind.LEAK] == 10
     assert facts["seal_lpm"]["low"] < 0.3 < facts["seal_lpm"]["high"] or abs(seal.value - 0.3) < 0.02
     json.dumps(facts)
-
-
-def test_the_interval_of_a_quantity_is_that_of_90_percent():
-    low, high = Quantity(1.0, 0.1, 0.05).leak[1:]
-    assert (low, high) == pytest.approx((1.0 - 0.1645, 1.0 + 0.1645), abs=1e-4)
 
 
 def test_the_command_writes_commands_and_a_recording_that_it_reads(tmp_path):

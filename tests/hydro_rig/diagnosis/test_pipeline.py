@@ -124,21 +124,3 @@ def test_a_failure_inside_a_reading_is_one_line(recordings, monkeypatch, error):
     assert verdict.why.startswith("windows cannot be read: ")
     assert str(error).split("\n")[0] in verdict.line()
     assert "\n" not in verdict.line()
-
-
-@pytest.mark.parametrize(
-    ("volts", "code", "words"),
-    [
-        (10.1, EXIT_CODES[Kind.HEALTHY], "command is up to 101 % of full scale (10.1 V): taken as full scale"),
-        (10.8, UNKNOWN, "command reads -100 % to 108 %, but the rig has -100 % to 100 %"),
-    ],
-)
-def test_a_command_beyond_full_scale(tmp_path, volts, code, words):
-    recorded_file(tmp_path / "a.csv", duration=1.0, family="step")
-    table = pd.read_csv(tmp_path / "a.csv", comment="#")
-    assert table["command [V]"].max() == 10.0
-    table["command [V]"] = table["command [V]"].where(table["command [V]"] < 10.0, volts)
-    table.to_csv(tmp_path / "b.csv", index=False)
-    answer = hydro("diagnose", tmp_path / "b.csv", "--window", 1, "--output", tmp_path / "out")
-    assert words in answer.stdout, answer.stderr
-    assert answer.returncode == code

@@ -30,10 +30,14 @@ def test_parquet(tmp_path):
     same_as_written(tmp_path / "a.parquet")
 
 
-def write_structs(path, **channels):
-    """A MAT file with a struct per channel: unit, stamps and values."""
+def write_structs(path, position, command):
+    """A MAT file with a struct per channel, (unit, stamps, values), as different programs write them."""
+    (unit, time, values), (volts, stamps, commands) = position, command
     structs = {
-        name: {"unit": unit, "time": stamps, "values": values} for name, (unit, stamps, values) in channels.items()
+        "position": {"Unit": unit, "Time": time, "Data": values},
+        "command": {"unit": volts, "time": stamps, "signals": {"values": commands, "dimensions": 1.0}},
+        "note": "text",
+        "other": np.arange(7.0),
     }
     scipy.io.savemat(path, structs)
 
@@ -73,23 +77,6 @@ def test_mat_files_with_a_map(tmp_path):
     scipy.io.savemat(tmp_path / "a.mat", content)
     (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
     same_as_written(tmp_path / "a.mat", read_map(tmp_path / "map.yaml"))
-
-
-def test_mat_files_with_a_struct_per_channel_and_unequal_lengths(tmp_path):
-    own = TIME[:-20:2]
-    content = {
-        "position": {"Time": own, "Data": 100.0 * own, "Unit": "mm"},
-        "command": {"time": TIME, "signals": {"values": COMMAND, "dimensions": 1.0}, "unit": "V"},
-        "note": "text",
-        "other": np.arange(7.0),
-    }
-    scipy.io.savemat(tmp_path / "a.mat", content)
-    found = read_recording(tmp_path / "a.mat")
-    np.testing.assert_allclose(found.time, TIME, atol=1e-12)
-    np.testing.assert_allclose(found.signals[4], 0.1 * COMMAND, rtol=1e-9)
-    known = np.isfinite(found.signals[0])
-    np.testing.assert_allclose(found.signals[0, known], 0.1 * TIME[known], rtol=1e-9)
-    assert known.sum() == len(own)
 
 
 def test_vectors_of_unequal_length_are_told(tmp_path):

@@ -110,13 +110,14 @@ CASES = {
     "V as parts": (scaled(1, 1, 1, 1, 10), [(SEVERE, "command reads")]),
     "parts as %": (scaled(1, 1, 1, 0.01, 1), [(SEVERE, "0.01 times as far as the command")]),
     "zero at the end": (edited(0, slice(None), lambda v: v + 0.25), [(SEVERE, "an offset of -200 mm would fit")]),
+    "command at 10.1 V": (edited(4, slice(300, 303), 1.01), [(NOTE, "(10.1 V): taken as full scale")]),
+    "command at 10.8 V": (edited(4, slice(300, 303), 1.08), [(SEVERE, "108 %, but the rig has -100 % to 100 %")]),
     "constant": (edited(1, slice(None), 30 * BAR), [(SEVERE, "pressure_a is constant at 30 bar")]),
     "stuck": (edited(2, slice(400, 600), 51 * BAR), [(FAULT, "stuck at one value, first at 2.000 to 2.995 s")]),
     "cut off": (edited(2, slice(None), lambda v: np.minimum(v, np.median(v))), [(FAULT, "pressure_b is cut off")]),
     "lost": (edited(0, slice(7, None, 31), -0.2), [(FAULT, "position loses readings: it falls 39 times to -200 mm")]),
     "spikes": (edited(1, slice(50, None, 100), 9e8), [(NOTE, "pressure_a has single values")]),
     "NaN": (edited(3, slice(100, 110), np.nan), [(NOTE, "spool_position lacks readings, first at 0.500 to 0.545 s")]),
-    "many NaN": (edited(3, slice(100, 900), np.nan), [(NOTE, "spool_position lacks readings")]),
     "most NaN": (edited(3, slice(100, None), np.nan), [(SEVERE, "spool_position lacks readings")]),
     "commands NaN": (edited(4, slice(100, 400), np.nan), [(SEVERE, "command lacks readings")]),
     "a slow program": (blank(4), [(NOTE, "pressure_a lacks readings"), (NOTE, "pressure_b lacks readings")]),
@@ -124,7 +125,6 @@ CASES = {
         lambda r: scaled(-1, 1, 1, 1, 1)(blank(4)(r)),
         [(NOTE, "lacks readings"), (NOTE, "lacks readings"), (SEVERE, "the other sign of the position")],
     ),
-    "pressures in whole bar": (edited(slice(1, 3), slice(None), lambda v: BAR * np.round(v / BAR)), []),
     "pressures in steps of 2 bar": (edited(slice(1, 3), slice(None), lambda v: 2 * BAR * np.round(0.5 * v / BAR)), []),
     "pressures of a historian": (edited(slice(1, 3), slice(None), held), []),
     "stuck in whole bar": (
@@ -346,12 +346,11 @@ def test_an_axis_that_oscillates_or_saturates_is_named(recording, frequency, vol
         assert finding.weight is NOTE
 
 
-def test_stamps_too_close_for_any_rig_are_a_finding(recording):
-    for factor in (1e-300, 1e-310, 1e-9):
-        for own_grid in (False, True):
-            samples = sampled(changed(recording, time=factor * recording.time), CONFIG, own_grid)
-            assert not len(samples.time)
-            assert [finding.weight for finding in samples.findings] == [SEVERE]
+@pytest.mark.parametrize("own_grid", [False, True])
+def test_stamps_too_close_for_any_rig_are_a_finding(recording, own_grid):
+    samples = sampled(changed(recording, time=1e-310 * recording.time), CONFIG, own_grid)
+    assert not len(samples.time)
+    assert [finding.weight for finding in samples.findings] == [SEVERE]
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

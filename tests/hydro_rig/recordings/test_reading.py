@@ -47,14 +47,6 @@ def test_columns_between_spaces_have_their_headings_in_a_comment(tmp_path):
         read_recording(spaced, read_map(tmp_path / "map.yaml"))
 
 
-def test_a_sensor_that_the_rig_lacks_has_no_column(tmp_path):
-    recorded_file(tmp_path / "a.csv", {"sensors": {"spool_position": {"fitted": False}}}, duration=0.1)
-    assert "spool" not in (tmp_path / "a.csv").read_text()
-    found = read_recording(tmp_path / "a.csv")
-    assert np.isnan(found.signals[3]).all()
-    assert [finding.line() for finding in found.findings] == ["spool_position was not recorded"]
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -229,9 +221,6 @@ GUESSES = {
     "Time_s,xRef,xPiston,pCap,pRod,uValve": {
         "time": "Time_s", "command": "uValve", "position": "xPiston", "pressure_a": "pCap", "pressure_b": "pRod",
     },
-    "time [s],Voltage command [V],dis [mm],Delta P [bar]": {
-        "time": "time [s]", "command": "Voltage command [V]", "position": "dis [mm]", "load_pressure": "Delta P [bar]",
-    },
     "Temperature [°C],Counter,Button": {},
 }  # fmt: skip
 """Columns that are guessed from headings."""
@@ -262,11 +251,10 @@ def test_a_map_is_guessed_from_unknown_headings_and_can_be_saved(tmp_path, headi
 
 def test_the_guess_goes_to_standard_output_and_the_error_to_the_other(tmp_path):
     path = written(tmp_path, "Zeit [s],Ventil [V],Weg [mm]\n" + "\n".join(f"{0.005 * k:g},1,{k}" for k in range(20)))
-    for command in (["diagnose", path], ["identify", path, "--rig", "kovari_2015"]):
-        answer = hydro(*command, "--output", tmp_path / "out")
-        assert_one_clear_line(answer, "no column has the heading 'time'")
-        (tmp_path / "map.yaml").write_text(answer.stdout, encoding="utf-8")
-        assert read_map(tmp_path / "map.yaml").columns().keys() == {"time", "command", "position"}
+    answer = hydro("diagnose", path, "--output", tmp_path / "out")
+    assert_one_clear_line(answer, "no column has the heading 'time'")
+    (tmp_path / "map.yaml").write_text(answer.stdout, encoding="utf-8")
+    assert read_map(tmp_path / "map.yaml").columns().keys() == {"time", "command", "position"}
 
 
 def test_pressures_of_the_supply_a_flow_and_a_temperature_may_stand_beside_the_signals(tmp_path):
