@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -116,15 +115,12 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
 
 
 def mark(axes: Axes, time: Floats, findings: Sequence[Finding]) -> None:
-    """Shade the first place of each finding, and name it."""
+    """Shade the first place of each finding."""
     for finding in findings:
         if finding.begin >= 0.0:
             end = max(finding.end, finding.begin + 0.003 * float(time[-1]))
             colour = GREY if finding.weight is Weight.NOTE else ORANGE
             axes.axvspan(finding.begin, end, color=colour, alpha=0.35, linewidth=0)
-            side = "right" if finding.begin > 0.6 * time[-1] else "left"
-            words = re.split("[,:;]", finding.what)[0][:60]
-            axes.text(end, 0.97, words, transform=axes.get_xaxis_transform(), ha=side, va="top", fontsize=8)
 
 
 def draw_leak(axes: Axes, diagnosis: Diagnosis) -> None:
@@ -142,13 +138,9 @@ def draw_leak(axes: Axes, diagnosis: Diagnosis) -> None:
         for counts, face in ((reading.answers, colour), (~reading.answers, PAPER)):
             chosen = np.isfinite(reading.flow_lpm) & counts
             value, low, high = sizes[:, chosen]
-            style: dict[str, Any] = {
-                "fmt": marker,
-                "color": colour,
-                "markerfacecolor": face,
-                "markersize": 4.5,
-                "linewidth": 1.2,
-            }
             label = name if face == colour else f"{name}, does not count"
+            if not chosen.any():
+                label = "_"
+            style: dict[str, Any] = {"fmt": marker, "color": colour, "markerfacecolor": face, "label": label}
             place = (middle + shift * length)[chosen]
-            axes.errorbar(place, value, [value - low, high - value], label=label if chosen.any() else "_", **style)
+            axes.errorbar(place, value, [value - low, high - value], markersize=4.5, linewidth=1.2, **style)

@@ -32,7 +32,6 @@ class Estimate:
     chi2_per_sample: Floats  # (B,), about 1 if readings and model differ only by noise
     misfit: Floats  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
     holds: Mask  # (B,), whether the model explains the readings
-    searches: Indices  # (B,), 1 if the first search gave the result
     scaled: Floats  # (B, P), the values in standard deviations of the prior from its mean
     white: Floats  # (B, channels), standard deviation of the white noise, over that of the data sheet
     slow: Floats  # (B, channels), the same of the slow error of the model and the sensors

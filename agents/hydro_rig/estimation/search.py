@@ -75,7 +75,7 @@ def search(problem: Problem, first: Floats, settings: EstimationSettings) -> Est
         begin = first[again]
         if attempt > 0:
             begin = np.where(varied, RESTART * random.standard_normal(begin.shape), begin)
-        found = _descend(problem.part(again), begin, slowly, attempt + 2)
+        found = _descend(problem.part(again), begin, slowly)
         lower = np.flatnonzero(found.chi2_per_sample < NEW_MINIMUM * lowest[again])
         again, found = again[lower], found.part(lower)
         lowest[again] = found.chi2_per_sample
@@ -116,7 +116,7 @@ def _fit_errors(problem: Problem, first: Floats, found: Estimate, settings: Esti
         known = readable & ~spikes
         errors, unlikelihood = errors_of(np.where(known, residual, 0.0), known)
     kept = wide._replace(measured=np.where(spikes, np.nan, data), errors=errors)
-    again = assess(kept, scaled, directions, found.searches[odd])
+    again = assess(kept, scaled, directions)
     again.widen(scaled - before, wide.model.derivative(scaled))
     signal = np.where(np.isfinite(kept.measured).any(axis=2, keepdims=True), kept.measured, 0.0)  # 0: absent
     small = errors.slow <= np.maximum(LARGEST_SLOW_ERROR * np.nan_to_num(np.nanstd(signal, axis=2)), SMALL_SLOW_ERROR)
@@ -146,10 +146,10 @@ def timing_priors(config: TaskConfig) -> dict[str, Prior]:
     return latency | ({RISE_TIME: prior_of(config, RISE_TIME)} if config.sensors.enabled else {})
 
 
-def _descend(problem: Problem, first: Floats, settings: EstimationSettings, searches: int = 1) -> Estimate:
+def _descend(problem: Problem, first: Floats, settings: EstimationSettings) -> Estimate:
     """Fit short and then longer beginnings of the windows roughly, then the whole windows to the lowest cost."""
     scaled = _approach(problem, first, settings)
-    return assess(problem, *fit(problem, scaled, settings.effort), searches)
+    return assess(problem, *fit(problem, scaled, settings.effort))
 
 
 def _approach(problem: Problem, first: Floats, settings: EstimationSettings) -> Floats:
@@ -163,7 +163,7 @@ def _approach(problem: Problem, first: Floats, settings: EstimationSettings) -> 
     return scaled
 
 
-def assess(problem: Problem, scaled: Floats, directions: Floats, searches: int | Indices = 1) -> Estimate:
+def assess(problem: Problem, scaled: Floats, directions: Floats) -> Estimate:
     """Uncertainty and goodness of fit at some values, (B, P) scaled.
 
     A slow error may be one of the model, of which an unknown has taken up a part that no residual shows. That part is
@@ -198,7 +198,6 @@ def assess(problem: Problem, scaled: Floats, directions: Floats, searches: int |
         chi2_per_sample=chi2 / np.maximum(linear.known.sum(axis=(1, 2)), 1),
         misfit=misfit,
         holds=misfit < LARGEST_MISFIT,
-        searches=np.array(np.broadcast_to(searches, len(scaled))),
         scaled=scaled,
         white=errors.white,
         slow=errors.slow,

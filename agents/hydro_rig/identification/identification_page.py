@@ -16,11 +16,9 @@ from hydro_env import PlantParameters
 from hydro_env.folders import page as page_address
 from hydro_env.task.sensors import POSITION
 from hydro_env.units import UNITS
-from hydro_rig.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, GAINS, LATENCY, LEAKAGE, RISE_TIME
-from hydro_rig.identification.found_rig import path_of, share_in_words
+from hydro_rig.identification.found_rig import share_in_words
 from hydro_rig.identification.held_back import HeldBack, sizes_of
 from hydro_rig.identification.identify import Identification
-from hydro_rig.identification.intervals import hull
 from hydro_rig.recordings.findings import Finding
 
 MANUAL = page_address("identify.md")
@@ -35,6 +33,9 @@ CHECK = (
 
 PANELS = (("position, mm", 1e3), ("pressure a, bar", 1e-5), ("pressure b, bar", 1e-5), ("spool, %", 100.0))
 """Label and factor from SI of each channel."""
+
+ERRORS = ("position, mm", "speed, mm/s", "pressure a, bar", "pressure b, bar")
+SHARES = ("share of position", "of pressure a", "of pressure b", "of spool")
 
 
 @drawn
@@ -96,9 +97,7 @@ def held_back(page: Page, found: Identification) -> None:
         shares = ["–" if math.isnan(share) else share_in_words(share) for share in forecast.share.tolist()]
         sizes = [number(size, digits=2) for size in sizes_of(forecast)]
         rows[f"{over:g} s" if math.isfinite(over) else "the whole part"] = [*sizes, *shares]
-    errors = [("error", name) for name in ("position, mm", "speed, mm/s", "pressure a, bar", "pressure b, bar")]
-    errors += [("share of variance", name) for name in ("position", "pressure a", "pressure b", "spool")]
-    frame = pd.DataFrame.from_dict(rows, orient="index", columns=pd.MultiIndex.from_tuples(errors))
+    frame = pd.DataFrame.from_dict(rows, orient="index", columns=(*ERRORS, *SHARES))
     page.table(frame, "Root mean square error, and share of the variance explained, by the simulated time")
 
 
@@ -117,28 +116,16 @@ def held_back_axes(part: HeldBack) -> list[Axes]:
 
 
 def unknowns_table(found: Identification) -> pd.DataFrame:
-    """Each unknown: its range before, its value, its interval, and whether it is determined."""
+    """Each unknown: its value, its interval, and whether it is determined."""
     rows = {}
     for one in found.fit.unknowns:
-        look, before = found.look(one.name), range_before(found, one.name)
+        look = found.look(one.name)
         rows[f"{look.words}, {look.unit}"] = {
-            "range before": look.span(*before) if before is not None else "–",
             "found": look.value(one.value, one.high - one.low),
             "95 % interval": look.interval(one.low, one.high, one.side),
             "determined": "yes" if found.fit.knows(one) else "no",
         }
     return pd.DataFrame.from_dict(rows, orient="index")
-
-
-def range_before(found: Identification, name: str) -> tuple[float, float] | None:
-    """Range of an unknown before the recording, in its unit; ``None``: it has none of its own (leaks, timing)."""
-    if name in (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, RISE_TIME, *GAINS):
-        return None
-    if name in BIASES:
-        bias = getattr(found.config.sensors, name.removesuffix("_bias")).bias
-        return -bias, bias
-    path = path_of(name)
-    return hull(found.config.plant, found.plant, path, found.rig.randomisation[path])
 
 
 def place_of_part(found: Identification, part: HeldBack) -> str:

@@ -6,7 +6,6 @@ channels to the stamps of the command, and reports it as a finding.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -66,10 +65,10 @@ def read_columns(path: Path) -> Columns:
         raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB; cut it into several files")
     kind = path.suffix.lower()
     if kind == ".parquet":
-        with library_errors(path, "pyarrow.parquet"):
+        with library_errors(path):
             columns = of_table(pd.read_parquet(path, partitioning=None))
     elif kind == ".mat":
-        with library_errors(path, "scipy.io"):
+        with library_errors(path):
             columns = read_mat(path)
     elif kind in CONVERSIONS:
         raise ConfigurationError(f"{path}: convert the file first: {CONVERSIONS[kind]}.to_parquet('run.parquet')")
@@ -81,7 +80,7 @@ def read_columns(path: Path) -> Columns:
 
 
 @contextmanager
-def library_errors(path: Path, library: str) -> Iterator[None]:
+def library_errors(path: Path) -> Iterator[None]:
     """Errors of the library that reads a file, in one line each.
 
     Raises:
@@ -90,16 +89,12 @@ def library_errors(path: Path, library: str) -> Iterator[None]:
     if not path.is_file() and not any(path.glob("*.parquet")):
         read_text(path)  # says why
     try:
-        importlib.import_module(library)
-    except ImportError:
-        raise ConfigurationError(
-            f"{path}: files of this kind need the library {library}: pip install 'hydro_env[recordings]'"
-        ) from None
-    try:
         yield
+    except ImportError:
+        raise ConfigurationError(f"{path}: such files need more: pip install 'hydro_env[recordings]'") from None
     except Exception as error:  # a damaged file makes these libraries raise errors of any kind
         reason = " ".join(str(error).split())[:150] or type(error).__name__
-        raise ConfigurationError(f"{path}: is not a readable {path.suffix.lower() or library} file: {reason}") from None
+        raise ConfigurationError(f"{path}: is not a readable {path.suffix.lower()} file: {reason}") from None
 
 
 def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], list[Finding]]:
