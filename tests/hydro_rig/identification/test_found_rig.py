@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.detection.detector import Windows, measured_run
+from hydro_agents.detection.detector import measured_run
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import PlantParameters, TaskConfig
@@ -21,7 +21,6 @@ from hydro_env.task.sensors import POSITION
 from hydro_env.units import resistance_from_flow
 from hydro_rig.estimation.unknowns import Prior
 from hydro_rig.identification import common_fit
-from hydro_rig.identification.common_fit import Joint
 from hydro_rig.identification.fit import Fit, Unknown
 from hydro_rig.identification.found_rig import _line, _with_unit, found_values, narrowed
 from hydro_rig.identification.held_back import (
@@ -168,23 +167,6 @@ def test_leaks_and_springs_stay_within_their_bounds():
 @pytest.mark.parametrize(("misfit", "kept"), [([1, 2, 3, 20], [0, 1, 2]), ([9, 9, 9, 200, 300], [0, 1, 2, 3])])
 def test_a_large_misfit_is_an_outlier_sooner_where_most_windows_are_explained(misfit, kept):
     assert common_fit.without_outliers(np.array(misfit, float)).tolist() == kept
-
-
-def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(monkeypatch):
-    """The first common fit leaves out one window; the second would leave out another: its result is of all it had."""
-    misfits = {4: [1.0, 1.0, 1.0, 50.0], 3: [1.0, 1.0, 40.0]}
-
-    def fitted(problem, first):
-        misfit = np.array(misfits[len(problem)])
-        return Joint(None, np.zeros(1, np.int64), None, None, misfit, None, None, 0.0)
-
-    replaced = {"replayed": lambda windows, *_: windows, "_first_values": lambda *_: [None], "fit_together": fitted}
-    replaced |= {"descend": lambda *_: (None, None), "costs_of": lambda *_: [0.0]}
-    for name, function in replaced.items():
-        monkeypatch.setattr(common_fit, name, function)
-    alone = SimpleNamespace(misfit=np.ones(4))
-    found = common_fit._common_fit(Windows.of(np.zeros((4, 5, 10))), CONFIG, {}, alone)
-    assert found.misfit.tolist() == [1.0, 1.0, 40.0, math.inf]
 
 
 def test_every_number_of_a_rig_is_read_back_from_its_text_with_unit():
