@@ -16,6 +16,7 @@ from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import LeakageDraw
+from hydro_env.types import Mask
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
 from hydro_rig.recordings.channels import AXIS
 from hydro_rig.recordings.findings import Finding, Weight
@@ -65,9 +66,12 @@ class Limits(NamedTuple):
     @classmethod
     def of(cls, config: TaskConfig) -> Limits:
         """Those of the task; its defaults hold for the default rig, and grow with the flow of a rig."""
-        given, usual = ((one.class_bounds[0], one.faulty_range[0]) for one in (config.leakage, LeakageDraw()))
-        scale = leak_scale(config) if given == usual else 1.0
-        return cls(scale * given[0], scale * given[1])
+        given, usual = config.leakage, LeakageDraw()
+        healthy, fault = given.class_bounds[0], given.faulty_range[0]
+        if (healthy, fault) != (usual.class_bounds[0], usual.faulty_range[0]):
+            return cls(healthy, fault)
+        scale = leak_scale(config)
+        return cls(scale * healthy, scale * fault)
 
 
 class Verdict(NamedTuple):
@@ -80,12 +84,14 @@ class Verdict(NamedTuple):
 
     def line(self) -> str:
         """The verdict in one line."""
-        if self.kind is Kind.LEAK and self.leak is not None:
-            return f"{self.kind.value} of {self.leak.text()}{f'; {self.why}' if self.why else ''}"
-        if self.kind is Kind.HEALTHY and self.leak is not None:
-            return f"healthy: leak past the piston {self.leak.text()}"
-        seal = f"; leak past the piston {self.leak.text()}" if self.kind is Kind.OTHER and self.leak is not None else ""
-        return f"{self.kind.value}: {self.why}{seal}"
+        line = f"{self.kind.value}: {self.why}"
+        if self.leak is None or self.kind is Kind.UNKNOWN:
+            return line
+        size = self.leak.text()
+        if self.kind is Kind.LEAK:
+            return "; ".join(filter(None, [f"{self.kind.value} of {size}", self.why]))
+        seal = f"leak past the piston {size}"
+        return f"healthy: {seal}" if self.kind is Kind.HEALTHY else f"{line}; {seal}"
 
 
 @dataclass(frozen=True)
@@ -105,15 +111,10 @@ class Case:
         return [finding.line() for finding in self.findings if finding.weight is weight]
 
     @property
-    def tried(self) -> int:
-        """Windows that the estimator has tried to explain."""
-        return int((~np.isin(self.estimator.why, (Why.NO_COMMANDS, Why.NOT_READ))).sum())
-
-    @property
-    def missed(self) -> int:
-        """Those of them that its model does not explain."""
+    def missed(self) -> Mask:
+        """Of the windows that the estimator has tried to explain, those that its model does not explain."""
         tried = ~np.isin(self.estimator.why, (Why.NO_COMMANDS, Why.NOT_READ))
-        return int((self.estimator.cause[tried] == Cause.UNKNOWN).sum())
+        return np.asarray(self.estimator.cause[tried] == Cause.UNKNOWN)
 
     @property
     def leader(self) -> str:
@@ -176,10 +177,11 @@ def other_rig(case: Case) -> Verdict | None:
 
     No sensor is blamed then: a model that does not explain the other channels is no witness against one.
     """
-    if case.missed <= MOST * case.tried:
+    missed = case.missed
+    if missed.sum() <= MOST * len(missed):
         return None
-    why = f"the model does not describe this rig: it explains too little in {case.missed} of the {case.tried} windows "
-    why += "that were read"
+    why = f"the model does not describe this rig: it explains too little in {missed.sum()} of the {len(missed)} "
+    why += "windows that were read"
     if case.residual:
         why += f"; {case.residual}"
     return Verdict(Kind.UNKNOWN, f"{why}; check --rig{case.blamed}", None, "estimator")
@@ -192,7 +194,7 @@ def no_size(case: Case) -> Verdict | None:
     """
     if case.reading.sized.any():
         return None
-    if case.of_weight(Weight.FAULT) and case.missed < MOST * case.tried:
+    if case.of_weight(Weight.FAULT) and case.missed.sum() < MOST * len(case.missed):
         return Verdict(Kind.OTHER, case.fault, None, case.leader)
     why = _why_nothing(case.window, case.estimator, case.companion)
     return Verdict(Kind.UNKNOWN, why + case.blamed, None, "")
