@@ -129,7 +129,7 @@ def _beside_edges(common: Common, config: TaskConfig, ends: Floats) -> tuple[Joi
     scaled, places = joint.scaled.copy(), joint.shared[edges]
     moved = {}
     for edge, place in zip(edges.tolist(), places.tolist(), strict=True):
-        name, end = model.names[place], ends[edge, 1 if sides.open[edge] > 0 else 0]
+        name, end = model.names[place], ends[edge, int(sides.open[edge] > 0)]
         limit = float(_known_end(joint.common, sides)[edge])
         moved[place] = beside_the_edge(name, model.priors[name], config.plant, limit, float(end))
         scaled += ridge(joint, edge) * (moved[place] - joint.scaled[0, place])
@@ -162,7 +162,8 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
     for row, (name, prior) in enumerate(priors.items()):
         side = int(sides.open[row])
         if side:
-            scaled[row] = (known[row], ends[row, 1]) if side > 0 else (ends[row, 0], known[row])
+            scaled[row] = ends[row]
+            scaled[row, int(side < 0)] = known[row]
         low, high = prior.value(scaled[row]).tolist()
         if name in (LEAKAGE, EXTERNAL_LEAKAGE):
             high = truncated_end(values[row], low, high)

@@ -135,8 +135,10 @@ def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
         resistances = (resistance_from_flow(high), resistance_from_flow(low))
     if high <= 0.0 or not math.isfinite(resistances[1]) or resistances[0] > most:
         return {"log_uniform": _rounded((least, most)), "otherwise": math.inf, "otherwise_probability": 1.0}
-    tight = {"otherwise": given.otherwise, "otherwise_probability": given.otherwise_probability}
-    return {"log_uniform": _rounded(resistances)} | (tight if low <= 0.0 and given.otherwise is not None else {})
+    found: dict[str, Any] = {"log_uniform": _rounded(resistances)}
+    if low <= 0.0 and given.otherwise is not None:  # it may be tight
+        found |= {"otherwise": given.otherwise, "otherwise_probability": given.otherwise_probability}
+    return found
 
 
 def _rounded(ends: tuple[float, float]) -> list[float]:
@@ -175,9 +177,11 @@ def rig_yaml(
             continue
         lines.append(f"{key}:")
         for field, value in content.items():
-            mark = "  # found" if f"{key}.{field}" in found else ""
-            if mark and field.endswith("_resistance"):
-                mark += f": {flow_from_resistance(found[f'{key}.{field}']):.3g} l/min at 100 bar"
+            mark, size = "", found.get(f"{key}.{field}")
+            if size is not None:
+                mark = "  # found"
+                if field.endswith("_resistance"):
+                    mark += f": {flow_from_resistance(size):.3g} l/min at 100 bar"
             lines.append(f"  {_line(field, value)}{mark}")
     return "\n".join(lines) + "\n"
 
@@ -213,9 +217,11 @@ class Shown(NamedTuple):
 
     def interval(self, low: float, high: float, side: int) -> str:
         """A 95 % interval; with ``side`` 1 or −1 only its lower or upper end is known."""
-        if not side:
-            return self.span(low, high)
-        return f"at least {self.value(low, 0.01 * low)}" if side > 0 else f"at most {self.value(high, 0.01 * high)}"
+        if side > 0:
+            return f"at least {self.value(low, 0.01 * low)}"
+        if side < 0:
+            return f"at most {self.value(high, 0.01 * high)}"
+        return self.span(low, high)
 
     def value(self, value: float, uncertainty: float) -> str:
         """A value with the digits that its uncertainty allows; both in the unknown's unit."""

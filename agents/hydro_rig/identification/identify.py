@@ -169,8 +169,8 @@ class Identification:
     def verdict(self) -> str:
         """The result in one sentence."""
         driving = [line for checked in self.checked for line in driven(checked)]
-        phrases = [*(self._success() if self.describes else self._failure()), *driving]
-        return "; ".join(filter(None, phrases))
+        phrases = self._success() if self.describes else self._failure()
+        return "; ".join([*phrases, *driving])
 
     def _failure(self) -> list[str]:
         if math.isnan(self.share):
@@ -192,12 +192,12 @@ class Identification:
         if math.isfinite(self.judged_over):
             outcome += f" over {self.judged_over:g} s from a measured state (over all of it the errors add up)"
         errors = errors_in_words(self.tested[self.judged_over])
-        return [
-            UNEXPLAINED if self.unexplained else "",
-            f"{count - len(self.undetermined)} of {count} unknowns determined",
-            outcome,
-            f"root mean square error there {errors}" if errors else "",
-        ]
+        phrases = [f"{count - len(self.undetermined)} of {count} unknowns determined", outcome]
+        if self.unexplained:
+            phrases.insert(0, UNEXPLAINED)
+        if errors:
+            phrases.append(f"root mean square error there {errors}")
+        return phrases
 
 
 def driven(checked: Checked) -> list[str]:

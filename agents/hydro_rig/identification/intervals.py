@@ -113,7 +113,8 @@ def sides_of(problem: Problem, joint: Joint, spread: Spread, ends: Floats, follo
             continue
         done[place] = True
         target = (spread.reach[place] / spread.deviation[place]) ** 2
-        target = max(target, (SURE_RISE * spread.widening[place]) ** 2) if flat[place] else target
+        if flat[place]:
+            target = max(target, (SURE_RISE * spread.widening[place]) ** 2)
         lengths = (-spread.reach[place], spread.reach[place])
         limits = ends[place] if bounded[place] else (-np.inf, np.inf)
         paths = [follow(problem, joint, place, lengths[side], target, float(limits[side])) for side in (0, 1)]
@@ -159,7 +160,8 @@ def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distr
     """
     factor = 1.0 if given.times is None else own_value(found, given.times)
     ends = [factor * end for end in given.bounds(own_value(plant, path))]
-    ends += [] if given.otherwise is None else [given.otherwise]
+    if given.otherwise is not None:
+        ends.append(given.otherwise)
     return min(ends), max(ends)
 
 

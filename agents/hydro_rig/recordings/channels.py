@@ -133,7 +133,9 @@ def _fitting_units(signal: str, size: float, least: float, largest: float, sampl
     unit = samples.units.get(signal, next(iter(units)))
     wanted = (least, 1.2 * largest)
     fitting = [name for name in units if name != unit and wanted[0] <= size * units[name] / units[unit] <= wanted[1]]
-    return f"; values in {' or '.join(fitting[:2])} instead of {unit} would fit" if fitting else ""
+    if not fitting:
+        return ""
+    return f"; values in {' or '.join(fitting[:2])} instead of {unit} would fit"
 
 
 def _lost(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:

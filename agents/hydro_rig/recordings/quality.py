@@ -131,8 +131,10 @@ def _within_full_scale(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     signals, most = samples.signals.copy(), float(size[beyond].max())
     signals[COMMAND] = signals[COMMAND].clip(-1.0, 1.0)
     what = f"is up to {100.0 * most:.4g} % of full scale ({FULL_VOLTAGE * most:.4g} V): taken as full scale"
-    finding = finding_of(beyond, samples.time, "command", what, Weight.NOTE)
-    return samples._replace(signals=signals), [finding] if most >= 1.0 + ROUNDING else []
+    findings = []
+    if most >= 1.0 + ROUNDING:
+        findings.append(finding_of(beyond, samples.time, "command", what, Weight.NOTE))
+    return samples._replace(signals=signals), findings
 
 
 def row_of_command(samples: Sampled, config: TaskConfig) -> int:
@@ -224,7 +226,9 @@ def _without_gaps(samples: Sampled, config: TaskConfig) -> Sampled:
         known = np.isfinite(values)
         if known.any() and not known.all():
             values[:] = interpolated(samples.time, samples.time[known], values[known], LONGEST_BLANK)
-    return samples._replace(signals=signals if "flow" in samples.auxiliary else _completed(signals, config))
+    if "flow" not in samples.auxiliary:
+        signals = _completed(signals, config)
+    return samples._replace(signals=signals)
 
 
 def _completed(signals: Floats, config: TaskConfig) -> Floats:
@@ -256,8 +260,9 @@ def balance(signals: Floats, config: TaskConfig) -> TwoBalances:
     wanted = force[1:-1] - force[1:-1].mean()
     scale = causes.std(axis=0) + 1e-300
     _, rest = nnls(causes / scale, wanted)
-    both = np.ptp(signals[[PRESSURE_A, PRESSURE_B]], axis=1).all()
-    force_rest = float(rest**2 / max(float(wanted @ wanted), 1e-300)) if both else 0.0
+    force_rest = 0.0
+    if np.ptp(signals[[PRESSURE_A, PRESSURE_B]], axis=1).all():
+        force_rest = float(rest**2 / max(float(wanted @ wanted), 1e-300))
 
     flow = _means(flow_into_a(signals, config), step)[1:-1]
     volume = chamber_volumes(position[1:-1], c)[0]
@@ -268,8 +273,9 @@ def balance(signals: Floats, config: TaskConfig) -> TwoBalances:
     if flow.std() < STEADY * abs(float(flow.mean())):  # at one speed only the means say something
         return TwoBalances(0.0, float(needed.mean() / flow.mean()), travel, abs(float(flow.sum())) * time / c.area_a)
     expected = float(np.ptp(np.cumsum(flow - flow.mean()))) * time / c.area_a
-    unrelated = covariance[0, 1] ** 2 < UNRELATED * covariance[0, 0] * covariance[1, 1]
-    slope = 1.0 if unrelated else float(covariance[0, 1] / max(covariance[1, 1], 1e-300))
+    slope = 1.0
+    if covariance[0, 1] ** 2 >= UNRELATED * covariance[0, 0] * covariance[1, 1]:
+        slope = float(covariance[0, 1] / max(covariance[1, 1], 1e-300))
     return TwoBalances(force_rest, slope, travel, expected)
 
 
@@ -351,7 +357,9 @@ def _response_at_next_sample(config: TaskConfig) -> float:
     run = simulate(config.plant, [small], period)
     start = run.spool_position[0]
     goal = small / FULL_VOLTAGE - start
-    return float((run.spool_position[-1] - start) / goal) if abs(goal) > 1e-9 else 0.0
+    if abs(goal) <= 1e-9:
+        return 0.0
+    return float((run.spool_position[-1] - start) / goal)
 
 
 def _means(values: Floats, step: int) -> Floats:

@@ -110,7 +110,9 @@ def _grid_of(recording: Recording, config: TaskConfig, own_grid: bool, findings:
         usual = f"{1e3 * jitter:.2g} ms (95 %) around one row every {1e3 * distance:.4g} ms"
         findings.append(Finding("time", f"has stamps that jitter by up to {usual}", Weight.NOTE))
     if jitter > JITTER[1] * distance:
-        step = period / per_period if per_period else distance
+        step = distance
+        if per_period:
+            step = period / per_period
         time, rows, moved = _without_jitter(time, rows, step, findings)
         distance = time[1] - time[0]
         place, _ = _places(time, distance)
@@ -155,8 +157,10 @@ def _without_jitter(time: Floats, rows: Floats, step: float, findings: list[Find
         findings.append(Finding("time", f"{what}, in short pieces", Weight.SEVERE))
         return time, rows, False
     times, values, moved = zip(*steadied, strict=True)
-    what += "; the readings are interpolated at a steady clock" if any(moved) else "; taken as equidistant rows"
-    findings.append(Finding("time", what, Weight.NOTE))
+    done = "taken as equidistant rows"
+    if any(moved):
+        done = "the readings are interpolated at a steady clock"
+    findings.append(Finding("time", f"{what}; {done}", Weight.NOTE))
     return np.concatenate(times), np.concatenate(values, axis=1), any(moved)
 
 
@@ -177,7 +181,9 @@ def _own_grid(time: Floats, values: Floats, place: Indices, distance: float, fin
     if len(number) > 1 and number[1] == number[0] + 1 and np.isnan(samples[COMMAND].iloc[0]):
         samples.iloc[0, COMMAND] = values[COMMAND, 0]  # what acted before the first row
     what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for command and readings in the control "
-    what += "period; taken on its own grid" + (f", each sample the median of {rows} rows" if rows > 1 else "")
+    what += "period; taken on its own grid"
+    if rows > 1:
+        what += f", each sample the median of {rows} rows"
     findings.append(Finding("time", what, Weight.NOTE))
     number = number - number[0]
     return number, time[0] + number * period, samples.to_numpy().T.copy(), period, True
