@@ -65,7 +65,8 @@ def guessed_map(headings: list[str]) -> str:
             continue
         place = found[signal]
         heading = headings[place]
-        entries[signal] = entry = {"column": heading if headings.count(heading) == 1 else place + 1}
+        plain = heading.isprintable() and headings.count(heading) == 1
+        entries[signal] = entry = {"column": heading if plain else place + 1}
         if split_heading(heading)[1] is None and signal != "time":
             entry["unit"] = next(iter(units))
     if entries:
