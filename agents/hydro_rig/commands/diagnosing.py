@@ -53,7 +53,7 @@ def diagnose(
     """
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
-    from hydro_rig.diagnosis.diagnose import Companion, in_json
+    from hydro_rig.diagnosis.diagnose import companion_of, in_json
     from hydro_rig.diagnosis.diagnose import diagnose as diagnose_recording
     from hydro_rig.diagnosis.diagnosis_page import FILES, JOB, diagnose_to_folder
     from hydro_rig.diagnosis.verdict import EXIT_CODES
@@ -61,7 +61,7 @@ def diagnose(
 
     refuse_taken(output, JOB, FILES, overwrite)
     config = task_config(task, rig=rig)
-    companion = Companion.named(detector)
+    companion = companion_of(detector)
     mapped = read_map(columns) if columns is not None else None
     with reading(as_json):
         diagnosis = diagnose_recording(recording, config, companion, mapped, window)

@@ -27,39 +27,7 @@ from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import cut, on_grid
 
-
-class Companion(NamedTuple):
-    """The detector that reads beside the estimator, and its names."""
-
-    detector: Detector
-    name: str = "leakage head"  # in sentences
-    column: str = "head"  # at the beginning of its columns
-
-    @classmethod
-    def of(cls, detector: LeakageHead | Detector) -> Companion:
-        """A detector with its names: that of its class, unless it is a leakage head."""
-        if isinstance(detector, LeakageHead):
-            return cls(HeadDetector(detector))
-        name = type(detector).__name__
-        return cls(detector, name, name)
-
-    @classmethod
-    def named(cls, text: str | None) -> Companion:
-        """The detector of ``module:attribute``, or a head from its weights; default: the shipped head.
-
-        Raises:
-            ConfigurationError: it cannot be loaded, or is no detector.
-        """
-        if text is not None and ":" in text and not Path(f"{text}.json").exists():
-            return cls.of(make_detector(DetectorChoice(kind=text)))
-        return cls(HeadDetector.load(text))
-
-    @property
-    def own(self) -> bool:
-        """Whether it is another detector than the leakage head."""
-        return not isinstance(self.detector, HeadDetector)
-
-
+HEAD = "leakage head"  # in sentences
 FIRST_WINDOWS = 2  # liveliest windows, which show whether the model describes the rig at all
 
 
@@ -72,29 +40,47 @@ class NamedReading(NamedTuple):
     own: bool = False  # neither the estimator nor the leakage head: its score is shown as well
 
 
+def companion_of(text: str | None) -> Detector:
+    """The detector of ``module:attribute``, or a head from its weights; default: the shipped head.
+
+    Raises:
+        ConfigurationError: it cannot be loaded, or is no detector.
+    """
+    if text is not None and ":" in text and not Path(f"{text}.json").exists():
+        return make_detector(DetectorChoice(kind=text))
+    return HeadDetector.load(text)
+
+
+def name_of(detector: Detector) -> str:
+    """The name of a detector in sentences: that of its class, unless it is a leakage head."""
+    return HEAD if isinstance(detector, HeadDetector) else type(detector).__name__
+
+
 @dataclass(frozen=True)
 class Diagnosis(Judged):
     """All results for a recording."""
 
     recording: Recording
-    companion: Companion
+    companion: Detector  # that reads beside the estimator
     note: str  # why the companion was not used; empty if it was
 
     @property
     def readings(self) -> list[NamedReading]:
         """What was read, by detector."""
-        companion = self.companion
-        readings = (
-            ("estimator", "estimator", self.read.estimator, False),
-            (companion.name, companion.column, self.read.companion, companion.own),
-        )
-        return [NamedReading(name, column, one, own) for name, column, one, own in readings if one is not None]
+        found = []
+        if self.read.estimator is not None:
+            found.append(NamedReading("estimator", "estimator", self.read.estimator))
+        if self.read.companion is not None:
+            name = name_of(self.companion)
+            own = name != HEAD
+            found.append(NamedReading(name, name if own else "head", self.read.companion, own))
+        return found
 
 
 def diagnose(
     path: Path,
     config: TaskConfig,
-    detector: LeakageHead | Detector | Companion,
+    detector: LeakageHead | Detector,
     columns: ColumnMap | None = None,
     window: float = 2.0,
 ) -> Diagnosis:
@@ -123,13 +109,13 @@ def diagnose(
         >>> verdict.kind.value, round(verdict.leak.value, 1)
         ('internal leak', 1.0)
     """
-    companion = detector if isinstance(detector, Companion) else Companion.of(detector)
+    companion = HeadDetector(detector) if isinstance(detector, LeakageHead) else detector
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
     checked.findings.extend(_about_auxiliary(recording))
     config = on_grid(config, checked.samples.period)
     length = max(round(window / config.control_period), 2)
-    note = companion.detector.refuses(config, length)
+    note = companion.refuses(config, length)
 
     def read(windows: Windows) -> Read:
         if not len(windows):
@@ -138,7 +124,7 @@ def diagnose(
         if note:
             return Read(estimator, None, fitted)
         commanded = np.flatnonzero(windows.commanded)
-        reading = companion.detector.read(windows.part(commanded), config)
+        reading = companion.read(windows.part(commanded), config)
         return Read(estimator, reading.among(commanded, len(windows), Why.NO_COMMANDS), fitted)
 
     result = judged(
@@ -149,7 +135,7 @@ def diagnose(
         rows=[recording],
         balance=leak_of_blocks(flow_blocks(recording)),
         window=window,
-        companion=companion.name,
+        companion=name_of(companion),
     )
     return Diagnosis(**vars(result), recording=recording, companion=companion, note=note)
 

@@ -38,14 +38,6 @@ ADVICE = {
 STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse", Kind.OTHER: "doubtful", Kind.UNKNOWN: ""}
 """Class of the verdict in the style of the pages."""
 
-JUDGING = (
-    "The estimator simulates the rig of the data sheet with the recorded commands, and changes leak, plant, wear and "
-    "sensor offsets until it reproduces the readings. A reading that it does not reproduce does not count.",
-    "Beside it reads the {}; it decides only where the estimator has not read a window.",
-    "The limits are those of servo faults. Acceptance tests of new cylinders require far less: about 0.06 ml/min for a "
-    "bore of 40 mm.",
-)
-
 PANELS = {
     "position, mm": (1e3, ("position",)),
     "pressure, bar": (1e-5, ("pressure_a", "pressure_b")),
@@ -109,8 +101,6 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     for name, _, reading, _ in diagnosis.readings:
         facts[f"read by the {name}"] = int(reading.answers.sum())
     page.facts(facts)
-    page.heading("How it was judged")
-    page.points([line.format(diagnosis.companion.name) for line in JUDGING])
     return page
 
 

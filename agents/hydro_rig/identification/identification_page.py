@@ -87,9 +87,8 @@ def held_back(page: Page, found: Identification) -> None:
     """The part that the fit did not use with the largest error, and how errors grow."""
     worst = max(found.held_back, key=lambda part: np.nan_to_num(part.whole.error[POSITION]))
     page.text(
-        f"The fit did not use these parts: {found.parts.reason}. The simulation gets the state at the start of a part "
-        "and the recorded commands, and then runs freely: its errors add up. The table also begins every 2 s at the "
-        "measured state: of an axis that a controller held in place, only this says whether the model is right."
+        f"The fit did not use these parts: {found.parts.reason}. The simulation gets the state at the start and the "
+        "recorded commands: its errors add up. The table also begins every 2 s at the measured state."
     )
     page.figure(held_back_axes(worst), f"The held-back part with the largest error: {place_of_part(found, worst)}")
     rows = {}
