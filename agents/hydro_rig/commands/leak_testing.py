@@ -47,6 +47,7 @@ def leak_test(
     from hydro_rig.diagnosis.leak_test_reading import read_leak_test
     from hydro_rig.diagnosis.verdict import EXIT_CODES
     from hydro_rig.recordings.columns import read_map
+    from hydro_rig.recordings.findings import lines_of
 
     config = task_config(task, rig=rig)
     if recording is None:
@@ -64,6 +65,5 @@ def leak_test(
         found = read_leak_test(recording, config, mapped)
     with output_folder(folder, pages.JOB, pages.READING_FILES, overwrite=overwrite):
         pages.write_reading(folder, found, command_line())
-    lines = [finding.line() for finding in found.checked.findings]
-    say(*lines, found.line(), folder / pages.READING_FILES[0], found.verdict.line())
+    say(*lines_of(found.checked.findings), found.line(), folder / pages.READING_FILES[0], found.verdict.line())
     raise typer.Exit(EXIT_CODES[found.verdict.kind])

@@ -21,7 +21,7 @@ from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.findings import Finding, Weight, lines_of
 from hydro_rig.recordings.parts import lively
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
@@ -205,7 +205,7 @@ def in_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "leak": leak,
         "detector": verdict.detector,
         "windows": len(diagnosis.windows),
-        "findings": [finding.line() for finding in diagnosis.checked.findings],
+        "findings": lines_of(diagnosis.checked.findings),
     }
 
 

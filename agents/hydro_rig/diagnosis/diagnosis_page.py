@@ -20,7 +20,7 @@ from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.identification.data_sheet import lines_to_paste
 from hydro_rig.identification.identification_page import findings_frame, rig_line
 from hydro_rig.recordings.columns import MEASURED
-from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.findings import Finding, Weight, lines_of
 
 PAGE_FILE, TABLE_FILE, FINDINGS_FILE = FILES = ("diagnosis.html", "leak.csv", "findings.csv")
 JOB = "diagnose"
@@ -55,7 +55,7 @@ def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, comm
         write_text(folder / TABLE_FILE, leak_table(diagnosis).to_csv(index=False, lineterminator="\n"))
         write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
         diagnosis_page(diagnosis).write(folder / PAGE_FILE, Origin.now(command))
-    lines = [finding.line() for finding in diagnosis.checked.findings]
+    lines = lines_of(diagnosis.checked.findings)
     fitted = diagnosis.read.fitted
     mend = lines_to_paste(fitted, diagnosis.task) if fitted is not None else ""
     lines += [f"{MEND}\n{mend.rstrip()}"] if mend else []

@@ -19,6 +19,7 @@ from hydro_rig.diagnosis.leak_test_plan import SIMULATED_LEAK, Plan
 from hydro_rig.diagnosis.leak_test_reading import LeakTest
 from hydro_rig.diagnosis.verdict import Kind
 from hydro_rig.estimation.estimator import WEAR, healthy_range
+from hydro_rig.recordings.findings import lines_of
 from hydro_rig.recordings.simulated import recording_csv
 
 JOB = "leak-test"
@@ -96,7 +97,7 @@ def reading_page(test: LeakTest) -> Page:
             bound = abs(factor) * quantity.bound
             table[name] = {"value": value, "low": low, "high": high, "bound ±": bound, "healthy": healthy}
         page.table(pd.DataFrame.from_dict(table, orient="index"), "What the test found, with 90 % intervals")
-    page.points([finding.line() for finding in test.checked.findings])
+    page.points(lines_of(test.checked.findings))
     draw_course(page, "The recording", test.recording.time, test.recording.signals)
     return page
 

@@ -32,6 +32,7 @@ from hydro_rig.identification.common_fit import WELL_FITTED, Common, common_fit
 from hydro_rig.identification.fit import COVERAGE
 from hydro_rig.identification.intervals import spread_of
 from hydro_rig.recordings.columns import ColumnMap
+from hydro_rig.recordings.findings import lines_of
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
 from hydro_rig.recordings.sampling import Sampled, cut, on_grid
@@ -95,7 +96,7 @@ class LeakTest(Judged):
             "verdict": self.verdict.kind.value,
             "line": self.verdict.line(),
             "exit_code": EXIT_CODES[self.verdict.kind],
-            "findings": [finding.line() for finding in self.checked.findings],
+            "findings": lines_of(self.checked.findings),
             "windows": len(self.windows),
         }
         if self.fit is not None:

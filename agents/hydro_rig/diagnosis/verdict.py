@@ -19,7 +19,7 @@ from hydro_env.task.configuration import LeakageDraw
 from hydro_env.types import Mask
 from hydro_rig.diagnosis.volume_balance import VolumeLeak
 from hydro_rig.recordings.channels import AXIS
-from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.findings import Finding, Weight, lines_of
 
 MOST = 0.5  # share of the windows that counts as "most"
 CHANGED = 3.0
@@ -133,12 +133,7 @@ class Case:
     @property
     def blamed(self) -> str:
         """A faulty sensor and an axis that oscillates, for reasons: they may be why a model does not hold."""
-        return "".join(f"; {line}" for line in (*self.of_weight(Weight.FAULT)[:1], *self.driven))
-
-    @property
-    def driven(self) -> list[str]:
-        """Findings about the axis itself."""
-        return [finding.line() for finding in self.findings if finding.signal == AXIS]
+        return "; ".join(["", *self.of_weight(Weight.FAULT)[:1], *lines_of(self.findings, AXIS)])
 
     @cached_property
     def leak(self) -> Leak:
@@ -169,7 +164,7 @@ def severe_finding(case: Case) -> Verdict | None:
     if not severe:
         return None
     more = f" (and {len(severe) - 1} more)" if len(severe) > 1 else ""
-    return Verdict(Kind.UNKNOWN, "; ".join([severe[0] + more, *case.driven]), None, "")
+    return Verdict(Kind.UNKNOWN, "; ".join([severe[0] + more, *lines_of(case.findings, AXIS)]), None, "")
 
 
 def other_rig(case: Case) -> Verdict | None:

@@ -19,6 +19,7 @@ from hydro_rig.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_rig.identification.found_rig import rig_yaml
 from hydro_rig.identification.identification_page import identification_page
 from hydro_rig.identification.identify import Identification
+from hydro_rig.recordings.findings import lines_of
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = FILES = ("identification.html", "rig.yaml", "identification.json")
 JOB = "identify"
@@ -46,10 +47,10 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
         first, *others = (recording.source for recording in found.recordings)
         more = f" and {len(others)} more" if others else ""
         raise ConfigurationError(f"{first}{more}: {found.verdict()}; see {folder / PAGE_FILE}")
-    findings = [finding.line() for finding in found.findings]
-    names = ", ".join(one.name for one in found.undetermined)
-    left = [f"Not determined: {names}"] if names else []
-    return [*findings, *found.noted, *left, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
+    lines = [*lines_of(found.findings), *found.noted]
+    if found.undetermined:
+        lines.append(f"Not determined: {', '.join(one.name for one in found.undetermined)}")
+    return [*lines, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
 
 
 def as_json(found: Identification, command: str) -> Any:
@@ -95,7 +96,7 @@ def as_json(found: Identification, command: str) -> Any:
         "windows_explained": int(fit.explained.sum()),
         "another_minimum": fit.second,
         "unknowns": unknowns,
-        "findings": [finding.line() for finding in found.findings],
+        "findings": lines_of(found.findings),
         "notes": found.noted,
     }
     return to_jsonable_python(whole, inf_nan_mode="null", fallback=lambda value: value.tolist())

@@ -31,7 +31,7 @@ from hydro_rig.identification.held_back import (
 )
 from hydro_rig.recordings.channels import AXIS
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.findings import Finding
+from hydro_rig.recordings.findings import Finding, lines_of
 from hydro_rig.recordings.parts import Parts, parts_of
 from hydro_rig.recordings.quality import Checked, check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
@@ -168,9 +168,10 @@ class Identification:
 
     def verdict(self) -> str:
         """The result in one sentence."""
-        driving = [line for checked in self.checked for line in driven(checked)]
         phrases = self._success() if self.describes else self._failure()
-        return "; ".join([*phrases, *driving])
+        for checked in self.checked:
+            phrases += lines_of(checked.findings, AXIS)
+        return "; ".join(phrases)
 
     def _failure(self) -> list[str]:
         if math.isnan(self.share):
@@ -198,11 +199,6 @@ class Identification:
         if errors:
             phrases.append(f"root mean square error there {errors}")
         return phrases
-
-
-def driven(checked: Checked) -> list[str]:
-    """That the axis oscillates or its valve saturates, as phrases."""
-    return [finding.line() for finding in checked.findings if finding.signal == AXIS]
 
 
 def identify(
@@ -234,7 +230,7 @@ def identify(
     checked = _on_one_grid(recordings, config)
     for source, one in zip(sources, checked, strict=True):
         if one.severe:
-            raise ConfigurationError(f"{source}: {'; '.join([one.severe[0].line(), *driven(one)])}")
+            raise ConfigurationError(f"{source}: {'; '.join([one.severe[0].line(), *lines_of(one.findings, AXIS)])}")
     config = on_grid(config, checked[0].samples.period)
     parts = parts_of([one.samples for one in checked], sources, whole)
     config, rig = _with_bent_valve(config, rig, parts)

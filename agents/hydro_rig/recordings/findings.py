@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -43,6 +44,11 @@ class Finding(NamedTuple):
         if np.isfinite(self.share):
             parts.append(f"{number(100.0 * self.share, digits=2)} % of the recording")
         return ", ".join(parts)
+
+
+def lines_of(findings: Iterable[Finding], about: str = "") -> list[str]:
+    """The findings in a line each: all, or those about one signal."""
+    return [finding.line() for finding in findings if about in ("", finding.signal)]
 
 
 def runs_of(mask: Mask) -> tuple[Indices, Indices]:
