@@ -79,15 +79,6 @@ def leaking(tmp_path_factory):
     return file
 
 
-def test_another_program_reads_verdict_and_exit_code(tmp_path, leaking):
-    answer = hydro("diagnose", leaking, "--window", 1, "--output", tmp_path / "out", "--json")
-    found = json.loads(answer.stdout)
-    assert answer.returncode == found["exit_code"] == 10
-    assert found["verdict"] == "internal leak"
-    assert found["leak"]["low"] < 0.5 < found["leak"]["high"]
-    assert found["windows"] == 1
-
-
 @pytest.mark.parametrize(("leakage", "answer"), [(0.05, f"cannot tell: {Why.AT_REST.word}"), (0.3, "internal leak")])
 def test_an_axis_at_rest_with_worn_edges_must_be_moved_unless_its_leak_is_sure(tmp_path, leakage, answer):
     task = MOTIONS["standing still"](CONFIG)
@@ -123,12 +114,16 @@ class Spread:
 """
 
 
-def test_any_detector_reads_beside_the_estimator_under_its_own_name(tmp_path, leaking, monkeypatch):
+def test_any_detector_reads_beside_the_estimator_and_another_program_the_verdict(tmp_path, leaking, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "spread_of_spool.py").write_text(OWN)
-    options = ["--window", 1, "--detector", "spread_of_spool:Spread", "--output", tmp_path / "out"]
+    options = ["--window", 1, "--detector", "spread_of_spool:Spread", "--output", tmp_path / "out", "--json"]
     answer = hydro("diagnose", leaking, *options)
-    assert answer.returncode == EXIT_CODES[Kind.LEAK], answer.stderr
+    found = json.loads(answer.stdout)
+    assert answer.returncode == found["exit_code"] == EXIT_CODES[Kind.LEAK], answer.stderr
+    assert found["verdict"] == "internal leak"
+    assert found["leak"]["low"] < 0.5 < found["leak"]["high"]
+    assert found["windows"] == 1
     table, spool = pd.read_csv(tmp_path / "out" / "leak.csv"), read_recording(leaking).signals[SPOOL]
     assert table["Spread_score"].tolist() == pytest.approx([np.std(spool)])
     assert table["Spread_leak"].isna().all()
