@@ -29,7 +29,7 @@ from benchmarks.hostile_recordings import manglings
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.learning.loading import shipped
 from hydro_env import HydroError, TaskConfig
-from hydro_rig.diagnosis.diagnose import Companion, Diagnosis, diagnose
+from hydro_rig.diagnosis.diagnose import Diagnosis, diagnose
 from hydro_rig.diagnosis.verdict import Kind, Leak, Limits
 from hydro_rig.estimation.estimator import WEAR
 from hydro_rig.recordings.columns import own_map, read_map
@@ -102,7 +102,7 @@ class Reader:
     """Diagnoses recordings; what was read alike before has the answer of before."""
 
     def __init__(self) -> None:
-        self._companion = Companion.of(load_head(None, TASK))
+        self._companion = load_head(None, TASK)
         self._known: dict[bytes, Answer] = {}
 
     def answer(self, file: Path, columns: Path | None, window: float) -> Answer:
