@@ -146,12 +146,12 @@ def read_windows(windows: Windows, config: TaskConfig, threads: int | None = Non
     ``threads`` is that of :class:`~hydro_rig.estimation.estimator.EstimatorDetector`.
     """
     commanded = np.flatnonzero(windows.commanded)
-    tell("estimator", 0, len(commanded))
     first = commanded[lively(windows.part(commanded), FIRST_WINDOWS)]
     others = np.setdiff1d(np.arange(len(windows)), first)
     detector = EstimatorDetector(threads=threads)
     if not len(first):
         return detector.read_and_fit(windows, config)
+    tell("estimator", 0, len(commanded))
     hasty = EstimatorDetector(threads=threads, restarts=1)
     reading, fitted = hasty.read_and_fit(windows.part(first), config)
     tell("estimator", len(first), len(commanded))

@@ -158,9 +158,11 @@ def interpolated(time: Floats, own: Floats, values: Floats, longest: float = 0.0
 
 def placed(time: Floats, own: Floats, values: Floats, farthest: float) -> Floats:
     """Values at the nearest ``time``, rising, of the samples (own, values), if no farther away; NaN elsewhere."""
+    after = np.clip(np.searchsorted(time, own), 1, len(time) - 1)
+    nearest = after - (own - time[after - 1] < time[after] - own)
+    near = np.abs(time[nearest] - own) <= farthest
     there = np.full(len(time), np.nan)
-    nearest = pd.Index(time).get_indexer(own, method="nearest", tolerance=farthest)
-    there[nearest[nearest >= 0]] = values[nearest >= 0]
+    there[nearest[near]] = values[near]
     return there
 
 

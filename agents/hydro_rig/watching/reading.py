@@ -17,6 +17,7 @@ from hydro_rig.diagnosis.diagnose import read_windows
 from hydro_rig.diagnosis.pipeline import Read, flow_blocks, judged
 from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, combined
 from hydro_rig.diagnosis.volume_balance import Blocks, leak_of_blocks
+from hydro_rig.estimation.progress import told_to
 from hydro_rig.recordings.columns import ColumnMap
 from hydro_rig.recordings.files import read_columns
 from hydro_rig.recordings.findings import Weight
@@ -80,7 +81,8 @@ def row_of(live: Lively, config: TaskConfig, oil: Oil, blocks: Sequence[Blocks] 
     def read(windows: Windows) -> Read:
         if not len(windows):
             return Read()
-        measured, fitted = read_windows(windows, config, threads=1)
+        with told_to(None):  # a file is one step of the progress
+            measured, fitted = read_windows(windows, config, threads=1)
         leaks: list[Any] = [measured.flow_lpm, measured.low_lpm, measured.high_lpm]
         at_40 = referred(Leak(*leaks), oil, temperature)
         sizes: dict[str, Any] = {"flow_lpm": at_40.value, "low_lpm": at_40.low, "high_lpm": at_40.high}
