@@ -109,7 +109,7 @@ def diagnose(
         >>> verdict.kind.value, round(verdict.leak.value, 1)
         ('internal leak', 1.0)
     """
-    companion = HeadDetector(detector) if isinstance(detector, LeakageHead) else detector
+    companion: Detector = HeadDetector(detector) if isinstance(detector, LeakageHead) else detector
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
     checked.findings.extend(_about_auxiliary(recording))

@@ -182,8 +182,12 @@ def read_mat(path: Path) -> Columns:
     longest = max((stamps for _, _, stamps in channels if stamps is not None), key=len, default=None)
     if longest is not None:
         channels.insert(0, (TIME_HEADING, longest, None))
-    headings, values, stamps = map(list, zip(*channels, strict=True)) if channels else ([], [], [])
-    return Columns(headings, list(map(pd.Series, values)), stamps, 0)
+    columns = Columns([], [], [], 0)
+    for heading, values, stamps in channels:
+        columns.headings.append(heading)
+        columns.cells.append(pd.Series(values))
+        columns.stamps.append(stamps)
+    return columns
 
 
 def _channels_of(name: str, value: Any, stamps: Floats | None = None, unit: str = "") -> Iterator[_Channel]:

@@ -57,7 +57,8 @@ def guessed_map(headings: list[str]) -> str:
             if place not in found.values() and _fits(signal, heading):
                 found[signal] = place
                 break
-    lines, entries = [GUESSED], {}
+    lines = [GUESSED]
+    entries: dict[str, dict[str, Any]] = {}
     for signal, units in UNITS.items():
         if signal not in found:
             if signal in NEEDED:

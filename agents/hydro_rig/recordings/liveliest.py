@@ -6,7 +6,7 @@ Of each section of five minutes the window in which the signals vary most is kep
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -112,7 +112,7 @@ def sampled_windows(candidates: Sequence[Candidate], window: float, config: Task
     for part in parts:
         for finding in part.findings:
             findings[finding.signal, finding.weight] = finding
-    joined = {}
+    joined: dict[str, Any] = {}
     for name in ("place", "time", "signals"):
         joined[name] = np.concatenate([getattr(part, name) for part in parts], axis=-1)
     auxiliary = {name: np.concatenate([part.auxiliary[name] for part in parts]) for name in parts[0].auxiliary}
