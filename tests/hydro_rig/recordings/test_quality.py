@@ -110,7 +110,10 @@ CASES = {
     "V as parts": (scaled(1, 1, 1, 1, 10), [(SEVERE, "command reads")]),
     "parts as %": (scaled(1, 1, 1, 0.01, 1), [(SEVERE, "0.01 times as far as the command")]),
     "zero at the end": (edited(0, slice(None), lambda v: v + 0.25), [(SEVERE, "an offset of -200 mm would fit")]),
-    "command at 10.1 V": (edited(4, slice(300, 303), 1.01), [(NOTE, "(10.1 V): taken as full scale")]),
+    "command to 10.1 V": (
+        edited(4, slice(None), lambda v: 1.01 * v / np.abs(v).max()),
+        [(NOTE, "(10.1 V): taken as full scale")],
+    ),
     "command at 10.8 V": (edited(4, slice(300, 303), 1.08), [(SEVERE, "108 %, but the rig has -100 % to 100 %")]),
     "constant": (edited(1, slice(None), 30 * BAR), [(SEVERE, "pressure_a is constant at 30 bar")]),
     "stuck": (edited(2, slice(400, 600), 51 * BAR), [(FAULT, "stuck at one value, first at 2.000 to 2.995 s")]),
