@@ -24,6 +24,7 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 from hydro_env.task.sensors import POSITION, PRESSURE_A
 from hydro_rig.diagnosis.diagnose import diagnose
+from hydro_rig.estimation.progress import told_to
 from hydro_rig.identification.found_rig import shown
 from hydro_rig.identification.held_back import HeldBack
 from hydro_rig.identification.identify import identify
@@ -87,8 +88,8 @@ def festo(folder: Path, samples: list[int], fitted: list[int]) -> None:
     maps = [festo_map(chamber.lower()) for _, chamber in names.values()]
     others = [volts for volts in range(1, 6) if volts not in fitted]
     apart = [f"*_{volts}V_*" for volts in others]
-    with ProgressDisplay() as display:
-        found = identify(list(names), task_config(None, rig=RIG), read_rig(RIG), maps, display.update, apart)
+    with ProgressDisplay() as display, told_to(display.update):
+        found = identify(list(names), task_config(None, rig=RIG), read_rig(RIG), maps, apart)
     print(f"\n{found.verdict()}\n{len(names)} recordings; {len(found.fit.misfit)} windows\n")
     fit, lines = found.fit, []
     for one in fit.unknowns:
@@ -131,14 +132,13 @@ def shake(folder: Path) -> None:
         }
     )
     training, test = (sorted((folder / name).glob("*.csv")) for name in ("train", "test"))
-    with ProgressDisplay() as display:
+    with ProgressDisplay() as display, told_to(display.update):
         files = [*training[::8], *test]
         found = identify(
             files,
             task_config(rig=SHAKE_RIG),
             read_rig(SHAKE_RIG),
             [columns] * len(files),
-            display.update,
             [str(one) for one in test],
         )
     print(f"\n{found.verdict()}\n")

@@ -113,9 +113,9 @@ class Model:
 
     def _set_priors(self, priors: Mapping[str, Prior]) -> None:
         self.priors, self.names = dict(priors), tuple(priors)
-        parts: Any = [(prior.mean, prior.deviation, prior.logarithmic) for prior in priors.values()]
-        mean, deviation, logarithmic = np.array(parts).reshape(-1, 3).T
-        self._together: Any = Prior(mean, deviation, logarithmic != 0.0)  # of all unknowns, (P,)
+        parts = [(prior.mean, prior.deviation, prior.logarithmic) for prior in priors.values()]
+        columns: Any = np.array(parts, dtype=np.float64).reshape(-1, 3).T
+        self._together: Any = Prior(columns[0], columns[1], columns[2] != 0.0)  # of all unknowns, (P,)
         # A bias adds to the readings: its derivative needs no simulation.
         self._added = {place: BIASES.index(name) for place, name in enumerate(self.names) if name in BIASES}
         self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
