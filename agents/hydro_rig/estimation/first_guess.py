@@ -54,15 +54,16 @@ def two_pressures(signals: Floats, config: TaskConfig) -> Floats:
 
 def _starts(signals: Floats, time: Floats) -> tuple[Floats, Floats]:
     """Value and slope of each channel at the first sample, (B, channels) each, from a line through a few samples."""
-    value, slope = np.full((2, *signals.shape[:2]), np.nan)
-    for place in np.ndindex(value.shape):
-        near = signals[place][:_FIRST_SAMPLES]
-        known = np.flatnonzero(np.isfinite(near))
-        if len(known) > 1:
-            slope[place], value[place] = np.polyfit(time[known], near[known], 1)
-        elif len(known):
-            value[place] = near[known[0]]
-    return value, slope
+    time, near = time[:_FIRST_SAMPLES], signals[:, :, :_FIRST_SAMPLES]
+    weight = np.isfinite(near) * np.ones_like(near)
+    reading = np.nan_to_num(near)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = weight.sum(axis=2)
+        middle = (weight * time).sum(axis=2) / total
+        mean = (weight * reading).sum(axis=2) / total
+        away = time - middle[:, :, None]
+        slope = (weight * away * reading).sum(axis=2) / (weight * away**2).sum(axis=2)
+        return np.where(total >= 2, mean - slope * middle, mean), slope
 
 
 def supply_pressure(signals: Floats, config: TaskConfig) -> Floats:
