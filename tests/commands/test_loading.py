@@ -23,9 +23,7 @@ LEARNING = ("torch", "stable_baselines3", "hydro_agents.learning.training", "hyd
     ("line", "most", "absent"),
     [
         ("--help", 55, (*LEARNING, "numba", "scipy", "pandas", "matplotlib")),
-        ("check-rig", 95, (*LEARNING, "hydro_rig")),
         ("simulate --duration 0.02 --output run", 90, (*LEARNING, "hydro_rig")),
-        ("identify absent.csv --rig kovari_2015 --output new", 125, (*LEARNING, "hydro_agents.learning")),
         ("diagnose absent.csv --output new", 135, (*LEARNING, "hydro_agents.learning")),
     ],
 )

@@ -3,38 +3,34 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hydro_agents.commands.options import (
     Agents,
+    Backend,
     Config,
+    Jobs,
     Overwrite,
     Resume,
     Rig,
     Task,
-    command_line,
     named_agents,
-    side_by_side,
     tell_rigs,
 )
 from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
     from hydro_agents.commands.protocols import Options
-    from hydro_agents.controllers.base import Controller
     from hydro_agents.detection.head import LeakageHead
     from hydro_agents.study.settings import StudySettings
     from hydro_env import TaskConfig
 
-SETTINGS_FILE, PROTOCOL_FILE = "evaluation.yaml", "protocol.yaml"
 NO_HEAD = Path("none")
 
 
-@side_by_side
 def evaluate(
     output: Annotated[
         Path | None,
@@ -59,6 +55,8 @@ def evaluate(
     ] = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
+    jobs: Jobs = None,
+    backend: Backend = "loky",
 ) -> None:
     """Compare the controllers of a study and your own on test plants, and evaluate the leakage head.
 
@@ -80,74 +78,67 @@ def evaluate(
     for maintenance: how small a leak is found, how early, how surely, and what is taken for one.
     """
     from hydro_agents.commands.protocols import Options
+    from hydro_agents.running.jobs import workers
     from hydro_env.files import read_yaml
     from hydro_env.folders import config_file
 
     if protocol is None:
-        options = Options(task, rig, output or Path("results/evaluate"), resume, overwrite, command_line())
-        _evaluate_study(config, named_agents(agent), head, plants, options)
+        options = Options(task, rig, output or Path("results/evaluate"), resume, overwrite)
+        with workers(jobs, backend):
+            _evaluate_study(config, named_agents(agent), head, plants, options)
         return
     file = config_file("protocols", protocol)
-    options = Options(task, rig, output or Path("results") / file.stem, resume, overwrite, command_line())
-    _of_the_file("--plants", plants)
-    if read_yaml(file).get("kind") == "leakage":
-        _of_the_file("--agent", agent)
-        _of_the_file("--config", config)
-        _evaluate_detectors(file, head, options)
-    else:
-        _of_the_file("--head", head)
-        _evaluate_controllers(file, named_agents(agent), config, options)
+    options = Options(task, rig, output or Path("results") / file.stem, resume, overwrite, file)
+    leaks = read_yaml(file).get("kind") == "leakage"
+    of_the_file = {"--plants": plants}
+    of_the_file |= {"--agent": agent, "--config": config} if leaks else {"--head": head}
+    for option, value in of_the_file.items():
+        if value is not None:
+            raise ConfigurationError(f"{option}: a protocol takes it from its file")
+    with workers(jobs, backend):
+        if leaks:
+            _evaluate_detectors(head, options)
+        else:
+            _evaluate_controllers(named_agents(agent), config, options)
 
 
-def _of_the_file(option: str, value: object) -> None:
-    if value is not None:
-        raise ConfigurationError(f"{option}: a protocol takes it from its file")
-
-
-def _evaluate_controllers(file: Path, agents: dict[str, str], study_file: Path | None, options: Options) -> None:
+def _evaluate_controllers(agents: dict[str, str], study_file: Path | None, options: Options) -> None:
     """Run a protocol of controllers: those of a study, or all that ship, and agents, which replace them by name."""
     from hydro_agents.commands.controller_pages import robustness_page
-    from hydro_agents.commands.protocols import facts_of, run_protocol
-    from hydro_agents.evaluation.conditions import file_sha256
+    from hydro_agents.commands.protocols import run_protocol
     from hydro_agents.evaluation.participants import participants, shipped_controllers, split_name
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
     from hydro_env.folders import config_file
 
-    protocol = options.moved(RobustnessProtocol.from_yaml(file))
-    controllers: Mapping[str, Controller | str]
+    protocol = options.read(RobustnessProtocol)
     if study_file is None:
-        replaced = {split_name(name)[0] for name in agents}
-        shipped = shipped_controllers(protocol.task)
-        controllers = {name: what for name, what in shipped.items() if name not in replaced - agents.keys()} | agents
+        controllers: dict[str, Any] = dict(shipped_controllers(protocol.task))
+        for name in agents:
+            if split_name(name)[0] not in agents:  # training seeds stand at the end
+                controllers.pop(split_name(name)[0], None)
+        controllers |= agents
     else:
         from hydro_agents.study.settings import StudySettings
 
         study = StudySettings.from_yaml(config_file("studies", study_file)).model_copy(update={"task": protocol.task})
         controllers = study.with_gains_of_rig().with_weights(agents)
-    chosen = participants(controllers, protocol)
-    settings = (PROTOCOL_FILE, protocol.model_dump(mode="json"))
-    facts = facts_of(options.command, file=str(file), file_sha256=file_sha256(file))
-    run_protocol(protocol, chosen, options, robustness_page(), settings, facts)
+    run_protocol(protocol, participants(controllers, protocol), options, robustness_page(), protocol)
 
 
-def _evaluate_detectors(file: Path, head: Path | None, options: Options) -> None:
+def _evaluate_detectors(head: Path | None, options: Options) -> None:
     """Run a leakage protocol; the head of ``--head`` replaces that of the protocol."""
-    from hydro_agents.commands.detector_pages import leakage_page
-    from hydro_agents.commands.protocols import facts_of, run_protocol
+    from hydro_agents.commands.detector_pages import LEAKAGE_PAGE
+    from hydro_agents.commands.protocols import run_protocol
     from hydro_agents.detection.detectors import make_detector
-    from hydro_agents.evaluation.conditions import file_sha256
     from hydro_agents.evaluation.leak_protocol import LeakProtocol
 
-    protocol = options.moved(LeakProtocol.from_yaml(file))
-    own = None
+    protocol, own = options.read(LeakProtocol), None
     if head is not None:
         from hydro_agents.detection.monitor import HeadDetector
 
         own = HeadDetector.load(head)
     detectors = {name: make_detector(choice, own) for name, choice in protocol.detectors.items()}
-    settings = (PROTOCOL_FILE, protocol.model_dump(mode="json"))
-    facts = facts_of(options.command, file=str(file), file_sha256=file_sha256(file))
-    run_protocol(protocol, detectors, options, leakage_page(), settings, facts)
+    run_protocol(protocol, detectors, options, LEAKAGE_PAGE, protocol)
 
 
 def _evaluate_study(
@@ -159,7 +150,7 @@ def _evaluate_study(
     import yaml
 
     from hydro_agents.commands.controller_pages import study_page
-    from hydro_agents.commands.protocols import facts_of, run_protocol
+    from hydro_agents.commands.protocols import run_protocol
     from hydro_agents.evaluation.evaluate import ProtocolSettings
     from hydro_agents.evaluation.participants import participants, split_name
     from hydro_agents.study.settings import default_study
@@ -178,9 +169,8 @@ def _evaluate_study(
     watching = None if head == NO_HEAD else _watching(head, study.task)
     protocol = study.evaluation.protocol(study.task, study.title)
     chosen = replace(participants(controllers, protocol), head=watching, corrects=study.corrects)
-    content = study.model_dump(mode="json")
-    page = study_page(yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
-    run_protocol(protocol, chosen, options, page, (SETTINGS_FILE, content), facts_of(options.command))
+    page = study_page(yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False, allow_unicode=True))
+    run_protocol(protocol, chosen, options, page, study)
 
 
 def _trained_beside(config: Path | None, study: StudySettings) -> dict[str, str]:

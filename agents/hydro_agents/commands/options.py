@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -108,27 +106,6 @@ Config = Annotated[
 ]
 
 
-def side_by_side(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options ``--jobs`` and ``--backend``; its jobs run there."""
-    options = {"jobs": (Jobs, None), "backend": (Backend, "loky")}
-
-    @functools.wraps(command)
-    def run(*arguments: Any, jobs: int | None = None, backend: str = "loky", **given: Any) -> None:
-        from hydro_agents.running.jobs import workers
-
-        with workers(jobs, backend):
-            command(*arguments, **given)
-
-    signature = inspect.signature(command, eval_str=True)
-    added = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=option)
-        for name, (option, default) in options.items()
-    ]
-    run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *added])  # type: ignore[attr-defined]
-    run.__annotations__ = command.__annotations__ | {name: option for name, (option, _) in options.items()}
-    return run
-
-
 def check_new_file(output: Path, overwrite: bool) -> None:
     """Check before the work that a file can be written.
 
@@ -149,17 +126,6 @@ def command_line() -> str:
 def say(*lines: object) -> None:
     """Print the results of a command without formatting."""
     print(*lines, sep="\n", flush=True)
-
-
-def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write files, by name, into a folder."""
-    from hydro_env.files import write_text, write_whole
-
-    for name, content in contents.items():
-        if isinstance(content, bytes):
-            write_whole(folder / name, content)
-        else:
-            write_text(folder / name, content)
 
 
 def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
@@ -186,14 +152,16 @@ def tell_rigs(study: StudySettings, controllers: Mapping[str, Controller]) -> No
     """Name on standard error, in one line, the controllers that were made for another rig than the study's."""
     from hydro_agents.learning.loading import outside_training, trained_for
 
-    untuned = [name for name in study.tuned if name in controllers]
-    foreign = [
-        name for name, controller in controllers.items() if trained_for(controller) not in (None, study.task.plant)
-    ]
-    parts = [f"{', '.join(untuned)}: gains as given, not tuned for this rig"] if untuned else []
-    parts += [f"{', '.join(foreign)}: trained for another rig"] if foreign else []
-    if parts:
-        print(f"hydro: {'; '.join(parts)}; hydro study --rig tunes and trains them", file=sys.stderr)
+    notes, foreign = [], []
+    for name, controller in controllers.items():
+        if trained_for(controller) not in (None, study.task.plant):
+            foreign.append(name)
+    if untuned := [name for name in study.tuned if name in controllers]:
+        notes.append(f"{', '.join(untuned)}: gains as given, not tuned for this rig")
+    if foreign:
+        notes.append(f"{', '.join(foreign)}: trained for another rig")
+    if notes:
+        print(f"hydro: {'; '.join(notes)}; hydro study --rig tunes and trains them", file=sys.stderr)
     for name, controller in controllers.items():
         if far := outside_training(controller, study.task):
             print(f"hydro: {name}: outside the rigs of the training: {far}", file=sys.stderr)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -12,17 +11,17 @@ import typer
 
 from hydro_agents.commands.options import (
     Agents,
+    Backend,
     Config,
+    Jobs,
     Output,
     Overwrite,
     Resume,
     Rig,
     Seed,
     Task,
-    command_line,
     named_agents,
     say,
-    side_by_side,
     tell_rigs,
 )
 from hydro_env import ConfigurationError
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
     from hydro_agents.study.settings import StudySettings
 
 
-@side_by_side
 def study(
     output: Output = Path("results/study"),
     config: Config = None,
@@ -47,6 +45,8 @@ def study(
     ] = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
+    jobs: Jobs = None,
+    backend: Backend = "loky",
 ) -> None:
     """Train PPO on flow linearisation and the leakage head from scratch, compare all controllers, write one report.
 
@@ -59,20 +59,17 @@ def study(
     With `--rig` the task is adapted to another rig: references, sensors and reward follow from its stroke, speed and
     pressure. Gains belong to a rig; the command therefore tunes the classical controllers first.
     """
+    from hydro_agents.running.jobs import workers
     from hydro_agents.study.settings import default_study
 
     settings = default_study(config, task, rig)
     first = settings.seed if seed is None else seed
-    whole_study(settings, output, range(first, first + (seeds or 1)), resume, overwrite, command_line())
+    with workers(jobs, backend):
+        whole_study(settings, output, range(first, first + (seeds or 1)), resume, overwrite)
 
 
 def whole_study(
-    study: StudySettings,
-    folder: Path,
-    seeds: range,
-    resume: bool = False,
-    overwrite: bool = False,
-    command: str = "hydro study",
+    study: StudySettings, folder: Path, seeds: range, resume: bool = False, overwrite: bool = False
 ) -> Results:
     """Run a study in its folder, and write its tables and its page; ``resume`` skips the phases that are finished.
 
@@ -82,23 +79,22 @@ def whole_study(
         KeyboardInterrupt: Ctrl-C; the finished work remains and the study can be resumed.
     """
     from hydro_agents.commands.controller_pages import study_page
-    from hydro_agents.commands.protocols import facts_of, page_files, tell, write_results
+    from hydro_agents.commands.protocols import facts_of
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.jobs import JOBS_FOLDER
     from hydro_agents.study.run import CONFIG_FILE, claimed, run_study
 
     study.check()
-    with claimed(study, folder, seeds, page_files(study_page("")), resume, overwrite), ProgressDisplay() as display:
-        results, seconds = run_study(study, folder, seeds, display, facts_of(command, seed=str(seeds[0])))
+    with claimed(study, folder, seeds, study_page("").files, resume, overwrite), ProgressDisplay() as display:
+        results, seconds = run_study(study, folder, seeds, display, facts_of(seed=str(seeds[0])))
         page = study_page((folder / CONFIG_FILE).read_text(encoding="utf-8"), seconds)
-        write_results(results, folder, page, display)
+        page.write(results, folder, display)
         shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
     display.say("times: " + ", ".join(f"{phase} {taken:.0f} s" for phase, taken in seconds.items()))
-    tell(results, folder, page, display)
+    page.tell(results, folder, display)
     return results
 
 
-@side_by_side
 def train(
     what: Annotated[
         str,
@@ -121,6 +117,8 @@ def train(
     seed: Seed = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
+    jobs: Jobs = None,
+    backend: Backend = "loky",
 ) -> None:
     """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` continues from it.
 
@@ -132,31 +130,52 @@ def train(
     the classical one first.
     """
     from hydro_agents.controllers.registry import CONTROLLERS
+    from hydro_agents.running.jobs import workers
     from hydro_agents.study.settings import default_study
 
     study = default_study(config, task, rig)
     seed = study.seed if seed is None else seed
-    part, folder = what.lower(), Claim(output, resume, overwrite)
-    classical = part in CONTROLLERS
-    _refuse("--steps", steps is not None and part == "head", part)
-    _refuse("--agent", agent is not None and part != "head", part)
-    if part == "head":
-        file = _head(study, folder, seed, named_agents(agent))
-    elif classical:
-        file = _gains(_of_gains(study, part, steps), part, folder, seed)
-    else:
-        name = _named(study, what)
-        file = _controller(study if steps is None else _with_steps(study, name, steps), name, folder, seed)
-    say(f"written: {file}")
+    part = what.lower()
+    if steps is not None and part == "head":
+        raise ConfigurationError("--steps: does not apply to hydro train head")
+    if agent is not None and part != "head":
+        raise ConfigurationError(f"--agent: does not apply to hydro train {part}")
+    with workers(jobs, backend):
+        if part == "head":
+            training = _head(study, output, seed, named_agents(agent))
+        elif part in CONTROLLERS:
+            training = _gains(_of_gains(study, part, steps), part, output, seed)
+        else:
+            training = _controller(*_named(study, what, steps), output, seed)
+        training.run(output, resume, overwrite)
+    say(f"written: {output / training.file}")
 
 
-def _refuse(option: str, given: bool, part: str) -> None:
-    if given:
-        raise ConfigurationError(f"{option}: does not apply to hydro train {part}")
+class Training(NamedTuple):
+    """What a training does in its folder."""
+
+    part: str
+    file: str  # its result
+    files: Sequence[str]  # that it writes
+    kept: Sequence[str]  # without one of these none can be resumed
+    work: Callable[[ProgressDisplay], object]
+
+    def run(self, folder: Path, resume: bool, overwrite: bool) -> None:
+        """Claim the folder, and train."""
+        from hydro_agents.running.console import ProgressDisplay
+        from hydro_agents.running.folders import output_folder
+
+        if resume and not any(file for pattern in self.kept for file in folder.glob(pattern)):
+            raise ConfigurationError(
+                f"{folder}: nothing to resume, there is no {self.kept[0].rstrip('*')}; leave --resume out"
+            )
+        claimed = output_folder(folder, f"train {self.part}", self.files, resume=resume, overwrite=overwrite)
+        with claimed, ProgressDisplay() as display:
+            self.work(display)
 
 
-def _named(study: StudySettings, what: str) -> str:
-    """The trained controller of a study by its name or, if no other has it, its kind."""
+def _named(study: StudySettings, what: str, steps: int | None) -> tuple[StudySettings, str]:
+    """The study with another length of a training, and the trained controller by its name or, if it is alone, kind."""
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.trainers import TRAINERS
 
@@ -165,7 +184,7 @@ def _named(study: StudySettings, what: str) -> str:
     for name, kind in zip(study.trained, kinds, strict=True):
         alone = kinds.count(kind) == 1
         if what.lower() == name.lower() or (alone and what.lower() == kind):
-            return name
+            return study if steps is None else _with_steps(study, name, steps), name
         known.append(kind if alone and kind in TRAINERS else name.lower())
     known += ["head", *CONTROLLERS]
     raise ConfigurationError(
@@ -192,29 +211,7 @@ def _of_gains(study: StudySettings, kind: str, steps: int | None) -> StudySettin
     return validate(Study, {"task": study.task, "controllers": {kind: entry}, "leakage_head": None}, "train")
 
 
-class Claim(NamedTuple):
-    """The folder of a training."""
-
-    path: Path
-    resume: bool
-    overwrite: bool
-
-    @contextmanager
-    def held(self, part: str, files: Sequence[str], kept: Sequence[str]) -> Iterator[ProgressDisplay]:
-        """Claim the folder for the files of a training; without one of the files ``kept`` none can be resumed."""
-        from hydro_agents.running.console import ProgressDisplay
-        from hydro_agents.running.folders import output_folder
-
-        if self.resume and not any(file for pattern in kept for file in self.path.glob(pattern)):
-            raise ConfigurationError(
-                f"{self.path}: nothing to resume, there is no {kept[0].rstrip('*')}; leave --resume out"
-            )
-        claimed = output_folder(self.path, f"train {part}", files, resume=self.resume, overwrite=self.overwrite)
-        with claimed, ProgressDisplay() as display:
-            yield display
-
-
-def _controller(study: StudySettings, name: str, folder: Claim, seed: int) -> Path:
+def _controller(study: StudySettings, name: str, folder: Path, seed: int) -> Training:
     """Train a controller; gains of the rig for the one that it corrects are tuned first."""
     from hydro_agents.controllers.registry import GAINS_FILE
     from hydro_agents.study.training import (
@@ -229,18 +226,21 @@ def _controller(study: StudySettings, name: str, folder: Claim, seed: int) -> Pa
     entry = study.controllers[name]
     if entry.corrects in study.trained:
         raise ConfigurationError(f"{name} corrects {entry.corrects}, which must be trained first; run hydro study")
-    base = study.make(entry.corrects) if entry.corrects is not None else None
-    one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis
-    tuned = entry.corrects if entry.corrects in study.tuned and one_rig else None
-    files = (*TRAINING_FILES, *TUNING_FILES) if tuned is not None else TRAINING_FILES
-    with folder.held(name, files, (CHECKPOINTS, *TUNING_FILES)) as display:
-        if tuned is not None:
-            base = tune_controller(study, tuned, folder.path / GAINS_FILE, seed, display)
-        train_controller(study, name, folder.path, seed, base, display)
-    return folder.path / f"{WEIGHTS}.safetensors"
+    files, base, tuned = TRAINING_FILES, None, ""
+    if entry.corrects is not None:
+        base = study.make(entry.corrects)
+        one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis
+        if one_rig and entry.corrects in study.tuned:
+            files, tuned = (*TRAINING_FILES, *TUNING_FILES), entry.corrects
+
+    def work(display: ProgressDisplay) -> None:
+        own = tune_controller(study, tuned, folder / GAINS_FILE, seed, display) if tuned else base
+        train_controller(study, name, folder, seed, own, display)
+
+    return Training(name, f"{WEIGHTS}.safetensors", files, (CHECKPOINTS, *TUNING_FILES), work)
 
 
-def _head(study: StudySettings, folder: Claim, seed: int, agents: dict[str, str]) -> Path:
+def _head(study: StudySettings, folder: Path, seed: int, agents: dict[str, str]) -> Training:
     from hydro_agents.detection.training_settings import HeadTrainingSettings
     from hydro_agents.running.jobs import JOBS_FOLDER
     from hydro_agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
@@ -249,16 +249,20 @@ def _head(study: StudySettings, folder: Claim, seed: int, agents: dict[str, str]
     settings.check(study.task)
     named = study.with_weights(agents) if settings.law is None else {}
     tell_rigs(study, named)
-    with folder.held("head", HEAD_FILES, [HEAD_CHECKPOINTS]) as display:
-        train_leakage_head(study, folder.path, seed, list(named.values()), display)
-        shutil.rmtree(folder.path / JOBS_FOLDER, ignore_errors=True)
-    return folder.path / f"{HEAD_WEIGHTS}.safetensors"
+
+    def work(display: ProgressDisplay) -> None:
+        train_leakage_head(study, folder, seed, list(named.values()), display)
+        shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
+
+    return Training("head", f"{HEAD_WEIGHTS}.safetensors", HEAD_FILES, [HEAD_CHECKPOINTS], work)
 
 
-def _gains(study: StudySettings, kind: str, folder: Claim, seed: int) -> Path:
+def _gains(study: StudySettings, kind: str, folder: Path, seed: int) -> Training:
     from hydro_agents.study.training import TUNING_LOG, tune_controller
 
-    file = folder.path / f"{kind}.yaml"
-    with folder.held(kind, [file.name, TUNING_LOG], [TUNING_LOG]) as display:
-        tune_controller(study, kind, file, seed, display)
-    return file
+    file = f"{kind}.yaml"
+
+    def work(display: ProgressDisplay) -> None:
+        tune_controller(study, kind, folder / file, seed, display)
+
+    return Training(kind, file, [file, TUNING_LOG], [TUNING_LOG], work)

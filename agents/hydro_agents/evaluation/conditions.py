@@ -30,6 +30,15 @@ from hydro_env.task.configuration import task_config
 
 
 @contextmanager
+def at(place: str) -> Iterator[None]:
+    """An error of the block begins with the place of its cause."""
+    try:
+        yield
+    except ConfigurationError as error:
+        raise type(error)(f"{place}: {error}") from error
+
+
+@contextmanager
 def beginning() -> Iterator[None]:
     """An error at the start of its runs names the condition; one of a controller stays its own."""
     try:
@@ -157,10 +166,8 @@ class Protocol(Group, Generic[AnyCondition]):
         with kept(errors):
             protocol = validate(cls, values, str(path))
         refuse(errors, str(path))
-        try:
+        with at(str(path)):
             _ = protocol.tasks
-        except ConfigurationError as error:
-            raise type(error)(f"{path}: {error}") from None
         return protocol
 
     def moved(self, task: str | None, rig: str | Path | None) -> Self:

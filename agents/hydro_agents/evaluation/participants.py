@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.robustness_protocol import ControllerChoice, RobustnessProtocol
 from hydro_agents.learning.loading import SHIPPED_WEIGHTS, GainsOrigin, load_controller, origin_of_gains
 from hydro_agents.learning.trainers import TRAINERS
@@ -113,20 +114,17 @@ def participants(
     for condition, entry in protocol.conditions.items():
         for name, choice in entry.controllers.items():
             if name in ready:
-                task = protocol.task_in(condition)
-                made[name, condition] = _chosen(choice, task, f"conditions.{condition}.controllers.{name}")
+                with at(f"conditions.{condition}.controllers.{name}"):
+                    made[name, condition] = _chosen(choice, protocol.task_in(condition))
     return Participants(ready, made)
 
 
-def _chosen(choice: ControllerChoice, task: TaskConfig, where: str) -> Controller:
-    try:
-        if choice.weights is not None:
-            if choice.kind not in TRAINERS:
-                raise ConfigurationError(f"kind '{choice.kind}': must be {', '.join(TRAINERS)} with weights")
-            return load_controller(choice.weights, task, where, TRAINERS[choice.kind])
-        return load_controller(make_controller(choice.kind, task, choice.settings), task, where)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{where}: {error}" if where not in str(error) else str(error)) from error
+def _chosen(choice: ControllerChoice, task: TaskConfig) -> Controller:
+    if choice.weights is None:
+        return load_controller(make_controller(choice.kind, task, choice.settings), task, choice.kind)
+    if choice.kind not in TRAINERS:
+        raise ConfigurationError(f"kind '{choice.kind}': must be {', '.join(TRAINERS)} with weights")
+    return load_controller(choice.weights, task, choice.kind, TRAINERS[choice.kind])
 
 
 def split_name(name: str) -> tuple[str, int]:

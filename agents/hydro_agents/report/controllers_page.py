@@ -7,7 +7,7 @@ conditions on that of a protocol with several.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -24,16 +24,17 @@ from hydro_agents.report.kit import (
     height_of,
     leak_axis,
     panel,
+    problems,
+    run_facts,
     signal,
     time_panels,
     with_interval,
 )
-from hydro_agents.report.parts import problems, run_facts
+from hydro_agents.running.cases import Rollout
 from hydro_agents.running.limit_cycles import JUDGED, LEAST_CYCLES, comes_to_rest
 from hydro_agents.running.seeds import SEED_MARK, TEST_SEEDS
 from hydro_agents.running.statistics import RESAMPLES
 from hydro_agents.running.text import capitalised, family_name, number, setting
-from hydro_env.types import Floats
 
 FEW_PLANTS = 12
 """With fewer plants the intervals are rough; the page says so."""
@@ -55,7 +56,7 @@ GROUPS = {
 }
 """Titles of the groups of conditions, in the order of the map."""
 
-FOLDED = GROUPS["parameter"]  # because it has many conditions
+MANY = GROUPS["parameter"]  # it has a table of its own, because it has many conditions
 
 DETECTION = {
     "auroc": "Area under the ROC curve",
@@ -71,16 +72,13 @@ DETECTION = {
 """Rows of the summary of the detection; % means that the table holds a share."""
 
 
-@dataclass(frozen=True)
-class Example:
-    """One test episode under every controller. Arrays (T,)."""
+class Example(NamedTuple):
+    """One test episode under every controller."""
 
     title: str
-    time: Floats  # s
-    reference: Floats  # m
-    position: dict[str, Floats]  # controller → m
-    command: dict[str, Floats]  # controller → fraction of 10 V
-    leak: float = 0.0  # l/min at 100 bar
+    leak: float  # l/min at 100 bar
+    runs: Mapping[str, Rollout]  # by controller
+    case: int  # row of the runs
 
 
 @drawn
@@ -108,12 +106,7 @@ def controllers_page(
         "same plants, references and sensor noise. In brackets: 95 % intervals.",
         "soft",
     )
-    page.table(overview(tables), "Errors and costs over all runs")
-    compared = tables.get("comparison", pd.DataFrame({"against": []}))
-    corrected = compared[compared["against"] != names[0]]
-    if len(corrected):
-        index = corrected["controller"] + " ÷ " + corrected["against"]
-        page.table(ratios_of(corrected).set_axis(index), "A policy over what it corrects, on the same runs")
+    errors(page, tables)
     problems(page, tables, "controller")
     if len(tables.get("conditions", ())) > 1 and "comparison" in tables:
         comparison(page, tables)
@@ -167,6 +160,16 @@ def verdict(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
         page.text("Some seeds are no test seeds: a controller may have been trained on them.", "caution")
 
 
+def errors(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
+    """Errors and costs of every controller, and ratios of policies to what they correct."""
+    page.table(overview(tables), "Errors and costs over all runs")
+    compared = tables.get("comparison", pd.DataFrame({"against": []}))
+    corrected = compared[compared["against"] != names_of(tables)[0]]
+    if len(corrected):
+        index = corrected["controller"] + " ÷ " + corrected["against"]
+        page.table(ratios_of(corrected).set_axis(index), "A policy over what it corrects, on the same runs")
+
+
 def overview(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """One row per controller over all runs: errors, ratios to the first one, worst runs, costs, limit cycles."""
     names, rows = names_of(tables), rows_of(tables, "summary", ALL)
@@ -204,28 +207,21 @@ def ratios_of(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def comparison(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
-    """The maps of all conditions; those in the group with many follow in their own table."""
+    """The map of all conditions; those in the group with many follow in their own table."""
     page.heading("Comparison by condition")
     page.text(
         "A cell has a colour where the whole 95 % interval is below 1 (blue, better) or above it (orange). "
         "Bold: the best of its row.",
         "soft",
     )
-    captions = {
-        "equal_weight": "Ratio of errors, every kind of reference with the same weight",
-        "equal_weight_sensor": "The same in the frame of the sensor (repeatability)",
-        "ratio": "Ratio of mean errors, which steps dominate",
-    }
-    for column, caption in captions.items():
-        frame, kinds = heat_map(tables, column)
-        many = frame.index.get_level_values(0) == FOLDED
-        with page.fold(caption, opened=column == "equal_weight"):
-            for rows, title in ((~many, ""), (many, FOLDED)):
-                if rows.any():
-                    page.table(frame[rows], title, dict.fromkeys(frame.columns[1:], 2), kinds[rows])
+    frame, kinds = heat_map(tables)
+    many = frame.index.get_level_values(0) == MANY
+    for rows, title in ((~many, "Ratio of errors, every kind of reference with the same weight"), (many, MANY)):
+        if rows.any():
+            page.table(frame[rows], title, dict.fromkeys(frame.columns[1:], 2), kinds[rows])
 
 
-def heat_map(tables: Mapping[str, pd.DataFrame], column: str) -> tuple[pd.DataFrame, pd.DataFrame]:
+def heat_map(tables: Mapping[str, pd.DataFrame]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """A row per condition: error of the baseline, ratio of each other controller; and the classes of the cells.
 
     A cell has a colour if its whole interval is on one side of 1; the strongest stands for a ratio of 2 or 1/2.
@@ -239,18 +235,16 @@ def heat_map(tables: Mapping[str, pd.DataFrame], column: str) -> tuple[pd.DataFr
     compared = pd.concat([rows_of(tables, "comparison", group) for group in (ALL, "condition")])
     own = summary[(summary["controller"] == base) & (summary["metric"] == ERROR)].set_index("value")["mean"]
     compared = compared.set_index(["value", "controller"])
-    wide = [compared[f"{column}{end}"].unstack().reindex(index=order, columns=names) for end in ("", "_low", "_high")]
-    ratios, low, high = wide
+    ratios, low, high = (
+        compared[f"equal_weight{end}"].unstack().reindex(index=order, columns=names) for end in ("", "_low", "_high")
+    )
     strength = np.ceil(3.0 * np.minimum(np.abs(np.log2(ratios)), 1.0)).fillna(0.0).astype(int).astype(str)
     kinds = ("better-" + strength).where(high < 1.0, ("worse-" + strength).where(low > 1.0, ""))
     winners = ratios.eq(ratios.min(axis=1), axis=0) & (ratios < 1.0)
     kinds = kinds.where(~winners, kinds + " best")
     ratios.insert(0, f"{base}, mm", own.reindex(order))
-    index = [("", "all conditions")]
-    for group, label in zip(conditions["group"], conditions["label"], strict=True):
-        index.append((GROUPS.get(group, group), label))
-    for frame in (ratios, kinds):
-        frame.index = pd.MultiIndex.from_tuples(index)
+    groups, labels = conditions["group"].replace(GROUPS), conditions["label"]
+    ratios.index = kinds.index = pd.MultiIndex.from_arrays([["", *groups], ["all conditions", *labels]])
     return ratios, kinds
 
 
@@ -307,13 +301,14 @@ def single_runs(page: Page, examples: Sequence[Example]) -> None:
 
 def example_axes(example: Example) -> list[Axes]:
     """The panels of an example."""
-    time, axes = example.time, time_panels(("position, mm", "error, mm", "command, V"), 4.6)
-    for name, position in example.position.items():
-        error = 1e3 * (example.reference - position)
-        signal(axes[0], time, 1e3 * position, label=f"{name}, mean error {number(float(np.abs(error).mean()))} mm")
-        signal(axes[1], time, error)
-        signal(axes[2], time, 10.0 * example.command[name])
-    signal(axes[0], time, 1e3 * example.reference, color=INK, linestyle="-", linewidth=0.8, label="reference")
+    axes = time_panels(("position, mm", "error, mm", "command, V"), 4.6)
+    for name, run in example.runs.items():
+        reference, position = 1e3 * run.reference[example.case], 1e3 * run.position[example.case]
+        size = number(float(np.abs(reference - position).mean()))
+        signal(axes[0], run.time, position, label=f"{name}, mean error {size} mm")
+        signal(axes[1], run.time, reference - position)
+        signal(axes[2], run.time, 10.0 * run.command[example.case])
+    signal(axes[0], run.time, reference, color=INK, linestyle="-", linewidth=0.8, label="reference")
     return axes
 
 

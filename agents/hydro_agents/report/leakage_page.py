@@ -8,11 +8,20 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
-from hydro_agents.report.kit import GREY, INK, Page, draw, drawn, height_of, leak_axis, panel, with_interval
-from hydro_agents.report.parts import problems, run_facts
+from hydro_agents.report.kit import (
+    GREY,
+    INK,
+    Page,
+    draw,
+    drawn,
+    height_of,
+    leak_axis,
+    panel,
+    problems,
+    run_facts,
+    with_interval,
+)
 from hydro_agents.running.text import listed, number, setting
-
-PAGE_FILE = "leakage.html"
 
 SURE, TOO_OFTEN = 95.0, 10.0
 """Percentages of windows: a leak counts as found; a condition is named for its false alarms."""

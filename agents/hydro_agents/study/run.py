@@ -13,14 +13,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import GAINS_FILE, make_controller
 from hydro_agents.detection.head import LeakageHead
+from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.participants import participants
 from hydro_agents.evaluation.runner import Results, plan, run
 from hydro_agents.learning.loading import load_controller
@@ -42,7 +44,7 @@ from hydro_agents.study.training import (
     tune_controller,
 )
 from hydro_env import ConfigurationError
-from hydro_env.files import read_json, read_yaml, write_whole, write_yaml
+from hydro_env.files import Group, read_json, read_yaml, validate, write_whole, write_yaml
 
 CONFIG_FILE = "study.yaml"
 HEAD_PHASE = "train leakage head"
@@ -53,12 +55,19 @@ TRAINED_BY = ("seed", "task", "controllers", "leakage_head")
 """Settings on which trained weights depend; the others may change when a study resumes."""
 
 STATE_FILE = "state.json"
-STATE_FORMAT = "hydro_env study, state 1"
 Result = TypeVar("Result")
 
 
+class State(Group):
+    """What ``state.json`` holds: the finished phases of a study, and how long each took."""
+
+    format: Literal["hydro_env study, state 1"] = "hydro_env study, state 1"
+    done: tuple[str, ...] = ()
+    seconds: dict[str, float] = Field(default_factory=dict)
+
+
 class Phases:
-    """Finished phases of a study and their durations, stored in ``state.json``.
+    """Finished phases of a study and their durations.
 
     Args:
         folder: folder of the study; the state of an earlier session is read from it.
@@ -69,29 +78,20 @@ class Phases:
 
     def __init__(self, folder: Path) -> None:
         self.file = folder / STATE_FILE
-        self.seconds: dict[str, float] = {}
-        self.done: list[str] = []
-        if self.file.exists():
-            try:
-                state = read_json(self.file)
-                if state["format"] != STATE_FORMAT:
-                    raise ValueError
-                self.seconds = {str(name): float(value) for name, value in state["seconds"].items()}
-                self.done = [str(name) for name in state["done"]]
-            except (AttributeError, KeyError, TypeError, ValueError):
-                raise ConfigurationError(f"{self.file}: is not the state of a study; --overwrite begins anew") from None
+        values = read_json(self.file) if self.file.exists() else {}
+        self.state = validate(State, values, str(self.file))
 
     def run(self, name: str, work: Callable[[], Result]) -> Result:
         """Run a phase, and add its duration to the time of earlier sessions."""
-        began = time.monotonic()
+        began, done = time.monotonic(), self.state.done
         try:
             result = work()
-            self.done = [*(phase for phase in self.done if phase != name), name]
+            done = (*(phase for phase in done if phase != name), name)
             return result
         finally:
-            self.seconds[name] = round(self.seconds.get(name, 0.0) + time.monotonic() - began, 1)
-            state = {"format": STATE_FORMAT, "done": self.done, "seconds": self.seconds}
-            write_whole(self.file, json.dumps(state, indent=1).encode())
+            spent = round(self.state.seconds.get(name, 0.0) + time.monotonic() - began, 1)
+            self.state = State(done=done, seconds=self.state.seconds | {name: spent})
+            write_whole(self.file, self.state.model_dump_json(indent=1).encode())
 
 
 def labels_of(study: StudySettings, name: str, seeds: range) -> dict[str, int]:
@@ -161,12 +161,12 @@ def run_study(
     if len(curve):
         curve["first_mean_error_mm"] = validation_errors(study.task, next(iter(controllers.values())))[0]
     results.further["training_curve"] = curve.reset_index(drop=True)
-    return results, phases.seconds
+    return results, phases.state.seconds
 
 
 def _early_jobs(study: StudySettings, known: Mapping[str, Controller], seed: int, phases: Phases) -> Iterator[Job]:
     """What can be done while the policies train: evaluating the others, and most runs of the head's training."""
-    if not known or not study.trained or "evaluate" in phases.done:
+    if not known or not study.trained or "evaluate" in phases.state.done:
         return
     protocol = study.evaluation.protocol(study.task, study.title)
     for each in plan(protocol, participants(known, protocol)):
@@ -211,12 +211,9 @@ def try_out(study: StudySettings) -> None:
     """
     cases = Cases(np.array(TRIAL_RUN.take(2)))
     for name, entry in study.controllers.items():
-        if entry.trainer is not None:
-            continue
-        try:
-            run_cases(study.task, study.make(name), cases, states=False)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"controllers.{name}: {error}") from error
+        if entry.trainer is None:
+            with at(f"controllers.{name}"):
+                run_cases(study.task, study.make(name), cases, states=False)
 
 
 def _tuned(
@@ -226,7 +223,7 @@ def _tuned(
     if name not in study.tuned:
         return study.make(name)
     file = folder / "controllers" / name / GAINS_FILE
-    if f"tune {name}" in phases.done:
+    if f"tune {name}" in phases.state.done:
         display.say(f"{name}: already tuned")
         return make_controller(study.controllers[name].kind, study.task, read_yaml(file))
     return phases.run(f"tune {name}", lambda: tune_controller(study, name, file, seed, display))
@@ -245,7 +242,7 @@ def _trained(
     name, own = label.partition(SEED_MARK)[0], folder / "controllers" / label
     entry = study.controllers[name]
     assert entry.trainer is not None
-    if f"train {label}" in phases.done:
+    if f"train {label}" in phases.state.done:
         display.say(f"{label}: already trained")
         return load_controller(entry.trainer.load(own / WEIGHTS), study.task, label)
     base = None
@@ -264,7 +261,7 @@ def _head(
 ) -> LeakageHead | None:
     if study.leakage_head is None:
         return None
-    if HEAD_PHASE in phases.done:
+    if HEAD_PHASE in phases.state.done:
         display.say("leakage head: already trained")
         return LeakageHead.load(folder / HEAD_WEIGHTS)
     return phases.run(HEAD_PHASE, lambda: train_leakage_head(study, folder, seed, acting, display))

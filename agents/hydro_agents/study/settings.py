@@ -14,10 +14,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, SerializeAsAny, StringConstraints, ValidationInfo, field_validator, model_validator
 
-from hydro_agents.controllers.base import ClassicalController, Controller
+from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.by_name import imported
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
+from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.loading import (
@@ -214,34 +215,29 @@ class StudySettings(Group):
         """
         errors: list[ConfigurationError] = []
         for name in self.controllers:
-            with kept(errors):
-                self._check_controller(name, f"{source}: controllers.{name}")
+            with kept(errors), at(f"{source}: controllers.{name}"):
+                self._check_controller(name)
         if self.leakage_head is not None:
-            try:
+            with kept(errors), at(source):
                 self.leakage_head.check(self.task)
-            except ConfigurationError as error:
-                errors.append(ConfigurationError(f"{source}: {error}"))
         refuse(errors, source)
 
-    def _check_controller(self, name: str, here: str) -> None:
-        entry = self.controllers[name]
+    def _check_controller(self, name: str) -> None:
+        entry, wrong = self.controllers[name], ""
         if entry.trainer is None:
-            try:
-                load_controller(self.make(name), self.task, name)
-            except ConfigurationError as error:
-                raise ConfigurationError(f"{here}: {error}") from error
+            load_controller(self.make(name), self.task, name)
             if entry.corrects is not None:
-                raise ConfigurationError(f"{here}: corrects: only a trained one can correct")
-            if entry.tune is not None and entry.kind not in CONTROLLERS:
-                raise ConfigurationError(f"{here}: tune: only {', '.join(CONTROLLERS)} can be tuned")
-            return
-        if entry.tune is not None:
-            raise ConfigurationError(f"{here}: tune: a trained one cannot be tuned")
-        if getattr(entry.settings, "residual", False) and entry.corrects is None:
-            raise ConfigurationError(
-                f"{here}: is trained as a correction (residual: true): give 'corrects: NAME' of the controller "
-                "that it corrects"
+                wrong = "corrects: only a trained one can correct"
+            elif entry.tune is not None and entry.kind not in CONTROLLERS:
+                wrong = f"tune: only {', '.join(CONTROLLERS)} can be tuned"
+        elif entry.tune is not None:
+            wrong = "tune: a trained one cannot be tuned"
+        elif getattr(entry.settings, "residual", False) and entry.corrects is None:
+            wrong = (
+                "is trained as a correction (residual: true): give 'corrects: NAME' of the controller that it corrects"
             )
+        if wrong:
+            raise ConfigurationError(wrong)
         task_config(self.task, **getattr(entry.settings, "practice", {}))
 
     def make(self, name: str) -> Controller:
@@ -280,11 +276,13 @@ class StudySettings(Group):
             ConfigurationError: a controller cannot be made or has no weights.
         """
         controllers: dict[str, Controller] = {}
+        replaced = set()
         for name, entry in self.controllers.items():
-            seeds = [agent for agent in agents if split_name(agent)[0] == name]
-            for seed in seeds:
-                controllers[seed] = load_controller(agents[seed], self.task, seed, entry.trainer)
-            if seeds:
+            for agent, what in agents.items():
+                if split_name(agent)[0] == name:
+                    controllers[agent] = load_controller(what, self.task, agent, entry.trainer)
+                    replaced.add(name)
+            if name in replaced:
                 continue
             try:
                 controllers[name] = self._ready(name)
@@ -404,20 +402,14 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
             notes.append(f"{name} corrects {others[-1]} instead of {entry.corrects}")
             if name.endswith(before := correction_name("", entry.corrects)):
                 name = name.removesuffix(before) + correction_name("", others[-1])
-            entry = _correcting(entry, others[-1], CONTROLLERS[kept[others[-1]].kind][0])
+            changes: dict[str, Any] = {"corrects": others[-1]}
+            estimates = CONTROLLERS[kept[others[-1]].kind][0].estimate_names
+            if getattr(entry.settings, "see_estimates", False) and not estimates:
+                changes["settings"] = entry.settings.model_copy(update={"see_estimates": False})
+            entry = entry.changed(**changes)
         kept[name] = entry
     if not kept:
         raise ConfigurationError(f"no controller works with the sensors of this rig: {notes[0]}")
-    changes: dict[str, Any] = {"controllers": kept}
     if study.leakage_head is not None:
         notes.append(f"trains no leakage head: it would read {', '.join(absent)}, but this rig has no such sensor")
-        changes["leakage_head"] = None
-    return study.model_copy(update=changes), notes
-
-
-def _correcting(entry: ControllerEntry, base: str, controller: type[ClassicalController]) -> ControllerEntry:
-    """The entry of a policy that corrects another controller, whose estimates it sees only if there are any."""
-    settings = entry.settings
-    if getattr(settings, "see_estimates", False) and not controller.estimate_names:
-        settings = settings.model_copy(update={"see_estimates": False})
-    return entry.changed(corrects=base, settings=settings)
+    return study.model_copy(update={"controllers": kept, "leakage_head": None}), notes

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from hydro_agents.commands.options import Latency, Output, Overwrite, Period, Rig, Task, command_line, say, write_files
+from hydro_agents.commands.options import Latency, Output, Overwrite, Period, Rig, Task, command_line, say
 from hydro_env import ConfigurationError
 from hydro_env.folders import page
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FMU_FILE = "hydro_axis.fmu"
 JOB = "export"
-OWN_PARTS = ("plant", "leakage_head")
+HEAD = "leakage_head"
 
 
 def export(
@@ -58,34 +58,27 @@ def export(
     probability and size of a leak; with `--rig` and `--period` on your rig, without training.
     `hydro export study/leakage_head` does so for your own.
     """
+    from hydro_agents.detection.head import KIND
     from hydro_agents.running.folders import output_folder, refuse_taken
+    from hydro_agents.running.weights import kind_of_weights
+    from hydro_env.files import write_whole
     from hydro_rig.export.controller_folder import FILES
 
-    part = _part(what)
-    if part not in ("", "leakage_head") and (period is not None or latency is not None):
-        raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
-    match part:
-        case "plant":
-            names, make = _plant(task, rig)
-        case "leakage_head":
-            names, make = _head(what, _Request(task, rig, period, latency))
-        case _:
-            refuse_taken(output, JOB, FILES, overwrite)  # before a simulation of the rig searches gains
-            names, make = _controller(what, _Request(task, rig, period, latency))
+    request = _Request(task, rig, period, latency)
+    if what == "plant":
+        if period is not None or latency is not None:
+            raise ConfigurationError("export plant: takes no --period and no --latency; a controller does")
+        names, make = _plant(task, rig)
+    elif what == HEAD or (":" not in what and kind_of_weights(what) == KIND):
+        names, make = _head(what, request)
+    else:
+        refuse_taken(output, JOB, FILES, overwrite)  # before a simulation of the rig searches gains
+        names, make = _controller(what, request)
     with output_folder(output, JOB, names, overwrite=overwrite):
         files, report = make()
-        write_files(output, files)
+        for name, content in files.items():
+            write_whole(output / name, content)
     say(*report, *(f"written: {output / name}" for name in names))
-
-
-def _part(what: str) -> str:
-    """The one of :data:`OWN_PARTS` that a name or a path means; empty: a controller."""
-    from hydro_agents.detection.head import KIND
-    from hydro_agents.running.weights import kind_of_weights
-
-    if what in OWN_PARTS:
-        return what
-    return "leakage_head" if ":" not in what and kind_of_weights(what) == KIND else ""
 
 
 class _Request(NamedTuple):
@@ -99,7 +92,7 @@ class _Request(NamedTuple):
 
 TRAINED_FOR = ("plant", "control_period", "command_latency")  # of the task, what a head for one rig cannot change
 
-Exported = tuple[Mapping[str, str | bytes], Sequence[str]]  # contents of files by name, and lines about them
+Exported = tuple[Mapping[str, bytes], Sequence[str]]  # contents of files by name, and lines about them
 Job = tuple[Sequence[str], Callable[[], Exported]]  # names of the files, and what makes them
 
 
@@ -110,7 +103,8 @@ def _plant(task: str | None, rig: Path | None) -> Job:
     config = task_config(task, rig=rig)
 
     def make() -> Exported:
-        return {**plant_code(config.plant).files, FMU_FILE: make_fmu(config)}, ()
+        sources = {name: text.encode() for name, text in plant_code(config.plant).files.items()}
+        return {**sources, FMU_FILE: make_fmu(config)}, ()
 
     return (FMU_FILE, "plant.h", "plant.c"), make
 
@@ -122,7 +116,7 @@ def _head(what: str, request: _Request) -> Job:
     from hydro_rig.export.leakage_head import FILES, exported_head
 
     config = timed_task(*request, f"export {what}")
-    head = LeakageHead.load(shipped_weights(what, config) if what == "leakage_head" else what)
+    head = LeakageHead.load(shipped_weights(what, config) if what == HEAD else what)
     if head.for_any_axis:
         head = head.moved_to(config)
         _tell_distance(what, head, config)
@@ -171,9 +165,8 @@ def _controller_and_task(what: str, request: _Request) -> tuple[Controller, Task
     names = (*CONTROLLERS, *SHIPPED_WEIGHTS)
     path = Path(found_in(what))
     if what not in names and ":" not in what and not (path.exists() or weight_files(path)[1].is_file()):
-        raise ConfigurationError(
-            f"export '{what}': {unknown(what, OWN_PARTS + names)}, the path of weights or gains, or module:attribute"
-        )
+        known = unknown(what, ("plant", HEAD, *names))
+        raise ConfigurationError(f"export '{what}': {known}, the path of weights or gains, or module:attribute")
     config = timed_task(*request, f"export {what}")
     if request.task is None and request.rig is None:
         if (request.period, request.latency) != (None, None) and what not in CONTROLLERS and ":" not in what:

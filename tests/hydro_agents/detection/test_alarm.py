@@ -43,7 +43,7 @@ def first_alarm(raised):
 @pytest.mark.parametrize(("mean", "drift"), [(0.0, -0.5), (1.0, 0.5)], ids=["false alarm", "delay"])
 def test_run_length_of_the_cusum_is_that_of_siegmund(mean, drift):
     watch = alarm()
-    score = np.random.default_rng(1).normal(mean, 1.0, (2000, 1200 if mean == 0.0 else 100))
+    score = np.random.default_rng(1).normal(mean, 1.0, (2000, 600 if mean == 0.0 else 100))
     result, _ = follow(watch, score, learnt(watch, len(score)))
     boundary = 3.0 + 1.166  # Siegmund, Sequential Analysis (1985), (2.57)
     expected = (np.exp(-2.0 * drift * boundary) + 2.0 * drift * boundary - 1.0) / (2.0 * drift**2)

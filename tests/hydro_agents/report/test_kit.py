@@ -6,13 +6,11 @@ import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
-from browser import open_page, problems_everywhere
 from parsed_page import ODD_NAME, Parsed
 from refusal import refused
 
 from hydro_agents.report.kit import (
     BLUE,
-    COLOURS,
     GREEN,
     MOST_POINTS,
     Page,
@@ -141,19 +139,3 @@ def test_a_frame_becomes_texts_for_the_console():
     frame = pd.DataFrame({"mm": [0.5], "runs": [3]}, index=["PID"])
     table = as_text(frame, "Errors")
     assert (table.header, table.rows) == (("", "mm", "runs"), [("PID", "0.500", "3")])
-
-
-def test_nothing_is_cut_off_in_a_browser_and_page_and_figures_follow_the_theme(browser, tmp_path):
-    made().write(tmp_path / "page.html")
-    assert problems_everywhere(browser, tmp_path / "page.html") == []
-    for place, scheme in enumerate(("light", "dark")):
-        with open_page(browser, tmp_path / "page.html", scheme=scheme) as page:
-            shown = {
-                "paper": page.locator("body").evaluate("one => getComputedStyle(one).backgroundColor"),
-                "ink": page.locator("svg text").first.evaluate("one => getComputedStyle(one).fill"),
-                "blue": page.locator("svg g[id$='line2d_2'] path").last.evaluate("one => getComputedStyle(one).stroke"),
-            }
-        for name in ("paper", "ink"):
-            light_or_dark = COLOURS[name][place]
-            wanted = [int(light_or_dark[at : at + 2], 16) for at in (1, 3, 5)]
-            assert [int(part) for part in re.findall(r"\d+", shown[name])[:3]] == wanted

@@ -14,7 +14,7 @@ from hydro_agents.evaluation.participants import shipped_controllers
 from hydro_agents.learning import tuning
 from hydro_agents.learning.loading import gains_file, shipped, usual_gains
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.study import settings
+from hydro_agents.study import settings, training
 from hydro_agents.study.settings import default_study
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
@@ -34,7 +34,7 @@ controllers:
   Flow linearisation: {kind: flow_linearising}
   PPO: {kind: ppo, corrects: Flow linearisation, settings: {total_steps: 1024, axes: 16, steps_per_rollout: 16,
         minibatches: 2, epochs: 1, hidden_sizes: [8], see_estimates: true}}
-evaluation: {plants: 3, detection_episodes: 100, leak_levels: [0.01, 4.0]}
+evaluation: {plants: 3, standstill_plants: 1, leak_levels: [0.01], families: [step]}
 """
 
 
@@ -93,6 +93,7 @@ def test_a_study_leaves_out_what_cannot_work(files, capsys):
 def test_a_study_with_a_position_sensor_alone_tunes_trains_and_reports(files, tmp_path, monkeypatch):
     rig, file = files
     monkeypatch.setattr(tuning, "REST", 2.0)
+    monkeypatch.setattr(training, "STANDSTILL_CASES", 2)
     answer = hydro("study", "--config", file, "--rig", rig, "--output", tmp_path / "study")
     assert answer.returncode == 0, answer.stderr
     for name in ("controllers/PID/gains.yaml", "controllers/PPO/policy.safetensors", "report.html", "tuned_study.yaml"):
@@ -103,8 +104,9 @@ def test_a_study_with_a_position_sensor_alone_tunes_trains_and_reports(files, tm
     assert again.controllers["PID"].tune is None
 
 
-def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, capsys):
+def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, capsys, monkeypatch):
     rig, file = files
+    monkeypatch.setattr(settings, "searched_gains", lambda *_: PIDGains())
     study = default_study(file, rig=rig).with_gains_of_rig()
     assert list(study.with_weights({}, leave_out=True)) == ["PID"]
     assert "hydro: left out: PPO: no weights of this kind are shipped" in capsys.readouterr().err
