@@ -33,11 +33,6 @@ def test_help_teaches(command):
     assert f"hydro {command}" in answer.stdout
 
 
-def voltages(folder):
-    rows = list(csv.DictReader((folder / "trajectory.csv").open()))
-    return [float(row["voltage [V]"]) for row in rows]
-
-
 def test_simulate_writes_all_quantities_and_a_picture(tmp_path):
     done("simulate", "--leakage", "1", "--duration", "0.2", "--output", tmp_path / "run")
     rows = list(csv.reader((tmp_path / "run" / "trajectory.csv").open()))
@@ -46,6 +41,11 @@ def test_simulate_writes_all_quantities_and_a_picture(tmp_path):
     assert (tmp_path / "run" / "trajectory.png").read_bytes()[:4] == b"\x89PNG"
     rig = yaml.safe_load((tmp_path / "run" / "rig.yaml").read_text())
     assert rig["leakage"]["internal_resistance"] == pytest.approx(6e11)
+
+
+def voltages(folder):
+    rows = list(csv.DictReader((folder / "trajectory.csv").open()))
+    return [float(row["voltage [V]"]) for row in rows]
 
 
 def test_simulate_says_which_voltage_acts(tmp_path):
@@ -70,12 +70,8 @@ def test_simulate_starts_where_the_rig_can_rest(tmp_path):
 
 
 FILES = {
-    "empty.yaml": "# nothing yet\n",
     "study.yaml": "controllers: {PID: {kind: pid}}\npdi: {proportional: 1}\n",
-    "included.yaml": "controllers:\n  PID: {kind: pid}\n  PPO: {kind: ppo, settings: ppo.yaml, corrects: PID}\n",
-    "ppo.yaml": "total_steps: -1\n",
     "wrong.yaml": "cylinder: {bore: 0.04}",
-    "stiff.yaml": "load: {spring_stiffness: 1.0e+8}",
 }
 
 
@@ -84,17 +80,13 @@ FILES = {
     [
         ("simulate --leakage -1", "--leakage"),
         ("simulate --position 0.15", "position"),
-        ("simulate --duration inf", "--duration"),
         ("simulate --rig absent.yaml", "absent.yaml"),
         ("simulate --rig wrong.yaml", "did you mean bore_diameter?"),
-        ("check-rig --rig stiff.yaml", "load.spring_stiffness"),
         ("simulate --input sinus", "did you mean sine?"),
         ("evaluate --agent \x1b[31mPID=pid", "--agent"),
         (f"simulate --rig {10_000 * 'a'}", "unknown"),
         ("evaluate --head absent", "absent"),
         ("study --config study.yaml", "pdi"),
-        ("study --config included.yaml", "total_steps = -1"),
-        ("record -o new.csv --task empty.yaml", "empty.yaml"),
         ("train ppo --resume", "nothing to resume"),
     ],
 )
@@ -115,8 +107,6 @@ def test_folders_that_cannot_be_written(tmp_path):
     ("arguments", "part"),
     [
         ("simulate --voltage abc", "'--voltage'"),
-        ("simulate --volts 3", "--voltage"),
-        ("simulate extra", "extra"),
         ("train", "hydro train --help"),
         ("train nothing", "ppo, head, pid"),
         ("nothing", "hydro --help"),
@@ -186,13 +176,12 @@ TINY = {
 }
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 @pytest.mark.parametrize(
-    ("resume", "files", "words"),
+    ("number", "code", "resume", "files", "words"),
     [
-        (False, ["checkpoint.json"], "keeps the finished work, --resume continues"),
-        (None, ["check.csv"], "keeps the finished work, --overwrite begins anew"),
-        (False, [], "stopped"),
+        (signal.SIGINT, 130, False, ["checkpoint.json"], "keeps the finished work, --resume continues"),
+        (signal.SIGTERM, 143, None, ["check.csv"], "keeps the finished work, --overwrite begins anew"),
+        (signal.SIGHUP, 129, False, [], "stopped"),
     ],
 )
 def test_a_stopped_command_says_what_it_keeps(tmp_path, monkeypatch, number, code, resume, files, words):

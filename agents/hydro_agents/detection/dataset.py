@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.detector import CAUSE_OF_FAULT, MeasuredColumns
+from hydro_agents.detection.detector import CAUSE_OF_FAULT, cut, measured_run
 from hydro_agents.detection.disturbances import DISTURBANCES, Disturbed, drawn
-from hydro_agents.detection.features import FEATURES, LABELS, features_of
-from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation
+from hydro_agents.detection.features import LABELS, features_of
+from hydro_agents.detection.operations import ACTING, OPERATIONS
 from hydro_agents.detection.sheet import leak_scale, rig_features, sheet_of
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.loading import shipped
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
@@ -183,7 +183,7 @@ def simulated(
     leaks = _leaks(generator, config, settings, count)
     fault_share = 0.0 if chunk.disturbed else settings.fault_share
     faults, fault, labels = draw_faults(config, generator, count, fault_share)
-    scale = leak_scale(config)
+    scale, sheet = leak_scale(config), sheet_of(config)
     faults[EXTERNAL_LEAK] = np.minimum(scale * faults[EXTERNAL_LEAK], fault_limits(EXTERNAL_LEAK)[1])
     labels[:, 0] = leaks > config.leakage.class_bounds[0]
     acting = _acting(controller, settings, chunk, task, int(seeds[0]))
@@ -193,10 +193,8 @@ def simulated(
         moves = drawn(generator, kinds, steps, config.control_period)
         acting = Disturbed(acting, moves)
 
-    measured, cases = MeasuredColumns.of(task), Cases(seeds, scale * leaks, faults=faults)
-    run = run_cases(task, acting, cases, measured.columns, states=False)
-    assert run.signals is not None
-    signals = measured.si(run.signals).astype(np.float32)
+    measured, run = measured_run(task, acting, Cases(seeds, scale * leaks, faults=faults))
+    signals = measured.astype(np.float32)
     if moves is not None:
         moves.read(signals)
     lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
@@ -212,7 +210,7 @@ def simulated(
             felt = moves._replace(course=moves.course[kept]).felt(begins, size)
         parts.append(
             LabelledWindows(
-                features=_features(signals, kept, begins, size, config, settings.law is not None),
+                features=features_of(cut(signals[kept], begins, size), sheet),
                 labels=labels[kept],
                 size=leaks[kept],
                 fault=fault[kept],
@@ -221,7 +219,11 @@ def simulated(
                 disturbance=felt,
             )
         )
-    return LabelledWindows.joined(parts)._asdict()
+    found = LabelledWindows.joined(parts)
+    if settings.law is not None:
+        rig = np.tile(rig_features(config), (len(found.features), 1))
+        found = found._replace(features=np.concatenate([found.features, rig], axis=1))
+    return found._asdict()
 
 
 def _lengths(
@@ -269,29 +271,10 @@ def _acting(
     """Who acts on the axes of a chunk."""
     manner = OPERATIONS[chunk.row].manner
     if manner:
-        return Operation(MANNERS[manner], task, chunk.axes, seed)
+        return ACTING[manner].make(task, chunk.axes, seed)
     if settings.law is not None:
         return shipped(KINDS_FOR_ANY_AXIS[chunk.controller], task)
     return controller
-
-
-def _features(
-    signals: NDArray[np.float32],
-    axes: NDArray[np.int64],
-    begins: NDArray[np.int64],
-    size: int,
-    config: TaskConfig,
-    with_rig: bool,
-) -> NDArray[np.float32]:
-    """The features of one window of ``size`` samples of each of some axes, (N, F), those of the rig at the end."""
-    cut = [signals[axis, :, begin : begin + size] for axis, begin in zip(axes, begins, strict=True)]
-    if cut:
-        values = features_of(np.stack(cut), sheet_of(config))
-    else:
-        values = np.empty((0, len(FEATURES)), dtype=np.float32)
-    if with_rig:
-        values = np.concatenate([values, np.tile(rig_features(config), (len(values), 1))], axis=1)
-    return values
 
 
 def _leaks(

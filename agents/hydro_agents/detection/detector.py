@@ -23,6 +23,7 @@ from enum import IntEnum
 from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
@@ -127,16 +128,14 @@ class Windows:
     @classmethod
     def joined(cls, parts: Sequence[Windows]) -> Windows:
         """Several sets of windows of the same length as one."""
+        signals, begin, end = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("signals", "begin", "end")
+        )
         auxiliary = {}
         for name in AUXILIARY:
             if any(name in part.auxiliary for part in parts):
                 auxiliary[name] = np.concatenate([part.auxiliary_signal(name) for part in parts])
-        return cls(
-            np.concatenate([part.signals for part in parts]),
-            np.concatenate([part.begin for part in parts]),
-            np.concatenate([part.end for part in parts]),
-            auxiliary,
-        )
+        return cls(signals, begin, end, auxiliary)
 
     def __len__(self) -> int:
         return len(self.signals)
@@ -227,6 +226,12 @@ def measured_run(
     run = run_cases(config, controller, cases, measured.columns, states)
     assert run.signals is not None
     return measured.si(run.signals), run
+
+
+def cut(runs: NDArray[Any], begins: NDArray[Any], samples: int) -> NDArray[Any]:
+    """Windows (N, C, samples) of runs (N, C, T), each from a sample of its own on."""
+    windows = sliding_window_view(runs, samples, axis=2)
+    return np.asarray(windows[np.arange(len(runs)), :, begins])
 
 
 class Reading(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.detector import SIGNALS
+from hydro_agents.detection.detector import SIGNALS, cut
 from hydro_agents.running.cases import TrueStateController
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients
@@ -78,8 +78,7 @@ class Disturbances(NamedTuple):
 
     def felt(self, begins: NDArray[Any], samples: int) -> Floats:
         """Ranges of the courses in one window of each axis, over :data:`NOTICEABLE`, the largest; (N,)."""
-        parts = [course[:, first : first + samples] for course, first in zip(self.course, begins, strict=True)]
-        ranges = np.array([np.ptp(part, axis=1) for part in parts]).reshape(-1, len(NOTICEABLE))
+        ranges = np.ptp(cut(self.course, begins, samples), axis=2)
         return np.asarray((ranges / NOTICEABLE).max(axis=1))
 
     def read(self, signals: NDArray[Any]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -30,25 +30,6 @@ if TYPE_CHECKING:
 FALSE_ALARM_RATE = 0.01
 RANGE_EDGES = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
 """l/min at 100 bar; bounds of the size ranges, if the task draws such leaks."""
-
-
-class LeakBounds(NamedTuple):
-    """Bounds between healthy, leaking and moderately leaking seals of a task, l/min at 100 bar."""
-
-    healthy_up_to: float
-    leaking_above: float
-    moderate_from: float
-
-    @classmethod
-    def of(cls, config: TaskConfig) -> LeakBounds:
-        """The bounds of a task: its class bounds, and the smallest leak that it draws."""
-        leakage = config.leakage
-        return cls(leakage.class_bounds[0], leakage.faulty_range[0], leakage.class_bounds[1])
-
-    @property
-    def moderate_label(self) -> str:
-        """Name of the row with all leaks from ``moderate_from`` in the table of rates."""
-        return f"≥ {self.moderate_from:g}"
 
 
 def detection_cases(config: TaskConfig, count: int) -> Cases:
@@ -103,15 +84,17 @@ def detection_columns(cases: Cases, rollout: Rollout, detector: Detector, config
 def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame:
     """Share flagged: per class, per range of sizes, and for all leaks of the moderate class and above."""
     rows = []
-    bounds = LeakBounds.of(config)
+    moderate_from = config.leakage.class_bounds[1]
     smallest, largest = config.leakage.faulty_range
     edges = [smallest, *(edge for edge in RANGE_EDGES if smallest < edge < largest), largest]
     for controller, frame in detection.groupby("controller", sort=False):
         flow = frame["leakage_flow_lpm"]
-        groups = [("class", name, frame[frame["class"] == name]) for name in LEAKAGE_CLASSES]
-        groups += [("range", f"{a:g}–{b:g}", frame[(flow >= a) & (flow < b)]) for a, b in pairwise(edges)]
-        groups.append(("range", bounds.moderate_label, frame[flow >= bounds.moderate_from]))
-        for kind, label, part in groups:
+        groups = [("class", name, frame["class"] == name) for name in LEAKAGE_CLASSES]
+        for low, high in pairwise(edges):
+            groups.append(("range", f"{low:g}–{high:g}", (flow >= low) & (flow < high)))
+        groups.append(("range", f"≥ {moderate_from:g}", flow >= moderate_from))
+        for kind, label, chosen in groups:
+            part = frame[chosen]
             share = share_interval(int(part["flagged"].sum()), len(part)).named("flagged_share")
             rows.append({"controller": controller, "group": kind, "value": label, **share, "episodes": len(part)})
     return pd.DataFrame(rows)
@@ -119,12 +102,11 @@ def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame
 
 def detection_summary(detection: pd.DataFrame, threshold: float, config: TaskConfig) -> pd.DataFrame:
     """Per controller: area under the ROC curve, rates at the head's threshold, and the error of the size."""
-    bounds = LeakBounds.of(config)
-    rows = []
+    rows, leakage = [], config.leakage
     for controller, frame in detection.groupby("controller", sort=False):
         flow, score = frame["leakage_flow_lpm"].to_numpy(), frame["probability"].to_numpy()
-        healthy, leaking = flow <= bounds.healthy_up_to, flow > bounds.leaking_above
-        kept, moderate = healthy | leaking, flow >= bounds.moderate_from
+        healthy, leaking = flow <= leakage.class_bounds[0], flow > leakage.faulty_range[0]
+        kept, moderate = healthy | leaking, flow >= leakage.class_bounds[1]
         at_target = threshold_at_false_alarm_rate(score[healthy], FALSE_ALARM_RATE)
         decades = np.abs(np.log10(frame["estimated_flow_lpm"].to_numpy()[leaking] / flow[leaking]))
         rows.append(

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from hydro_agents.detection.detector import Detector, Windows, measured_run
+from hydro_agents.detection.detector import Detector, Windows, cut, measured_run
 from hydro_agents.detection.detectors import DetectorChoice
 from hydro_agents.detection.operations import ACTING, MOTIONS
 from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol, beginning, refuse_unknown
@@ -239,9 +239,8 @@ def simulated_windows(
     signals, run = measured_run(config, controller, cases, states=True)
     spare = config.steps - samples
     places = [np.random.default_rng([int(seed), 13]).integers(spare // 2, spare + 1) for seed in cases.seeds]
-    cut = np.stack([axis[:, first : first + samples] for axis, first in zip(signals, places, strict=True)])
     error = 1e3 * np.abs(run.position.astype(np.float64) - run.reference).mean(axis=1)
-    return cut, {
+    return cut(signals, np.array(places), samples), {
         "seed": cases.seeds.astype(np.float64),
         "leak_lpm": run.leakage_flow_lpm.astype(np.float64),
         "error_mm": error,

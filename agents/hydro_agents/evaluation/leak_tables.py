@@ -33,12 +33,10 @@ def facts(results: Results) -> pd.DataFrame:
     return pd.DataFrame([*own, *results.facts], columns=["key", "value"])
 
 
-@table("thresholds")
+@table("thresholds", of="windows")
 def thresholds(results: Results) -> pd.DataFrame:
     """For each detector: the threshold at 1 % false alarms on healthy validation windows, and the threshold in use."""
     read, rows = results.part("windows"), []
-    if read.empty:
-        return read
     for name, detector in results.participants.items():
         score = read.loc[read["validation"] & (read["detector"] == name), "score"].to_numpy()
         found = np.nan  # a detector that cannot read these windows
@@ -49,12 +47,10 @@ def thresholds(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("windows")
+@table("windows", of="windows")
 def windows(results: Results) -> pd.DataFrame:
     """The windows of all detectors with a threshold, without those of the validation; see :func:`judged`."""
     read = results.part("windows")
-    if read.empty:
-        return read
     known = results.table("thresholds")
     chosen = ~read["validation"] & read["detector"].isin(known.loc[known["used"].notna(), "detector"])
     healthy_bound = results.protocol.task.leakage.class_bounds[0]
@@ -69,11 +65,9 @@ def judged(windows: pd.DataFrame, thresholds: pd.DataFrame, healthy_bound: float
     """
     windows = windows[windows["failed"] == 0.0]
     known = thresholds.set_index("detector")
-    score = windows["score"].to_numpy()
-    flagged, at_1_percent = (
-        score >= windows["detector"].map(known[column]).to_numpy()  # NaN is above nothing
-        for column in ("used", "at_1_percent")
-    )
+    score, thresholds = windows["score"].to_numpy(), known.loc[windows["detector"]]
+    flagged = score >= thresholds["used"].to_numpy()  # NaN is above nothing
+    at_1_percent = score >= thresholds["at_1_percent"].to_numpy()
     verdict = np.where(flagged, float(Cause.INTERNAL_LEAK), windows["otherwise"].to_numpy())
     verdict = np.where(np.isnan(score), float(Cause.UNKNOWN), verdict).astype(int)
     leaking = windows["leak_lpm"].to_numpy() > healthy_bound
@@ -91,13 +85,11 @@ _CELL = ["detector", "condition", "level"]
 
 def _cells(results: Results) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
     """The windows of each detector, condition and level."""
-    found = results.table("windows")
-    if len(found):
-        for key, frame in found.groupby(_CELL, sort=False):
-            yield dict(zip(_CELL, key, strict=True)), frame
+    for key, frame in results.table("windows").groupby(_CELL, sort=False):
+        yield dict(zip(_CELL, key, strict=True)), frame
 
 
-@table("detection")
+@table("detection", of="windows")
 def detection(results: Results) -> pd.DataFrame:
     """Share of windows reported as a leak past the piston, with the detector's threshold and with the one at 1 %.
 
@@ -120,7 +112,7 @@ def detection(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("verdicts")
+@table("verdicts", of="windows")
 def verdicts(results: Results) -> pd.DataFrame:
     """The confusion table: share of each verdict by detector, condition and leak level."""
     rows = []
@@ -130,7 +122,7 @@ def verdicts(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("sizes")
+@table("sizes", of="windows")
 def sizes(results: Results) -> pd.DataFrame:
     """Errors of the size and coverage of the 90 % intervals, over windows in which the detector gives an answer."""
     bounds: dict[Any, float] = {}
@@ -168,7 +160,7 @@ def _errors_of_size(frame: pd.DataFrame, level: float) -> dict[str, Any]:
     return row
 
 
-@table("reliability")
+@table("reliability", of="windows")
 def reliability(results: Results) -> pd.DataFrame:
     """Probability against frequency of a leak, by detector and condition with drawn leaks, half of them healthy.
 
@@ -177,8 +169,6 @@ def reliability(results: Results) -> pd.DataFrame:
     """
     rows: list[dict[str, Any]] = []
     found = results.table("windows")
-    if found.empty:
-        return found
     drawn = found[(found["level"] == DRAWN) & found["probability"].notna()]
     for (detector, condition), frame in drawn.groupby(["detector", "condition"], sort=False):
         probability = frame["probability"].to_numpy()

@@ -198,33 +198,26 @@ def reversals(command: Array) -> int:
     return count
 
 
-def case_metrics(
-    position: Array,
-    reference: Array,
-    command: Array,
-    spool: Array,
-    period: float,
-    is_step: bool,
-    failed: bool,
-    preview: float = 0.0,
-    bias: float = 0.0,
-    power: Array | None = None,
-) -> dict[str, float]:
-    """All METRICS of one episode.
+class Trace(NamedTuple):
+    """What the metrics read of one episode; arrays (T,)."""
 
-    Args:
-        position: true position, (T,), m.
-        reference: (T,), m.
-        command: (T,), as a fraction of 10 V.
-        spool: true spool position, (T,).
-        period: control period, s.
-        is_step: whether the reference jumps, so that overshoot has a meaning.
-        failed: whether the axis failed.
-        preview: s; the controller sees the reference this far ahead. The same time at the end of each standstill does
-            not count, because an axis may start before the reference does.
-        bias: m; the position sensor reads the true position plus this.
-        power: hydraulic power from the supply, (T,), W; ``None`` if unknown.
-    """
+    position: Array  # m, true
+    reference: Array  # m
+    command: Array  # as a fraction of 10 V
+    spool: Array  # true position
+    period: float  # s, of the control
+    is_step: bool  # the reference jumps, so that overshoot has a meaning
+    failed: bool = False
+    preview: float = 0.0
+    """s; the controller sees the reference this far ahead. The same time at the end of each standstill does not count,
+    because an axis may start before the reference does."""
+    bias: float = 0.0  # m; the position sensor reads the true position plus this
+    power: Array | None = None  # hydraulic power from the supply, W
+
+
+def case_metrics(trace: Trace) -> dict[str, float]:
+    """All METRICS of one episode."""
+    position, reference, command, spool, period, is_step, failed, preview, bias, power = trace
     error = np.asarray(reference, dtype=np.float64) - position
     time = period * np.arange(1, len(error) + 1)
     settling: list[float] = []
@@ -233,7 +226,8 @@ def case_metrics(
     beyond: list[float] = []
     final = max(round(FINAL_SHARE / period), 1)
     ahead = round(preview / period)
-    for first, last in ((first, last - ahead) for first, last in standstills(reference, period)):
+    for first, end in standstills(reference, period):
+        last = end - ahead
         if last - first < final:
             continue
         settling.append(settling_time(error[first:last], period))
@@ -270,20 +264,20 @@ def case_metrics(
 def rollout_metrics(
     rollout: Rollout, families: NDArray[np.str_], period: float, preview: float = 0.0
 ) -> dict[str, Array]:
-    """METRICS of every case, arrays (N,); ``preview`` as in :func:`case_metrics`."""
-    rows = [
-        case_metrics(
-            rollout.position[case],
-            rollout.reference[case],
-            rollout.command[case],
-            rollout.spool[case],
-            period,
-            str(families[case]) == "step",
-            bool(rollout.failed_at[case] >= 0),
-            preview,
-            float(rollout.position_bias[case]),
-            rollout.supply_power[case],
+    """METRICS of every case, arrays (N,); ``preview`` as in :class:`Trace`."""
+    rows = []
+    for case, family in enumerate(families):
+        trace = Trace(
+            position=rollout.position[case],
+            reference=rollout.reference[case],
+            command=rollout.command[case],
+            spool=rollout.spool[case],
+            period=period,
+            is_step=str(family) == "step",
+            failed=bool(rollout.failed_at[case] >= 0),
+            preview=preview,
+            bias=float(rollout.position_bias[case]),
+            power=rollout.supply_power[case],
         )
-        for case in range(len(families))
-    ]
+        rows.append(case_metrics(trace))
     return {name: np.array([row[name] for row in rows]) for name in METRICS}

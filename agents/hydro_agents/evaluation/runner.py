@@ -69,14 +69,8 @@ class Results:
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Every table of this kind of protocol by the name of its CSV file; without those that are empty."""
-        made = {}
-        for name in tables_of(self.protocol.kind):
-            if not self.table(name).empty:
-                made[name] = self.table(name)
-        for name, table in self.further.items():
-            if not table.empty:
-                made[name] = table
-        return made
+        made = {name: self.table(name) for name in tables_of(self.protocol.kind)} | self.further
+        return {name: table for name, table in made.items() if not table.empty}
 
     def write(self, folder: Path) -> None:
         """Write the tables as CSV.
@@ -100,11 +94,19 @@ _MODULES = {"robustness": "tracking_tables", "leakage": "leak_tables"}
 """Modules with the tables of a kind of protocol."""
 
 
-def table(name: str) -> Callable[[TableFunction], TableFunction]:
-    """Register a function of the results as a table of the protocols to which its module belongs."""
+def table(name: str, of: str = "") -> Callable[[TableFunction], TableFunction]:
+    """Register a function of the results as a table of the protocols to which its module belongs.
+
+    A table ``of`` a part is empty without rows of that part.
+    """
 
     def register(function: TableFunction) -> TableFunction:
-        _TABLES.setdefault(function.__module__, {})[name] = function
+        def made(results: Results) -> pd.DataFrame:
+            if of and results.part(of).empty:
+                return pd.DataFrame()
+            return function(results)
+
+        _TABLES.setdefault(function.__module__, {})[name] = made
         return function
 
     return register

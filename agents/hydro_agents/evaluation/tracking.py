@@ -23,50 +23,40 @@ def tracking(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cel
     """Every controller on the cases of every condition."""
     for condition in protocol.conditions:
         task, cases = protocol.task_in(condition), protocol.cases_in(condition)
-        yield from _of_controllers(protocol, chosen, condition, tracked, task, cases)
+        yield from _cells(protocol, chosen, condition, tracked, task, cases)
 
 
 def standstill(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller after a small step of the reference and back, under every condition."""
     for condition in protocol.conditions:
         task, cases = standstill_task(protocol.task_in(condition)), protocol.standstill_cases_in(condition)
-        yield from _of_controllers(protocol, chosen, condition, at_rest, task, cases)
+        yield from _cells(protocol, chosen, condition, at_rest, task, cases)
 
 
-def _of_controllers(
-    protocol: RobustnessProtocol, chosen: Participants, condition: str, *measured: Any
-) -> Iterator[Cell]:
-    """Every controller under a condition; the rest as for :func:`_cell`."""
-    for name in chosen.controllers:
-        controller = chosen.of(name, condition, protocol)
-        if isinstance(controller, str):
-            yield Cell(name, condition, refused=controller)
-        else:
-            yield _cell(protocol, name, condition, controller, *measured)
-
-
-def _cell(
+def _cells(
     protocol: RobustnessProtocol,
-    name: str,
+    chosen: Participants,
     condition: str,
-    participant: Controller,
     work: Callable[..., Columns],
     task: TaskConfig,
     listed: pd.DataFrame,
-) -> Cell:
-    """The listed cases of one participant in chunks, which ``work`` measures."""
-    controller, seed = split_name(name)
-    digest = fingerprint(participant)
+) -> Iterator[Cell]:
+    """The listed cases under a condition, a cell for each controller, in chunks that ``work`` measures."""
     cases = protocol.cases_of(condition, listed)
-    jobs = tuple(Job(work, participant, (task, part), digest) for part in cases.chunks(protocol.chunk))
     known = {
         **{str(column): listed[column].to_numpy() for column in listed},
         "condition": condition,
         "group": protocol.conditions[condition].group,
-        "controller": controller,
-        "training_seed": seed,
     }
-    return Cell(name, condition, known, jobs)
+    for name in chosen.controllers:
+        acting = chosen.of(name, condition, protocol)
+        if isinstance(acting, str):
+            yield Cell(name, condition, refused=acting)
+            continue
+        controller, seed = split_name(name)
+        digest = fingerprint(acting)
+        jobs = tuple(Job(work, acting, (task, part), digest) for part in cases.chunks(protocol.chunk))
+        yield Cell(name, condition, {**known, "controller": controller, "training_seed": seed}, jobs)
 
 
 def tracked(controller: Controller, config: TaskConfig, cases: Cases) -> Columns:

@@ -39,9 +39,7 @@ def parts_of(results: Results) -> Iterator[tuple[str, str, Mask, Mask]]:
     """
     grid, cases = results.grid, results.part("tracking")
     leaks = cases.loc[cases["group"] == LEAK_GROUP, "condition"].unique()
-    if len(leaks):
-        return grid.parts(np.isin(grid.condition, leaks))
-    return grid.parts(grid.all_situations)
+    return grid.parts(np.isin(grid.condition, leaks) if len(leaks) else grid.all_situations)
 
 
 @table("summary")
@@ -185,30 +183,21 @@ def growth(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("limit_cycle_summary")
+@table("limit_cycle_summary", of="standstill")
 def limit_cycle_summary(results: Results) -> pd.DataFrame:
     """Number and largest amplitude of the limit cycles at rest, per controller."""
-    cycles, rows = results.part("standstill"), []
-    if cycles.empty:
-        return cycles
-    for name, own in cycles.groupby("controller", sort=False):
-        rows.append({"controller": name, **counted(own)})
-    return pd.DataFrame(rows)
+    groups = results.part("standstill").groupby("controller", sort=False)
+    return pd.DataFrame([{"controller": name, **counted(own)} for name, own in groups])
 
 
-@table("detection_rates")
+@table("detection_rates", of="episodes")
 def rates(results: Results) -> pd.DataFrame:
     """Share of episodes flagged, by class and size of the leak."""
-    episodes = results.part("episodes")
-    if episodes.empty:
-        return episodes
-    return detection_rates(episodes, results.protocol.task)
+    return detection_rates(results.part("episodes"), results.protocol.task)
 
 
-@table("detection_summary")
+@table("detection_summary", of="episodes")
 def detected(results: Results) -> pd.DataFrame:
     """Areas under the curves, rates, and errors of the size, per controller."""
-    episodes = results.part("episodes")
-    if episodes.empty:
-        return episodes
-    return detection_summary(episodes, results.participants.head.settings.threshold, results.protocol.task)
+    threshold = results.participants.head.settings.threshold
+    return detection_summary(results.part("episodes"), threshold, results.protocol.task)

@@ -66,7 +66,9 @@ def diagnose(
     with reading(as_json):
         diagnosis = diagnose_recording(recording, config, companion, mapped, window)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line())
-    say(*([json.dumps(in_json(diagnosis), indent=1, ensure_ascii=False)] if as_json else lines))
+    if as_json:
+        lines = [json.dumps(in_json(diagnosis), indent=1, ensure_ascii=False)]
+    say(*lines)
     raise typer.Exit(EXIT_CODES[diagnosis.verdict.kind])
 
 

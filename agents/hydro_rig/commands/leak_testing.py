@@ -53,7 +53,7 @@ def leak_test(
     if recording is None:
         folder = output or Path("results/leak_test_plan")
         refuse_taken(folder, pages.JOB, pages.PLAN_FILES, overwrite)
-        planned = plan(config, duration, None if speed is None else 1e-3 * speed, stop)
+        planned = plan(config, duration, speed and 1e-3 * speed, stop)
         with output_folder(folder, pages.JOB, pages.PLAN_FILES, overwrite=overwrite):
             pages.write_plan(folder, planned, command_line())
         say(*(folder / name for name in pages.PLAN_FILES), planned.line())

@@ -57,9 +57,8 @@ def record(
         task = "as_given"  # the parameters of the file, without any draw
     usual = task_config(task, rig=rig)
     config = task_config(usual, episode_duration=duration)
-    by_pid = controller == "pid"
     origin = GainsOrigin.TUNED
-    if by_pid:  # its gains need no episodes as long as the recording
+    if controller == "pid":  # its gains need no episodes as long as the recording
         mover = shipped(controller, config, lambda kind, _: chosen_gains(kind, usual))
         origin = origin_of_gains(controller, config)
     else:
@@ -67,7 +66,9 @@ def record(
     done = record_axis(output, config, mover, seed, leakage, family, named_faults(fault or []), command_line())
     if origin != GainsOrigin.TUNED:
         say(f"{output}: gains of the PID: {origin}")
-    end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
-    drawn = f"; parameters of the plant drawn by --seed {seed}" if config.randomisation else ""
-    leak = f"leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"
-    say(f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}")
+    told = [f"{output}: {done.rows} rows, {done.duration:g} s, leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"]
+    if config.randomisation:
+        told.append(f"parameters of the plant drawn by --seed {seed}")
+    if done.failed_at is not None:
+        told.append(f"the axis failed after {done.failed_at:g} s")
+    say("; ".join(told))

@@ -8,7 +8,7 @@ import pytest
 from faulty_windows import made
 from refusal import refused
 
-from hydro_agents.detection.detector import CAUSE_OF_FAULT, VERDICTS, Cause, Reading, Why, logit
+from hydro_agents.detection.detector import Cause, Reading, Why, logit
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
@@ -55,15 +55,6 @@ def test_a_stuck_sensor_gives_no_answer():
     reading = make_detector(DetectorChoice(kind="head")).read(windows, CONFIG)
     assert reading.answers.tolist() == [False, True]
     assert reading.why[0] == Why.OUTSIDE
-
-
-def test_the_words_of_the_causes_are_those_of_the_head_and_of_the_faults():
-    assert [cause.word.replace(" ", "_") for cause in Cause][1:6] == list(LABELS)
-    assert (*(cause.word for cause in Cause if cause < Cause.UNKNOWN), "cannot tell") == VERDICTS
-    assert CAUSE_OF_FAULT["valve_hysteresis"] is Cause.VALVE
-    assert CAUSE_OF_FAULT["spool_position_freeze"] is Cause.SENSOR
-    assert CAUSE_OF_FAULT["tank_pressure"] is Cause.RETURN_LINE
-    assert CAUSE_OF_FAULT["external_leak"] is Cause.EXTERNAL_LEAK
 
 
 def test_a_reading_of_some_windows_among_others():

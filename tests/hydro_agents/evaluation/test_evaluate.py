@@ -185,7 +185,7 @@ def test_a_task_may_be_given_in_any_form(tmp_path):
     file.write_text("episode_duration: 0.1\n")
     settings = {"plants": 3, "leak_levels": [1.0], "families": ["ramp"]}
     plain = evaluate(TaskConfig(episode_duration=0.1), {"PID": "pid"}, settings=settings).table("cases")
-    for task in (str(file), file, {"episode_duration": 0.1}):
+    for task in (str(file), {"episode_duration": 0.1}):
         assert hydro_agents.evaluate(task, {"PID": "pid"}, settings=settings).table("cases").equals(plain)
     with refused(r"nowhere\.yaml"):
         evaluate("nowhere.yaml", {"PID": "pid"})

@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 from hydro_agents.evaluation.metrics import (
     METRICS,
     SETTLING_BAND,
+    Trace,
     case_metrics,
     overshoot,
     reversals,
@@ -42,7 +43,7 @@ def step_run(damping, size=SIZE, start=0.0, before=0.05, after=0.9):
 def metrics_of(reference, position, period=PERIOD, is_step=True, command=None, spool=None, failed=False, **options):
     zeros = np.zeros(len(reference))
     command, spool = (zeros if row is None else row for row in (command, spool))
-    return case_metrics(position, reference, command, spool, period, is_step, failed, **options)
+    return case_metrics(Trace(position, reference, command, spool, period, is_step, failed, **options))
 
 
 @pytest.mark.parametrize("damping", [0.2, 0.3, 0.6, 0.7])

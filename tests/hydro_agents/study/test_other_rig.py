@@ -53,12 +53,6 @@ def mean_error(controller, config):
     return float(np.abs(run.reference - run.position).mean())
 
 
-def test_the_pid_needs_the_position_alone():
-    whole = TaskConfig(episode_duration=0.5)
-    pid = mean_error(make_controller("pid", POSITION_ALONE), POSITION_ALONE)
-    assert pid == mean_error(make_controller("pid", whole), whole)
-
-
 @pytest.mark.parametrize("kind", ["flow_linearising", "lqg", "adrc"])
 def test_a_controller_that_reads_pressures_refuses_in_one_line(kind):
     with refused(r"reads pressure_a, pressure_b.* no such sensor") as caught:
