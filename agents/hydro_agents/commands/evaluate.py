@@ -90,7 +90,7 @@ def evaluate(
     file = config_file("protocols", protocol)
     options = Options(task, rig, output or Path("results") / file.stem, resume, overwrite, file)
     leaks = read_yaml(file).get("kind") == "leakage"
-    of_the_file = {"--plants": plants}
+    of_the_file: dict[str, object] = {"--plants": plants}
     of_the_file |= {"--agent": agent, "--config": config} if leaks else {"--head": head}
     for option, value in of_the_file.items():
         if value is not None:

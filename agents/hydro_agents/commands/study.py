@@ -28,6 +28,7 @@ from hydro_env import ConfigurationError
 from hydro_env.mistakes import did_you_mean
 
 if TYPE_CHECKING:
+    from hydro_agents.controllers.base import Controller
     from hydro_agents.evaluation.runner import Results
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.study.settings import StudySettings
@@ -226,7 +227,9 @@ def _controller(study: StudySettings, name: str, folder: Path, seed: int) -> Tra
     entry = study.controllers[name]
     if entry.corrects in study.trained:
         raise ConfigurationError(f"{name} corrects {entry.corrects}, which must be trained first; run hydro study")
-    files, base, tuned = TRAINING_FILES, None, ""
+    files: tuple[str, ...] = TRAINING_FILES
+    base: Controller | None = None
+    tuned = ""
     if entry.corrects is not None:
         base = study.make(entry.corrects)
         one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis

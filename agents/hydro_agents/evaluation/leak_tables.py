@@ -85,11 +85,13 @@ _CELL = ["detector", "condition", "level"]
 
 def _cells(results: Results) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
     """The windows of each detector, condition and level."""
-    for key, frame in results.table("windows").groupby(_CELL, sort=False):
-        yield dict(zip(_CELL, key, strict=True)), frame
+    found = results.table("windows")
+    if len(found):
+        for key, frame in found.groupby(_CELL, sort=False):
+            yield dict(zip(_CELL, key, strict=True)), frame
 
 
-@table("detection", of="windows")
+@table("detection")
 def detection(results: Results) -> pd.DataFrame:
     """Share of windows reported as a leak past the piston, with the detector's threshold and with the one at 1 %.
 
@@ -112,7 +114,7 @@ def detection(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("verdicts", of="windows")
+@table("verdicts")
 def verdicts(results: Results) -> pd.DataFrame:
     """The confusion table: share of each verdict by detector, condition and leak level."""
     rows = []
@@ -122,7 +124,7 @@ def verdicts(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("sizes", of="windows")
+@table("sizes")
 def sizes(results: Results) -> pd.DataFrame:
     """Errors of the size and coverage of the 90 % intervals, over windows in which the detector gives an answer."""
     bounds: dict[Any, float] = {}
@@ -160,7 +162,7 @@ def _errors_of_size(frame: pd.DataFrame, level: float) -> dict[str, Any]:
     return row
 
 
-@table("reliability", of="windows")
+@table("reliability")
 def reliability(results: Results) -> pd.DataFrame:
     """Probability against frequency of a leak, by detector and condition with drawn leaks, half of them healthy.
 
@@ -169,6 +171,8 @@ def reliability(results: Results) -> pd.DataFrame:
     """
     rows: list[dict[str, Any]] = []
     found = results.table("windows")
+    if found.empty:
+        return found
     drawn = found[(found["level"] == DRAWN) & found["probability"].notna()]
     for (detector, condition), frame in drawn.groupby(["detector", "condition"], sort=False):
         probability = frame["probability"].to_numpy()
