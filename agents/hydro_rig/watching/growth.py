@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from hydro_agents.running.statistics import Interval
 from hydro_env.types import Floats
@@ -25,7 +24,6 @@ FEWEST, MOST = 5, 150  # readings for a trend; older ones are left out
 LASTING = (0.3, 0.6, 0.9)  # shares of the lasting errors in the variance, beside none
 LENGTHS = (0.03, 0.1, 0.3)  # of the lasting errors, as a share of the time between the first and the last reading
 KNEES = 10  # places of the knee, beside the first reading
-STRAIGHT = 0.5  # probability beforehand of no knee, and of no lasting errors
 AFTER_KNEE = 3  # fewest readings after the knee
 KNOWN_FREEDOM = 4.0  # degrees of freedom that standard deviations of the readings are worth
 FARTHEST = 100.0  # time to the limit that counts as never, as a multiple of the time of the readings
@@ -75,7 +73,7 @@ def growth(
     if len(kept) < FEWEST or np.ptp(when[kept]) <= 0.0:
         return NO_GROWTH
     now = float(when[-1]) if now is None else now
-    span = float(when[kept[-1]] - when[kept[0]])
+    span = float(np.ptp(when[kept]))
     level, slope = _drawn((when[kept] - now) / span, y[kept], error[kept], common)
     left = np.log10(limit) - level
     ahead = np.full(DRAWS, np.inf)
@@ -96,13 +94,13 @@ def _usual(x: Floats, y: Floats, error: Floats) -> NDArray[np.bool_]:
     everyone = np.ones(len(x), dtype=np.bool_)
     if len(x) <= NEIGHBOURS:
         return everyone
-    rest, (one, two) = np.empty(len(x)), np.triu_indices(NEIGHBOURS, 1)
-    for k in range(len(x)):
-        first = min(max(k - NEIGHBOURS // 2, 0), len(x) - 1 - NEIGHBOURS)
-        near = np.delete(np.arange(first, first + NEIGHBOURS + 1), k - first)
-        step, rise = x[near][two] - x[near][one], y[near][two] - y[near][one]
-        slope = float(np.median(rise[step > 0.0] / step[step > 0.0])) if (step > 0.0).any() else 0.0
-        rest[k] = abs(y[k] - np.median(y[near] - slope * (x[near] - x[k])))
+    own, (one, two) = np.arange(len(x))[:, None], np.triu_indices(NEIGHBOURS, 1)
+    near = np.clip(own - NEIGHBOURS // 2, 0, len(x) - 1 - NEIGHBOURS) + np.arange(NEIGHBOURS)
+    near += near >= own  # without the reading itself
+    distance, height = x[near] - x[own], y[near]
+    step, rise = distance[:, two] - distance[:, one], height[:, two] - height[:, one]
+    slope = np.median(rise / np.where(step > 0.0, step, np.inf), axis=1, keepdims=True)
+    rest = np.abs(y - np.median(height - slope * distance, axis=1))
     inside = rest <= FAR * np.maximum(1.483 * np.median(rest), error)
     return inside if inside.mean() >= MOST_USUAL else everyone
 
@@ -110,35 +108,32 @@ def _usual(x: Floats, y: Floats, error: Floats) -> NDArray[np.bool_]:
 def _drawn(x: Floats, y: Floats, error: Floats, common: float) -> tuple[Floats, Floats]:
     """Level now (log10) and slope per span, (DRAWS,) each; ``x`` is in spans of the readings, 0 now."""
     scale = float(np.sqrt(np.mean(error**2)))
+    share = np.array([0.0, *np.repeat(LASTING, len(LENGTHS))])[:, None, None]
+    length = np.array([1.0, *np.tile(LENGTHS, len(LASTING))])[:, None, None]
+    lasting = np.exp(-np.abs(x[:, None] - x) / length)
+    covariance = (1.0 - share) * np.diag((error / scale) ** 2) + share * lasting  # (kinds of errors, L, L)
+    inverse = np.linalg.inv(covariance)[:, None]
     later = np.arange(1, len(x) - AFTER_KNEE)
     places = np.unique(later[np.linspace(0, len(later) - 1, KNEES).astype(np.int64)])
-    knees = [(x[0], STRAIGHT)]
-    knees += [(place, (1.0 - STRAIGHT) / len(places)) for place in x[places]]
-    kinds = [(0.0, 1.0, STRAIGHT)]
-    kinds += [(share, length, (1.0 - STRAIGHT) / 9.0) for share in LASTING for length in LENGTHS]
-    distance = np.abs(x[:, None] - x)
+    after = np.maximum(x, x[[0, *places]][:, None])  # level before the knee; 0 now
+    design = np.stack([np.ones_like(after), after], axis=-1)  # (knees, L, 2)
+    weighted = inverse @ design
+    information = design.mT @ weighted
+    mean = np.linalg.solve(information, weighted.mT @ y[:, None])  # (kinds, knees, 2, 1)
+    rest = y[:, None] - design @ mean
     freedom = len(x) - 2 + KNOWN_FREEDOM
-    means, spreads, logarithms = [], [], []
-    for share, length, kind in kinds:
-        own = (1.0 - share) * np.diag((error / scale) ** 2)
-        factor = cho_factor(own + share * np.exp(-distance / length), lower=True)
-        for knee, first in knees:
-            design = np.column_stack([np.ones(len(x)), np.maximum(x, knee)])  # level before the knee; 0 now
-            weighted = cho_solve(factor, design)
-            information = design.T @ weighted
-            mean = np.linalg.solve(information, weighted.T @ y)
-            rest = y - design @ mean
-            squares = float(rest @ cho_solve(factor, rest)) + KNOWN_FREEDOM * scale**2 + 1e-12
-            likely = np.log(kind * first) - np.log(np.diag(factor[0])).sum()
-            likely -= 0.5 * np.linalg.slogdet(information)[1] + 0.5 * freedom * np.log(squares)
-            means.append(mean)
-            spreads.append(squares / freedom * np.linalg.inv(information))
-            logarithms.append(likely)
+    squares = (rest.mT @ inverse @ rest)[..., 0, 0] + KNOWN_FREEDOM * scale**2 + 1e-12
+    spread = squares[..., None, None] / freedom * np.linalg.inv(information)
+
+    determinants = np.linalg.slogdet(covariance)[1][:, None] + np.linalg.slogdet(information)[1]
+    likely = -0.5 * (determinants + freedom * np.log(squares))
+    weight = np.exp(likely - likely.max())
+    weight[1:] /= len(share) - 1  # beforehand, lasting errors are as probable as none, and a knee as none
+    weight[:, 1:] /= len(places)
     generator = np.random.default_rng(0)
-    weight = np.exp(np.array(logarithms) - max(logarithms))
-    which = generator.choice(len(weight), DRAWS, p=weight / weight.sum())
-    spread = np.linalg.cholesky(np.array(spreads))[which]
-    normal = (spread @ generator.standard_normal((DRAWS, 2, 1)))[:, :, 0]
+    which = generator.choice(weight.size, DRAWS, p=weight.ravel() / weight.sum())
+    root = np.linalg.cholesky(spread).reshape(-1, 2, 2)[which]
+    normal = (root @ generator.standard_normal((DRAWS, 2, 1)))[:, :, 0]
     student = normal * np.sqrt(freedom / generator.chisquare(freedom, (DRAWS, 1)))
-    level, slope = (np.array(means)[which] + student).T
+    level, slope = (mean.reshape(-1, 2)[which] + student).T
     return level + common * generator.standard_normal(DRAWS), slope

@@ -1,11 +1,9 @@
 """Viscosity of the oil, and leaks at one temperature.
 
 A gap passes a laminar flow in proportion to 1/viscosity: the same worn seal leaks three times as much at 60 °C as at
-30 °C. Sizes that are compared over weeks are therefore those at 100 bar and :data:`REFERENCE` °C.
-
-The viscosity follows ASTM D341 (Walther): log10 log10(ν + 0.7) = A − B log10 T, with ν in mm²/s and T in K. Two values
-fix A and B: those at 40 °C (the number of the ISO VG grade, ISO 3448) and at 100 °C. The density, which falls by 0.7 %
-per 10 K, is left out.
+30 °C. Sizes that are compared over weeks are therefore those at 100 bar and :data:`REFERENCE` °C. The viscosity follows
+ASTM D341 (Walther): log10 log10(ν + 0.7) = A − B log10 T, with ν in mm²/s and T in K; the values at 40 °C (the ISO VG
+grade, ISO 3448) and at 100 °C fix A and B. The density, which falls by 0.7 % per 10 K, is left out.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from hydro_env.types import Floats
 from hydro_rig.diagnosis.verdict import Leak
 
 REFERENCE = 40.0  # °C, to which leaks are referred
-COLDEST, HOTTEST, WITHIN = 20.0, 60.0, 0.9  # °C, of an oil without a thermometer, with the probability of 0.9
+UNMEASURED = 40.0, 20.0 * 0.9 / HALF_WIDTH  # °C, mean and standard deviation without a thermometer: 20 to 60 with 0.9
 THERMOMETER = 1.5
 """K, standard deviation by which the oil in the gap differs from what a thermometer in tank or line reads; assumed."""
 KELVIN = 273.15
@@ -49,7 +47,7 @@ class Oil(NamedTuple):
         Raises:
             ConfigurationError: the grade is unknown, or the values are impossible.
         """
-        cold, _, hot = text.upper().removeprefix("ISO").strip().removeprefix("VG").strip().partition("/")
+        cold, _, hot = text.partition("/")
         try:
             oil = cls(float(cold), float(hot) if hot else GRADES[int(cold)])
         except (ValueError, KeyError):
@@ -73,27 +71,26 @@ class Oil(NamedTuple):
         """What a leak measured at temperatures in °C is multiplied by to be that at the reference."""
         return self.viscosity(temperature) / self.viscosity(REFERENCE)
 
+    def factors(self, temperature: float, deviations: float = 1.0) -> Floats:
+        """:meth:`factor` at the likely temperature, and so many standard deviations below and above it, (3,).
 
-def likely(temperature: float) -> tuple[float, float]:
-    """The likely temperature of the oil, and its standard deviation, from that measured in °C; NaN: unknown."""
-    if np.isfinite(temperature):
-        return temperature, THERMOMETER
-    return 0.5 * (COLDEST + HOTTEST), 0.5 * WITHIN * (HOTTEST - COLDEST) / HALF_WIDTH
+        ``temperature`` is that measured, °C; NaN: unknown.
+        """
+        middle, deviation = (temperature, THERMOMETER) if np.isfinite(temperature) else UNMEASURED
+        return self.factor(middle + deviations * deviation * np.array([0.0, -1.0, 1.0]))
 
 
 def common_error(oil: Oil, temperature: float) -> float:
     """Standard deviation, in decades, of the error of the temperature (°C; NaN: unknown) that all sizes share."""
-    middle, deviation = likely(temperature)
-    return float(0.5 * np.log10(oil.factor(middle - deviation) / oil.factor(middle + deviation)))
+    _, colder, hotter = oil.factors(temperature)
+    return float(0.5 * np.log10(colder / hotter))
 
 
 def referred(leak: Leak, oil: Oil, temperature: float) -> Leak:
     """Leaks with their intervals, numbers or arrays, at the reference temperature instead of the measured one, °C."""
-    middle, deviation = likely(temperature)
-    reach = HALF_WIDTH * deviation
-    factor, size = oil.factor(middle), np.maximum(leak.value, 0.0)
-    down, up = (factor - oil.factor(middle + reach)) * size, (oil.factor(middle - reach) - factor) * size
+    factor, colder, hotter = oil.factors(temperature, HALF_WIDTH)
     value: Any = factor * leak.value
-    low = value - np.hypot(factor * (leak.value - leak.low), down)
-    high = value + np.hypot(factor * (leak.high - leak.value), up)
+    size = np.maximum(leak.value, 0.0)
+    low = value - np.hypot(factor * (leak.value - leak.low), (factor - hotter) * size)
+    high = value + np.hypot(factor * (leak.high - leak.value), (colder - factor) * size)
     return Leak(value, low, high)

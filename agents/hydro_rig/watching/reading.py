@@ -30,7 +30,6 @@ from hydro_rig.watching.oil import Oil, referred
 MOST_WINDOWS = 12  # of a reading; more take longer and add little
 WINDOW = 2.0  # s
 FIRST_DATE, LAST_DATE = 1e9, 4e9  # s since 1970 that a stamp is taken for: the years 2001 to 2096
-
 _DATE = re.compile(r"(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?(\d\d)[-_:.]?(\d\d)(?:[-_:.]?(\d\d))?)?(?!\d)")
 
 
@@ -42,35 +41,34 @@ def row_of_file(path: Path, config: TaskConfig, columns: ColumnMap | None, oil: 
     """
     rows = recording_of(read_columns(path), str(path), columns)
     live = liveliest(rows, WINDOW, config, MOST_WINDOWS)
-    clock = _clock(path, rows.begin)
+    clock = 0.0 if FIRST_DATE <= rows.begin <= LAST_DATE else _began(path) - rows.begin
     row = row_of(live, config, oil, list(flow_blocks(rows)))
     return {"time": clock + live.first, "until": clock + live.last, **row}
 
 
-def _clock(path: Path, first: float) -> float:
-    """What is added to the stamps of a file to give s since 1970: dates in it, its name, or its age."""
-    if FIRST_DATE <= first <= LAST_DATE:
-        return 0.0
-    begin, found = path.stat().st_mtime, _DATE.search(path.name)
+def _began(path: Path) -> float:
+    """s since 1970 by the name of a file, or by its age."""
+    found = _DATE.search(path.name)
     if found is not None:
         with suppress(ValueError):  # the 45th of a month
-            begin = datetime(*(int(part or 0) for part in found.groups()), tzinfo=UTC).timestamp()  # type: ignore[arg-type,misc]
-    return begin - first
+            return datetime(*(int(part or 0) for part in found.groups()), tzinfo=UTC).timestamp()  # type: ignore[arg-type,misc]
+    return path.stat().st_mtime
 
 
 def row_of(live: Lively, config: TaskConfig, oil: Oil, blocks: Sequence[Blocks] = ()) -> dict[str, Any]:
     """Verdict, leak at 40 °C and oil temperature from the best windows, and from the blocks of a measured flow."""
-    row = {"verdict": Kind.UNKNOWN.value, "temperature": np.nan, **_sizes(Leak(np.nan, np.nan, np.nan))}
+    row: dict[str, Any] = {"verdict": Kind.UNKNOWN.value, "temperature": np.nan, **_sizes(Leak(np.nan, np.nan, np.nan))}
     if not live.windows:
         return row | {"reason": "the recording is shorter than one window"}
     rows = [candidate.rows for candidate in live.windows]
     samples = sampled_windows(live.windows, WINDOW, config)
     config = on_grid(config, samples.period)
     warm = np.concatenate([one.auxiliary.get("oil_temperature", np.full(1, np.nan)) for one in rows])
-    temperature = float(warm[np.isfinite(warm)].mean()) if np.isfinite(warm).any() else np.nan
+    if np.isfinite(warm).any():
+        row["temperature"] = float(warm[np.isfinite(warm)].mean())
     balance = leak_of_blocks(blocks)
     if balance is not None:
-        at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, temperature)
+        at_40 = referred(Leak(balance.value, balance.low, balance.high), oil, row["temperature"])
         balance = balance._replace(**at_40._asdict())
 
     def choose(samples: Sampled) -> Windows:
@@ -84,7 +82,7 @@ def row_of(live: Lively, config: TaskConfig, oil: Oil, blocks: Sequence[Blocks] 
         with told_to(None):  # a file is one step of the progress
             measured, fitted = read_windows(windows, config, threads=1)
         leaks: list[Any] = [measured.flow_lpm, measured.low_lpm, measured.high_lpm]
-        at_40 = referred(Leak(*leaks), oil, temperature)
+        at_40 = referred(Leak(*leaks), oil, row["temperature"])
         sizes: dict[str, Any] = {"flow_lpm": at_40.value, "low_lpm": at_40.low, "high_lpm": at_40.high}
         return Read(measured._replace(**sizes), fitted=fitted)
 
@@ -99,8 +97,7 @@ def row_of(live: Lively, config: TaskConfig, oil: Oil, blocks: Sequence[Blocks] 
     for finding in found.checked.findings:
         if finding.weight is Weight.FAULT or finding.signal == "clock":
             reasons.append(finding.line())
-    reason = "; ".join(dict.fromkeys(filter(None, reasons)))
-    return row | {"verdict": verdict.kind.value, "temperature": temperature, "reason": reason}
+    return row | {"verdict": verdict.kind.value, "reason": "; ".join(dict.fromkeys(filter(None, reasons)))}
 
 
 def _sizes(leak: Leak) -> dict[str, float]:

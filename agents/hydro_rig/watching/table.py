@@ -1,4 +1,4 @@
-"""The table of ``hydro trend``: one CSV file with a row per reading.
+"""The table of ``hydro trend``: one CSV file with a row per reading; and the recordings that it is made of.
 
 It is written as a whole after each file, so that an interruption loses nothing. It may be edited by hand: a mark in the
 column ``repaired`` says that the seal was new from that row on, and further columns stay.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,14 +21,13 @@ from hydro_rig.diagnosis.verdict import Kind
 
 NUMBERS = ("size_40", "low_40", "high_40", "temperature", "bytes")
 TEXTS = ("time", "until", "axis", "file", "verdict", "reason", "repaired")
-COLUMNS = ("time", "until", "axis", "file", "verdict", *NUMBERS, "reason", "repaired")
+COLUMNS = (*TEXTS[:5], *NUMBERS, *TEXTS[5:])
 """Sizes with the ends of their 90 % intervals in l/min at 100 bar and 40 °C; ``temperature`` of the oil in °C;
 ``bytes`` of the file: a file that has grown is read again; ``repaired``: any mark."""
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mat")
-
-_DATE_FOLDERS = re.compile(r"(?:^|/)20\d\d(?:[-_./ ]?W?\d\d?){0,2}(?=/|$)")  # 2026-10-03, 2026/10/03
 _DATE = re.compile(r"(?<!\d)20\d\d(?:[-_.:T ]*\d\d)*(?!\d)")  # in the name of a file, with or without a time
+_DATE_FOLDERS = re.compile(r"(?:^|/)20\d\d(?:[-_./ ]?W?\d\d?){0,2}(?=/|$)")  # 2026-10-03, 2026/10/03
 
 
 class File(NamedTuple):
@@ -39,7 +37,6 @@ class File(NamedTuple):
     axis: str
     name: str  # in the table: axis, and path within its folder
     size: int  # bytes
-    changed: float  # s since 1970
 
 
 def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
@@ -52,23 +49,22 @@ def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
     """
     found: dict[str, File] = {}
     others: Counter[str] = Counter()
-    own = {table.resolve(), table.with_suffix(".html").resolve()}
+    own = (table.resolve(), table.with_suffix(".html").resolve())
     for place in places:
         if not place.exists():
             raise ConfigurationError(f"{place}: does not exist")
-        folder = place if place.is_dir() else place.parent
-        recordings = 0
-        for path in sorted(place.rglob("*")) if place.is_dir() else [place]:
-            hidden = any(part.startswith((".", "_")) for part in path.relative_to(place).parts)
+        single, recordings = place.is_file(), 0
+        for path in [place] if single else sorted(place.rglob("*")):
+            parts = path.relative_to(place.parent if single else place).parts
+            hidden = not single and any(part.startswith((".", "_")) for part in parts)
             if hidden or not path.is_file() or path.resolve() in own:
                 continue
-            if path.suffix.lower() not in SUFFIXES and path != place:
+            if not single and path.suffix.lower() not in SUFFIXES:
                 others[path.suffix or path.name] += 1
                 continue
             recordings += 1
-            axis, name = axis_of(path, folder)
-            facts = path.stat()
-            same = found.setdefault(name, File(path, axis, name, facts.st_size, facts.st_mtime))
+            axis, name = axis_of(parts, (place.parent if single else place).resolve().name)
+            same = found.setdefault(name, File(path, axis, name, path.stat().st_size))
             if same.path.resolve() != path.resolve():
                 raise ConfigurationError(f"{path}: {same.path} is '{name}' as well; give the folder above both")
         if not recordings:
@@ -77,19 +73,19 @@ def files_of(places: Sequence[Path], table: Path) -> tuple[list[File], str]:
     return [found[name] for name in sorted(found)], f"files that are no recordings: {told}" if told else ""
 
 
-def axis_of(path: Path, folder: Path) -> tuple[str, str]:
-    """The axis of a file, and the name of the file in the table.
+def axis_of(parts: Sequence[str], given: str) -> tuple[str, str]:
+    """The axis of a file, and the name of the file in the table, from its path below the folder ``given``.
 
-    The axis is the path of the file's folder below the given one, without dates (``axis=3`` is 3). Without such a
-    folder it is the name of the file without its date, or of the given folder if no letter is left.
+    The axis is the path of the file's folder without dates (``axis=3`` is 3). Without such a folder it is the name of
+    the file without its date, or of the given folder if no letter is left.
     """
-    folders = path.relative_to(folder).parts[:-1]
+    *folders, file = parts
     axis = _DATE_FOLDERS.sub("", "/".join(part.split("=", 1)[-1] for part in folders)).strip("/")
     if not axis:
-        stem = _DATE.sub("", path.stem).strip(" -_.")
-        axis = stem if any(map(str.isalpha, stem)) else folder.resolve().name or "axis"
+        stem = _DATE.sub("", Path(file).stem).strip(" -_.")
+        axis = stem if any(map(str.isalpha, stem)) else given or "axis"
     dates = [part for part in folders if part.split("=", 1)[-1] not in axis.split("/")]
-    return axis, "/".join([axis, *dates, path.name])
+    return axis, "/".join([axis, *dates, file])
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -114,20 +110,20 @@ def read_table(path: Path) -> pd.DataFrame:
 
 def with_row(table: pd.DataFrame, file: File, found: dict[str, Any]) -> pd.DataFrame:
     """The table with the row of a file, in place of an older one of the same file; in the order of axis and time."""
-    row = found | {"axis": file.axis, "file": file.name, "bytes": file.size}
+    old = table["file"] == file.name
+    row = {**found, "axis": file.axis, "file": file.name, "bytes": file.size}
     row |= {"time": stamp(found["time"]), "until": stamp(found["until"])}
-    old = table[table["file"] == file.name]
-    row["repaired"] = "".join(old["repaired"][:1])
-    rest = table.drop(old.index)
+    row["repaired"] = "".join(table["repaired"][old][:1])
     fresh = pd.DataFrame([row]).round(5)
-    whole = pd.concat([rest, fresh], ignore_index=True) if len(rest) else fresh
+    whole = pd.concat([table[~old], fresh], ignore_index=True) if (~old).any() else fresh
     names = [*COLUMNS, *(name for name in table if name not in COLUMNS)]
     return whole.reindex(columns=names).sort_values(["axis", "time"], kind="stable", ignore_index=True)
 
 
 def stamp(time: float) -> str:
     """Seconds since 1970 as ``2026-10-03T08:00:00``."""
-    return datetime.fromtimestamp(float(time), UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    text: str = pd.Timestamp(time, unit="s").strftime("%Y-%m-%dT%H:%M:%S")
+    return text
 
 
 def seconds(stamps: pd.Series) -> Floats:

@@ -38,6 +38,7 @@ class State(StrEnum):
     HEALTHY = Kind.HEALTHY.value
 
 
+SERIOUS = list(State).index  # sorts states
 CODES = {**{State(kind): code for kind, code in EXIT_CODES.items()}, State.UNREAD: 13, State.STALE: 14}
 """Exit codes; that of the command is the code of the most serious state of an axis."""
 
@@ -67,13 +68,13 @@ class AxisTrend(NamedTuple):
             return 0.0, -self.leak.value
         if self.dated:
             return 1.0, self.growth.ahead.value
-        return 2.0 + list(State).index(self.states[0]), 0.0
+        return 2.0 + SERIOUS(self.states[0]), 0.0
 
     def facts(self) -> dict[str, Any]:
         """What another program needs; leaks in l/min at 100 bar and 40 °C, ``None``: unknown or never."""
-        found, dates = self.growth, None
+        dates = None
         if self.dated:
-            days = {**found.ahead._asdict(), "not_before": found.not_before}
+            days = {**self.growth.ahead._asdict(), "not_before": self.growth.not_before}
             dates = {name: stamp(self.now + DAY * ahead)[:10] if ahead < 1e5 else None for name, ahead in days.items()}
         return {
             "axis": self.axis,
@@ -84,7 +85,7 @@ class AxisTrend(NamedTuple):
             "leak_40": {name: _finite(value) for name, value in self.leak._asdict().items()},
             "limit": self.limit,
             "limit_reached": dates,
-            "decades_per_day": {name: _finite(value) for name, value in found.rate._asdict().items()},
+            "decades_per_day": {name: _finite(value) for name, value in self.growth.rate._asdict().items()},
             "readings": len(self.rows),
             "last": None if np.isnan(self.last) else stamp(self.last),
             "age_days": _finite((self.now - self.last) / DAY),
@@ -118,8 +119,7 @@ def trend_of(axis: str, rows: pd.DataFrame, limit: float, oil: Oil, error: str, 
     rows = rows.assign(begin=seconds(rows["time"]), end=seconds(rows["until"])).sort_values("begin", kind="stable")
     last = float(rows["end"].max())
     now = last if now is None else now
-    distance = rows["begin"].diff().median()
-    late = LATE * max(DAY, distance if np.isfinite(distance) else DAY)
+    late = LATE * float(np.fmax(DAY, rows["begin"].diff().median()))
     stale = abs(now - last) > late  # also by a clock that runs ahead
     repaired = rows["begin"][rows["repaired"] != ""].max()
     since = rows if np.isnan(repaired) else rows[rows["begin"] >= repaired]
@@ -135,7 +135,7 @@ def trend_of(axis: str, rows: pd.DataFrame, limit: float, oil: Oil, error: str, 
         reasons.pop(State.HEALTHY, None)
     if State.LEAK in reasons and latest.low > found.level.high:
         found = NO_GROWTH  # the last reading is far above the trend
-    states = [state for state in State if state in reasons]
+    states = sorted(reasons, key=SERIOUS)
     reason = "; ".join(reasons[state] for state in states if reasons[state])
     leak = latest if np.isnan(found.level.value) else found.level
     return AxisTrend(axis, rows, states, reason, found, leak, limit, last, now)
@@ -147,10 +147,9 @@ def _growth(rows: pd.DataFrame, limit: float, oil: Oil, now: float) -> Growth:
     deviation = (rows["high_40"] - rows["low_40"]).to_numpy(dtype=np.float64) / (2.0 * HALF_WIDTH)
     shared = common_error(oil, float(rows["temperature"].median()))
     own = np.sqrt(np.maximum(deviation**2 - (np.log(10.0) * shared * size) ** 2, 0.0))
-    relative = own[size > 0.0] / size[size > 0.0]
-    plant = float(np.median(relative)) / np.log(10.0) if len(relative) else 0.0
-    common = float(np.hypot(shared, min(plant, PLANT_ERROR)))
-    return growth(rows["begin"] / DAY, size, limit, own, common, now)
+    relative = own[size > 0.0] / size[size > 0.0] / np.log(10.0)
+    plant = min(float(np.median(relative)), PLANT_ERROR) if len(relative) else 0.0
+    return growth(rows["begin"] / DAY, size, limit, own, float(np.hypot(shared, plant)), now)
 
 
 def _reasons(rows: pd.DataFrame, limit: float, latest: Interval, found: Growth) -> dict[State, str]:
@@ -165,11 +164,9 @@ def _reasons(rows: pd.DataFrame, limit: float, latest: Interval, found: Growth) 
     state = State(verdict) if count >= min(len(rows), AGREE) else State.UNKNOWN
     if latest.low > limit:
         state = State.LEAK
-    elif state is State.HEALTHY and found.ahead.value == 0.0:
-        return {State.UNKNOWN: ""}
     if state is State.HEALTHY:
-        return {state: ""}
-    return {state: next(iter(rows["reason"][rows["verdict"] == state][::-1]), "")}
+        return {State.UNKNOWN if found.ahead.value == 0.0 else state: ""}
+    return {state: "".join(rows["reason"][rows["verdict"] == state][-1:])}
 
 
 def _finite(value: float) -> float | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from time import time
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ from hydro_rig.recordings.recording import map_for
 from hydro_rig.watching.oil import Oil
 from hydro_rig.watching.reading import row_of_file
 from hydro_rig.watching.table import File, files_of, read_table, with_row
-from hydro_rig.watching.trend import CODES, AxisTrend, State, trend_of
+from hydro_rig.watching.trend import CODES, SERIOUS, AxisTrend, trend_of
 
 USUAL_LIMIT = 0.3  # l/min at 100 bar and 40 °C, of the default rig
 
@@ -37,7 +37,7 @@ class Watched(NamedTuple):
     @property
     def exit_code(self) -> int:
         """Of the most serious state of an axis."""
-        return exit_code([one.states[0] for one in self.trends])
+        return CODES[min((one.states[0] for one in self.trends), key=SERIOUS)]
 
     def facts(self) -> dict[str, Any]:
         """For another program."""
@@ -92,20 +92,18 @@ def watch(
         if maps_by_name[new[0]] is None:
             map_for(read_columns(new[0].path), str(new[0].path))  # shows a guessed map if the headings are unknown
         raise ConfigurationError(errors[new[0].name])
-    newest = {file.axis: file.name for file in sorted(files, key=lambda file: file.changed)}
+    newest = {
+        file.axis: errors.get(file.name, "") for file in sorted(files, key=lambda file: file.path.stat().st_mtime)
+    }
     trends = []
-    for axis in sorted({*table["axis"], *(axis for axis, name in newest.items() if name in errors)}):
-        own = limit or USUAL_LIMIT * leak_scale(configs[axis])
-        error = errors.get(newest.get(axis, ""), "")
-        trends.append(trend_of(axis, table[table["axis"] == axis], own, filling, error, time()))
+    for axis in sorted(configs):
+        own, error = limit or USUAL_LIMIT * leak_scale(configs[axis]), newest.get(axis, "")
+        rows = table[table["axis"] == axis]
+        if error or len(rows):
+            trends.append(trend_of(axis, rows, own, filling, error, time()))
     trends.sort(key=lambda one: one.urgency)
     left_out = [*errors.values(), *filter(None, [others])]
     return Watched(trends, len(new) - len(errors), len(files) - len(new), left_out)
-
-
-def exit_code(states: Sequence[State]) -> int:
-    """That of the most serious state."""
-    return CODES[min(states, key=list(State).index)]
 
 
 def _row_or_error(file: File, config: TaskConfig, columns: ColumnMap | None, oil: Oil) -> dict[str, Any] | str:
@@ -116,7 +114,7 @@ def _row_or_error(file: File, config: TaskConfig, columns: ColumnMap | None, oil
         return str(error)
 
 
-def _configs(task: str | None, rigs: Sequence[str], axes: set[str]) -> dict[str, TaskConfig]:
+def _configs(task: str | None, rigs: Sequence[str], axes: Collection[str]) -> dict[str, TaskConfig]:
     """The task of each axis, with its own rig."""
     made: dict[str, TaskConfig] = {}
     for text in rigs:

@@ -24,7 +24,7 @@ def test_the_interval_holds_the_time_to_the_limit_also_where_errors_last(share, 
     generator = np.random.default_rng(7)
     size = 0.3 * 10.0 ** (RATE * (DAYS - DAYS[-1] - 12.0))  # the limit is reached 12 days after the last reading
     holds, early = [], []
-    for _ in range(150):
+    for _ in range(60):
         errors = 0.04 * lasting(generator, len(DAYS), share, length)
         found = growth(DAYS, size * 10.0**errors, 0.3, 0.09 * size)
         holds.append(found.ahead.low <= 12.0 <= found.ahead.high)
