@@ -9,6 +9,7 @@ from command_line import assert_one_clear_line, hydro
 from hydro_env import PlantParameters, TaskConfig, equilibrium, simulate
 from hydro_env.plant.parts.leakage import LeakLaw, leak_past_piston
 from hydro_env.task.configuration import task_config
+from hydro_rig.export import plant
 from hydro_rig.export.c_files import c_compiler
 from hydro_rig.export.plant import make_fmu
 
@@ -86,9 +87,9 @@ def test_it_moves_as_the_kernel_does(law, file, tmp_path):
         file = tmp_path / "axis.fmu"
         rig = PlantParameters().replace(leakage=leak_past_piston(0.03, law)).model_dump()
         file.write_bytes(make_fmu(task_config(plant=rig, leakage={"law": law})))
-    plant = PlantParameters().replace(leakage=leak_past_piston(2.0, law), valve={"null_shift": 0.01})
-    rest, voltage = equilibrium(plant, PLACE)
-    expected = simulate(plant, VOLTAGE, PERIOD, rest)
+    own = PlantParameters().replace(leakage=leak_past_piston(2.0, law), valve={"null_shift": 0.01})
+    rest, voltage = equilibrium(own, PLACE)
+    expected = simulate(own, VOLTAGE, PERIOD, rest)
     result = run_fmu(file, **{"initial_position": PLACE, "leakage": 2.0, "fault.valve_null_shift": 0.01})
     assert np.ptp(expected.position) > 5e-3
     assert np.abs(result["position"] - expected.position).max() <= 1e-9 * np.ptp(expected.position)
@@ -163,8 +164,8 @@ def test_a_state_of_one_instance_leaves_another_its_logger(file):
     assert one.lines == []
 
 
-@needs_compiler
-def test_its_description_is_of_this_rig_and_tools_can_convert_its_units(tmp_path):
+def test_its_description_is_of_this_rig_and_tools_can_convert_its_units(tmp_path, monkeypatch):
+    monkeypatch.setattr(plant, "compiled", lambda *_: b"")
     fmpy = pytest.importorskip("fmpy")
     file = tmp_path / "axis.fmu"
     file.write_bytes(make_fmu(task_config(plant={"load": {"mass": 80.0}, "cylinder": {"stroke": 0.5}})))
