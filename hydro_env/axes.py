@@ -177,24 +177,14 @@ class Axes:
         failed = axes[self.column("failure")[axes] != NO_FAILURE]
         if len(failed) == 0:
             return
-        from hydro_env.plant.analysis import force_limits  # imported only for the message
-
         axis = int(failed[0])
-        plant, row = self.parameters(axis), self.reference[axis]
-        stiffness = plant.load.spring_stiffness
+        plant, what = self.parameters(axis), "its reference cannot be reached"
         if self.column("failure")[axis] == CANNOT_BE_HELD:
             shift = self._task["start_bias_share"][0] * self.column("bias")[axis, POSITION]
             what = f"initial position {1e3 * (self.column('position')[axis] + shift):.4g} mm cannot be held"
-        elif stiffness <= 0.0:
-            what = "no reference can be reached"
-        else:
-            low, high = -force_limits(plant).retracting / stiffness, force_limits(plant).extending / stiffness
-            farthest = row.max() if row.max() - high > low - row.min() else row.min()
-            reached = f"only {1e3 * low:.4g} to {1e3 * high:.4g} mm can,"
-            what = f"reference of {1e3 * farthest:.4g} mm cannot be reached, {reached}"
         raise ConfigurationError(
             f"axis {axis}: {what} by its plant (supply {plant.supply.pressure / 1e5:.3g} bar, spring "
-            f"{stiffness:.4g} N/m, external force {plant.load.external_force:.4g} N, leakage "
+            f"{plant.load.spring_stiffness:.4g} N/m, external force {plant.load.external_force:.4g} N, leakage "
             f"{self.column('leak_flow')[axis]:.3g} l/min at 100 bar), nor by {task_kernel.MOST_DRAWS - 1} others that "
             "were drawn"
         )
@@ -244,14 +234,10 @@ class Axes:
 
     def _rows(self) -> dict[str, NDArray[Any]]:
         """Every array that an episode depends on, by name; one row per axis."""
-        fixed = self.options.fixed._asdict()
-        fixed["user_reference"] = np.broadcast_to(fixed["user_reference"], self.reference.shape)
-        return {
-            **self.arrays._asdict(),
-            "physical": self.physical,
-            "seeds": self._chances.seeds,
-            **{f"fixed_{name}": values for name, values in fixed.items()},
-        }
+        arrays = {**self.arrays._asdict(), "physical": self.physical, "seeds": self._chances.seeds}
+        for name, values in self.options.fixed._asdict().items():
+            arrays[f"fixed_{name}"] = values
+        return arrays
 
     def get_state(self, axes: Indices) -> AxesState:
         """Complete state of some axes, as copies."""
@@ -272,12 +258,8 @@ class Axes:
         count = len(rows["record"])
         if count not in (1, len(axes)):
             raise ConfigurationError(f"set_state: the state of {count} axes for {len(axes)}: must be as many, or one")
-        user_reference = rows.pop("fixed_user_reference")
-        own = self._rows()
-        for name, values in rows.items():
-            own[name][axes] = values
-        if not np.array_equal(own["fixed_user_reference"][axes], user_reference):
-            self.options.set_user_reference(user_reference, axes)
+        for name, own in self._rows().items():
+            own[axes] = rows[name]
         self._note_schedules()
 
     def column(self, name: str) -> Floats:
@@ -298,10 +280,11 @@ class Axes:
 
     def drawn_faults(self) -> dict[str, Floats]:
         """Present magnitude, (N,), of each fault that the task may draw, by name."""
-        magnitudes = self.column("fault")
-        kinds = self.config.faults
-        drawn = [index for index, name in enumerate(FAULTS) if getattr(kinds, KIND_OF_FAULT[name]).probability > 0.0]
-        return {FAULTS[index]: magnitudes[:, index].copy() for index in drawn}
+        return {
+            name: self.column("fault")[:, index].copy()
+            for index, name in enumerate(FAULTS)
+            if getattr(self.config.faults, KIND_OF_FAULT[name]).probability > 0.0
+        }
 
     def parameters(self, axis: int) -> PlantParameters:
         """The physical parameters of an axis in its present episode, leakage and faults included."""
@@ -323,5 +306,4 @@ class Axes:
 
     def external_force(self, axis: int) -> float:
         """External force in N that acts on an axis now, disturbance included."""
-        row = Coefficients._fields.index("external_force")
-        return float(self.coefficient[axis, row])
+        return float(self.coefficient[axis, Coefficients._fields.index("external_force")])

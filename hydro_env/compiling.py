@@ -10,7 +10,6 @@ from __future__ import annotations
 import gc
 import hashlib
 import sys
-import threading
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -26,9 +25,6 @@ OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "no
 On one processor the same source gives the same bits, independent of other plants in the run. Between processors with
 and without fused multiply–add the last digits differ: ``contract`` allows the compiler to use that instruction.
 """
-
-SILENT_SECONDS = 2.0
-"""A message on the console announces a compilation that takes longer."""
 
 
 def _digest_of_sources() -> int:
@@ -165,32 +161,18 @@ def compiled(function: Callable[..., Any]) -> Kernel:
     return Kernel(function)
 
 
-_announced = threading.Event()
-
-
 @contextmanager
 def _announcing() -> Iterator[None]:
-    """Say it on the console if something compiles for long; importing numba and loading machine code is no reason."""
+    """Say it once on the console if something compiles; importing numba and loading machine code is no reason."""
     event = numba().core.event
-    timer = threading.Timer(SILENT_SECONDS, _announce)
-    timer.daemon = True
-
-    def begin(*_: Any) -> None:
-        if timer.ident is None:  # functions that are merged into the kernel compile within it
-            timer.start()
-
-    listener = type("Begin", (event.Listener,), {"on_start": begin, "on_end": lambda *_: None})()
+    listener = type("Begin", (event.Listener,), {"on_start": lambda *_: _announce(), "on_end": lambda *_: None})()
     with event.install_listener("numba:compile", listener):
-        try:
-            yield
-        finally:
-            timer.cancel()
+        yield
 
 
+@cache
 def _announce() -> None:
-    if not _announced.is_set():
-        _announced.set()
-        print("hydro_env: compiling for this processor, once per version; up to a minute", file=sys.stderr)
+    print("hydro_env: compiling for this processor, once per version; up to a minute", file=sys.stderr)
 
 
 def _generated(name: str, parameters: str, lines: Sequence[str], **names: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The drawing of the axis: cylinder cut open, load, valve command, pressures, and the position over time.
+"""The drawing of the axis: cylinder cut open, load, its numbers, and the position over time.
 
 pygame is imported only when a renderer is made; ``rgb_array`` draws on plain surfaces and needs no display.
 """
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 BAR = 1e5  # Pa
 WIDTH, HEIGHT = 960, 540
-SUPERSAMPLING = 2  # shapes are drawn larger and scaled down, for smooth edges
 FONTS = "dejavusans,liberationsans,notosans,arial,helvetica,segoeui"
 
 PAPER, INK, GREY, STEEL, PISTON = (250, 250, 248), (38, 46, 56), (105, 114, 124), (203, 208, 214), (150, 158, 167)
@@ -38,10 +37,9 @@ BARREL_LEFT, BARREL_RIGHT = 56.0, 56.0 + STROKE_PIXELS + 2 * PISTON_HALF
 PISTON_ZERO = (BARREL_LEFT + BARREL_RIGHT) / 2
 LOAD_HALF, GROUND_Y, WALL_X = 30.0, AXIS_Y + 36, 930.0
 LOAD_ZERO = BARREL_RIGHT + 36 + LOAD_HALF + STROKE_PIXELS / 2
-PLOT_LEFT, PLOT_RIGHT, PLOT_TOP, PLOT_BOTTOM, PLOT_POINTS = 66.0, 936.0, 320.0, 500.0, 900
+PLOT_LEFT, PLOT_RIGHT, PLOT_TOP, PLOT_BOTTOM = 66.0, 936.0, 320.0, 500.0
 
 Color = tuple[int, int, int]
-Points = Sequence[tuple[float, float]] | Floats
 
 
 @dataclass(frozen=True)
@@ -85,8 +83,6 @@ class AxisRenderer:
     """Draws the axis as an array (``rgb_array``) or in a window in real time (``human``)."""
 
     def __init__(self, render_mode: str) -> None:
-        if render_mode not in ("rgb_array", "human"):
-            raise ValueError(f"render_mode must be 'rgb_array' or 'human', not {render_mode!r}")
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # suppresses pygame's greeting
         try:
             import pygame
@@ -99,19 +95,24 @@ class AxisRenderer:
             warnings.simplefilter("ignore")
             self._font = pygame.freetype.SysFont(FONTS, 13)
         self._font.origin = True
-        self._large = pygame.Surface((WIDTH * SUPERSAMPLING, HEIGHT * SUPERSAMPLING))
-        self._texts: list[tuple[str, float, float, Color, float]] = []
+        self._picture = pygame.Surface((WIDTH, HEIGHT))
         self._window: Any = None
         self._clock = pygame.time.Clock()
         self._closed = False
 
     def draw(self, view: View, frame_time: float = 0.0) -> NDArray[np.uint8] | None:
         """Draw one frame; a window waits until ``frame_time`` (s) after the last one, and does nothing once closed."""
-        if self._render_mode == "human":
-            if not self._closed:
-                self._show(self._picture(view), frame_time)
+        if self._closed:
             return None
-        content = self._pygame.image.tobytes(self._picture(view), "RGB")
+        self._picture.fill(PAPER)
+        self._numbers(view)
+        self._cylinder(view)
+        self._load(view)
+        self._plot(view)
+        if self._render_mode == "human":
+            self._show(frame_time)
+            return None
+        content = self._pygame.image.tobytes(self._picture, "RGB")
         return np.frombuffer(content, dtype=np.uint8).reshape(HEIGHT, WIDTH, 3).copy()
 
     def close(self) -> None:
@@ -121,7 +122,7 @@ class AxisRenderer:
             self._window = None
             self._pygame.display.quit()
 
-    def _show(self, surface: Any, frame_time: float) -> None:
+    def _show(self, frame_time: float) -> None:
         display = self._pygame.display
         if self._window is None:
             display.init()
@@ -130,48 +131,26 @@ class AxisRenderer:
         if any(event.type == self._pygame.QUIT for event in self._pygame.event.get()):
             self.close()
             return
-        self._window.blit(surface, (0, 0))
+        self._window.blit(self._picture, (0, 0))
         display.flip()
         self._clock.tick(1.0 / frame_time if frame_time > 0.0 else 0.0)
 
-    def _text(self, text: str, x: float, y: float, color: Color = GREY, size: float = 11, align: float = 0) -> None:
-        """``y`` is the baseline; ``align`` is 0 left, 0.5 centred, 1 right."""
-        width = self._font.get_rect(text, size=size).width
-        self._texts.append((text, x - align * width, y, color, size))
+    def _text(self, text: str, x: float, y: float, color: Color = GREY, size: float = 11) -> None:
+        """A text from ``x`` on, with its baseline at ``y``."""
+        self._font.render_to(self._picture, (round(x), round(y)), text, color, size=size)
 
-    def _line(self, points: Points, color: Color = INK, width: float = 1) -> None:
-        if len(points) > 1:
-            large = SUPERSAMPLING * np.array(points)
-            self._pygame.draw.lines(self._large, color, False, large, max(1, round(width * SUPERSAMPLING)))
+    def _line(self, x: Any, y: Any, color: Color = INK, width: int = 2) -> None:
+        if len(x) > 1:
+            self._pygame.draw.lines(self._picture, color, False, np.rint(np.stack((x, y), axis=1)), width)
 
     def _box(self, x: float, y: float, x_end: float, y_end: float, fill: Color, outlined: bool = True) -> None:
-        left, top, right, bottom = (round(SUPERSAMPLING * edge) for edge in (x, y, x_end, y_end))
+        left, top, right, bottom = (round(edge) for edge in (x, y, x_end, y_end))
         area = (left, top, max(0, right - left), max(0, bottom - top))
-        self._pygame.draw.rect(self._large, fill, area)
+        self._pygame.draw.rect(self._picture, fill, area)
         if outlined:
-            self._pygame.draw.rect(self._large, INK, area, SUPERSAMPLING)
-
-    def _arrow(self, x: float, x_end: float, y: float, width: float, fill: Color = INK) -> None:
-        """A filled arrow along x, from ``x`` to ``x_end``."""
-        wing = width / 2 + 2.5
-        neck = x_end - math.copysign(min(0.7 * abs(x_end - x), 2 * wing), x_end - x)
-        upper = [(x, y - width / 2), (neck, y - width / 2), (neck, y - wing), (x_end, y)]
-        lower = [(along, 2 * y - height) for along, height in reversed(upper[:-1])]
-        self._pygame.draw.polygon(self._large, fill, SUPERSAMPLING * np.array([*upper, *lower]))
+            self._pygame.draw.rect(self._picture, INK, area, 1)
 
     # The parts of the picture, from back to front -------------------------------------------------------------------
-
-    def _picture(self, view: View) -> Any:
-        self._large.fill(PAPER)
-        self._texts.clear()
-        self._numbers(view)
-        self._cylinder(view)
-        self._load(view)
-        self._plot(view)
-        small = self._pygame.transform.smoothscale(self._large, (WIDTH, HEIGHT))
-        for text, left, baseline, color, size in self._texts:
-            self._font.render_to(small, (round(left), round(baseline)), text, color, size=size)
-        return small
 
     def _numbers(self, view: View) -> None:
         s = view.state
@@ -209,54 +188,42 @@ class AxisRenderer:
         gap = min(10.0, 1 + 4 * math.sqrt(flow)) if flow > 0 else 0.0
         self._box(piston - PISTON_HALF, top + gap, piston + PISTON_HALF, bottom - gap, PISTON)
         if gap > 0.0 and s.pressure_a != s.pressure_b:
-            ends = [max(piston - 26, BARREL_LEFT), min(piston + 26, BARREL_RIGHT)]
-            tail, tip = ends if s.pressure_a > s.pressure_b else reversed(ends)
+            towards = math.copysign(26.0, s.pressure_a - s.pressure_b)
             for y in (top + gap / 2, bottom - gap / 2):
-                self._arrow(tail, tip, y, gap, LEAK)
-        self._text("Chamber a (bore)", BARREL_LEFT - 24, top - WALL - 12)
-        self._text("Chamber b (rod)", BARREL_RIGHT + 24, top - WALL - 12, align=1)
+                wing, neck = gap / 2 + 2.5, piston + 0.5 * towards
+                self._line((piston - towards, neck), (y, y), LEAK, round(gap))
+                head = ((neck, y - wing), (piston + towards, y), (neck, y + wing))
+                self._pygame.draw.polygon(self._picture, LEAK, head)
 
     def _load(self, view: View) -> None:
         per_metre = STROKE_PIXELS / view.cylinder.stroke
         load, wanted = LOAD_ZERO + per_metre * view.state.position, LOAD_ZERO + per_metre * view.reference
-        right = load + LOAD_HALF
-        self._line([(BARREL_RIGHT + 36, GROUND_Y), (WALL_X, GROUND_Y)], INK, 1.5)
+        self._line((BARREL_RIGHT + 36, WALL_X), (GROUND_Y, GROUND_Y))
         if view.has_spring:
-            coils = np.linspace(right, WALL_X, 18)
-            self._line(np.stack((coils, AXIS_Y + 11 * (-1.0) ** np.arange(18)), axis=1), INK, 1.5)
+            self._line(np.linspace(load + LOAD_HALF, WALL_X, 18), AXIS_Y + 11 * (-1.0) ** np.arange(18))
             self._box(WALL_X, AXIS_Y - 42, WALL_X + 7, GROUND_Y + 1, STEEL)
-        self._box(load - LOAD_HALF, AXIS_Y - 34, right, GROUND_Y, STEEL)
-        if view.external_force:
-            ends = [right + 26 + 20 * min(1.0, abs(view.external_force) / 2000), right + 3]
-            tail, tip = ends if view.external_force > 0 else reversed(ends)
-            self._arrow(tail, tip, AXIS_Y - 26, 3)
-        self._line([(load, AXIS_Y - 34), (load, GROUND_Y)], POSITION, 2)
-        self._line([(wanted, AXIS_Y - 60), (wanted, GROUND_Y)], REFERENCE, 2)
+        self._box(load - LOAD_HALF, AXIS_Y - 34, load + LOAD_HALF, GROUND_Y, STEEL)
+        self._line((load, load), (AXIS_Y - 34, GROUND_Y), POSITION)
+        self._line((wanted, wanted), (AXIS_Y - 60, GROUND_Y), REFERENCE)
 
     def _plot(self, view: View) -> None:
-        stride = (len(view.past) + len(view.coming)) // PLOT_POINTS + 1
-        past = 1e3 * view.past[::-stride][::-1]  # keeps the last sample
-        coming = 1e3 * np.append(view.reference, view.coming[stride - 1 :: stride])
-        then = view.time - stride * view.period * np.arange(len(past))[::-1]
-        later = view.time + stride * view.period * np.arange(len(coming))
-        end = max(view.time + view.period * len(view.coming), then[0] + 1)
-        shown = np.concatenate((past.ravel(), coming))
-        spare = max(0.0, 20.0 - float(np.ptp(shown))) / 2  # a still axis is not magnified to noise
-        times, values = _ticks(then[0], end, 8), _ticks(shown.min() - spare, shown.max() + spare, 4)
+        """The whole episode; the scale of positions is symmetric, in whole centimetres."""
+        count, coming = len(view.past), np.append(view.reference, view.coming)
+        limit = 0.01 * max(1.0, math.ceil(100.0 * max(np.abs(view.past).max(), np.abs(coming).max())))
+        begin, end = view.time - view.period * (count - 1), view.time + view.period * len(view.coming)
+        xs = np.linspace(PLOT_LEFT, PLOT_RIGHT, count + len(view.coming))
 
-        def place(time: Any, value: Any) -> Floats:
-            x = np.interp(time, times[[0, -1]], (PLOT_LEFT, PLOT_RIGHT))
-            return np.stack((x, np.interp(value, values[[0, -1]], (PLOT_BOTTOM, PLOT_TOP))), axis=-1)
+        def height(values: Any) -> Any:
+            return np.interp(values, (-limit, limit), (PLOT_BOTTOM, PLOT_TOP))
 
-        for time in times:
-            self._text(f"{time:g}", place(time, 0.0)[0], PLOT_BOTTOM + 17, align=0.5)
-        for value in values:
-            self._line(place(times[[0, -1]], [value, value]), STEEL, 0.5)
-            self._text(f"{value:g}", PLOT_LEFT - 7, place(0.0, value)[1] + 4, align=1)
-        self._line(place(later, coming), REFERENCE_COMING, 1.5)
-        self._line(place(then, past[:, 1]), REFERENCE, 1.5)
-        self._line(place(then, past[:, 0]), POSITION, 1.5)
-        self._line(place([view.time] * 2, values[[0, -1]]), GREY, 0.5)
+        for value in (-limit, 0.0, limit):
+            self._line((PLOT_LEFT, PLOT_RIGHT), (height(value), height(value)), STEEL, 1)
+            self._text(f"{1e3 * value:.0f}", 34, height(value) + 4)
+        for time, x in ((begin, PLOT_LEFT), (end, PLOT_RIGHT - 24)):
+            self._text(f"{time:.2f}", x, PLOT_BOTTOM + 17)
+        self._line(xs[count - 1 :], height(coming), REFERENCE_COMING)
+        self._line(xs[:count], height(view.past[:, 1]), REFERENCE)
+        self._line(xs[:count], height(view.past[:, 0]), POSITION)
         self._text("Position and reference in mm over time in s", 34, PLOT_TOP - 12, INK, 13)
 
 
@@ -264,12 +231,3 @@ def _oil(share: float) -> Color:
     """Colour of the oil at a share of the supply pressure."""
     red, green, blue = (round(float(np.interp(share, (0.0, 0.5, 1.0), channel))) for channel in zip(*OIL, strict=True))
     return red, green, blue
-
-
-def _ticks(low: float, high: float, parts: int) -> Floats:
-    """Multiples of 1, 2 or 5 times a power of ten that cover a range in about ``parts`` parts."""
-    span = high - low
-    power = 10.0 ** math.floor(math.log10(span / parts))
-    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power * parts >= span * (1 - 1e-9))
-    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
-    return step * np.arange(first, last + 1, dtype=np.float64)

@@ -23,16 +23,6 @@ from hydro_env.types import Floats
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
 """Parameters that must exceed another one (rod, Coulomb force, precharge): their lowest draw is critical."""
 
-_DRAWN: dict[str, float] = {
-    "parameters": np.nan,
-    "leakage_flow_lpm": np.nan,
-    "initial_position": np.nan,
-    "rig": -1,
-    "family": -1,
-    "faults": np.nan,
-}
-"""Value of each field of :class:`Fixed` that is drawn; ``user_reference`` has none."""
-
 Indices = NDArray[np.int64]
 
 
@@ -40,12 +30,15 @@ def options_given(options: Any) -> dict[str, Any]:
     """A copy of the options of a reset as a dictionary.
 
     Raises:
-        ConfigurationError: the options are not a mapping.
+        ConfigurationError: the options are not a mapping, or one of them is unknown.
     """
     if options is None:
         return {}
     if not isinstance(options, Mapping):
         raise ConfigurationError(f"reset options: {shown(options)}: must be a mapping, of {', '.join(OPTION_NAMES)}")
+    for name in options:
+        if name not in OPTION_NAMES:
+            raise UnknownKeyError(f"reset options: {unknown(name, OPTION_NAMES, 'option')}")
     return dict(options)
 
 
@@ -72,7 +65,6 @@ class ResetOptions:
 
     def __init__(self, tasks: Sequence[TaskConfig], count: int, samples: int) -> None:
         self.count = count
-        self._samples = samples
         self._rigs = [(to_vector(task.plant), draws_of(task)) for task in tasks]
         self._half_strokes = 0.5 * np.array([task.plant.cylinder.stroke for task in tasks])
         self.fixed = Fixed(
@@ -81,28 +73,29 @@ class ResetOptions:
             initial_position=np.full(count, np.nan),
             rig=np.full(count, -1, dtype=np.int64),
             family=np.full(count, -1, dtype=np.int64),
-            user_reference=np.zeros((1, samples)),
+            user_reference=np.zeros((count, samples)),
             faults=np.full((count, len(FAULTS)), np.nan),
         )
-        self._check_parameters(np.full(len(PARAMETER_PATHS), np.nan), "task: randomisation")
+        self._check_parameters(self.fixed.parameters[0], "task: randomisation")
+        self._of_task = None
         if tasks[0].references.user:
-            row = np.asarray(tasks[0].references.user)
-            self.fixed.user_reference[:] = self._checked_reference(row, "references.user", self._half_strokes.min())
-        self._own_reference = self.fixed.user_reference[0].copy()
+            own = np.asarray(tasks[0].references.user)
+            self._of_task = self._checked_reference(own, "references.user", self._half_strokes.min())
+            self.fixed.user_reference[:] = self._of_task
 
     def used(self, axes: Indices) -> None:
         """Release the options after an episode has begun on these axes."""
-        for name, drawn in _DRAWN.items():
-            getattr(self.fixed, name)[axes] = drawn
-        if len(self.fixed.user_reference) == self.count:
-            self.fixed.user_reference[axes] = self._own_reference
+        self._fix({}, axes)
 
-    def set_user_reference(self, rows: Floats, axes: Indices) -> None:
-        """Set the user's own references on some axes, (axes, samples) or (1, samples), m."""
-        if self.count > 1 and len(self.fixed.user_reference) == 1:
-            everyone = np.repeat(self.fixed.user_reference, self.count, axis=0)
-            self.fixed = self.fixed._replace(user_reference=everyone)
-        self.fixed.user_reference[axes] = rows
+    def _fix(self, values: Mapping[str, Any], axes: Indices) -> None:
+        """Set these fields of :class:`Fixed` on some axes; all others are drawn."""
+        for name, fixed in self.fixed._asdict().items():
+            drawn: Any = -1 if fixed.dtype == np.int64 else np.nan
+            if name == "user_reference":  # read only if the family says so
+                drawn = self._of_task
+            value = values.get(name, drawn)
+            if value is not None:
+                fixed[axes] = value
 
     def set(self, options: Mapping[str, Any] | list[Any] | None, axes: Indices) -> None:
         """Fix parts of the next episode of some axes; see ``ServoHydraulicEnv.reset``. A list has one entry per axis.
@@ -117,10 +110,7 @@ class ResetOptions:
             for axis, own in zip(axes, options, strict=True):
                 self.set(options_given(own), np.array([axis]))
             return
-        given = options_given(options)
-        for name in given:
-            if name not in OPTION_NAMES:
-                raise UnknownKeyError(f"reset options: {unknown(name, OPTION_NAMES, 'option')}")
+        given = {name: value for name, value in options_given(options).items() if value is not None}
         values: dict[str, NDArray[Any]] = {}
         half = self._half_strokes.min()
         if "rig" in given:
@@ -128,23 +118,19 @@ class ResetOptions:
             if (values["rig"] % 1.0 != 0.0).any():
                 raise _wrong(f"rig = {shown(given['rig'])}: must be whole numbers")
             half = self._half_strokes[values["rig"].astype(np.int64)].min()
-        if "initial_position" in given:
-            position = self._per_axis(given["initial_position"], "initial_position", axes, -half, half, "m")
-            values["initial_position"] = position
-        if "leakage_flow_lpm" in given:
-            flow, unit = given["leakage_flow_lpm"], "l/min at 100 bar"
-            values["leakage_flow_lpm"] = self._per_axis(flow, "leakage_flow_lpm", axes, 0.0, LEAKAGE_LIMIT, unit)
-        if given.get("faults") is not None:
+        numbers_given = {
+            "initial_position": (-half, half, "m"),
+            "leakage_flow_lpm": (0.0, LEAKAGE_LIMIT, "l/min at 100 bar"),
+        }
+        for name in given.keys() & numbers_given.keys():
+            values[name] = self._per_axis(given[name], name, axes, *numbers_given[name])
+        if "faults" in given:
             values["faults"] = self._faults(given["faults"], axes)
-        if given.get("parameters") is not None:
+        if "parameters" in given:
             values["parameters"] = self._parameters(given["parameters"], axes)
-        reference = None
-        if given.get("reference") is not None:
-            values["family"], reference = self._reference(given["reference"], axes, half)
-        for name, drawn in _DRAWN.items():
-            getattr(self.fixed, name)[axes] = values.get(name, drawn)
-        if reference is not None:
-            self.set_user_reference(reference, axes)
+        if "reference" in given:
+            values |= self._reference(given["reference"], axes, half)
+        self._fix(values, axes)
 
     def _per_axis(
         self, value: Any, name: str, axes: Indices, low: float = -np.inf, high: float = np.inf, unit: str = ""
@@ -214,7 +200,7 @@ class ResetOptions:
             except ConfigurationError as error:
                 raise ConfigurationError(f"{where}: {error}") from None
 
-    def _reference(self, given: Any, axes: Indices, half: float) -> tuple[Indices, Floats | None]:
+    def _reference(self, given: Any, axes: Indices, half: float) -> dict[str, NDArray[Any]]:
         """Family of each axis, and the rows of references that the user gives as numbers."""
         array = numbers(given)
         if array is None:
@@ -225,15 +211,13 @@ class ResetOptions:
                 if name not in FAMILIES:
                     known = f"{', '.join(FAMILIES)}{did_you_mean(name, FAMILIES)}"
                     raise _wrong(f"reference = {shown(name)}: must be an array in m, or of {known}")
-            codes = np.array([REFERENCE_FAMILIES.index(name) for name in names], dtype=np.int64)
-            return np.broadcast_to(_of_axes(codes, axes), len(axes)), None
+            return {"family": _of_axes(np.array([REFERENCE_FAMILIES.index(name) for name in names]), axes)}
         if array.ndim == 1:
             array = array[None]  # the same for all axes
         elif array.ndim != 2 or len(array) not in (self.count, len(axes)):
             raise _wrong(f"reference has shape {array.shape}: must be (samples,) or ({self.count}, samples)")
-        chosen = _of_axes(array, axes)
-        rows = np.array([self._checked_reference(row, "reset options: reference", half) for row in chosen])
-        return np.full(len(axes), USER_FAMILY, dtype=np.int64), rows
+        rows = [self._checked_reference(row, "reset options: reference", half) for row in _of_axes(array, axes)]
+        return {"family": np.array(USER_FAMILY), "user_reference": np.array(rows)}
 
     def _checked_reference(self, values: Floats, where: str, half: float) -> Floats:
         """The reference with the length that an episode needs; its last value is repeated."""
@@ -245,6 +229,6 @@ class ResetOptions:
             raise ConfigurationError(
                 f"{where}[{first}] = {values[first]:g} m: must be a position within the stroke, {limit} (unit: m)"
             )
-        row = np.full(self._samples, values[-1])
-        row[: len(values)] = values[: self._samples]
+        row = np.full(self.fixed.user_reference.shape[1], values[-1])
+        row[: len(values)] = values[: len(row)]
         return row

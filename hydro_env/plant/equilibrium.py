@@ -23,6 +23,7 @@ _SUPPLY_ITERATIONS = 8
 _ITERATIONS = 100
 
 _with_underlap = tuple_replacer(Coefficients, "underlap_squared")
+_with_current_and_gas = tuple_replacer(State, "coil_current", "gas_volume")
 
 
 def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., Any]:
@@ -147,16 +148,5 @@ def equilibrium_state(position, p, c):
             break
     balanced = balanced and supply_pressure >= c.relief_pressure  # else the pump cannot supply even the null flow
     coil_current, voltage = holding_command(spool, c)
-    state = State(
-        position=position,
-        velocity=0.0,
-        pressure_a=pressure_a,
-        pressure_b=balancing_pressure_b(pressure_a, holding_force(position, c), c),
-        spool_position=spool,
-        spool_velocity=0.0,
-        coil_current=coil_current,
-        supply_pressure=supply_pressure,
-        gas_volume=gas_volume_at(supply_pressure, p),
-        bristle_deflection=0.0,
-    )
-    return state, voltage, balanced
+    state = _at_rest(position, pressure_a, spool, supply_pressure, c)
+    return _with_current_and_gas(state, coil_current, gas_volume_at(supply_pressure, p)), voltage, balanced

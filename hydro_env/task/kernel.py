@@ -173,9 +173,8 @@ def _begin(sources, everything):
             family = _draw_family(reference_key, fixed.family[axis], chances.family_weights)
             row.reference_family = family
             if family == USER_FAMILY:
-                source = fixed.user_reference[axis if fixed.user_reference.shape[0] > 1 else 0]
                 for sample_number in range(reference.shape[0]):
-                    reference[sample_number] = source[sample_number]
+                    reference[sample_number] = fixed.user_reference[axis, sample_number]
             row.noise_key = source_key(root, episode, NOISE)
             draw_biases(row, settings)
             latency_key = source_key(root, episode, LATENCY)

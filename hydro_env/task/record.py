@@ -110,7 +110,7 @@ class Fixed(NamedTuple):
     initial_position: Floats  # (N,), m
     rig: NDArray[np.int64]  # (N,), −1 means drawn
     family: NDArray[np.int64]  # (N,)
-    user_reference: Floats  # (1 or N, samples), m
+    user_reference: Floats  # (N, samples), m
     faults: Floats  # (N, faults), magnitudes
 
 
