@@ -13,7 +13,7 @@ from pydantic_core import to_jsonable_python
 
 from hydro_env.arguments import shown
 from hydro_env.axes import Axes
-from hydro_env.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.task.configuration import TaskConfig
 
 Given = TaskConfig | Mapping[str, Any] | str | Path | None
@@ -45,6 +45,10 @@ class AxisEnvironment:
         self.observation_scale = self._axes.scale
         self._seeded = False
         self._begun = False
+
+    def _require_begun(self, what: str) -> None:
+        if not self._begun:
+            raise NotBegunError(f"{what}: call reset first")
 
     @property
     def rigs(self) -> tuple[TaskConfig, ...]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hydro_env.arguments import numbers, shown, whole_number
 from hydro_env.axes import COLUMN, AxesState
 from hydro_env.common import AxisEnvironment, Given
-from hydro_env.errors import ConfigurationError, NotBegunError
+from hydro_env.errors import ConfigurationError
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES
@@ -207,8 +207,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
         command = numbers(action)
         if command is None or command.shape != (1,) or not abs(command[0]) < np.inf:
             raise ConfigurationError(f"action = {shown(action)}: must be finite, of shape (1,), such as [0.5]")
-        if not self._begun:
-            raise ConfigurationError("step: call reset first")
+        self._require_begun("step")
         self._axes.step(command)
         if self.render_mode is not None:
             self._record_frame()
@@ -230,8 +229,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
         Raises:
             ConfigurationError: ``reset`` was not called.
         """
-        if not self._begun:
-            raise NotBegunError("get_state: call reset first")
+        self._require_begun("get_state")
         generator = deepcopy(self.np_random.bit_generator.state)
         return replace(self._axes.get_state(_FIRST), generator=generator, history=tuple(self._history))
 
@@ -258,8 +256,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
     @property
     def parameters(self) -> PlantParameters:
         """The physical parameters of the present episode, leakage included (hidden from the controller)."""
-        if not self._begun:
-            raise NotBegunError("parameters: call reset first")
+        self._require_begun("parameters")
         return self._axes.parameters(0)
 
     def _info(self, row: list[float]) -> dict[str, Any]:
@@ -309,8 +306,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
         if self.render_mode is None:
             gym.logger.warn("render() draws nothing without a render_mode; give one to gym.make")
             return None
-        if not self._begun:
-            raise NotBegunError("render: call reset first")
+        self._require_begun("render")
         from hydro_env.rendering import AxisRenderer, View
 
         if self._renderer is None:

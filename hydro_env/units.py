@@ -119,7 +119,9 @@ def resistance_from_flow(flow_lpm: float) -> float:
         >>> f"{resistance_from_flow(1.0):.3g} Pa s/m³"
         '6e+11 Pa s/m³'
     """
-    flow = _not_negative(flow_lpm, "leakage", "l/min") * LITRE_PER_MINUTE
+    if not flow_lpm >= 0.0:
+        raise ConfigurationError(f"leakage = {flow_lpm}: must be a number in l/min, at least 0")
+    flow = float(flow_lpm) * LITRE_PER_MINUTE
     return LEAKAGE_TEST_PRESSURE / flow if flow > 0.0 else math.inf  # the smallest numbers become 0 in m³/s
 
 
@@ -134,20 +136,9 @@ def flow_from_resistance(resistance: float) -> float:
         >>> round(flow_from_resistance(resistance_from_flow(2.0)), 6)
         2.0
     """
-    if _not_negative(resistance, "leakage resistance", "Pa s/m³") == 0.0:
-        raise ConfigurationError("leakage resistance = 0 Pa s/m³: must be above 0")
-    return LEAKAGE_TEST_PRESSURE / resistance / LITRE_PER_MINUTE
-
-
-def _not_negative(value: object, what: str, unit: str) -> float:
-    """A number of at least 0; an array, a text or NaN is a mistake."""
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        number = math.nan
-    if isinstance(value, str | bytes) or not number >= 0.0:
-        raise ConfigurationError(f"{what} = {str(value)[:40]}: must be a number in {unit}, at least 0")
-    return number
+    if not resistance > 0.0:
+        raise ConfigurationError(f"leakage resistance = {resistance}: must be a number in Pa s/m³, above 0")
+    return LEAKAGE_TEST_PRESSURE / float(resistance) / LITRE_PER_MINUTE
 
 
 def _no_truth_value(value: object) -> object:

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from hydro_env.arguments import numbers, shown, whole_number
 from hydro_env.axes import AxesState, Indices
 from hydro_env.common import AxisEnvironment, Given
-from hydro_env.errors import ConfigurationError, NotBegunError
-from hydro_env.mistakes import one_of
+from hydro_env.errors import ConfigurationError
 from hydro_env.reset_options import options_given
 from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES, NO_FAILURE
@@ -78,15 +77,10 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
         **overrides: Any,
     ) -> None:
         self.num_envs = whole_number("num_envs", num_envs, 1, MOST_AXES)
-        if threads is not None:
-            threads = whole_number("threads", threads, 1, MOST_THREADS)
+        threads = None if threads is None else whole_number("threads", threads, 1, MOST_THREADS)
         if render_mode is not None:
             raise ConfigurationError(f"render_mode = {shown(render_mode)}: the vector environment does not draw")
-        try:
-            self.autoreset_mode = AutoresetMode(autoreset_mode)
-        except ValueError:
-            allowed = one_of(autoreset_mode, [mode.value for mode in AutoresetMode])
-            raise ConfigurationError(f"autoreset_mode = {shown(autoreset_mode)}: {allowed}") from None
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
         task = task_config(config, **overrides)
         if max_episode_steps is not None and task.law is not None:
             raise ConfigurationError("max_episode_steps: drawn rigs differ in their periods; give episode_duration")
@@ -188,8 +182,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
         if not np.isfinite(commands).all():
             axis = int(np.argmin(np.isfinite(commands[:, 0])))
             raise ConfigurationError(f"actions[{axis}] = {commands[axis, 0]}: must be a finite number within -1 to 1")
-        if not self._begun:
-            raise ConfigurationError("step: call reset first")
+        self._require_begun("step")
         if self.autoreset_mode == AutoresetMode.DISABLED and self._ended.any():
             raise ConfigurationError(
                 f"step: axis {int(np.argmax(self._ended))} has ended; with autoreset_mode Disabled reset it first "
@@ -236,8 +229,7 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
         Raises:
             ConfigurationError: ``reset`` was not called, or an axis does not exist.
         """
-        if not self._begun:
-            raise NotBegunError("get_state: call reset first")
+        self._require_begun("get_state")
         state = self._axes.get_state(self._numbered(axes))
         return state if axes is not None else replace(state, generator=deepcopy(self.np_random.bit_generator.state))
 
@@ -266,11 +258,9 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
     def _numbered(self, axes: Sequence[int] | None) -> Indices:
         if axes is None:
             return self._everyone
-        if not isinstance(axes, list | tuple | range | np.ndarray) or len(axes) == 0:
-            raise ConfigurationError(f"axes = {shown(axes)}: must be numbers of axes, or None for all")
         chosen = [whole_number("axes", axis, 0, self.num_envs - 1) for axis in axes]
-        if len(set(chosen)) < len(chosen):
-            raise ConfigurationError(f"axes = {shown(axes)}: each axis may be named once")
+        if not 0 < len(set(chosen)) == len(chosen):
+            raise ConfigurationError(f"axes = {shown(axes)}: must be numbers of axes, each named once")
         return np.array(chosen, dtype=np.int64)
 
     def _info(self, axes: Indices) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
     The pressures balance the forces of (17); a small spool offset makes the flows of (12), (13) vanish.
 
     Raises:
-        HydroError: ``parameters`` or ``position`` has the wrong type, or the supply cannot hold that position.
+        HydroError: the supply cannot hold that position.
 
     Example:
         >>> from hydro_env import PlantParameters, equilibrium
@@ -58,16 +58,10 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
         >>> f"{state['pressure_a'] / 1e5:.1f} bar, {1e3 * voltage:.0f} mV"
         '35.2 bar, -8 mV'
     """
-    if not isinstance(parameters, PlantParameters):
-        raise HydroError(f"parameters = {type(parameters).__name__}: must be PlantParameters")
-    try:
-        place = float(position)
-    except (TypeError, ValueError):
-        raise HydroError(f"position = {position!r}: must be a number, in m") from None
-    state, voltage, found = _equilibrium_of(place, to_vector(parameters))
+    state, voltage, found = _equilibrium_of(float(position), to_vector(parameters))
     if not found:
         raise HydroError(
-            f"position = {place:g} m cannot be held: spring, leakage or external force need more than "
+            f"position = {position:g} m cannot be held: spring, leakage or external force need more than "
             f"the supply of {parameters.supply.pressure / 1e5:g} bar can give"
         )
     return dict(zip(STATE_NAMES, state.tolist(), strict=True)), voltage

@@ -146,7 +146,6 @@ def test_a_spec_is_json_of_the_content_and_makes_the_same_environment_again(tmp_
         ("threads", ("2", 0, 1.5, 10**9, True, []), "must be a whole number within 1 to 1024"),
         ("max_episode_steps", ("5", 0, 2.5, True, []), "must be a whole number of at least 1"),
         ("render_mode", ("human", 5, [], {}), "the vector environment does not draw"),
-        ("autoreset_mode", ("later", 3, [], None, {}), "must be one of NextStep, SameStep, Disabled"),
         ("info", ("round", 1, None, []), ""),
         ("config", (5, [], b"a", object()), "must be a YAML file, a mapping or a TaskConfig"),
     ],

@@ -60,13 +60,12 @@ def test_what_is_no_quantity_stays_as_it_is():
 def test_leaks_that_are_no_flow_are_refused():
     assert resistance_from_flow(1e-320) == resistance_from_flow(0) == math.inf
     assert flow_from_resistance(math.inf) == 0.0
-    for wrong in (-1.0, math.nan, "1", None, [1.0, 2.0], 10**400, "9" * 10_000):
+    for wrong in (-1.0, math.nan):
         with refused("must be a number in l/min, at least 0"):
             resistance_from_flow(wrong)
-        with refused("must be a number in Pa s/m³, at least 0"):
+    for wrong in (-1.0, math.nan, 0.0):
+        with refused("must be a number in Pa s/m³, above 0"):
             flow_from_resistance(wrong)
-    with refused("must be above 0"):
-        flow_from_resistance(0.0)
 
 
 def test_the_unit_of_another_quantity_is_refused():

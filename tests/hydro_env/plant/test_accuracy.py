@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy import INPUTS, LIMIT, convergence_orders, errors, random_runs, reference
-from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.states import STATE_NAMES
-
-
-def test_a_few_drawn_rigs_are_within_the_limit():
-    runs = random_runs(3, seed=31)  # one of each input
-    exact = [reference(run) for run in runs]
-    assert errors(runs, exact).max() <= LIMIT
-    assert errors(runs, exact, tolerance=1e-3).max() > LIMIT  # the reference would notice
-    assert errors(runs, exact, tolerance=1e-9).max() < 1e-6
 
 
 @pytest.mark.slow
@@ -24,6 +15,7 @@ def test_two_hundred_and_forty_drawn_rigs_are_within_the_limit():
     with ProcessPoolExecutor() as pool:
         exact = list(pool.map(reference, runs))
     found = errors(runs, exact)
+    assert errors(runs, exact, tolerance=1e-3).max() > LIMIT  # the reference would notice
     assert dict(zip(STATE_NAMES, found.max(axis=0), strict=True)) == pytest.approx(
         dict.fromkeys(STATE_NAMES, 0.5 * LIMIT), abs=0.5 * LIMIT
     )
@@ -40,8 +32,3 @@ def test_the_runs_cover_what_is_claimed():
     leaks = [6e11 / run.parameters.leakage.internal_resistance for run in runs]  # l/min at 100 bar
     assert min(leaks) < 0.05
     assert max(leaks) > 2.0
-    slew = 0
-    for run in runs[:12]:
-        limits = plant_coefficients(run.parameters)
-        slew += bool((np.abs(run.states()[:, STATE_NAMES.index("spool_velocity")]) >= limits.slew_limit).any())
-    assert slew >= 3  # limits are met

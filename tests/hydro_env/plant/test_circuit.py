@@ -91,25 +91,17 @@ def test_an_accumulator_alone_gives_what_its_gas_gives():
     assert run.supply_pressure[-1] < run.supply_pressure[0] - 1e5
 
 
-CIRCUITS = {
-    "ideal valve": {"valve": {"model": "ideal"}},
-    "ideal drive": {"valve": {"model": "spool"}},
-    "no accumulator": {"supply": {"model": "pump"}},
-    "constant supply": {"supply": {"model": "constant"}},
-    "pump standing": {"supply": {"pump_flow": 0.0}},
-    "symmetric": {"cylinder": {"rod_diameter_a": 0.028}},
-    "no spring": {"load": {"spring_stiffness": 0.0}},
-    "lugre": {"friction": {"model": "lugre"}},
-    "no friction": {"friction": {"model": "none"}},
-    "coulomb": {"friction": {"model": "coulomb"}},
-    "zero-lapped": {"valve": {"underlap": 0.0}},
-    "no air": {"fluid": {"air_fraction": 0.0}},
-    "throttle": {"leakage": {"orifice_gain": 5e-9}},
-}
+IDEAL = {"valve": {"model": "ideal"}, "supply": {"model": "constant"}, "friction": {"model": "none"}}
+CIRCUITS = [
+    IDEAL | {"cylinder": {"rod_diameter_a": 0.028}, "load": {"spring_stiffness": 0.0}},
+    {"valve": {"model": "spool", "underlap": 0.0}, "supply": {"model": "pump"}, "friction": {"model": "coulomb"}},
+    {"friction": {"model": "lugre"}, "supply": {"pump_flow": 0.0}, "leakage": {"orifice_gain": 5e-9}},
+    {"fluid": {"air_fraction": 0.0}},
+]
 
 
-@pytest.mark.parametrize("changes", CIRCUITS.values(), ids=CIRCUITS)
-def test_every_circuit_meets_the_reference_solver(changes):
+@pytest.mark.parametrize("changes", CIRCUITS)
+def test_every_part_of_a_circuit_meets_the_reference_solver(changes):
     plant = PlantParameters().replace(**changes)
     assert from_vector(to_vector(plant)) == plant
     env = ServoHydraulicEnv(plant=plant.model_dump(), episode_duration=0.2)
@@ -117,7 +109,7 @@ def test_every_circuit_meets_the_reference_solver(changes):
     steps = [env.step(np.array([0.2 * math.sin(0.3 * step)])) for step in range(40)]
     assert not any(terminated for _, _, terminated, _, _ in steps)
     assert np.isfinite([observation for observation, *_ in steps]).all()
-    voltage = np.array([3.0, 3.0, -10.0, -2.0, 10.0, 0.0, 0.0, 0.5])
+    voltage = np.array([3.0, -10.0, 10.0, 0.0, 0.5])
     start = {"position": 0.01, "velocity": 0.02}
     fast, exact = (simulate(plant, voltage, 5e-3, start, method=method) for method in ("fast", "radau"))
     size = np.maximum(np.ptp(exact.states, axis=0), 0.01 * np.array([0.1, 0.1, 7e6, 7e6, 1, 100, 2.5, 7e6, 1e-3, 4e-5]))

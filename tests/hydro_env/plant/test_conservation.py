@@ -92,14 +92,14 @@ def assert_oil_is_conserved(run, into_a, into_b, tolerance):
         assert error < tolerance * (np.ptp(volume) + np.abs(flow).sum() * SAMPLE_TIME) + 1e-12 * volume.max()
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(cases(underlap=0.0))
 def test_a_closed_valve_with_a_leak_conserves_oil(case):
     run = run_without_cavitation(case, np.zeros(400))
     assert_oil_is_conserved(run, -run.leakage_flow, run.leakage_flow, 1e-3)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(cases(underlap=0.0))
 def test_a_closed_valve_only_loses_energy(case):
     run = run_without_cavitation(case, np.zeros(400))
@@ -115,7 +115,7 @@ def test_a_closed_valve_only_loses_energy(case):
     assert np.abs(stored[0] - stored - gained(lost)).max() < 0.02 * moved + 1e-6 * stored.max()
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(cases(underlap=0.015), st.lists(st.floats(-10, 10), min_size=4, max_size=4))
 def test_the_supply_is_the_only_source_of_energy_and_oil(case, levels):
     run = run_without_cavitation(case, np.repeat(levels, 100))

@@ -160,7 +160,6 @@ def test_state_outside_the_valid_range_is_named():
         ({"voltage": [0.0, math.nan]}, r"voltage\[1\] = nan V: must be within -10 to 10 V"),
         ({"voltage": [12.0]}, r"voltage\[0\] = 12 V"),
         ({"voltage": [[0.0]]}, "one row"),
-        ({"voltage": ["fast"]}, "must be numbers"),
         ({"sample_time": 0.0}, "sample_time = 0.0: must be positive"),
         ({"initial_state": {"speed": 1.0}}, "unknown state 'speed'; known: position"),
         ({"initial_state": {"position": math.nan}}, "position = nan: must be a finite number"),

@@ -13,7 +13,7 @@ from hydro_env.plant.workable import fastest_rate
 from hydro_env.task.configuration import task_config
 from hydro_env.task.record import FAILURES
 
-COUNT, STEPS, SAMPLES = 384, 400, 8
+COUNT, STEPS, SAMPLES = 128, 400, 8
 
 
 def lively_actions(rng, count, steps):
@@ -82,7 +82,7 @@ def test_stiff_plants_get_the_shorter_steps_that_they_need(changes):
     rate, _ = fastest_motion(parameters, np.array(list(rest.values())))
     assert FIRST_STEP * rate > 3.5
     assert fastest_rate(parameters)[0] > 0.95 * rate
-    voltage = np.repeat([0.5, -0.5, 0.2, 0.0], 5)
+    voltage = np.repeat([0.5, -0.5, 0.0], 2)
     fast, exact = (simulate(parameters, voltage, 5e-3, method=method) for method in ("fast", "radau"))
     size = np.maximum(np.ptp(exact.states, axis=0), 0.01 * TYPICAL_SIZE)
     assert (np.abs(fast.states - exact.states).max(axis=0) / size).max() < 1e-3

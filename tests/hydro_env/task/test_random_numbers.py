@@ -22,7 +22,7 @@ from hydro_env.task.random_numbers import (
 from hydro_env.task.record import RECORD
 from hydro_env.task.sensors import CHANNELS
 
-COUNT = 20_000
+COUNT = 5_000
 ROOT = np.uint64(0x0123456789ABCDEF)
 
 
@@ -97,9 +97,9 @@ def test_sources_and_episodes_have_keys_of_their_own():
         for source in sources
     }
     assert len(keys) == 4 * 50 * len(sources)
-    rows = np.array([[uniform(key_of(ROOT, e, source), 0) for source in sources] for e in range(4000)])
+    rows = np.array([[uniform(key_of(ROOT, e, source), 0) for source in sources] for e in range(2000)])
     correlation = np.corrcoef(rows.T) - np.eye(len(sources))
-    assert np.abs(correlation).max() < 4.5 / np.sqrt(4000)
+    assert np.abs(correlation).max() < 4.5 / np.sqrt(2000)
 
 
 def begin(options=None, count=40, **config):

@@ -163,11 +163,11 @@ def test_environments_by_name(small):
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("task", TASKS)
 def test_every_task_can_begin_on_every_rig(task, rig):
-    envs = ServoHydraulicVectorEnv(60, task=task, rig=rig)
+    envs = ServoHydraulicVectorEnv(30, task=task, rig=rig)
     observation, _ = envs.reset(seed=0)
     assert np.abs(observation).max() <= envs.single_observation_space.high.max()
     assert envs.axes.column("redraws").mean() < 0.2
-    observation, reward, *_ = envs.step(np.zeros((60, 1)))
+    observation, reward, *_ = envs.step(np.zeros((30, 1)))
     assert np.isfinite(observation).all()
     assert np.isfinite(reward).all()
 
