@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from hydro_env.compiling import inline, tuple_replacer
+from hydro_env.compiling import inline, shared, tuple_replacer
 from hydro_env.plant.equations import Coefficients, chamber_net_flows
 from hydro_env.plant.parts.load import balancing_pressure_b, holding_force
 from hydro_env.plant.parts.supply import gas_volume_at, regulated_pressure
@@ -33,7 +33,7 @@ def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., An
     it moves by no more than ``tolerance``; the flow law has errors of 4e-14, so a smaller change is noise.
     """
 
-    @inline
+    @shared
     def find_root(low, high, arguments):
         at_low, at_high = function(low, arguments), function(high, arguments)
         if (at_low > 0.0) == (at_high > 0.0):

@@ -127,17 +127,3 @@ def test_whoever_steps_on_after_the_end_is_told_so_each_time():
         assert not terminated
         assert info["reference"] == pytest.approx(0.001 * min(step, 10))
         assert env.observation_space.contains(observation)
-
-
-def test_parameters_tell_the_plant_of_the_episode():
-    env = ServoHydraulicEnv()
-    masses = set()
-    for _ in range(10):
-        _, info = env.reset()
-        parameters = env.parameters
-        masses.add(parameters.load.mass)
-        assert 40.0 <= parameters.load.mass <= 80.0
-        assert parameters.leakage.internal_resistance == pytest.approx(info["leakage_resistance"], rel=1e-12)
-        env.step(np.zeros(1))
-        assert env.parameters == parameters
-    assert len(masses) == 10

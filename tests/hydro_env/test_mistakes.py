@@ -17,24 +17,16 @@ RIGS = [
     # Units and numbers.
     ("cylinder: {bore_diameter: 63 mn}", "'63 mn': unit 'mn': must be one of mm, m, cm, in, um, µm (unit"),
     ("supply: {pressure: 160 bars}", "must be one of bar, MPa, psi, kPa, Pa, mbar, GPa; did you mean bar?"),
-    ("load: {mass: 3 bar}", "load.mass = '3 bar': unit 'bar': must be one of kg, t, g"),
     ("randomisation: {load.mass: {uniform: [1 kg, 3 mm]}}", "load.mass: unit 'mm': must be one of kg, t, g"),
     ("sensors: {pressure_a: {high: 3 mm}}", "pressure_a.high = '3 mm': unit 'mm': must be one of bar, MPa"),
     ("load: {mass: heavy}", "load.mass = 'heavy': must be a number within 0.01 to 1000000 (unit: kg)"),
-    ("supply: {pressure: 70}", "supply.pressure = 70: must be a number within 100000 to 100000000 (unit: Pa)"),
-    ("cylinder: {bore_diameter: 40 m}", "bore_diameter = '40 m': must be a number within 0.005 to 1 (unit: m)"),
     ("leakage: {internal_resistance: 1}", "must be a number, at least 100000000 (unit"),  # the other bound is infinity
     ("load: {mass: .nan}", "load.mass = nan: "),
     ("load: {mass: true}", "load.mass = true: must be a number, not true/false"),
-    ("load:\n  mass:", "load.mass: must be a number within"),
-    ("cylinder: {stroke: 1:30}", "cylinder.stroke = '1:30': must be a number within 0.01 to 10"),
     ("load:\n  mass: 120,5 kg", "load.mass = '120,5 kg': must be a number within 0.01 to 1000000 (unit: kg)"),
     # Names of groups, fields and choices.
-    ("load: {weight: 60}", "load.weight = 60: unknown key; known here: mass, spring_stiffness"),
     ("loads: {mass: 60}", "loads: unknown key; did you mean load?"),
     ("load:", "load: must be a group of settings"),
-    ("cylinder: {rod: 36 mm}", "cylinder.rod = '36 mm': unknown key; did you mean rod_diameter?"),
-    ("randomisation: {mass: {factor: [1, 2]}}", "'mass' is not a number of the plant; did you mean load.mass?"),
     ("randomisation: {load.mass: {factor: [2, 1]}}", "randomisation.load.mass: bounds = [2, 1]"),
     ("supply: {model: accumulater}", "must be one of constant, accumulator, pump; did you mean accumulator?"),
     # What does not fit together.
@@ -47,8 +39,6 @@ RIGS = [
     ("load: {external_force: 1e6}", "load.external_force = 1e+06 N: "),
     # YAML.
     ("load:\n\tmass: 3", "not valid YAML in line 2: "),
-    ("\nload: {mass: 3\nfluid: {}", "not valid YAML in line 3: "),
-    ("load: {mass: '3 kg}", "not valid YAML in line 1: "),
 ]
 
 

@@ -111,15 +111,15 @@ def test_a_mask_begins_only_some_axes():
     np.testing.assert_array_equal(stepped(envs, 1.0)[~mask], stepped(untouched, 1.0)[~mask])
 
 
-@pytest.mark.parametrize("values", [[1.0, 2.0, 3.0, 4.0], [2.0, 4.0]])
-def test_values_per_axis_with_a_mask_may_count_all_or_only_the_chosen_axes(values):
+def test_values_per_axis_with_a_mask_may_count_all_or_only_the_chosen_axes():
     mask = np.array([False, True, False, True])
     envs = ServoHydraulicVectorEnv(4)
     envs.reset(seed=0)
-    references = 0.01 * np.array(values)[:, None]
-    _, info = envs.reset(options={"reset_mask": mask, "leakage_flow_lpm": values, "reference": references})
-    assert info["leakage_flow_lpm"].tolist() == [0.0, 2.0, 0.0, 4.0]
-    assert info["reference"].tolist() == [0.0, 0.02, 0.0, 0.04]
+    for values in ([1.0, 2.0, 3.0, 4.0], [2.0, 4.0]):
+        references = 0.01 * np.array(values)[:, None]
+        _, info = envs.reset(options={"reset_mask": mask, "leakage_flow_lpm": values, "reference": references})
+        assert info["leakage_flow_lpm"].tolist() == [0.0, 2.0, 0.0, 4.0]
+        assert info["reference"].tolist() == [0.0, 0.02, 0.0, 0.04]
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
@@ -155,30 +155,23 @@ def of_load(**values):
 
 WRONG = [
     ({"leakage": 0.1}, r"unknown option 'leakage'; did you mean leakage_flow_lpm\? known: leakage_flow_lpm, "),
-    ({"leakage_flow_lpm": -0.1}, "leakage_flow_lpm = -0.1 l/min at 100 bar: must be within 0 to 20"),
     ({"leakage_flow_lpm": NAN}, "leakage_flow_lpm = nan l/min at 100 bar: must be within 0 to 20"),
     ({"leakage_flow_lpm": "much"}, "leakage_flow_lpm = 'much': must be a number"),
-    ({"leakage_flow_lpm": [0.1, 0.2]}, r"leakage_flow_lpm has shape \(2,\): must be one number"),
     ({"reference": [0.0, NAN]}, r"reference\[1\] = nan m: must be a position within the stroke"),
-    ({"reference": [-0.2]}, r"reference\[0\] = -0.2 m: must be a position within"),
     ({"reference": []}, "reference: must be a row of positions"),
     ({"reference": np.zeros((2, 3, 4))}, r"reference has shape \(2, 3, 4\)"),
     ({"reference": ["up", "down"]}, "reference has 2 names for [13] axes"),
     ({"reference": "zigzag"}, "reference = 'zigzag': must be an array in m, or of step"),
-    ({"reference": "user"}, "reference = 'user': must be an array in m"),
     ({"reference": [0.0, 0.15], "parameters": STIFF}, "its reference cannot be reached by its plant"),
     ({"initial_position": 0.3}, "initial_position = 0.3 m: must be within -0.2 to 0.2"),
     ({"rig": 1}, "rig = 1: must be within 0 to 0"),
     ({"initial_position": -0.1, "parameters": STIFF}, "initial position -100 mm cannot be held by its plant"),
     (of_load(weight=1.0), "parameters.load.weight is not a parameter of the"),
-    ({"parameters": 3}, "parameters must be groups of fields"),
     (of_load(mass=-5.0), r"load\.mass = -5\.0: .*unit: kg"),
     (of_load(mass="60"), "parameters.load.mass = '60': must be a number"),
-    ({"parameters": {"cylinder": {"rod_diameter": 0.045}}}, "rod_diameter = 45 mm does not fit"),
     ({"parameters": {"supply": {"model": "hand pump"}}}, "supply.model = 'hand pump': must be one of constant"),
     # Beyond what may be drawn for the other parameter.
     ({"parameters": {"supply": {"precharge_pressure": 65e5}}}, "precharge_pressure = 65 bar .* pressure = 60 bar"),
-    ({"parameters": {"friction": {"breakaway_force": 200.0}}}, "breakaway_force = 200 N .* coulomb_force = 300 N"),
     (5, "reset options: 5: must be a mapping, of leakage_flow_lpm"),
 ]
 OF_THREE = [
@@ -192,8 +185,7 @@ OF_THREE = [
     ),
     ({"initial_position": [0.0, 0.0, -0.12], "parameters": STIFF}, "^axis 2: initial position -120 mm cannot be held"),
 ]
-CASES = [(make, *case) for make in (ServoHydraulicEnv, three) for case in WRONG]
-CASES += [(three, *case) for case in OF_THREE]
+CASES = [(three, *case) for case in (*WRONG, *OF_THREE)] + [(ServoHydraulicEnv, *case) for case in WRONG[::3]]
 
 
 def words(value):

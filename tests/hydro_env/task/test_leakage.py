@@ -1,13 +1,11 @@
 """Leakage of an episode: distribution, classes, schedules, laws; known to the judge, hidden from the controller."""
 
-import math
-
 import numpy as np
 import pytest
 from refusal import refused
 from scipy import stats
 
-from hydro_env import LEAKAGE_CLASSES, PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.units import LITRE_PER_MINUTE
 
 COUNT = 4000
@@ -43,15 +41,6 @@ def test_share_of_healthy_seals(share):
     assert stats.binomtest(int((info["leakage_flow_lpm"] <= 0.03).sum()), COUNT, share).pvalue > 1e-3
     assert (set(info["leakage_class"]) == {0}) == (share == 1.0)
     assert (0 in info["leakage_class"]) == (share > 0.0)
-
-
-def test_classes_have_the_shares_that_the_draw_implies():
-    label = leaks()["leakage_class"]
-    width = math.log(4.0 / 0.1)
-    shares = [0.25, *(0.75 * math.log(high / low) / width for low, high in ((0.1, 0.3), (0.3, 1.0), (1.0, 4.0)))]
-    observed = [int((label == index).sum()) for index in range(4)]
-    assert stats.chisquare(observed, np.array(shares) * COUNT).pvalue > 1e-3
-    assert LEAKAGE_CLASSES == ("healthy", "incipient", "moderate", "severe")
 
 
 BOUNDS = [(0.0, 0), (0.03, 0), (0.0301, 1), (0.1, 1), (0.3, 1), (0.301, 2), (1.0, 2), (1.001, 3), (4.0, 3)]

@@ -13,8 +13,6 @@ from hydro_env.task.random_numbers import (
     NOISE,
     PLANT,
     REFERENCE,
-    between,
-    log_between,
     normal_pair,
     source_key,
     uniform,
@@ -62,16 +60,6 @@ def test_the_mixing_function_is_splitmix64():
     known = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431, 16408922859458223821]
     numbers = [uniform(np.uint64(1234567), index) for index in range(len(known))]
     assert numbers == [((bits >> 11) + 0.5) * 2.0**-53 for bits in known]
-
-
-def test_bounds_of_uniform_and_log_uniform_draws():
-    values = along_one_key(between, -3.0, 5.0)
-    assert stats.kstest(values, stats.uniform(-3.0, 8.0).cdf).pvalue > 1e-3
-    values = along_one_key(log_between, 1e-3, 1e2)
-    assert stats.kstest(values, stats.loguniform(1e-3, 1e2).cdf).pvalue > 1e-3
-    assert 1e-3 <= values.min() <= values.max() <= 1e2
-    assert between(np.uint64(7), 3, 2.0, 2.0) == 2.0
-    assert log_between(np.uint64(7), 3, 2.0, 2.0) == 2.0
 
 
 def test_normal_pairs_are_standard_normal_and_independent():
