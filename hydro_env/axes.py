@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -56,10 +56,10 @@ COLUMN = {name: offset // 8 for name, (_, offset, *_) in (RECORD.fields or {}).i
 
 @dataclass(frozen=True)
 class AxesState:
-    """Complete state of some axes; it can be pickled and set on any axes of the same task.
+    """Complete state of an environment; it can be pickled and set on any one with the same task.
 
-    ``arrays`` have one row per axis. A state of the whole environment also holds ``generator``, the state of
-    ``np_random``, and ``history``, the past positions and references of the drawing.
+    ``arrays`` have one row per axis; ``generator`` is the state of ``np_random``, ``history`` holds the past positions
+    and references of the drawing.
     """
 
     config: TaskConfig
@@ -239,27 +239,14 @@ class Axes:
             arrays[f"fixed_{name}"] = values
         return arrays
 
-    def get_state(self, axes: Indices) -> AxesState:
-        """Complete state of some axes, as copies."""
-        return AxesState(self.config, {name: values[axes] for name, values in self._rows().items()})
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Every array that an episode depends on, by name, as copies; one row per axis."""
+        return {name: values.copy() for name, values in self._rows().items()}
 
-    def set_state(self, state: AxesState | Sequence[AxesState], axes: Indices) -> None:
-        """Set states of :meth:`get_state` on some axes, one for each or the same one for all.
-
-        Raises:
-            ConfigurationError: ``state`` is not a state, belongs to another task, or has another number of axes.
-        """
-        states = [state] if isinstance(state, AxesState) else state
-        if not isinstance(states, list | tuple) or not states or not all(isinstance(s, AxesState) for s in states):
-            raise ConfigurationError("set_state: must be a state from get_state, or a list of such states")
-        if any(s.config != self.config for s in states):
-            raise ConfigurationError("set_state: this is the state of another task")
-        rows = {name: np.concatenate([s.arrays[name] for s in states]) for name in states[0].arrays}
-        count = len(rows["record"])
-        if count not in (1, len(axes)):
-            raise ConfigurationError(f"set_state: the state of {count} axes for {len(axes)}: must be as many, or one")
+    def set_state(self, rows: Mapping[str, NDArray[Any]]) -> None:
+        """Set arrays of :meth:`get_state`, which have one row per axis or one for all."""
         for name, own in self._rows().items():
-            own[axes] = rows[name]
+            own[:] = rows[name]
         self._note_schedules()
 
     def column(self, name: str) -> Floats:

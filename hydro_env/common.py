@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from gymnasium.envs.registration import EnvSpec
 from pydantic_core import to_jsonable_python
 
 from hydro_env.arguments import shown
-from hydro_env.axes import Axes
+from hydro_env.axes import Axes, AxesState
 from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.task.configuration import TaskConfig
 
@@ -27,6 +28,7 @@ class AxisEnvironment:
     """Base of both environments; comes before Gymnasium's class, whose ``spec`` it replaces."""
 
     config: TaskConfig
+    np_random: np.random.Generator  # of Gymnasium's class
     _spec: EnvSpec | None = None
 
     def _set_up(self, config: TaskConfig, count: int, threads: int | None, info: Any) -> None:
@@ -43,8 +45,36 @@ class AxisEnvironment:
         self.observation_names = self._axes.observation_names
         self.observation_units = self._axes.observation_units
         self.observation_scale = self._axes.scale
+        self._history: list[tuple[float, float]] = []  # position and reference, for drawing
         self._seeded = False
         self._begun = False
+
+    def get_state(self) -> AxesState:
+        """Complete state of the environment: plant, clock, sensors, references, options, random numbers.
+
+        It can be pickled, and set any number of times: on this environment, on another one of the same task, or from
+        one axis on all axes of the vector environment.
+
+        Raises:
+            ConfigurationError: ``reset`` was not called.
+        """
+        self._require_begun("get_state")
+        generator = deepcopy(self.np_random.bit_generator.state)
+        return AxesState(self.config, self._axes.get_state(), generator, tuple(self._history))
+
+    def set_state(self, state: AxesState) -> None:
+        """Continue from a state; the generator is that of the state if it has as many axes as this environment."""
+        if not isinstance(state, AxesState):
+            raise ConfigurationError("set_state: must be a state from get_state")
+        if state.config != self.config:
+            raise ConfigurationError("set_state: this is the state of another task")
+        if state.count not in (1, self._axes.count):
+            raise ConfigurationError(f"set_state: the state of {state.count} axes for {self._axes.count}")
+        self._axes.set_state(state.arrays)
+        if state.generator is not None and state.count == self._axes.count:
+            self.np_random.bit_generator.state = deepcopy(state.generator)
+        self._history = list(state.history)
+        self._seeded = self._begun = True
 
     def _require_begun(self, what: str) -> None:
         if not self._begun:

@@ -48,9 +48,8 @@ class Inline:
     takes a third of the compile time, although few of these functions are ever called from Python.
     """
 
-    def __init__(self, function: Callable[..., Any], shared: bool = False) -> None:
+    def __init__(self, function: Callable[..., Any]) -> None:
         self.py_func = function
-        self._shared = shared
         self.__doc__ = function.__doc__
         self.__name__ = function.__name__
 
@@ -61,8 +60,7 @@ class Inline:
     @cached_property
     def merged(self) -> Any:
         """The form that numba merges into callers."""
-        plain = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "forceinline": not self._shared}
-        return numba().njit(**plain, **OPTIONS)(self.py_func)
+        return numba().njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)(self.py_func)
 
     @cached_property
     def _alone(self) -> Any:
@@ -72,11 +70,6 @@ class Inline:
 def inline(function: Function) -> Function:
     """Make a function an :class:`Inline`."""
     return cast("Function", Inline(function))
-
-
-def shared(function: Function) -> Function:
-    """The same for a long function without vector loops: its callers call one copy, which compiles faster."""
-    return cast("Function", Inline(function, shared=True))
 
 
 @cache

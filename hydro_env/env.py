@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from copy import deepcopy
-from dataclasses import replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -171,7 +168,6 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
         self.observation_space = self._axes.observation_space
         self.action_space = self._axes.action_space
         self.render_mode = render_mode
-        self._history: list[tuple[float, float]] = []  # position and reference, for drawing
         self._renderer: AxisRenderer | None = None
         # Wrappers that record or show each step use this rate: real time, like the window.
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.rigs[0].control_period)}
@@ -220,34 +216,14 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
             self._info(row),
         )
 
-    def get_state(self) -> AxesState:
-        """Complete state of the environment: plant, clock, sensors, references, options, random numbers.
-
-        It can be pickled, and set any number of times: on this environment, on another one of the same task, or on
-        axes of the vector environment.
-
-        Raises:
-            ConfigurationError: ``reset`` was not called.
-        """
-        self._require_begun("get_state")
-        generator = deepcopy(self.np_random.bit_generator.state)
-        return replace(self._axes.get_state(_FIRST), generator=generator, history=tuple(self._history))
-
-    def set_state(self, state: AxesState | Sequence[AxesState]) -> None:
+    def set_state(self, state: AxesState) -> None:
         """Continue from a state of :meth:`get_state`, bit for bit like the environment that returned it.
-
-        A state of one axis of the vector environment holds no generator; this environment then keeps its own.
 
         Raises:
             ConfigurationError: ``state`` is not a state, has several axes, or belongs to another task.
         """
-        self._axes.set_state(state, _FIRST)
-        if isinstance(state, AxesState):
-            if state.generator is not None:
-                self.np_random.bit_generator.state = deepcopy(state.generator)
-            self._history = list(state.history)
+        super().set_state(state)
         self._task = self.rigs[int(self._axes.numbers[0, _RIG])]
-        self._seeded = self._begun = True
 
     def __getstate__(self) -> dict[str, Any]:
         """Content of a copy or a pickle: everything except the window or canvas, which the copy creates again."""

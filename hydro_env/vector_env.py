@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -223,45 +221,14 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
         return {"final_obs": last, "_final_obs": mask.copy(), **final}
 
-    def get_state(self, axes: Sequence[int] | None = None) -> AxesState:
-        """Complete state of some axes (all by default); see the single environment.
+    def set_state(self, state: AxesState) -> None:
+        """Continue from a state of :meth:`get_state`, bit for bit; one of the single environment is set on all axes.
 
         Raises:
-            ConfigurationError: ``reset`` was not called, or an axis does not exist.
+            ConfigurationError: ``state`` is not a state, belongs to another task, or has another number of axes.
         """
-        self._require_begun("get_state")
-        state = self._axes.get_state(self._numbered(axes))
-        return state if axes is not None else replace(state, generator=deepcopy(self.np_random.bit_generator.state))
-
-    def set_state(self, state: AxesState | Sequence[AxesState], axes: Sequence[int] | None = None) -> None:
-        """Continue from a state of :meth:`get_state` on some axes (all by default), bit for bit.
-
-        Args:
-            state: a state with one row per chosen axis, a state of one axis for all of them, or a list with one state
-                per axis; from this class or from the single environment.
-            axes: numbers of the chosen axes; the others continue undisturbed.
-
-        Raises:
-            ConfigurationError: ``state`` is not a state, belongs to another task, or does not fit the axes.
-        """
-        chosen = self._numbered(axes)
-        if not self._begun and len(chosen) < self.num_envs:
-            raise ConfigurationError("set_state: call reset first, or give all axes a state")
-        self._axes.set_state(state, chosen)
-        alike = isinstance(state, AxesState) and axes is None and state.count == self.num_envs
-        generator = getattr(state, "generator", None) if alike else None
-        if generator is not None:
-            self.np_random.bit_generator.state = deepcopy(generator)
+        super().set_state(state)
         self._ended = self._axes.ended()
-        self._seeded = self._begun = True
-
-    def _numbered(self, axes: Sequence[int] | None) -> Indices:
-        if axes is None:
-            return self._everyone
-        chosen = [whole_number("axes", axis, 0, self.num_envs - 1) for axis in axes]
-        if not 0 < len(set(chosen)) == len(chosen):
-            raise ConfigurationError(f"axes = {shown(axes)}: must be numbers of axes, each named once")
-        return np.array(chosen, dtype=np.int64)
 
     def _info(self, axes: Indices) -> dict[str, Any]:
         """Arrays over all axes, each with a mask of the axes to which it applies; zero elsewhere, as in Gymnasium."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from hydro_env.compiling import inline, shared, tuple_replacer
+from hydro_env.compiling import inline, tuple_replacer
 from hydro_env.plant.equations import Coefficients, chamber_net_flows
 from hydro_env.plant.parts.load import balancing_pressure_b, holding_force
 from hydro_env.plant.parts.supply import gas_volume_at, regulated_pressure
@@ -23,7 +23,6 @@ _SUPPLY_ITERATIONS = 8
 _ITERATIONS = 100
 
 _with_underlap = tuple_replacer(Coefficients, "underlap_squared")
-_with_current_and_gas = tuple_replacer(State, "coil_current", "gas_volume")
 
 
 def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., Any]:
@@ -33,7 +32,7 @@ def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., An
     it moves by no more than ``tolerance``; the flow law has errors of 4e-14, so a smaller change is noise.
     """
 
-    @shared
+    @inline
     def find_root(low, high, arguments):
         at_low, at_high = function(low, arguments), function(high, arguments)
         if (at_low > 0.0) == (at_high > 0.0):
@@ -148,5 +147,16 @@ def equilibrium_state(position, p, c):
             break
     balanced = balanced and supply_pressure >= c.relief_pressure  # else the pump cannot supply even the null flow
     coil_current, voltage = holding_command(spool, c)
-    state = _at_rest(position, pressure_a, spool, supply_pressure, c)
-    return _with_current_and_gas(state, coil_current, gas_volume_at(supply_pressure, p)), voltage, balanced
+    state = State(
+        position=position,
+        velocity=0.0,
+        pressure_a=pressure_a,
+        pressure_b=balancing_pressure_b(pressure_a, holding_force(position, c), c),
+        spool_position=spool,
+        spool_velocity=0.0,
+        coil_current=coil_current,
+        supply_pressure=supply_pressure,
+        gas_volume=gas_volume_at(supply_pressure, p),
+        bristle_deflection=0.0,
+    )
+    return state, voltage, balanced

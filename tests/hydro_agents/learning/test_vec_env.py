@@ -132,7 +132,7 @@ def test_attributes_seeds_and_options_are_those_of_a_vec_env():
     assert [env.has_attr(name) for name in ("features", "axes", "absent")] == [True, True, False]
     assert env.seed(4) == [4, 5, 6, 7, 8, 9]
     first = env.reset()
-    assert env.env_method("get_state", axes=[1])[0].count == 1
+    assert [state.count for state in env.env_method("get_state", indices=[1])] == [6]
     env.seed(4)
     np.testing.assert_array_equal(env.reset(), first)
     env.set_options({"leakage_flow_lpm": 2.0})
