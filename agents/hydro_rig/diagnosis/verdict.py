@@ -225,6 +225,19 @@ def both_fit(case: Case) -> Verdict | None:
     return case.answer(Kind.UNKNOWN, why)
 
 
+def leaks_in_a_part(case: Case) -> Verdict | None:
+    """A window surely shows a faulty leak, the others do not → cannot tell: a leak may just have begun."""
+    reading = case.reading
+    faulty = np.flatnonzero(reading.sized & (reading.low_lpm > case.limits.fault))
+    if not len(faulty):
+        return None
+    last = faulty[-1]
+    leak = Leak(reading.flow_lpm[last], reading.low_lpm[last], reading.high_lpm[last])
+    count = f"{len(faulty)} of {int(reading.sized.sum())} windows"
+    why = f"the leak past the piston is {case.leak.text()}, but {count} read a faulty one, the last {leak.text()}"
+    return case.answer(Kind.UNKNOWN, f"{why}; it may have just begun: record again")
+
+
 def tight(case: Case) -> Verdict:
     """What is left → healthy; cannot tell if neither pressure was recorded, or if the model differs slowly."""
     doubt = "; ".join(case.of_weight(Weight.DOUBT))
@@ -237,7 +250,7 @@ def tight(case: Case) -> Verdict:
     return case.answer(Kind.HEALTHY)
 
 
-RULES = (severe_finding, other_rig, no_size, leaks, other_fault, both_fit)
+RULES = (severe_finding, other_rig, no_size, leaks, other_fault, both_fit, leaks_in_a_part)
 """The rules in their order; each gives a verdict, or ``None`` if it does not apply."""
 
 

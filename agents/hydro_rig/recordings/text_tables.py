@@ -43,7 +43,9 @@ def text_table(path: Path) -> tuple[pd.DataFrame, int]:
         table = pd.DataFrame() if layout is None else _rows(path, encoding, layout)
     except pd.errors.ParserWarning:
         raise ConfigurationError(f"{path}: rows have more columns than the line of headings") from None
-    except (csv.Error, ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
+    except csv.Error:
+        raise ConfigurationError(f"{path}: is not a table: it holds other bytes than text, or endless lines") from None
+    except (ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
         raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None
     if layout is None:
         raise ConfigurationError(f"{path}: holds no table")

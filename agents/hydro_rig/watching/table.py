@@ -98,12 +98,14 @@ def read_table(path: Path) -> pd.DataFrame:
         return pd.DataFrame({name: pd.Series(dtype=str if name in TEXTS else float) for name in COLUMNS})
     try:
         table = pd.read_csv(path, dtype=dict.fromkeys(TEXTS, str), keep_default_na=False, na_values=[""])
+        if missing := [name for name in COLUMNS if name not in table]:
+            raise ValueError(f"has no column '{missing[0]}'")
         table = table.fillna(dict.fromkeys(TEXTS, ""))
         table[list(NUMBERS)] = table[list(NUMBERS)].astype(np.float64)
         seconds(table["time"]), seconds(table["until"])
         if not set(table["verdict"]) <= set(Kind) or (table[["axis", "file"]] == "").any(axis=None):
             raise ValueError("an axis, a file or a verdict is missing")
-    except (ValueError, KeyError) as error:
+    except ValueError as error:
         raise ConfigurationError(f"{path}: is no table of hydro trend: {' '.join(str(error).split())[:200]}") from None
     return table
 

@@ -98,7 +98,10 @@ class AxisTrend(NamedTuple):
         if np.isfinite(self.leak.value):
             value, low, high = (number(part, digits=2) for part in self.leak)
             text += f"; leak {value} l/min ({low} to {high}), limit {number(self.limit, digits=2)}"
-        if dates := facts["limit_reached"]:
+        dates = facts["limit_reached"]
+        if dates and self.growth.ahead.value == 0.0:
+            text += ", which it has reached"
+        elif dates:
             text += f", reached about {dates['value']} ({dates['low']} to {dates['high'] or 'later'}), "
             text += f"not before {dates['not_before']}"
         age = "none" if facts["last"] is None else f"{facts['last'][:10]}, {facts['age_days']:.1f} d ago"
@@ -116,6 +119,8 @@ def trend_of(axis: str, rows: pd.DataFrame, limit: float, oil: Oil, error: str, 
         error: of its newest file; empty: that was read.
         now: s since 1970; default: the end of the last reading.
     """
+    copies = rows.duplicated(["time", "until", "verdict", "size_40"], keep="last")  # of a file under another name
+    rows = rows[~copies]
     rows = rows.assign(begin=seconds(rows["time"]), end=seconds(rows["until"])).sort_values("begin", kind="stable")
     last = float(rows["end"].max())
     now = last if now is None else now

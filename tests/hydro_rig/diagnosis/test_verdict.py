@@ -37,6 +37,13 @@ HALF_MISFIT = Reading.of([0.2, 0.2], [Cause.UNKNOWN, Cause.UNDETERMINED], why=[W
 CASES = {
     "healthy": ([], HEALTHY, None, Kind.HEALTHY, "healthy: leak past the piston 0.011 [0.001, 0.021]"),
     "leak": ([], LEAK, None, Kind.LEAK, "internal leak of 1.000 ["),
+    "leak that has just begun": (
+        [],
+        reading(*[0.01] * 9, 0.5),
+        None,
+        Kind.UNKNOWN,
+        "but 1 of 10 windows read a faulty one, the last 0.500 [",
+    ),
     "no pressures, seems tight": (NO_PRESSURES, HEALTHY, None, Kind.UNKNOWN, "record one pressure"),
     "one pressure, tight": (NO_PRESSURES[:1], HEALTHY, None, Kind.HEALTHY, "healthy"),
     "no pressures, leak": (NO_PRESSURES, LEAK, None, Kind.LEAK, "internal leak"),
