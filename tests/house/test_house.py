@@ -39,10 +39,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 58_300,
-    "hydro_agents": 119_800,
-    "hydro_rig": 108_900,
-    "tests": 212_400,
+    "hydro_env": 56_700,
+    "hydro_agents": 117_300,
+    "hydro_rig": 106_600,
+    "tests": 205_600,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

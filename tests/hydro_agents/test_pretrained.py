@@ -8,7 +8,7 @@ from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.evaluation.detection import area_under_roc, detection_rate
 from hydro_agents.evaluation.evaluate import ProtocolSettings
-from hydro_agents.learning.loading import load_controller
+from hydro_agents.learning.loading import load_controller, shipped
 from hydro_agents.running.cases import Cases, family_errors, run_cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_agents.study.settings import default_study
@@ -45,7 +45,7 @@ def test_the_policy_for_any_axis_beats_what_it_corrects_on_rigs_that_it_never_sa
     tasks = rig_tasks(task_config(law={"split": "validation", "count": 1, "first": 50, "preview_paces": []}))
     for task in (*tasks, task_config(rig="symmetric_eha", control_period=0.004)):
         corrected = FlowLinearising(FlowLinearisingGains(), task)
-        both = load_controller("ppo", task, "PPO"), corrected
+        both = shipped("ppo", task), corrected
         errors = [family_errors(task, each, 24, sensor_frame=True) for each in both]
         ratios = [errors[0][family] / errors[1][family] for family in errors[0]]
         assert np.exp(np.mean(np.log(ratios))) < 0.99

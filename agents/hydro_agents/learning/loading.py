@@ -1,6 +1,6 @@
 """Controllers by name, file or object, checked against the task: what a command or an evaluation is asked to run.
 
-Weights load what they need when they are asked for.
+Weights and searched gains load what they need when they are asked for; gains in a file need neither.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, make_controller
-from hydro_agents.learning import rig_gains
-from hydro_agents.learning.rig_gains import GainsFor
 from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder, shipped_weights
 from hydro_agents.running.weights import weight_files
@@ -25,6 +23,7 @@ from hydro_env.task.paces import outside_law
 from hydro_env.task.rig import read_rig
 
 if TYPE_CHECKING:
+    from hydro_agents.learning.rig_gains import GainsFor
     from hydro_agents.learning.trainers import Trainer
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
@@ -44,7 +43,21 @@ class GainsOrigin(StrEnum):
     NOWHERE = "none: those that ship belong to another rig"
 
 
-def shipped(kind: str, config: TaskConfig, gains: GainsFor = rig_gains.chosen_gains) -> Controller:
+def _chosen(kind: str, config: TaskConfig) -> Group:
+    from hydro_agents.learning import rig_gains
+
+    gains: Group = rig_gains.chosen_gains(kind, config)
+    return gains
+
+
+def _searched(kind: str, config: TaskConfig) -> Group:
+    from hydro_agents.learning import rig_gains
+
+    gains: Group = rig_gains.searched_gains(kind, config)
+    return gains
+
+
+def shipped(kind: str, config: TaskConfig, gains: GainsFor = _chosen) -> Controller:
     """The controller that comes with the project: with gains or weights of the task's rig, if such ones ship.
 
     On a rig that has none of its own, flow linearisation takes its gains for any rig, the defaults of its class.
@@ -85,9 +98,10 @@ def load_policy(path: Path, config: TaskConfig, gains: GainsFor, trainer: Traine
 
     policy: Any = (trainer or TRAINERS["ppo"]).load(path)
     features: Any = getattr(policy, "features", None)
-    if getattr(features, "for_any_axis", False) and features.config != config:
-        policy = policy.moved_to(config, gains)
-    loaded: Controller = policy
+    if not getattr(features, "for_any_axis", False) or features.config == config:
+        loaded: Controller = policy
+    else:
+        loaded = policy.moved_to(config, gains)
     return loaded
 
 
@@ -118,7 +132,10 @@ def load_controller(
         hydro_env.errors.ConfigurationError: mine: 'pidd': unknown; did you mean pid? ...
     """
     try:
-        controller = _named(found_in(what), config, trainer) if isinstance(what, str | Path) else what
+        if isinstance(what, str | Path):
+            controller = _named(found_in(what), config, trainer)
+        else:
+            controller = what
         check_predict(controller)
         layout = getattr(getattr(controller, "features", controller), "layout", None)
         if isinstance(layout, ObservationLayout):
@@ -130,7 +147,7 @@ def load_controller(
 
 def _named(what: str, config: TaskConfig, trainer: Trainer | None) -> Controller:
     if what in CONTROLLERS or what in SHIPPED_WEIGHTS:
-        return shipped(what, config, rig_gains.searched_gains)
+        return shipped(what, config, _searched)
     if what.endswith(".zip"):
         raise ConfigurationError(
             f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in your own module "
@@ -143,7 +160,7 @@ def _named(what: str, config: TaskConfig, trainer: Trainer | None) -> Controller
     if trainer is None and "/" not in what and not any(file.is_file() for file in weight_files(what)):
         names = unknown(what, (*CONTROLLERS, *SHIPPED_WEIGHTS))
         raise ConfigurationError(f"'{what}': {names}; or give module:attribute, or a path of weights")
-    return load_policy(Path(what), config, rig_gains.searched_gains, trainer)
+    return load_policy(Path(what), config, _searched, trainer)
 
 
 def found_in(what: str | Path) -> str:
