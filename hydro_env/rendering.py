@@ -137,7 +137,7 @@ class AxisRenderer:
 
     def _text(self, text: str, x: float, y: float, color: Color = GREY, size: float = 11) -> None:
         """A text from ``x`` on, with its baseline at ``y``."""
-        self._font.render_to(self._picture, (round(x), round(y)), text, color, size=size)
+        self._font.render_to(self._picture, (round(x), round(y)), text.replace("-", "−"), color, size=size)
 
     def _line(self, x: Any, y: Any, color: Color = INK, width: int = 2) -> None:
         if len(x) > 1:
@@ -176,6 +176,8 @@ class AxisRenderer:
 
     def _cylinder(self, view: View) -> None:
         s, top, bottom = view.state, AXIS_Y - BORE_HALF, AXIS_Y + BORE_HALF
+        self._text("Chamber a (bore)", BARREL_LEFT, top - WALL - 10)
+        self._text("Chamber b (rod)", BARREL_RIGHT - 64, top - WALL - 10)
         moved = s.position / view.cylinder.stroke * STROKE_PIXELS
         piston = PISTON_ZERO + moved
         self._box(BARREL_LEFT - 24, top - WALL, BARREL_RIGHT + 24, bottom + WALL, STEEL)
@@ -203,6 +205,7 @@ class AxisRenderer:
             self._line(np.linspace(load + LOAD_HALF, WALL_X, 18), AXIS_Y + 11 * (-1.0) ** np.arange(18))
             self._box(WALL_X, AXIS_Y - 42, WALL_X + 7, GROUND_Y + 1, STEEL)
         self._box(load - LOAD_HALF, AXIS_Y - 34, load + LOAD_HALF, GROUND_Y, STEEL)
+        self._text("Load", load - 12, GROUND_Y + 18)
         self._line((load, load), (AXIS_Y - 34, GROUND_Y), POSITION)
         self._line((wanted, wanted), (AXIS_Y - 60, GROUND_Y), REFERENCE)
 
@@ -220,7 +223,7 @@ class AxisRenderer:
             self._line((PLOT_LEFT, PLOT_RIGHT), (height(value), height(value)), STEEL, 1)
             self._text(f"{1e3 * value:.0f}", 34, height(value) + 4)
         for time, x in ((begin, PLOT_LEFT), (end, PLOT_RIGHT - 24)):
-            self._text(f"{time:.2f}", x, PLOT_BOTTOM + 17)
+            self._text(f"{time:.3g}", x, PLOT_BOTTOM + 17)
         self._line(xs[count - 1 :], height(coming), REFERENCE_COMING)
         self._line(xs[:count], height(view.past[:, 1]), REFERENCE)
         self._line(xs[:count], height(view.past[:, 0]), POSITION)
