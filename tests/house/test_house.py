@@ -42,7 +42,7 @@ BUDGET = {
     "hydro_env": 56_700,
     "hydro_agents": 117_300,
     "hydro_rig": 106_600,
-    "tests": 205_600,
+    "tests": 205_700,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

@@ -11,7 +11,7 @@ from hydro_rig.recordings.columns import read_map
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.guessed_map import UnknownHeadingsError
 from hydro_rig.recordings.recording import read_recording
-from hydro_rig.recordings.row_distance import equidistant
+from hydro_rig.recordings.row_distance import equidistant, spacing_of
 from hydro_rig.recordings.sampling import cut, sampled
 from hydro_rig.recordings.simulated import recording_csv
 
@@ -142,6 +142,13 @@ def test_a_distance_of_rows_that_the_stamps_leave_open_is_asked_for(spacing):
     finding = equidistant(spacing, 0.005)[1]
     assert finding.weight is Weight.SEVERE
     assert "'equidistant: 5 ms'" in finding.line()
+
+
+def test_rounded_stamps_leave_a_row_more_and_a_row_less_open():
+    """Whole seconds of rows every 6.99 ms: a new one in rows 144, 287 and 430."""
+    low, high = spacing_of(np.floor(6.99e-3 * np.arange(500)))
+    assert (low, high) == pytest.approx((1.0 / 144, 1.0 / 142))
+    assert low < 6.99e-3 < high
 
 
 @pytest.mark.parametrize(("mark", "separator"), [("%", " "), ("# ", ","), ("% ", "\t")])
