@@ -34,7 +34,7 @@ from hydro_rig.diagnosis.verdict import Kind, Leak, Limits
 from hydro_rig.estimation.estimator import WEAR
 from hydro_rig.recordings.columns import own_map, read_map
 from hydro_rig.recordings.files import read_columns
-from hydro_rig.recordings.findings import Weight
+from hydro_rig.recordings.findings import Weight, lines_of
 from hydro_rig.recordings.guessed_map import UnknownHeadingsError
 from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.simulated import record_axis
@@ -114,7 +114,7 @@ class Reader:
                 key = pickle.dumps((read_recording(file, given)._replace(source=""), window))
                 if key not in self._known:
                     diagnosis = diagnose(file, TASK, self._companion, given, window)
-                    lines = [one.line() for one in diagnosis.checked.findings]
+                    lines = lines_of(diagnosis.checked.findings)
                     verdict = diagnosis.verdict
                     text = "\n".join([verdict.why, *lines])
                     self._known[key] = Answer(verdict.kind.value, causes_of(diagnosis), verdict.leak, text)

@@ -46,15 +46,13 @@ class GainsOrigin(StrEnum):
 def _chosen(kind: str, config: TaskConfig) -> Group:
     from hydro_agents.learning import rig_gains
 
-    gains: Group = rig_gains.chosen_gains(kind, config)
-    return gains
+    return rig_gains.chosen_gains(kind, config)
 
 
 def _searched(kind: str, config: TaskConfig) -> Group:
     from hydro_agents.learning import rig_gains
 
-    gains: Group = rig_gains.searched_gains(kind, config)
-    return gains
+    return rig_gains.searched_gains(kind, config)
 
 
 def shipped(kind: str, config: TaskConfig, gains: GainsFor = _chosen) -> Controller:

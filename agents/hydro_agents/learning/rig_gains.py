@@ -60,7 +60,7 @@ def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
     return sets
 
 
-def chosen_gains(kind: str, config: TaskConfig) -> Any:
+def chosen_gains(kind: str, config: TaskConfig) -> Group:
     """The set of :func:`gain_sets` that controls the simulated rig of the task best, if clearly so; in seconds."""
     key = "chosen", kind, repr(config)
     if key not in _FOUND:
@@ -70,10 +70,11 @@ def chosen_gains(kind: str, config: TaskConfig) -> Any:
             errors = [cost.equal for cost in costs_on_rig(kind, sets, config)]
             if min(errors) < CLEARLY * errors[0]:
                 _FOUND[key] = sets[int(np.argmin(errors))]
-    return _FOUND[key]
+    answer: Group = _FOUND[key]
+    return answer
 
 
-def searched_gains(kind: str, config: TaskConfig) -> Any:
+def searched_gains(kind: str, config: TaskConfig) -> Group:
     """Gains from a short search around :func:`chosen_gains`; it takes about a minute.
 
     Fresh cases decide between the best candidate of each generation, the choice and the first set: a search favours
@@ -95,7 +96,8 @@ def searched_gains(kind: str, config: TaskConfig) -> Any:
             counts = counted_at_rest(CONTROLLERS[kind][0](gains, config), config, STANDSTILLS, RESTS)
             errors[number] += PER_LIMIT_CYCLE[kind] * counts["limit_cycles"] / RESTS
         _FOUND[key] = leaders[int(np.argmin(errors))]
-    return _FOUND[key]
+    answer: Group = _FOUND[key]
+    return answer
 
 
 def costs_on_rig(kind: str, sets: Sequence[Group], config: TaskConfig) -> list[Cost]:
