@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
-from hydro_env import ServoHydraulicVectorEnv
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
 
 ROOT = Path(__file__).parents[2]
 STEPS = 40
@@ -36,8 +36,17 @@ with install_recorder("numba:compile") as recorder:
 from hydro_env.task import kernel
 stats = getattr(kernel.step_axes.dispatcher, "stats", None)
 found = {{"rows": rows, "kept": bool(stats and stats.cache_path), "compiled": len(recorder.buffer) // 2}}
-code = list(kernel.step_axes.dispatcher.inspect_asm().values()) if "assembly" in sys.argv else []
-print(json.dumps({{**found, "module": hydro_env.__file__, "assembly": code}}))
+print(json.dumps({{**found, "module": hydro_env.__file__}}))
+"""
+RUN = f"""
+import json
+import hydro_env
+from hydro_env.plant import kernel
+run = hydro_env.simulate(hydro_env.PlantParameters(), [4.0, -2.0] * {STEPS}, 1e-3)
+dispatcher = kernel.integrate.dispatcher
+stats, (code,) = getattr(dispatcher, "stats", None), dispatcher.inspect_asm().values()
+found = {{"rows": run.states.tolist(), "kept": bool(stats and stats.cache_path), "assembly": code}}
+print(json.dumps({{**found, "module": hydro_env.__file__}}))
 """
 
 
@@ -53,10 +62,10 @@ def episode_here(**task):
     return np.array(rows)
 
 
-def episode_elsewhere(folder=ROOT, task=None, *more, **variables):
-    """The same episode in a fresh process with other environment variables, from the package in ``folder``."""
+def elsewhere(code, folder=ROOT, task=None, **variables):
+    """What code prints in a fresh process with other environment variables, with the package in ``folder``."""
     answer = subprocess.run(
-        [sys.executable, "-c", EPISODE, json.dumps(task or {}), *more],
+        [sys.executable, "-c", code, json.dumps(task or {})],
         env={**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", **variables},
         cwd=folder,
         capture_output=True,
@@ -71,7 +80,7 @@ def episode_elsewhere(folder=ROOT, task=None, *more, **variables):
 
 @pytest.fixture(scope="module")
 def without_cache(tmp_path_factory):
-    """An episode with a file where each folder would have to be: that denies root as well, unlike permissions."""
+    """A run with a file where each folder would have to be: that denies root as well, unlike permissions."""
     folder = tmp_path_factory.mktemp("sources")
     shutil.copytree(ROOT / "hydro_env", folder / "hydro_env", ignore=shutil.ignore_patterns("__pycache__"))
     for source in (folder / "hydro_env").rglob("*.py"):
@@ -79,7 +88,7 @@ def without_cache(tmp_path_factory):
     (folder / "file").touch()
     nowhere = str(folder / "file" / "folder")
     variables = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR", "IPYTHONDIR"), nowhere)
-    return episode_elsewhere(folder, None, "assembly", **variables)  # code from a cache cannot be inspected
+    return elsewhere(RUN, folder, **variables)  # code from a cache cannot be inspected
 
 
 def test_without_any_folder_for_the_cache_the_integration_uses_the_widest_vector_instructions(without_cache):
@@ -88,16 +97,17 @@ def test_without_any_folder_for_the_cache_the_integration_uses_the_widest_vector
     With AVX-512 both widths count: for some processors LLVM prefers the half, at which they run faster.
     """
     assert not without_cache["kept"]
-    np.testing.assert_array_equal(without_cache["rows"], episode_here())
+    here = simulate(PlantParameters(), [4.0, -2.0] * STEPS, 1e-3)
+    np.testing.assert_array_equal(without_cache["rows"], here.states)
     features = llvm.get_host_cpu_features()
     register = "[yz]mm" if features.get("avx512f") else "ymm" if features.get("avx") else None
     if register is None or not llvm.get_process_triple().startswith("x86_64"):
         pytest.skip("this processor has no vector instructions that are known here")
-    (code,) = without_cache["assembly"]
+    code = without_cache["assembly"]
     packed = {name: len(re.findall(rf"\bv{name}pd\b[^\n]*%{register}", code)) for name in ("mul", "sqrt", "div")}
     scalar = len(re.findall(r"\bv?mulsd\b", code))
     assert packed["mul"] > 100, packed
-    assert packed["mul"] > scalar / 4, (packed, scalar)  # episodes and sensors are scalar
+    assert packed["mul"] > scalar / 4, (packed, scalar)
     assert packed["sqrt"] >= 8, packed
     assert packed["div"] >= 8, packed
 
@@ -107,7 +117,7 @@ def older(tmp_path_factory):
     """Episodes on a processor without any instruction beyond SSE4.2, with an empty cache and once more after it."""
     cache = {"NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("cache"))}
     return [
-        episode_elsewhere(ROOT, EXACT, NUMBA_CPU_NAME="x86-64-v2", NUMBA_CPU_FEATURES="", **cache) for _ in range(2)
+        elsewhere(EPISODE, ROOT, EXACT, NUMBA_CPU_NAME="x86-64-v2", NUMBA_CPU_FEATURES="", **cache) for _ in range(2)
     ]
 
 

@@ -25,12 +25,8 @@ def policy():
 
 def test_policy_beats_the_tuned_pid_at_every_leak(policy):
     protocol = ProtocolSettings()
-    rows = [
-        (leak, family, plant) for leak in protocol.leak_levels for family in protocol.families for plant in range(6)
-    ]
-    leak = np.array([row[0] for row in rows])
-    families = np.array([row[1] for row in rows])
-    cases = Cases(np.array([VALIDATION_SEEDS.start + 700_000 + row[2] for row in rows]), leak, families)
+    leak, families, plant = map(np.ravel, np.meshgrid(protocol.leak_levels, protocol.families, np.arange(6)))
+    cases = Cases(VALIDATION_SEEDS.start + 700_000 + plant, leak, families)
     error = {}
     for name, controller in (("PID", load_controller("pid", STUDY.task, "PID")), ("PPO", policy)):
         run = run_cases(STUDY.task, controller, cases)
@@ -43,9 +39,9 @@ def test_policy_beats_the_tuned_pid_at_every_leak(policy):
 
 def test_the_policy_for_any_axis_beats_what_it_corrects_on_rigs_that_it_never_saw():
     tasks = rig_tasks(task_config(law={"split": "validation", "count": 1, "first": 50, "preview_paces": []}))
+    gains = FlowLinearisingGains()
     for task in (*tasks, task_config(rig="symmetric_eha", control_period=0.004)):
-        corrected = FlowLinearising(FlowLinearisingGains(), task)
-        both = shipped("ppo", task), corrected
+        both = shipped("ppo", task, lambda *_: gains), FlowLinearising(gains, task)
         errors = [family_errors(task, each, 24, sensor_frame=True) for each in both]
         ratios = [errors[0][family] / errors[1][family] for family in errors[0]]
         assert np.exp(np.mean(np.log(ratios))) < 0.99

@@ -11,7 +11,7 @@ from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.evaluation.participants import shipped_controllers
-from hydro_agents.learning import tuning
+from hydro_agents.learning import rig_gains, tuning
 from hydro_agents.learning.loading import gains_file, shipped, usual_gains
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.study import settings, training
@@ -101,6 +101,7 @@ def test_a_study_with_a_position_sensor_alone_tunes_trains_and_reports(files, tm
 def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, capsys, monkeypatch):
     rig, file = files
     monkeypatch.setattr(settings, "searched_gains", lambda *_: PIDGains())
+    monkeypatch.setattr(rig_gains, "searched_gains", lambda *_: FlowLinearisingGains())  # of what the policy corrects
     study = default_study(file, rig=rig).with_gains_of_rig()
     assert list(study.with_weights({}, leave_out=True)) == ["PID"]
     assert "hydro: left out: PPO: no weights of this kind are shipped" in capsys.readouterr().err
@@ -126,7 +127,7 @@ def test_the_gains_and_weights_that_ship_for_a_rig_are_taken():
     assert study.tuned == []
     gains = read_yaml(config_folder() / "agents" / "pid_symmetric_eha.yaml")
     assert study.make("PID").gains == PIDGains(**gains)
-    assert shipped("ppo", study.task).features.config.plant == study.task.plant
+    assert shipped("ppo", study.task, lambda *_: FlowLinearisingGains()).features.config.plant == study.task.plant
     assert gains_file("pid", TaskConfig()) is None
     other = task_config(study.task, control_period=0.002)  # the shipped gains are for another period
     assert gains_file("pid", other) is None
