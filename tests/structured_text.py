@@ -1,20 +1,31 @@
-"""Runs Structured Text: blark parses it, and each statement is translated to one of Python."""
+"""Runs Structured Text: each statement is translated to one of Python, and what is unknown here is an error.
+
+blark judges the grammar of a whole text, in a slow test: it takes a minute.
+"""
 
 from __future__ import annotations
 
-import dataclasses
+import ast
 import math
 import operator
 import re
 from typing import Any
 
 import numpy as np
-from blark.parse import parse_source_code
 
-OPERATORS = {"=": "==", "<>": "!=", "AND": "and", "OR": "or"}
 ORDERS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+SIGNS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
+WORDS = {"AND": "and", "OR": "or", "NOT": "not", "TRUE": "True", "FALSE": "False", "=": "==", "<>": "!="}
+WORD = re.compile(r"\b(?:AND|OR|NOT|TRUE|FALSE)\b|<>|(?<![<>=])=")
 NUMBER = re.compile(r"-?\d+\.\d+(?:E[-+]?\d+)?|-?\d+")
 KINDS = {"LREAL": 0.0, "REAL": 0.0, "BOOL": False, "LINT": 0, "DINT": 0}
+COMMENT = re.compile(r"\(\*.*?\*\)", re.DOTALL)
+DECLARED = re.compile(r"^ +([\w, ]+) : (?:ARRAY\[0\.\.(\d+)\] OF )?(\w+)(?: := ([^;]*))?;", re.MULTILINE)
+STATEMENT = re.compile(
+    r"\s*(?:FOR (?P<counter>\w+) := (?P<first>\d+) TO (?P<last>\d+) DO\b"
+    r"|IF (?P<condition>[^;]+?) THEN\b|(?P<otherwise>ELSE)\b|(?P<end>END_FOR|END_IF;?)"
+    r"|(?P<target>[^;:]+) := (?P<value>[^;]+);)"
+)
 
 
 def real(value: float) -> float:
@@ -53,6 +64,36 @@ FUNCTIONS: dict[str, Any] = {
 }
 
 
+class ToPython(ast.NodeTransformer):
+    """An expression of Structured Text, whose signs are those of Python, over the memory ``v``."""
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        return ast.parse(f"v[{node.id.lower()!r}]", mode="eval").body
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
+        return self.visit_Name(ast.Name(ast.unparse(node)))
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        return ast.Call(node.func, [self.visit(each) for each in node.args], [])
+
+    def visit_Compare(self, node: ast.Compare) -> ast.expr:
+        left, (sign,), (right,) = self.visit(node.left), node.ops, map(self.visit, node.comparators)
+        if type(sign) not in SIGNS:
+            return ast.Compare(left, [sign], [right])
+        return ast.Call(ast.Name("_compared"), [ast.Name("v"), ast.Constant(SIGNS[type(sign)]), left, right], [])
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
+        left, right = self.visit(node.left), self.visit(node.right)
+        if isinstance(node.op, ast.Div):
+            return ast.Call(ast.Name("_divided"), [left, right], [])
+        return ast.BinOp(left, node.op, right)
+
+
+def to_python(expression: str) -> str:
+    text = WORD.sub(lambda word: f" {WORDS[word[0]]} ", expression)
+    return ast.unparse(ToPython().visit(ast.parse(" ".join(text.split()), mode="eval").body))
+
+
 class FunctionBlock:
     """One instance of the function block of a text; ``gains`` are its inputs by name.
 
@@ -62,46 +103,28 @@ class FunctionBlock:
     stops = True
 
     def __init__(self, text: str) -> None:
-        parsed = parse_source_code(text)
-        if parsed.exception is not None:
-            raise parsed.exception
-        items = parsed.transform().items
-        block = next(item for item in items if type(item).__name__ == "FunctionBlock")
+        types, _, block = COMMENT.sub("", text).partition("FUNCTION_BLOCK")
+        declarations, _, body = block.rpartition("END_VAR")
+        self.gains = {name.lower(): float(value) for name, _, _, value in DECLARED.findall(types)}
         self.kinds: dict[str, str] = {}
         self.memory: dict[str, Any] = {}
-        self.gains: dict[str, float] = {}
-        for item in items:
-            if type(item).__name__ == "DataTypeDeclaration":
-                for entry in item.declaration.declarations:
-                    self.gains[_name(entry.variables[0])] = float(str(entry.init.value.value))
-        for section in block.declarations:
-            for entry in section.items:
-                self._declare(entry)
-        lines = self._statements(block.body, 1)
-        code = "\n".join(["def step(v):", *lines])
+        for names, last, kind, value in DECLARED.findall(declarations):
+            for name in names.lower().split(", "):
+                self.kinds[name] = kind
+                if kind in KINDS:  # not the structure of gains
+                    self.memory[name] = self._initial(name, kind, int(last) + 1 if last else 0, value)
         space = dict(FUNCTIONS)
-        exec(code, space)
+        exec("\n".join(["def step(v):", *self._lines(body.partition("END_FUNCTION_BLOCK")[0].rstrip())]), space)
         self._step = space["step"]
 
-    def _declare(self, entry: Any) -> None:
-        spec = entry.init.spec
-        array = hasattr(spec, "subranges")
-        kind = str(spec.type.type_name if array else spec.type)
-        size = int(str(spec.subranges[0].stop.value)) + 1 if array else 0
-        for variable in entry.variables:
-            name = _name(variable)
-            self.kinds[name] = kind
-            if kind not in KINDS:
-                continue  # the structure of gains
-            value: Any = [KINDS[kind]] * size if size else KINDS[kind]
-            if name == "valid":
-                value = [True] * size
-            elif entry.init.value is not None:
-                numbers = [float(one) for one in NUMBER.findall(str(entry.init.value))]
-                value = [real(one) for one in numbers] if kind == "REAL" else numbers
-                assert len(value) == max(size, 1), name
-                value = value if size else int(value[0])  # the place of a signal
-            self.memory[name] = value
+    def _initial(self, name: str, kind: str, size: int, text: str) -> Any:
+        if name == "valid":
+            return [True] * size
+        if not text:
+            return [KINDS[kind]] * size if size else KINDS[kind]
+        numbers = [float(one) for one in NUMBER.findall(text)]
+        assert len(numbers) == max(size, 1), name
+        return [real(one) for one in numbers] if kind == "REAL" else numbers if size else int(numbers[0])
 
     holding = property(lambda self: self.memory["holding"])
 
@@ -114,57 +137,29 @@ class FunctionBlock:
         self._step(self.memory)
         return self.memory["voltage"]
 
-    def _statements(self, listed: Any, depth: int) -> list[str]:
-        lines = []
-        for one in listed.statements if listed is not None else ():
-            lines += [f"{'    ' * depth}{line}" for line in self._statement(one, depth)]
-        return lines or [f"{'    ' * depth}pass"]
+    def _lines(self, body: str) -> list[str]:
+        lines, depth, place = [], 1, 0
+        while place < len(body):
+            found = STATEMENT.match(body, place)
+            assert found, body[place : place + 80]
+            place = found.end()
+            if found["end"]:
+                depth -= 1
+                continue
+            if found["otherwise"]:
+                depth -= 1
+                line = "else:"
+            elif found["condition"]:
+                line = f"if {to_python(found['condition'])}:"
+            elif found["counter"]:
+                line = f"for v[{found['counter'].lower()!r}] in range({found['first']}, {found['last']} + 1):"
+            else:
+                line = self._assigned(found["target"], to_python(found["value"]))
+            lines.append("    " * depth + line)
+            depth += line.endswith(":")
+        assert depth == 1
+        return lines
 
-    def _statement(self, one: Any, depth: int) -> list[str]:
-        kind = type(one).__name__
-        if kind == "AssignmentStatement":
-            (target,) = one.variables
-            text, name = self._value(one.expression), _plain(getattr(target.name, "name", target.name))
-            return [f"{self._value(target)} = {f'_real({text})' if self.kinds[name] == 'REAL' else text}"]
-        if kind == "ForStatement":
-            inside = self._statements(one.statements, 1)
-            return [f"for v['{_plain(one.control)}'] in range({one.from_}, {one.to} + 1):", *inside]
-        if kind == "IfStatement":
-            yes, no = (self._statements(part, 1) for part in (one.statements, one.else_clause.statements))
-            return [f"if {self._value(one.if_expression)}:", *yes, "else:", *no]
-        raise NotImplementedError(kind)
-
-    def _value(self, one: Any) -> str:
-        kind = type(one).__name__
-        if kind == "BinaryOperation":
-            left, right, sign = self._value(one.left), self._value(one.right), str(one.op).upper()
-            if sign in ORDERS:
-                return f"_compared(v, '{sign}', {left}, {right})"
-            return f"_divided({left}, {right})" if sign == "/" else f"({left} {OPERATORS.get(sign, sign)} {right})"
-        if kind == "UnaryOperation":
-            return f"({'not ' if str(one.op).upper() == 'NOT' else str(one.op)}{self._value(one.expr)})"
-        if kind == "ParenthesizedExpression":
-            return f"({self._value(one.expr)})"
-        if kind == "FunctionCall":
-            return f"{one.name}({', '.join(self._value(each.value) for each in one.parameters)})"
-        if kind in ("Real", "Integer"):
-            return f"_real({one.value})" if "REAL" in str(one.type_name) else str(one.value)
-        if kind == "Boolean":
-            return str(str(one.value).upper() == "TRUE")
-        if kind == "SimpleVariable":
-            return f"v['{_plain(one)}']"
-        if kind == "MultiElementVariable":
-            (element,) = one.elements
-            if hasattr(element, "subscripts"):
-                (index,) = element.subscripts
-                return f"v['{_plain(one.name)}'][{self._value(index)}]"
-            return f"v['{_plain(one.name)}.{_plain(element.field)}']"
-        raise NotImplementedError(f"{kind}: {dataclasses.asdict(one) if dataclasses.is_dataclass(one) else one}")
-
-
-def _name(declared: Any) -> str:
-    return _plain(declared.variable.name)
-
-
-def _plain(name: Any) -> str:
-    return str(name).lower()
+    def _assigned(self, target: str, value: str) -> str:
+        name = target.partition("[")[0].lower()
+        return f"{to_python(target)} = {f'_real({value})' if self.kinds[name] == 'REAL' else value}"

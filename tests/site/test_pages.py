@@ -14,6 +14,7 @@ from recorded import healthy
 
 import hydro_env
 from hydro_agents.commands.application import application
+from hydro_agents.learning import rig_gains
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -32,13 +33,19 @@ NO_DEPENDENCIES = ("control", "torchrl")
 """Packages that some blocks of a page import, and that are no dependencies."""
 
 
+@pytest.fixture(scope="module")
+def signals(tmp_path_factory):
+    """Two seconds of a healthy axis, (1, 5, 401)."""
+    return np.array(healthy(tmp_path_factory.mktemp("axis")).signals)[None, :, 100:501]
+
+
 @pytest.fixture
-def given(tmp_path, monkeypatch):
+def given(tmp_path, signals, monkeypatch):
     """What the code of some pages takes as given, in a folder that looks like the root of the repository."""
     for folder in ("agents", "configs"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     monkeypatch.chdir(tmp_path)
-    signals = np.array(healthy(tmp_path).signals)[None, :, 100:501]
+    monkeypatch.setattr(rig_gains, "CHOICE_CASES", 7)  # half of the simulations that choose gains for a rig
     row = {"controller": "PID", "training_seed": 0, "condition": "leak_8", "family": "sine", "plant": 0}
     return {"signals": signals, "row": row | {"leakage_flow_lpm": 8.0, "seed": 2_200_000}}
 

@@ -169,8 +169,10 @@ class CWriter:
 
     def _new_name(self, name: str) -> str:
         plain = f"{name}_value" if self._key(name) in self.reserved else name
-        names = (plain, *(f"{plain}_{number}" for number in range(2, 10_000)))
-        unique = next(name for name in names if self._key(name) not in self._used)
+        unique, number = plain, 1
+        while self._key(unique) in self._used:
+            number += 1
+            unique = f"{plain}_{number}"
         self._used.add(self._key(unique))
         return unique
 

@@ -12,6 +12,7 @@ import linecache
 import re
 import weakref
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -324,8 +325,12 @@ def _where() -> dict[str, str]:
     The name is empty if the line calls the number ``values`` or the like: then it has the name of its operand.
     """
     frame, line = _caller()
-    function = frame.f_code.co_name
-    return {"name": _assigned(line, function), "origin": f"{Path(frame.f_code.co_filename).name}, {function}: {line}"}
+    return _told(frame.f_code.co_filename, frame.f_code.co_name, line)
+
+
+@cache
+def _told(file: str, function: str, line: str) -> dict[str, str]:
+    return {"name": _assigned(line, function), "origin": f"{Path(file).name}, {function}: {line}"}
 
 
 def _assigned(line: str, function: str) -> str:

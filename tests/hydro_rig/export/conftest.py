@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from structured_text import FunctionBlock
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.learning.loading import load_controller
@@ -62,8 +63,5 @@ def other_rig(tmp_path_factory):
 @pytest.fixture(scope="session")
 def block(exported):
     """A function: the function block of a kind of controller, parsed once, with the memory of a new one."""
-    pytest.importorskip("blark", reason="the extra 'dev' brings it")
-    from structured_text import FunctionBlock
-
     parsed = functools.cache(lambda kind: FunctionBlock((exported(kind).folder / "controller.st").read_text()))
     return lambda kind: copy.deepcopy(parsed(kind))

@@ -28,6 +28,12 @@ def test_it_gives_the_voltages_of_the_vectors_sample_by_sample(varied, block, ex
     np.testing.assert_allclose(voltage, rows[:, -1], rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow  # blark reads a thousand letters a second
+def test_it_is_structured_text_by_the_grammar_of_others(varied, exported):
+    parse = pytest.importorskip("blark.parse", reason="the extra 'dev' brings it").parse_source_code
+    assert parse((exported(varied[0]).folder / "controller.st").read_text()).exception is None
+
+
 def test_a_new_block_begins_at_rest_and_holds_the_axis_when_the_position_is_lost(varied, block):
     kind, _, graph = varied
     config = graph.signals.config
