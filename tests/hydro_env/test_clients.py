@@ -88,19 +88,6 @@ def test_a_flat_info_holds_the_same_numbers_and_nothing_else(make):
         infos = [env.step(np.ones(env.action_space.shape))[-1] for env in (flat, full)]
 
 
-def test_a_flat_info_is_flat_when_episodes_end_too():
-    infos = []
-    for kind in ("flat", True):
-        envs = ServoHydraulicVectorEnv(3, info=kind, episode_duration=0.05, autoreset_mode="SameStep")
-        envs.reset(seed=0)
-        infos.append([envs.step(np.zeros((3, 1)))[-1] for _ in range(10)][-1])
-    flat, named = infos
-    assert flat["final_obs"].dtype == np.float32
-    np.testing.assert_array_equal(flat["final_obs"], np.stack(named["final_obs"]))
-    np.testing.assert_array_equal(flat["final_position"], named["final_info"]["position"])
-    assert all(values.dtype.kind in "fib" for values in flat.values())
-
-
 @pytest.mark.parametrize("make", BOTH)
 def test_wrong_seeds(make):
     env = make()

@@ -9,7 +9,6 @@ from refusal import refused
 from hydro_agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
 from hydro_env.errors import UnknownKeyError
-from hydro_env.mistakes import did_you_mean, kept, one_of, refuse, unknown
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
 
@@ -119,37 +118,3 @@ def test_the_files_that_a_study_names_are_read_too(tmp_path):
     )
     lines = str(caught.value).replace(f"{tmp_path}/", "").splitlines()
     assert all(line.startswith(begin) for line, begin in zip(lines, expected, strict=True)), lines
-
-
-def test_numbers_of_yaml_are_decimal(tmp_path):
-    """YAML 1.1 reads 060 as 48 and 1:30 as 90."""
-    file = tmp_path / "rig.yaml"
-    load = "load: {mass: 060, spring_stiffness: 00.5e5, external_force: -1_000}\n"
-    file.write_text(load + "valve: {natural_frequency: 0x100}\n")
-    plant = read_rig(file).plant
-    assert (plant.load.mass, plant.load.spring_stiffness, plant.load.external_force) == (60.0, 5e4, -1000.0)
-    assert plant.valve.natural_frequency == 256.0
-
-
-def test_names_are_suggested_where_they_are_similar():
-    assert did_you_mean("PID", ["pid", "lqg"]) == "; did you mean pid?"
-    assert did_you_mean("flow-linearizing", ["pid", "flow_linearising"]) == "; did you mean flow_linearising?"
-    assert did_you_mean("mn", ["mm", "m"]) == ""
-    assert did_you_mean("zigzag", ["step", "sine"]) == ""
-    assert did_you_mean("x" * 100_000, ["step"]) == ""
-    assert unknown("lqq", ["pid", "lqg"]) == "unknown; did you mean lqg? known: pid, lqg"
-    assert unknown("x", ["pid"], "kind") == "unknown kind 'x'; known: pid"
-    assert one_of("spol", ["drive", "spool"]) == "must be one of drive, spool; did you mean spool?"
-
-
-def test_kept_errors_are_raised_together():
-    errors: list[ConfigurationError] = []
-    refuse(errors, "here")
-    with kept(errors):
-        raise ConfigurationError("a: wrong")
-    with refused(r"^a: wrong$"):
-        refuse(errors, "here")
-    with kept(errors):
-        raise UnknownKeyError("b: unknown")
-    with pytest.raises(UnknownKeyError, match=r"^here: mistakes in 2 places\n  a: wrong\n  b: unknown$"):
-        refuse(errors, "here")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from hydro_env import REFERENCE_FAMILIES, ServoHydraulicEnv, ServoHydraulicVectorEnv
+from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv
 
 SHORT = {"episode_duration": 0.05}
 NAN = float("nan")
@@ -23,16 +23,6 @@ BOTH = pytest.mark.parametrize("make", [ServoHydraulicEnv, three])
 def stepped(env, value):
     """The observation after a step with the same command on every axis."""
     return env.step(np.full(env.action_space.shape, value))[0]
-
-
-def test_the_family_of_the_reference():
-    families = list(REFERENCE_FAMILIES[:-1])
-    envs = ServoHydraulicVectorEnv(len(families))
-    assert envs.reset(seed=0, options={"reference": families})[1]["reference_family"].tolist() == families
-    assert set(envs.reset(options={"reference": "multi_sine"})[1]["reference_family"]) == {"multi_sine"}
-    assert set(envs.reset(options={"reference": 0.01 * np.ones(7)})[1]["reference"]) == {0.01}
-    env = ServoHydraulicEnv()
-    assert [env.reset(options={"reference": name})[1]["reference_family"] for name in families] == families
 
 
 def test_parameters_of_the_plant():
@@ -138,15 +128,6 @@ def test_options_hold_for_one_episode(mode):
     envs.reset(options={"leakage_flow_lpm": flows})
     envs.reset(options={"leakage_flow_lpm": 3.5, "reset_mask": np.array([True, False])})
     assert envs.axes.column("leak_flow").tolist() == [3.5, 1.4]
-
-
-@BOTH
-def test_a_reference_given_for_one_episode_leaves_the_reference_of_the_task(make):
-    env = make(references={"weights": {"user": 1.0}, "user": [0.0, 0.01]})
-    env.reset(seed=0, options={"reference": [0.02, 0.02]})
-    assert (env.axes.reference == 0.02).all()
-    env.reset()
-    assert (env.axes.reference[:, 1:] == 0.01).all()
 
 
 def of_load(**values):

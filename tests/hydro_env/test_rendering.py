@@ -8,7 +8,6 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.error import DependencyNotInstalled
 
 from hydro_env import PlantParameters, rendering
 from hydro_env.plant.states import State
@@ -77,14 +76,6 @@ def test_piston_load_and_reference_stand_on_the_scale_of_the_stroke(renderer, po
     assert wanted == pytest.approx(load, abs=1)
 
 
-@pytest.mark.parametrize(("samples", "coming"), [(1, 20_000), (2, 1), (20_000, 0)])
-def test_any_length_of_history_and_extreme_values_can_be_drawn(renderer, samples, coming):
-    extreme = {"pressure_a": -0.9e5, "pressure_b": 900e5, "supply_pressure": 600e5, "leakage_flow_lpm": 100.0}
-    extreme |= {"position": 0.21, "reference": -0.5, "spool_position": -1.0, "command": 1.2}
-    picture = draw(renderer, past=np.zeros((samples, 2)), coming=np.zeros(coming), time=20.0, **extreme)
-    assert picture.std() > 0
-
-
 def test_the_leak_arrow_grows_with_the_leak_and_points_to_the_lower_pressure(renderer):
     flows = (0.0, 0.1, 0.3, 1.0, 4.0)
     areas = [len(where(draw(renderer, leakage_flow_lpm=flow), rendering.LEAK)[0]) for flow in flows]
@@ -95,20 +86,6 @@ def test_the_leak_arrow_grows_with_the_leak_and_points_to_the_lower_pressure(ren
         rows, columns = where(picture[:150], rendering.LEAK)
         head = columns[rows == rows.max()].mean()  # it holds the pixels farthest from the bore wall
         assert side * (head - center(picture, PISTON_ROW, rendering.PISTON)) > 0
-
-
-def test_the_plot_shows_history_and_what_is_coming(renderer):
-    usual, later = draw(renderer), draw(renderer, past=np.full((401, 2), -0.03))
-    assert not np.array_equal(usual[PLOT], later[PLOT])
-    assert np.array_equal(usual[:290], later[:290])
-    assert len(where(usual[PLOT], rendering.REFERENCE_COMING)[0]) > 10
-    assert len(where(draw(renderer, coming=np.zeros(0))[PLOT], rendering.REFERENCE_COMING)[0]) == 0
-
-
-def test_missing_pygame_is_told(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(DependencyNotInstalled, match=r'pip install "hydro_env\[render\]"'):
-        AxisRenderer("rgb_array")
 
 
 WITHOUT = """

@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-import threading
 
 import numpy as np
 import pytest
@@ -108,28 +107,6 @@ def test_seeds():
     partly = np.concatenate([first([3, None, None, None])[0] for _ in range(2)])
     assert len(np.unique(partly[:, 5])) == 7  # only the seeded axis repeats
     np.testing.assert_array_equal(partly[0], partly[4])
-
-
-def test_vector_environments_side_by_side_and_in_a_thread():
-    """NumPy 2.0 to 2.2.2 ended in a segmentation fault here, where a step repeated an array of objects."""
-
-    def run(seed, into):
-        envs = ServoHydraulicVectorEnv(520, threads=2, episode_duration=0.2)  # with worker threads of its own
-        rows = [envs.reset(seed=seed)[0]]
-        rows += [envs.step(action)[0] for action in actions_of(520, 20)]
-        envs.close()
-        into[seed] = np.array(rows)
-
-    alone, together = {}, {}
-    for seed in (1, 2):
-        run(seed, alone)
-    threads = [threading.Thread(target=run, args=(seed, together)) for seed in (1, 2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for seed in (1, 2):
-        np.testing.assert_array_equal(together[seed], alone[seed])
 
 
 def numbers(info):

@@ -83,17 +83,6 @@ def test_the_filter_is_the_kalman_filter_of_the_textbook():
     np.testing.assert_allclose(p, [covariance for _, covariance in expected], rtol=1e-7, atol=1e-30)
 
 
-def test_at_the_start_the_uncertainties_share_the_speed_that_the_data_sheet_does_not_explain():
-    spread = np.array([3e-5, 0.1, 1e-12, 0.01])
-    speed, leak, unexplained = np.array([0.1, 0.0, 0.0]), np.array([0.0, 1e10, -1e10]), np.array([0.02, 0.03, 0.03])
-    x, p = MotionFilter(3e-5, spread, 1e-4, np.ones(3), 0.005).start(np.full(3, 0.01), speed, leak, unexplained)
-    slope = np.stack([speed, leak, np.ones(3)], axis=1)
-    np.testing.assert_allclose((x[:, 1:] * slope).sum(axis=1), unexplained)  # they explain it together
-    np.testing.assert_allclose(x[0, 1:], [0.1, 0.0, 0.01])  # gain and offset are equally uncertain
-    np.testing.assert_allclose(x[1:, 2], [1.5e-12, -1.5e-12])
-    np.testing.assert_allclose(np.einsum("ni,nij,nj->n", slope, p[:, 1:, 1:], slope), 0.0, atol=1e-18)
-
-
 @pytest.mark.parametrize("speed", [0.05, -0.05])
 def test_in_steady_motion_it_holds_the_speed(speed):
     config = TaskConfig(

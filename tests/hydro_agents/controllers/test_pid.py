@@ -113,22 +113,6 @@ def test_the_compensation_adds_a_share_of_the_overlap_beyond_a_ramp_as_wide_as_t
         assert action[0] == pytest.approx(wanted, rel=1e-4)
 
 
-@pytest.mark.parametrize("command", [-0.6, -0.05, 0.0, 0.001, 0.08, 0.9])
-def test_a_compensating_pid_starts_without_a_bump(command):
-    pid = PID(PIDGains(**PLAIN, overlap_compensation=1.0), overlapped(0.1))
-    action, _ = pid.predict(observation(previous_command=command))
-    assert action[0] == pytest.approx(command, abs=1e-6)
-
-
-def test_the_integral_of_a_compensating_pid_does_not_exceed_what_the_valve_can_do():
-    gains = PIDGains(proportional=0.0, **PLAIN | {"integral": 500.0}, anti_windup_time=1e-6, overlap_compensation=1.0)
-    pid, memory = PID(gains, overlapped(0.2)), None
-    for _ in range(50):
-        action, memory = pid.predict(observation(tracking_error=0.1), memory)
-    assert action[0] == 1.0
-    assert memory.integral[0] == pytest.approx(0.8)
-
-
 def test_a_valve_with_an_overlap_of_3_percent_is_no_dead_band_in_the_loop():
     """A proportional loop stands where its command no longer leaves the dead band; compensated, within the ramp.
 

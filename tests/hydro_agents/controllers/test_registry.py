@@ -10,7 +10,6 @@ from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import controller_from_gains, gain_rows, gains_text, make_controller
 from hydro_agents.learning.loading import found_in, load_controller
 from hydro_env import TaskConfig
-from hydro_rig.commands.export import _task_of_gains
 
 CONFIG = TaskConfig()
 SOURCE = """
@@ -113,12 +112,3 @@ def test_the_folder_of_a_controller_stands_for_its_weights_or_gains(tmp_path: Pa
     assert found_in(tmp_path) == str(tmp_path / "gains.yaml")
     (tmp_path / "policy.json").write_text("{}", encoding="utf-8")
     assert found_in(str(tmp_path)) == str(tmp_path / "policy")
-
-
-def test_gains_of_a_study_are_exported_for_its_rig(tmp_path: Path) -> None:
-    (tmp_path / "tuned_study.yaml").write_text(
-        "task: {plant: {cylinder: {stroke: 0.6}}}\ncontrollers: {PID: {kind: pid}}\nleakage_head: null\n",
-        encoding="utf-8",
-    )
-    task = _task_of_gains(tmp_path / "controllers" / "PID" / "gains.yaml")
-    assert task.plant.cylinder.stroke == 0.6

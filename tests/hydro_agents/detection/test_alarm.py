@@ -75,16 +75,6 @@ def test_an_axis_is_judged_against_its_own_baseline():
     assert result.total[0, -1] == pytest.approx(30 * 1.5 / 5.0)
 
 
-def test_the_baseline_is_robust():
-    watch = alarm(clip=2.0, threshold=5.0)
-    score = np.full(40, -4.0)
-    score[2] = 50.0
-    result, state = follow(watch, score)
-    # It counts as 3 standard deviations of the third look; the two looks after it draw the mean back.
-    assert state.mean[0, Activity.MOVING] == pytest.approx(-4.0 + 1.0 * 3 / 5)
-    assert not result.alarm.any(), "one outlier counts no more than the clip"
-
-
 @pytest.mark.parametrize(("learning", "threshold", "first"), [(5, 3.0, 7), (0, 5.0, 11)])
 def test_a_leak_that_is_there_from_the_start_is_found_with_and_without_learning(learning, threshold, first):
     result, _ = follow(alarm(learning, threshold=threshold), [np.full(40, 1.0), np.full(40, -0.1)])

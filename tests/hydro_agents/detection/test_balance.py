@@ -123,14 +123,6 @@ def test_lost_samples_are_filled_and_counted(signals):
     np.testing.assert_allclose(whole.lost[[0, 1, 2], [0, 2, 1]], [4 / samples, 1 / samples, 3 / samples])
 
 
-def test_a_reading_that_stays_at_the_end_of_its_range_is_believed(signals):
-    damaged = signals[:1].copy()
-    damaged[0, 2, 100:200] = SHEET.sensor_low[2]
-    whole = repaired(damaged, SHEET)
-    np.testing.assert_array_equal(whole.signals, damaged)
-    assert whole.lost[0, 2] == 0.0
-
-
 def resting(windows=200, samples=400):
     """Readings (N, 5, T) of an axis at rest: noise in steps of the acquisition."""
     generator = np.random.default_rng(0)
@@ -159,13 +151,6 @@ def test_working_sensors_the_ends_of_the_range_and_lost_samples_are_not_stuck():
     signals[1, 3] = FITTED[3].high  # the valve at full stroke
     signals[2, 2] = np.nan  # no such sensor
     assert not stuck_sensors(signals, CONFIG).any()
-
-
-@pytest.mark.parametrize("sensors", [{"enabled": False}, {"position": {"noise": 0.0}}])
-def test_a_sensor_without_noise_may_repeat_its_reading(sensors):
-    signals = resting(1)
-    signals[:, 0] = 0.02
-    assert not stuck_sensors(signals, task_config(CONFIG, sensors=sensors)).any()
 
 
 def test_without_a_spool_sensor_the_nominal_valve_answers_the_commands():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection import dataset
 from hydro_agents.detection.dataset import (
     LABEL_OF_FAULT,
@@ -15,11 +15,11 @@ from hydro_agents.detection.dataset import (
     simulated,
 )
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
-from hydro_agents.detection.operations import OPERATIONS, at_rest, slow
+from hydro_agents.detection.operations import OPERATIONS
 from hydro_agents.detection.sheet import leak_scale
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.seeds import TRAINING_SEEDS
-from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS, SIGNED_KINDS
 from hydro_env.task.law import RigLaw
@@ -116,15 +116,3 @@ def test_with_a_law_the_chunks_take_its_rigs_in_turn_and_leaks_are_in_their_unit
     found = 0.02 * np.sinh(data.features[leaking, FEATURES.index("small internal leak")])
     assert leak_scale(large) > 3.0
     assert 0.4 < np.median(found / data.size[leaking]) < 1.6
-
-
-def test_slow_and_still_references():
-    speeds, still_task = [], at_rest(CONFIG)
-    for task in (CONFIG, slow(CONFIG), still_task):
-        env = ServoHydraulicVectorEnv(32, task)
-        env.reset(seed=0)
-        steps = np.abs(np.diff(env.axes.reference, axis=1))
-        speeds.append(np.quantile(steps, 0.95) if task is not still_task else steps.max())
-    assert speeds[1] < 0.5 * speeds[0]
-    assert speeds[2] < 1e-5
-    assert ObservationLayout.of(at_rest(CONFIG)) == ObservationLayout.of(CONFIG)

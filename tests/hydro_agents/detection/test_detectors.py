@@ -8,7 +8,7 @@ import pytest
 from faulty_windows import made
 from refusal import refused
 
-from hydro_agents.detection.detector import Cause, Reading, Why, logit
+from hydro_agents.detection.detector import Cause, Why, logit
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
@@ -55,17 +55,6 @@ def test_a_stuck_sensor_gives_no_answer():
     reading = make_detector(DetectorChoice(kind="head")).read(windows, CONFIG)
     assert reading.answers.tolist() == [False, True]
     assert reading.why[0] == Why.OUTSIDE
-
-
-def test_a_reading_of_some_windows_among_others():
-    some = Reading.of([1.0, np.nan], flow_lpm=np.array([0.2, 0.3]), fault=("worn", ""))
-    assert some.cause.tolist() == [Cause.NONE, Cause.UNDETERMINED]
-    whole = some.among(np.array([2, 0]), 3, Why.NOT_READ)
-    np.testing.assert_array_equal(whole.score, [np.nan, np.nan, 1.0])
-    np.testing.assert_array_equal(whole.flow_lpm, [0.3, np.nan, 0.2])
-    assert whole.fault.tolist() == ["", "", "worn"]
-    assert whole.why.tolist() == [Why.ANSWERED, Why.NOT_READ, Why.ANSWERED]
-    assert whole.answers.tolist() == [False, False, True]
 
 
 def test_a_detector_of_ones_own_is_named_by_module_and_attribute():

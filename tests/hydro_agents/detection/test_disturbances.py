@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.detection.detector import MeasuredColumns
-from hydro_agents.detection.disturbances import DISTURBANCES, PRESSURE_A, SUPPLY, TANK, Disturbances, Disturbed, drawn
+from hydro_agents.detection.disturbances import DISTURBANCES, SUPPLY, Disturbances, Disturbed, drawn
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.cases import Cases, run_cases
@@ -44,15 +44,6 @@ def test_the_supply_follows_its_course(direct):
     seen = np.array(watcher.seen)
     assert seen[-1] / seen[190] == pytest.approx(1.05, abs=0.005)
     assert (seen[205] / seen[190] > 1.045).all() == direct  # the accumulator of the paper's rig takes longer
-
-
-def test_the_felt_size_is_the_range_within_the_window():
-    disturbances = moved(TANK, np.where(TIME < 1.0, 0.0, 1e5), 2, False)
-    np.testing.assert_allclose(disturbances.felt(np.array([0, 100]), 150), [0.0, 2.0])
-    readings = np.zeros((2, 5, CONFIG.steps))
-    moved(PRESSURE_A, 2e5, 2, False).read(readings)
-    assert (readings[:, 1] == 2e5).all()
-    assert not readings[:, [0, 2, 3, 4]].any()
 
 
 @pytest.mark.parametrize("kind", ["supply sags", "pressure b drifts"])

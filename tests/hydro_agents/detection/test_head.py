@@ -25,8 +25,7 @@ from hydro_agents.detection.head_training import (
 from hydro_agents.detection.intervals import quantiles
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.detection import area_under_roc
-from hydro_agents.running.jobs import RESULT_FILES
-from hydro_agents.running.seeds import HEAD_TRAINING, TRAINING_SEEDS
+from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 
@@ -184,24 +183,6 @@ def test_interrupted_training_resumes_to_the_same_head(small_head, tmp_path):
     save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored)
     with refused("was made with other controllers"):
         trained(tmp_path, controller=PID(PIDGains(), CONFIG), resume=True)
-
-
-def test_a_training_that_is_stopped_while_it_simulates_goes_on_there(small_head, tmp_path):
-    _, stored = interrupted(tmp_path, lambda phase, done, total: done > total // 2)
-    assert stored["epoch"] == 0
-    kept = len([*tmp_path.glob(RESULT_FILES)])
-    assert kept >= 2
-    seen = []
-    resumed = trained(tmp_path, resume=True, progress=lambda phase, done, *_: seen.append((phase, done)))
-    assert seen[0] == ("data", kept)
-    np.testing.assert_array_equal(resumed.tensors["weight_0"], small_head.tensors["weight_0"])
-
-
-def test_inputs_of_the_network_are_normalised_on_training_data(small_head):
-    data = windows_of(TrainingPlan(CONFIG, [CONTROLLER], SMALL).jobs(SMALL.episodes, HEAD_TRAINING.first))
-    inputs = (data.features - small_head.tensors["mean"]) * small_head.tensors["scale"]
-    np.testing.assert_allclose(inputs.mean(axis=0), 0.0, atol=1e-2)
-    assert inputs.std(axis=0).max() < 1.01
 
 
 @pytest.mark.parametrize(

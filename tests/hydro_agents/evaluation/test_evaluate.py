@@ -10,7 +10,6 @@ from published import assert_published
 from refusal import refused
 from untrained import untrained_head
 
-import hydro_agents
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.evaluation.detection import detection_cases
 from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
@@ -178,16 +177,3 @@ def test_what_cannot_take_part_is_refused_at_once():
     other = TaskConfig(episode_duration=0.4, control_period=0.004)
     with refused("PID: was trained on other observations"):
         evaluate(other, {"PID": STRONG}, settings=SETTINGS)
-
-
-def test_a_task_may_be_given_in_any_form(tmp_path):
-    file = tmp_path / "task.yaml"
-    file.write_text("episode_duration: 0.1\n")
-    settings = {"plants": 3, "leak_levels": [1.0], "families": ["ramp"]}
-    plain = evaluate(TaskConfig(episode_duration=0.1), {"PID": "pid"}, settings=settings).table("cases")
-    for task in (str(file), {"episode_duration": 0.1}):
-        assert hydro_agents.evaluate(task, {"PID": "pid"}, settings=settings).table("cases").equals(plain)
-    with refused(r"nowhere\.yaml"):
-        evaluate("nowhere.yaml", {"PID": "pid"})
-    with pytest.raises(AttributeError, match="no attribute 'assess'"):
-        _ = hydro_agents.assess

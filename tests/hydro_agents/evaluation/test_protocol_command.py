@@ -1,15 +1,9 @@
 """``hydro evaluate --protocol``: tables, resumption, own agents, and one line for what is wrong."""
 
-import os
-import signal
-import subprocess
-import sys
-import time
-
 import pandas as pd
 import pytest
 import yaml
-from command_line import COMMAND, assert_one_clear_line, done, environment, hydro, own_lines
+from command_line import assert_one_clear_line, done, hydro
 from published import assert_published
 from small_protocol import SMALL
 
@@ -80,21 +74,3 @@ def test_what_is_wrong_is_one_line_and_writes_nothing(place, arguments, parts):
     before = sorted(place.iterdir())
     assert_one_clear_line(hydro("evaluate", *arguments), *parts)
     assert sorted(place.iterdir()) == before
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of a terminal")
-def test_ctrl_c_keeps_the_finished_jobs_and_says_so_in_one_line(place):
-    many = {**SMALL, "plants": 100, "chunk": 4}
-    (place / "own.yaml").write_text(yaml.safe_dump(many, sort_keys=False))
-    line = [*COMMAND, "evaluate", "--protocol", "own.yaml", "-c", "study.yaml", "-o", "out", "-j", "1"]
-    running = subprocess.Popen(
-        line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, env=environment()
-    )
-    jobs = place / "out" / "jobs"
-    while running.poll() is None and (not jobs.is_dir() or len(list(jobs.glob("*.npz"))) < 3):
-        time.sleep(0.01)
-    os.killpg(running.pid, signal.SIGINT)
-    _, errors = running.communicate()
-    assert running.returncode == 130
-    assert own_lines(errors) == ["hydro: stopped; out keeps the finished work, --resume continues"]
-    assert 3 <= len(list(jobs.glob("*.npz"))) < 200

@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import ROOT
-from joblib import parallel_config
 from refusal import refused
 from small_protocol import Broken, Proportional, small
 
@@ -43,11 +42,6 @@ def test_every_case_has_its_row(alone):
     error = 1e3 * np.abs(direct.reference.astype(np.float64) - direct.position).mean(axis=1)
     own = alone.part("tracking").query("controller == 'P' and condition == 'plain'")
     np.testing.assert_allclose(own["mean_error_mm"], error, rtol=1e-12)
-
-
-def test_jobs_side_by_side_give_the_same_bits(alone):
-    with parallel_config(backend="loky", n_jobs=2):
-        assert_same(run(small(**ROOM), two()), alone)
 
 
 def test_an_interrupted_run_keeps_its_finished_jobs_and_goes_on(alone, tmp_path):

@@ -4,13 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from joblib import parallel_config
 from proportional import Constant
 from refusal import refused
 
 from hydro_agents.commands.study import train
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.controllers.base import gain, search_space
+from hydro_agents.controllers.base import search_space
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.learning import tuning
 from hydro_agents.learning.trials import (
@@ -26,7 +25,7 @@ from hydro_agents.learning.tuning import Search, Space, tune
 from hydro_agents.running.cases import run_cases
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import PlantParameters, TaskConfig
-from hydro_env.files import Group, read_yaml
+from hydro_env.files import read_yaml
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
 from hydro_env.task.reference_signals import MOVING_FAMILIES
@@ -50,14 +49,6 @@ def test_the_search_improves_what_it_is_asked_for(objective, tmp_path):
     assert getattr(seen[-1].cost, objective) < getattr(seen[0].cost, objective)
     assert (seen[-1].gains, seen[-1].cost) == (best.gains, best.cost)
     assert getattr(best.cost, objective) == pd.read_csv(log, comment="#")[objective].min()
-
-
-def test_side_by_side_the_search_takes_the_same_way(tmp_path):
-    alone, beside = tmp_path / "alone.csv", tmp_path / "beside.csv"
-    tune("pid", SHORT, SMALL, alone)
-    with parallel_config("threading", n_jobs=4):
-        tune("pid", SHORT, SMALL, beside)
-    assert beside.read_bytes() == alone.read_bytes()
 
 
 def test_of_several_tasks_the_geometric_mean_counts():
@@ -196,29 +187,6 @@ def test_an_axis_that_fails_pays_the_stroke_until_the_end():
     paid = (error + 0.06 * (config.steps - periods)) / config.steps
     assert paid <= failing < paid + 1.1 * first_change / config.steps
     assert resting < failing
-
-
-class Unwilling(Group):
-    """Gains of which a part of the search space is refused, by the class or by the controller."""
-
-    proportional: float = gain(100.0, (1.0, 500.0), "1/m", "", high=300.0)
-
-
-class Picky(PID):
-    def __init__(self, gains, config):
-        if gains.proportional < 50.0:
-            raise np.linalg.LinAlgError("no solution")
-        super().__init__(PIDGains(proportional=gains.proportional), config)
-
-
-def test_refused_gains_are_bad_candidates(monkeypatch, tmp_path):
-    monkeypatch.setitem(CONTROLLERS, "picky", (Picky, Unwilling))
-    log = tmp_path / "log.csv"
-    best = tune("picky", SHORT, Search(evaluations=20, population=20, cases=7), log)
-    assert 50.0 <= best.gains.proportional <= 300.0
-    assert str(REFUSED) in log.read_text()
-    with refused("kind 'none': unknown; known: pid"):
-        tune("none", SHORT)
 
 
 def test_the_command_tunes_and_resumes(tmp_path):

@@ -15,10 +15,8 @@ from hydro_agents.report.controllers_page import (
     Example,
     by_leak,
     controllers_page,
-    detection_table,
     errors,
     heat_map,
-    learning_of,
     overview,
     verdict,
 )
@@ -126,21 +124,6 @@ def test_the_growth_of_the_error_with_the_leak_is_a_table(tables):
         (shown_row,) = [row for row in rows if row[0] == name and len(row) == 1 + len(own) and "(" in row[1]]
         ratios = [float(cell.split()[0]) for cell in shown_row[1:]]
         assert sorted(ratios) == pytest.approx(sorted(own["ratio"]), rel=6e-3)
-
-
-def test_shares_and_sizes_of_the_detection_stand_in_its_table(tables):
-    summary = tables["detection_summary"].assign(false_alarm_rate=0.012, median_size_error_factor=[1.31, 1.42])
-    assert detection_table(summary).loc["False alarms at this threshold, %"].tolist() == pytest.approx([1.2, 1.2])
-    assert detection_table(summary).loc["Size: factor of error, half of the leaks within"].tolist() == [1.31, 1.42]
-
-
-def test_learning_is_told_against_the_baseline(tables):
-    errors = {"PPO#0": 0.2, "PPO#1": 0.3, "PPO#2": 0.7}
-    parts = [pd.DataFrame({"steps": [1e5, 2e5], ERROR: error, "controller": name}) for name, error in errors.items()]
-    curve = pd.concat(parts, ignore_index=True).assign(first_mean_error_mm=0.5, **{BASE_ERROR: 0.34})
-    spread = learning_of(curve)
-    assert spread["ratio"].tolist() == pytest.approx([0.6, 0.6])  # the median seed
-    assert spread[["ratio_low", "ratio_high"]].iloc[0].tolist() == pytest.approx([0.4, 1.4])
 
 
 # Several conditions ---------------------------------------------------------------------------------------------------

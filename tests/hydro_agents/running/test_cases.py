@@ -194,23 +194,6 @@ def test_an_answer_that_is_no_command_is_named_with_its_case(answer, where):
     assert "at 0.010 s" in str(raised.value)
 
 
-def test_a_failed_axis_may_get_any_command(failing):
-    cases, expected = failing
-    last = expected.failed_at.max()
-
-    class NotANumberAfterFailure(Ram):
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            command, state = super().predict(observation, state)
-            if state > last + 1:
-                command[[0, 2]] = np.nan
-            return command, state
-
-    run = run_cases(LONG, NotANumberAfterFailure([0, 2]), cases)
-    np.testing.assert_array_equal(run.position, expected.position)
-    np.testing.assert_array_equal(run.command, expected.command)
-    assert cases.describe(1) == "seed 22, reference sine"
-
-
 def test_leak_faults_and_force_stay_as_they_are_drawn():
     changing = {"probability": 1.0, "schedule": "growth"}
     config = TaskConfig(

@@ -91,12 +91,6 @@ def test_a_foreign_list_is_left_alone(tmp_path, content):
     assert not (tmp_path / "a.csv").exists()
 
 
-def test_a_link_in_place_of_a_file_stays(tmp_path):
-    (tmp_path / "a.csv").symlink_to(tmp_path / "nowhere")
-    with refused("was not written by hydro"):
-        write(tmp_path, overwrite=True)
-
-
 KILLED = """
 import sys, os
 from pathlib import Path
@@ -121,28 +115,3 @@ def test_a_second_process_waits_and_a_killed_one_leaves_results_and_no_lock(tmp_
     write(tmp_path, "b.csv", resume=True)
     assert listed(tmp_path) == {"study": ["a.csv", "b.csv"]}
     assert not (tmp_path / LOCK_FILE).exists()
-
-
-def test_of_many_processes_at_a_time_one_writes(tmp_path):
-    """Each removes the lock file when it ends; no two hold the folder at once for that."""
-    code = """
-import sys
-from pathlib import Path
-from hydro_agents.running.folders import output_folder
-from hydro_env import ConfigurationError
-done, folder = 0, Path(sys.argv[1])
-while done < 10:
-    try:
-        with output_folder(folder, "study", ["inside"], resume=True):
-            (folder / "inside").touch(exist_ok=False)
-            (folder / "inside").unlink()
-            done += 1
-    except ConfigurationError as error:
-        assert "another hydro command" in str(error), error
-"""
-    line = [sys.executable, "-c", code, str(tmp_path)]
-    processes = [subprocess.Popen(line, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-    for process in processes:
-        _, errors = process.communicate(timeout=120)
-        assert process.returncode == 0, errors
-    assert list(tmp_path.iterdir()) == []

@@ -24,13 +24,6 @@ def mean_interval(values):
     return ratio_interval(values, np.ones(len(values)))
 
 
-def test_mean_interval_leaves_nan_out():
-    values = np.array([1.0, 2.0, 4.0, 7.0])
-    assert mean_interval(np.array([1.0, np.nan, 2.0, 4.0, np.nan, 7.0])) == mean_interval(values)
-    assert all(math.isnan(part) for part in mean_interval(np.array([np.nan, np.nan])))
-    assert all(math.isnan(part) for part in mean_interval(np.array([])))
-
-
 def test_three_plants_are_enough_for_an_interval_and_two_are_not():
     found = mean_interval(np.array([1.0, 3.0]))
     assert found.value == 2.0

@@ -16,7 +16,7 @@ from refusal import refused
 from hydro_agents.commands import controller_pages
 from hydro_agents.commands.evaluate import evaluate
 from hydro_agents.commands.study import train, whole_study
-from hydro_agents.detection import dataset, head_training
+from hydro_agents.detection import dataset
 from hydro_agents.learning import tuning
 from hydro_agents.study import training
 from hydro_agents.study.settings import StudySettings, default_study
@@ -195,24 +195,6 @@ def test_a_stopped_training_goes_on_from_its_checkpoint_and_never_from_an_older_
     algorithm.fate = "finish"
     run_study(settings, folder, seed=1, resume=True)
     assert [call["resume"] for call in algorithm.calls] == [False, True, False, False]
-
-
-def test_the_training_of_the_head_goes_on_as_well(settings, tmp_path, monkeypatch):
-    resumed = []
-    whole = head_training.train_head
-
-    def interrupted(*arguments, folder, resume):
-        resumed.append(resume)
-        if not resume:
-            (folder / "head_checkpoint.safetensors").write_bytes(b"")
-            raise KeyboardInterrupt
-        (folder / "head_checkpoint.safetensors").unlink()
-        return whole(*arguments, folder=folder, resume=False)
-
-    monkeypatch.setattr(head_training, "train_head", interrupted)
-    stopped(settings, tmp_path / "out", seed=0)
-    run_study(settings, tmp_path / "out", seed=0, resume=True)
-    assert resumed == [False, True]
 
 
 @pytest.mark.parametrize(

@@ -50,16 +50,6 @@ def test_yaml_and_vector_give_back_an_equal_object(parameters, tmp_path):
     assert MODEL_CODES["friction.model"][code] == parameters.friction.model
 
 
-def test_parameters_are_frozen():
-    parameters = PlantParameters()
-    with refused("is frozen"):
-        parameters.load.mass = 80.0
-    with refused("is frozen"):
-        parameters.load = CHANGED.load
-    changed = parameters.replace(load={"mass": 80.0})
-    assert (parameters.load.mass, changed.load.mass) == (60.0, 80.0)
-
-
 def test_replace_and_vectors_are_validated():
     with refused(r"unknown group 'loads'; did you mean load\? known: cylinder"):
         PlantParameters().replace(loads={"mass": 1.0})

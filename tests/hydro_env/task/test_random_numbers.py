@@ -5,7 +5,6 @@ import pytest
 from scipy import stats
 
 from hydro_env import ServoHydraulicVectorEnv
-from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     INITIAL_STATE,
@@ -133,11 +132,3 @@ def test_one_source_never_shifts_another(change, may_change):
         else:
             np.testing.assert_array_equal(changed[name], plain[name], err_msg=name)
     assert any((changed[name] != plain[name]).any() for name in may_change)
-
-
-def test_a_fixed_parameter_leaves_the_other_parameters_alone():
-    column = PARAMETER_PATHS.index("valve.damping_ratio")
-    plain = begin()["plant"]
-    changed = begin({"parameters": {"valve": {"damping_ratio": 0.7}}})["plant"]
-    assert (changed[:, column] == 0.7).all()
-    np.testing.assert_array_equal(np.delete(changed, column, axis=1), np.delete(plain, column, axis=1))

@@ -1,9 +1,7 @@
 """A task on another rig: what follows from the rig, what stays, the rig's own ranges, names and files."""
 
-import json
 import math
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -147,17 +145,6 @@ def test_a_task_names_its_rig(small, tmp_path):
     assert task_config(None, plant="symmetric_eha") == task_config(rig="symmetric_eha")
     config.to_yaml(task)
     assert TaskConfig.from_yaml(task) == config
-
-
-def test_environments_by_name(small):
-    made = gym.make("ServoHydraulic-v0", rig=str(small), task="no_preview")
-    assert made.unwrapped.config == task_config("no_preview", rig=small)
-    assert made.observation_space.shape == (9,)
-    spec = json.loads(made.spec.to_json())
-    assert not {"rig", "task"} & set(spec["kwargs"])
-    assert gym.make(made.spec).unwrapped.config == made.unwrapped.config
-    made = gym.make_vec("ServoHydraulic-v0", num_envs=2, rig="symmetric_eha", reward={"effort": 0.0})
-    assert made.config == task_config(rig="symmetric_eha", reward={"effort": 0.0})
 
 
 @pytest.mark.parametrize("rig", RIGS)
