@@ -21,7 +21,9 @@ TENSORS = {"weight": np.arange(6, dtype=np.float32).reshape(2, 3), "count": np.a
 @pytest.mark.parametrize("path", [".", "..", "/", "", "a\0b", "absent/absent"])
 def test_paths_that_name_no_weights(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert all(tried(loader, path) for loader in LOADERS.values())
+    for load in LOADERS.values():
+        with refused("."):
+            load(path)
 
 
 def test_a_checkpoint_holds_what_was_put_in_and_is_refused_with_any_byte_changed(tmp_path):
