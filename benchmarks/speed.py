@@ -1,4 +1,4 @@
-"""Speed, memory and start-up of the environment and of PPO, beside Gymnasium's own environments.
+"""Speed and start-up of the environment and of PPO, beside Gymnasium's own environments.
 
 Run: python -m benchmarks.speed [--only GROUP ...] [--quick] [--output results/speed.csv]
 
@@ -27,7 +27,6 @@ import numpy as np
 import pandas as pd
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
-from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_env, make_features, make_model
@@ -190,17 +189,12 @@ def environment_rows(extent: Extent) -> list[Row]:
         for name, environment, beside in ((peer, "CartPole-v1", ""), (f"axes, N = {count:,}", ENVIRONMENT_ID, peer)):
             make = partial(gym.make_vec, environment, num_envs=count)
             rows.append(Row(name, partial(many, make), "axis steps/s", beside))
-    vectors: dict[str, Callable[..., Any]] = {
-        "SyncVectorEnv": gym.vector.SyncVectorEnv,
-        "AsyncVectorEnv": partial(gym.vector.AsyncVectorEnv, context="spawn"),
-    }
-    for name, vector in vectors.items():
-        make = partial(vector, [single_axis] * 16)
-        rows.append(Row(f"{name} of 16 single axes", partial(many, make), "axis steps/s", own))
+    processes = partial(gym.vector.AsyncVectorEnv, [single_axis] * 16, context="spawn")
+    rows.append(Row("AsyncVectorEnv of 16 single axes", partial(many, processes), "axis steps/s", own))
     return rows
 
 
-# Training, memory, start, inference -----------------------------------------------------------------------------------
+# Training, start, inference -------------------------------------------------------------------------------------------
 def native_model() -> tuple[OnPolicyAlgorithm, PPOSettings]:
     """PPO as ``make study`` trains it, and its settings."""
     study = default_study()
@@ -222,27 +216,6 @@ def training_rows(extent: Extent) -> list[Row]:
         return model.num_timesteps / (time.perf_counter() - began)
 
     return [Row("PPO of stable-baselines3", measure, "steps/s")]
-
-
-def array_bytes(env: ServoHydraulicVectorEnv) -> int:
-    """Bytes of all NumPy arrays that a vector environment holds, views not counted."""
-    values = [value for owner in (env, env.axes, env.axes.options) for value in vars(owner).values()]
-    values += [part for value in values if isinstance(value, tuple) for part in value]
-    sizes = {id(array): array.nbytes for array in values if isinstance(array, np.ndarray) and array.base is None}
-    return sum(sizes.values())
-
-
-def memory_rows(extent: Extent) -> list[Row]:
-    """Memory per axis of the largest vector environment."""
-    count = extent.sizes[-1]
-
-    def measure() -> float:
-        env = ServoHydraulicVectorEnv(count)
-        env.reset(seed=0)
-        env.close()
-        return array_bytes(env) / count
-
-    return [Row(f"arrays of one axis of {count:,}", measure, "bytes")]
 
 
 FIRST_STEP = f"""
@@ -284,35 +257,28 @@ def start_rows(extent: Extent) -> list[Row]:
 
 
 def inference_rows(extent: Extent) -> list[Row]:
-    """Time from observation to command on one axis: of the policy, and of the leakage head beside it."""
+    """Time from observation to command on one axis."""
     env = gym.make(ENVIRONMENT_ID)
     env.reset(seed=0)
     observations = [env.step(np.zeros(1, dtype=np.float32))[0] for _ in range(256)]
     env.close()
-
-    def measure(controller: Any, calls: int, share: float) -> float:
-        memory, times = None, []
-        for number in range(400 + calls):  # the window of the head fills first
-            began = time.perf_counter()
-            _, memory = controller.predict(observations[number % 256], memory)
-            times.append(1e3 * (time.perf_counter() - began))
-        return float(np.quantile(times[400:], share))
-
     policy = PolicyController.load(pretrained_folder() / "policy")
-    head = LeakageHead.load(pretrained_folder() / "leakage_head")
-    head.interval = 1  # a new estimate at every control period
-    rows = []
-    for name, controller, calls in (("policy", policy, extent.calls), ("leakage head", head, extent.calls // 10)):
-        for share, words in ((0.5, "median"), (0.999, "99.9th percentile")):
-            rows.append(Row(f"{name}: {words}", partial(measure, controller, calls, share), "ms"))
-    return rows
+
+    def measure() -> float:
+        memory, times = None, []
+        for number in range(extent.calls):
+            began = time.perf_counter()
+            _, memory = policy.predict(observations[number % 256], memory)
+            times.append(1e3 * (time.perf_counter() - began))
+        return statistics.median(times)
+
+    return [Row("policy: median", measure, "ms")]
 
 
 GROUPS: dict[str, Callable[[Extent], list[Row]]] = {
     "kernel": kernel_rows,
     "environment": environment_rows,
     "training": training_rows,
-    "memory": memory_rows,
     "start": start_rows,
     "inference": inference_rows,
 }

@@ -8,14 +8,11 @@ from benchmarks.speed import (
     QUICK,
     BareKernel,
     Row,
-    array_bytes,
     inference_rows,
     measured,
-    memory_rows,
     single_rate,
     vector_rate,
 )
-from hydro_env import ServoHydraulicVectorEnv
 
 
 def test_the_bare_kernel_advances():
@@ -32,11 +29,8 @@ def test_rates_of_environments():
     assert vector_rate(env, 0.01) > 100
 
 
-def test_inference_takes_time_and_an_axis_memory():
+def test_inference_takes_time():
     assert all(0.0 < row.measure() < 1000.0 for row in inference_rows(QUICK._replace(calls=200)))
-    assert array_bytes(ServoHydraulicVectorEnv(64)) > 64 * 400 * 8  # at least the reference
-    (arrays,) = memory_rows(QUICK._replace(sizes=(512,)))
-    assert 3000 < arrays.measure() < 20_000
 
 
 def test_rows_take_turns_and_ratios_are_of_a_round():

@@ -1,6 +1,7 @@
-"""Random damage to files, settings and arrays that a user can give: the answer is a result or one clear line.
+"""Random damage to settings and arrays that a user can give: the answer is a result or one clear line.
 
-Each target draws a valid input and damages it. A few hundred cases run always, thousands with ``-m slow``.
+Each target draws a valid input and damages it. A hundred cases run always, thousands with ``-m slow``. Damaged files:
+tests/hydro_env/test_files.py, benchmarks/hostile_inputs.py.
 """
 
 import contextlib
@@ -26,11 +27,8 @@ from hydro_env import (
     equilibrium,
     simulate,
 )
+from hydro_env.files import read_yaml
 from hydro_env.plant.workable import refuse_unworkable
-from hydro_rig.recordings.columns import read_map
-from hydro_rig.recordings.quality import check_recording
-from hydro_rig.recordings.recording import read_recording
-from hydro_rig.recordings.simulated import recording_csv
 
 NUMBERS = st.one_of(
     st.integers(-3, 3),
@@ -96,21 +94,6 @@ def damaged(draw: Any, base: Any) -> Any:
     return tree
 
 
-PIECES = [b"", b"&a ", b"*a", b"[" * 3000, b"9" * 5000, b"!!float ", b"\n", b"? ", b"{", b"- ", b"\t"]
-
-
-@st.composite
-def edited(draw: Any, base: bytes) -> bytes:
-    """Bytes in which a few stretches are replaced, repeated or gone."""
-    content = base
-    for _ in range(draw(st.integers(1, 4))):
-        start, length = draw(st.integers(0, len(content))), draw(st.integers(0, 20))
-        repeated, words = st.just(content[start : start + 200] * 3), st.text(max_size=10).map(str.encode)
-        piece = draw(st.one_of(st.binary(max_size=10), words, st.sampled_from(PIECES), repeated))
-        content = content[:start] + piece + content[start + length :]
-    return content
-
-
 def refused_or_done(call: Any, *arguments: Any, **keywords: Any) -> Any:
     """The result, or ``None`` after an error of this project: one line, or a heading and one line per mistake."""
     try:
@@ -122,21 +105,10 @@ def refused_or_done(call: Any, *arguments: Any, **keywords: Any) -> Any:
     return None
 
 
-def file_of(folder: Path, name: str, content: bytes) -> Path:
-    (folder / name).write_bytes(content)
-    return folder / name
-
-
 # --- targets: a strategy, and what is done with each case (in a folder of its own) ---
 
-RIG = yaml.safe_dump(PlantParameters().model_dump(mode="json"), sort_keys=False).encode()
-TASK = yaml.safe_dump(TaskConfig().model_dump(mode="json"), sort_keys=False).encode()
-STUDY = (config_folder() / "studies" / "default.yaml").read_bytes()
+STUDY = read_yaml(config_folder() / "studies" / "default.yaml")
 SMALL_TASK = {**TaskConfig().model_dump(mode="json"), "episode_duration": 0.05}
-
-
-def read_text_of_a_file(model: Any) -> Any:
-    return lambda folder, content: refused_or_done(model.from_yaml, file_of(folder, "a.yaml", content))
 
 
 def use_rig(folder: Path, values: Any) -> None:
@@ -158,7 +130,8 @@ def use_study(folder: Path, values: Any) -> None:
         content = yaml.safe_dump(values, allow_unicode=True).encode("utf-8", "surrogatepass")
     except yaml.YAMLError:
         return
-    study = refused_or_done(StudySettings.from_yaml, file_of(folder, "a.yaml", content))
+    (folder / "a.yaml").write_bytes(content)
+    study = refused_or_done(StudySettings.from_yaml, folder / "a.yaml")
     if study is not None:
         refused_or_done(study.check)
 
@@ -179,21 +152,6 @@ def use_actions(folder: Path, drawn: Any) -> None:
         refused_or_done(each.reset, seed=0)
 
 
-def use_recording(folder: Path, drawn: Any) -> None:
-    content, columns = drawn
-    mapped = refused_or_done(read_map, file_of(folder, "map.yaml", columns))
-    for chosen in (None, mapped):
-        recording = refused_or_done(read_recording, file_of(folder, "a.csv", content), chosen)
-        if recording is not None:
-            for finding in check_recording(recording, TaskConfig()).findings:
-                assert finding.line().isprintable()
-
-
-RECORDING = recording_csv(
-    0.005 * np.arange(200), np.random.default_rng(0).normal([[0], [4e6], [5e6], [0], [0]], 0.01, (5, 200)), "a test"
-).encode()
-COLUMNS = b"time: {column: 1, unit: s}\ncommand: {column: 6, unit: V, gain: -1}\npressure_a: pressure_a\n"
-
 OPTIONS = {
     "leakage_flow_lpm": 1.0,
     "reference": [0.0, 0.01],
@@ -203,18 +161,14 @@ OPTIONS = {
 }
 
 TARGETS: dict[str, tuple[Any, Any]] = {
-    "rig as text": (edited(RIG), read_text_of_a_file(PlantParameters)),
-    "task as text": (edited(TASK), read_text_of_a_file(TaskConfig)),
-    "study as text": (edited(STUDY), read_text_of_a_file(StudySettings)),
     "rig": (damaged(PlantParameters().model_dump(mode="json")), use_rig),
     "task": (damaged(SMALL_TASK), use_task),
-    "study": (damaged(yaml.safe_load(STUDY)), use_study),
+    "study": (damaged(STUDY), use_study),
     "reset options": (
         st.one_of(damaged(OPTIONS), st.fixed_dictionaries({}, optional=dict.fromkeys(OPTIONS, ARRAYS))),
         use_options,
     ),
     "actions and seeds": (st.tuples(ARRAYS, ARRAYS), use_actions),
-    "recordings": (st.tuples(edited(RECORDING), edited(COLUMNS)), use_recording),
 }
 
 

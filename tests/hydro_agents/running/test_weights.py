@@ -1,6 +1,5 @@
 """Weights, checkpoints and logs that were damaged: one line or a working controller, never a traceback."""
 
-import os
 import warnings
 
 import numpy as np
@@ -13,7 +12,7 @@ from hydro_agents.learning.progress import STEPS, ProgressFile, read_progress
 from hydro_agents.running.weights import load_checkpoint, load_weights, save_checkpoint, save_weights
 from hydro_env import ConfigurationError
 
-CASES = int(os.environ.get("HYDRO_FUZZ_CASES", "20"))
+CASES = 20
 LOADERS = {"policy": PolicyController.load, "leakage_head": LeakageHead.load}
 TENSORS = {"weight": np.arange(6, dtype=np.float32).reshape(2, 3), "count": np.array(3)}
 
