@@ -19,10 +19,11 @@ def pytest_configure():
 
 
 LONG = (
-    *("test_recipes.py", "test_run.py", "test_structured_text.py", "test_cli.py", "test_controller_folder.py"),
-    *("test_diagnose.py", "test_tuning.py", "test_identify.py", "test_errors.py", "test_pipeline.py"),
-    *("test_runs_anywhere.py", "test_pages.py", "test_examples.py", "test_rates.py", "test_command.py"),
+    *("test_recipes.py", "test_house.py", "test_diagnose.py", "test_controller_folder.py", "test_any_axis.py"),
+    *("test_cli.py", "test_playground.py", "test_run.py", "test_runs_anywhere.py", "test_pages.py", "test_tuning.py"),
+    *("test_identify.py", "test_errors.py", "test_pipeline.py", "test_command.py", "test_other_rig.py"),
 )
+"""On a machine without machine code one process compiles it in the first files, while the other has no use for it."""
 
 
 def pytest_collection_modifyitems(items):

@@ -8,7 +8,7 @@ from driven import commands
 from refusal import refused
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.learning import rig_gains, tuning
+from hydro_agents.learning import any_axis, rig_gains, tuning
 from hydro_agents.learning.any_axis import PREVIEW_PACES, USUAL_ERROR, AnyAxisFeatures
 from hydro_agents.learning.features import HISTORY_SIGNALS, PREVIEW_SCALE
 from hydro_agents.learning.loading import load_controller
@@ -56,6 +56,7 @@ def short_search():
     all_sets = rig_gains.gain_sets
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tuning, "REST", 1.6)
+        patch.setattr(any_axis, "ERROR_PLANTS", 2)
         for name, size in (("NEARBY", 14), ("TRIALS", (1,)), ("CHOICE_CASES", 7), ("SEARCH_CASES", 7)):
             patch.setattr(rig_gains, name, size)
         for name, size in (("TRIAL_CASES", 14), ("RESTS", 6)):

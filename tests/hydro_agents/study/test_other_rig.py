@@ -1,12 +1,14 @@
 """Rigs that lack sensors: what works without them works, the rest says in one line why not."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from command_line import hydro
 from refusal import refused
 
+from hydro_agents.commands import controller_pages
 from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
@@ -88,6 +90,8 @@ def test_a_study_with_a_position_sensor_alone_tunes_trains_and_reports(files, tm
     rig, file = files
     monkeypatch.setattr(tuning, "REST", 2.0)
     monkeypatch.setattr(training, "STANDSTILL_CASES", 2)
+    page = SimpleNamespace(write=lambda path, _: path.write_text("drawn elsewhere"))
+    monkeypatch.setattr(controller_pages, "controllers_page", lambda *_, **__: page)
     answer = hydro("study", "--config", file, "--rig", rig, "--output", tmp_path / "study")
     assert answer.returncode == 0, answer.stderr
     for name in ("controllers/PID/gains.yaml", "controllers/PPO/policy.safetensors", "report.html", "tuned_study.yaml"):
