@@ -123,18 +123,6 @@ def test_sensors_are_those_that_were_given(tmp_path):
     assert sensors.pressure_a.noise == sensors.pressure_b.noise == pytest.approx(0.125e5)
 
 
-@pytest.mark.parametrize(("supply", "rod_a", "ends"), [("210 bar", "36 mm", (250, 250)), ("200 bar", None, (250, 400))])
-def test_pressure_sensors_have_a_usual_range_and_check_rig_shows_it(supply, rod_a, ends, tmp_path):
-    text, rig = made(supply_pressure=supply, **({"rod_a": rod_a} if rod_a else {}))
-    (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
-    task = task_config(rig=tmp_path / "rig.yaml")
-    assert (task.sensors.pressure_a.high / 1e5, task.sensors.pressure_b.high / 1e5) == ends
-    shown = {row.quantity: (row.at, row.value) for row in sensor_rows(rig, task)}
-    for name, end in zip(("pressure_a", "pressure_b"), ends, strict=True):
-        assert shown[f"range, {name}"] == ("assumed", end)
-        assert shown[f"constant error, {name}"] == ("assumed", pytest.approx(0.0025 * end))
-
-
 @pytest.mark.parametrize("given", ["0.05 %", None])
 def test_the_accuracy_of_the_position_is_asked_for_written_and_told(given, tmp_path):
     """Without an answer, the file and the table say what every study then assumes."""

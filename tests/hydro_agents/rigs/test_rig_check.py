@@ -75,27 +75,6 @@ def test_known_figures(quantity, at, value, tolerance):
     assert figure(quantity, at) == pytest.approx(value, rel=tolerance)
 
 
-def test_the_formulas_of_the_page_give_the_same_figures():
-    """docs/own_rig.md, The calculation by hand; the friction-free axis without leak, oil without air."""
-    rig = PlantParameters().replace(fluid={"air_fraction": 0.0}, lines={"volume_a": 1e-4, "wall_bulk_modulus": 3e8})
-    task = TaskConfig(plant=rig, randomisation={})
-    rows = check_rig(rig, task=task)
-    found = {row.quantity: row.value for row in rows if row.at in ("fully open", "x = +100.0 mm")}
-    area_a, area_b = math.pi / 4 * 0.04**2, math.pi / 4 * (0.04**2 - 0.028**2)
-    ratio, supply, tank = area_a / area_b, rig.supply.pressure, rig.supply.tank_pressure
-    gain = rig.valve.rated_flow / math.sqrt(rig.valve.rated_pressure_drop / 2)
-    out = gain / area_a * math.sqrt((ratio**3 * supply - ratio**2 * tank) / (1 + ratio**3))
-    back = gain / area_b * math.sqrt((supply - ratio * tank) / (1 + ratio**3))
-    assert found["no-load speed out"] == pytest.approx(1e3 * out, rel=2e-3)
-    assert found["no-load speed in"] == pytest.approx(1e3 * back, rel=2e-3)
-    volume_a, volume_b = (rig.cylinder.dead_volume + area * way for area, way in ((area_a, 0.3), (area_b, 0.1)))
-    soft_a = (volume_a + 1e-4) / rig.fluid.bulk_modulus + 1e-4 / 3e8
-    soft_b = (volume_b + rig.lines.volume_b) / rig.fluid.bulk_modulus + rig.lines.volume_b / 3e8
-    mass, spring = rig.load.mass + rig.cylinder.piston_mass, rig.load.spring_stiffness
-    frequency = math.sqrt((area_a**2 / soft_a + area_b**2 / soft_b + spring) / mass) / (2 * math.pi)
-    assert found["natural frequency, ports shut"] == pytest.approx(frequency, rel=2e-3)
-
-
 def test_every_number_has_a_unit_and_its_place():
     assert all(row.unit for row in ROWS if not isinstance(row.value, str))
     assert len({row[:3] for row in ROWS}) == len(ROWS)
@@ -138,12 +117,6 @@ def test_every_circuit_is_checked(changes):
     pump = rows.get(("flow of the pump", ""))
     supply = PlantParameters().replace(**changes).supply
     assert pump == (None if supply.model == "constant" else pytest.approx(supply.pump_flow * 6e4))
-
-
-def test_what_has_no_limit_is_said_in_words():
-    rows = rows_of(valve={"amplifier_gain": 0.625e-2, "rated_flow": 1e-6})
-    assert rows["largest stable gain (5 ms, 1 ms late)", "mid-stroke, 0.01 l/min"] == "unlimited"
-    assert rows["spool at 10 V", "full = 1"] == pytest.approx(0.01)
 
 
 def test_the_command_prints_and_writes(tmp_path, few):
@@ -321,12 +294,6 @@ def test_a_study_on_another_rig_begins_with_gains_that_are_stable_there(few):
     assert stable_start(study.task, settings) == own  # those of the paper's rig are unstable here
     assert stable_start(study.task, own) is own
     assert all(loop.is_stable(own.proportional) for loop in loops_within_ranges(study.task))
-
-
-def test_gains_that_were_tuned_for_the_rig_remain_the_start(few):
-    study = default_study(Path("own_rig_quick"))
-    settings = study.controllers["PID"].settings
-    assert stable_start(study.task, settings) is settings
 
 
 def test_a_pid_begins_with_compensation_on_a_rig_with_an_overlapped_valve():

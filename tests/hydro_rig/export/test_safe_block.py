@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from exported_code import InC, InPython, assert_it_holds_until_start, at_rest, library
 
+from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
@@ -32,8 +33,10 @@ def made(other_rig):
     @functools.cache
     def make(kind, rig):
         task = tasks[rig]
-        other_pid = kind == "pid" and rig == OTHER
-        controller = make_controller("pid", task, PID_OF_OTHER) if other_pid else shipped(kind, task)
+        if kind == "pid" and rig == OTHER:
+            controller = make_controller("pid", task, PID_OF_OTHER)
+        else:
+            controller = shipped(kind, task, lambda *_: FlowLinearisingGains())
         return controller_graph(controller, task), task
 
     return make
