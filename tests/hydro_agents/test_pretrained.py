@@ -50,7 +50,7 @@ def test_the_policy_for_any_axis_beats_what_it_corrects_on_rigs_that_it_never_sa
 @pytest.mark.parametrize("controller", ["PID", "PPO"])
 def test_head_flags_leaks_under_either_controller(policy, controller):
     head = load_head(None, STUDY.task)
-    count = 600
+    count = 300
     flow = np.where(np.arange(count) % 2 == 0, 0.02, np.geomspace(0.3, 4.0, count))
     seeds = np.arange(count) + VALIDATION_SEEDS.start + 800_000
     acting = policy if controller == "PPO" else load_controller("pid", STUDY.task, "PID")

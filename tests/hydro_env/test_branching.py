@@ -80,19 +80,6 @@ def test_the_state_of_one_axis_goes_on_on_all_axes_of_another_environment():
             assert others[1][axis] == mine[1]
 
 
-def test_the_drawn_past_belongs_to_the_state():
-    pytest.importorskip("pygame")
-    env = ServoHydraulicEnv(render_mode="rgb_array", **TASK)
-    env.reset(seed=0)
-    for _ in range(5):
-        env.step(np.ones(1))
-    state, picture = env.get_state(), env.render()
-    env.step(-np.ones(1))
-    env.set_state(state)
-    np.testing.assert_array_equal(env.render(), picture)
-    env.close()
-
-
 def test_wrong_states_are_answered_with_one_line():
     env, envs = begun(), three(**TASK)
     with refused("get_state: call reset first"):

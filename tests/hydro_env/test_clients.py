@@ -57,17 +57,6 @@ def test_the_spec_tells_the_length_of_an_episode_and_changes_no_episode():
     assert gym.make_vec(ID, num_envs=2, max_episode_steps=7).spec.max_episode_steps == 7
 
 
-def test_numpy_integers_are_whole_numbers():
-    env, whole = ServoHydraulicEnv(), np.uint8
-    np.testing.assert_array_equal(env.reset(seed=whole(3))[0], env.reset(seed=3)[0])
-    envs = ServoHydraulicVectorEnv(whole(2), threads=whole(1))
-    assert type(envs.num_envs) is int
-    rows = envs.reset(seed=3)[0]
-    np.testing.assert_array_equal(envs.reset(seed=whole(3))[0], rows)
-    np.testing.assert_array_equal(envs.reset(seed=np.array([3, 4], dtype=whole))[0], rows)
-    assert ServoHydraulicVectorEnv(2, max_episode_steps=whole(9)).config.steps == 9
-
-
 def flattened(info):
     """The numbers of an info with names, as a flat one holds them; which axes they are of is left out."""
     terms = {f"reward_{name}": values for name, values in info.get("reward_terms", {}).items()}

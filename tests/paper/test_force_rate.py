@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from paper.force_rate import TERMS, force_rate_table, share_table, shares
+from paper.force_rate import TERMS, force_rate_table, shares
 
 
 @pytest.fixture(scope="module", params=["laminar", "throttle"])
@@ -33,13 +33,3 @@ def test_the_share_of_leakage_grows_with_the_leak(table):
         part = told[told["window"] == window].sort_values("leak_lpm")
         assert np.all(np.diff(part["leakage_share"]) > 0.0)
         assert part["leakage_share"].between(0.0, 1.0).all()
-
-
-def test_the_share_is_that_of_the_samples_at_a_pressure_difference():
-    row = share_table().query("law == 'throttle' and leak_lpm == 1.0").iloc[1]
-    seen = force_rate_table("throttle").query("leak_lpm == 1.0 and time_s >= 0.0")
-    size = seen["pressure_difference_bar"].abs()
-    seen = seen[(size >= row["difference_low_bar"]) & (size < row["difference_high_bar"])]
-    assert len(seen) == row["samples"]
-    sizes = seen[list(TERMS)].abs().to_numpy()
-    assert row["leakage_share"] == pytest.approx(sizes[:, 2].sum() / sizes.sum())

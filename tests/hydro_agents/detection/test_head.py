@@ -128,17 +128,6 @@ def test_round_trip(head, tmp_path):
         LeakageHead.load(tmp_path / "head")
 
 
-def test_beside_a_sensor_that_stands_still_the_answer_does_not_count(head):
-    signals = signals_of(head, CONFIG.steps, 3)
-    working = head.estimate_windows(signals)
-    signals[1, 1, 30:] = signals[1, 1, 30]
-    stuck = head.estimate_windows(signals)
-    assert (stuck.outside[1], stuck.sensor_fault[1], stuck.probability[1]) == (1.0, 1.0, 0.5)
-    assert stuck.low_lpm[1] == 0.0 < stuck.flow_lpm[1] < stuck.high_lpm[1]
-    np.testing.assert_array_equal(stuck.probability[[0, 2]], working.probability[[0, 2]])
-    np.testing.assert_array_equal(stuck.outside[[0, 2]], working.outside[[0, 2]])
-
-
 def test_predict_watches_with_the_signature_of_a_controller(head):
     rows = rows_of(CONFIG.steps + head.interval)
     state, alone = None, None
@@ -183,21 +172,6 @@ def test_interrupted_training_resumes_to_the_same_head(small_head, tmp_path):
     save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored)
     with refused("was made with other controllers"):
         trained(tmp_path, controller=PID(PIDGains(), CONFIG), resume=True)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"lowest_healthy_flow": 0.03}, "lowest_healthy_flow: must be below"),
-        ({"highest_flow": 0.1}, "highest_flow: must be above"),
-        ({"changing_share": 0.7, "orifice_share": 0.6}, "must be at most 1 together"),
-    ],
-)
-def test_leaks_to_train_on_must_suit_the_task(change, message):
-    with refused(message):
-        trained(settings=SETTINGS.model_copy(update=change))
-    with refused("an episode of 49 control periods is its shortest window"):
-        SETTINGS.check(TaskConfig(episode_duration=0.245))
 
 
 def test_thresholds_and_intervals_hold_what_they_say_on_validation_windows(head):

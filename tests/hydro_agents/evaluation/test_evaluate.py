@@ -5,7 +5,6 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-from proportional import Constant
 from published import assert_published
 from refusal import refused
 from untrained import untrained_head
@@ -108,14 +107,6 @@ def test_every_case_is_in_the_table_with_its_own_error_and_seen_by_the_head(eval
     assert set(own["class"][(flow > 0.3) & (flow <= 1.0)]) == {"moderate"}
 
 
-def test_the_preview_is_left_out_of_standstills():
-    settings = ProtocolSettings(plants=3, leak_levels=(1.0,), families=("step",))
-    tasks = (TaskConfig(episode_duration=2.0, references=own) for own in ({"preview_times": []}, {}))
-    tables = [evaluate(task, {"hold": Constant()}, settings=settings).table("cases") for task in tasks]
-    np.testing.assert_array_equal(tables[0]["mean_error_mm"], tables[1]["mean_error_mm"])
-    assert (tables[0]["steady_state_error_mm"] != tables[1]["steady_state_error_mm"]).any()
-
-
 class NotANumber:
     """Returns NaN on the second axis of a batch, after ten steps."""
 
@@ -143,24 +134,6 @@ def test_a_failing_controller_costs_only_its_own_results_and_is_no_yardstick():
         warnings.simplefilter("ignore")
         with pytest.raises(ControllerError, match=r"bad: .*returned nan.*worse: .*returned nan"):
             evaluate(CONFIG, {"bad": NotANumber(), "worse": NotANumber()}, settings=SETTINGS)
-
-
-def test_a_controller_that_fails_under_the_head_alone_has_no_results():
-    network = untrained_head(CONFIG)
-
-    class Unlucky:
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            if len(observation) == 100:
-                raise RuntimeError("no more")
-            return np.zeros((len(observation), 1)), None
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        result = evaluate(CONFIG, {"unlucky": Unlucky(), "PID": STRONG}, network, SETTINGS)
-    assert result.controllers == ["PID"]
-    assert "RuntimeError: no more" in result.errors[0]
-    assert list(result.table("detection")["controller"].unique()) == ["PID"]
-    assert result.table("comparison").empty
 
 
 def test_what_cannot_take_part_is_refused_at_once():

@@ -16,18 +16,11 @@ from hydro_agents.running.cases import run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER
 from hydro_agents.running.seeds import LEAKAGE, TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import ConfigurationError
-from hydro_env.files import validate
 
 
 @pytest.fixture(scope="module")
 def alone():
     return ran()
-
-
-def assert_same(run, other):
-    pd.testing.assert_frame_equal(run.table("windows"), other.table("windows"), check_exact=True)
-    pd.testing.assert_frame_equal(run.table("thresholds"), other.table("thresholds"), check_exact=True)
-    pd.testing.assert_frame_equal(run.status, other.status)
 
 
 def test_every_window_has_its_row(alone):
@@ -95,14 +88,6 @@ def test_the_bound_stands_beside_the_windows_and_is_kept(tmp_path):
     pd.testing.assert_frame_equal(again.table("bound"), run.table("bound"), check_exact=True)
 
 
-def test_the_parts_can_be_chosen():
-    assert small(bound_conditions=["plain"]).measured == ("windows", "leak_bound")
-    run = ran(small(parts=["leak_bound"], bound_conditions=["null"], bound_windows=1))
-    assert set(run.tables()) == {"bound", "conditions", "status", "protocol"}
-    with refused("unknown part 'tracking'; known: windows, leak_bound"):
-        validate(LeakProtocol, {**SMALL, "parts": ["tracking"]}, "own.yaml")
-
-
 def test_every_level_and_condition_has_the_same_plants_and_its_leaks():
     protocol = small()
     cases = [protocol.cases_in(name, level, 40) for name in ("plain", "null") for level in (HEALTHY, 1.0, DRAWN)]
@@ -130,12 +115,6 @@ def test_the_detector_knows_the_rig_and_nothing_else_of_a_condition():
     assert protocol.cases_in("loud", 1.0, 3).parameters["load"]["mass"] == 2.0 * protocol.task.plant.load.mass
     assert protocol.known_task("other").plant == protocol.task_in("other").plant != protocol.task.plant
     np.testing.assert_array_equal(protocol.cases_in("null", 1.0, 3).faults["valve_null_shift"], [0.02] * 3)
-
-
-def test_a_condition_chooses_its_detectors():
-    detectors = {"A": {"kind": "head"}, "B": {"kind": "estimator"}}
-    protocol = small(detectors=detectors, conditions={**SMALL["conditions"], "mine": {"detectors": ["B"]}})
-    assert [protocol.reads(name, who) for name in ("plain", "mine") for who in "AB"] == [True, True, False, True]
 
 
 @pytest.mark.parametrize(

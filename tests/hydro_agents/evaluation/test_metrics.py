@@ -11,7 +11,6 @@ from hydro_agents.evaluation.metrics import (
     SETTLING_BAND,
     Trace,
     case_metrics,
-    overshoot,
     reversals,
     rollout_metrics,
     settling_time,
@@ -87,18 +86,6 @@ def test_never_settled_is_nan_and_counted():
     assert found["steady_state_error_mm"] == pytest.approx(1.01e3 * SETTLING_BAND)
 
 
-def test_one_settled_and_one_unsettled_standstill():
-    reference = np.repeat([0.0, 0.01, 0.02], [10, 40, 40])
-    position = reference.copy()
-    position[10:15] = 0.0  # settles 25 ms after the first step
-    position[50:] = 0.0195
-    found = metrics_of(reference, position, period=0.005)
-    assert found["settling_time_s"] == pytest.approx(0.025)
-    assert found["unsettled_share"] == 0.5
-    assert found["steady_state_error_mm"] == pytest.approx(0.25)  # of 0 and 0.5 mm
-    assert found["overshoot_percent"] == 0.0
-
-
 def test_setting_off_before_a_step_that_is_seen_is_no_fault():
     reference = np.repeat([0.0, 0.01, 0.02], [10, 40, 40])
     position = reference.copy()
@@ -109,13 +96,6 @@ def test_setting_off_before_a_step_that_is_seen_is_no_fault():
     assert blind["steady_state_error_mm"] > 0.5
     assert blind["overshoot_percent"] == pytest.approx(20.0)
     assert seeing["mean_error_mm"] == blind["mean_error_mm"]  # tracking errors count everywhere
-
-
-def test_overshoot_needs_a_step():
-    assert math.isnan(overshoot(np.array([0.0, 1.0]), 0.5, 0.5))
-    assert overshoot(np.array([0.0, -1.3, -1.0]), 0.0, -1.0) == pytest.approx(30.0)
-    reference, position = step_run(0.3)
-    assert math.isnan(metrics_of(reference, position, is_step=False)["overshoot_percent"])
 
 
 def test_standstills():

@@ -70,21 +70,6 @@ def test_cases_are_paired_over_conditions_and_leaks_and_disjoint_from_the_ordina
     assert not set(own.tolist()) & set(study["seed"].tolist())
 
 
-def test_a_user_reference_is_followed_and_the_search_for_limit_cycles_has_its_own_cases():
-    conditions = {"hold": {"families": ["user"], "task": {"references": {"user": [0.01]}}}}
-    protocol = small(conditions=conditions, standstill_leak_levels=[1.0], standstill_plants=4)
-    table = protocol.cases_in("hold")
-    cases = protocol.cases_of("hold", table)
-    assert cases.families is None
-    assert set(table["family"]) == {"user"}
-    env = ServoHydraulicVectorEnv(len(cases), protocol.task_in("hold"), info=False)
-    env.reset(seed=[int(seed) for seed in cases.seeds])
-    assert np.all(env.axes.reference == 0.01)
-    table = protocol.standstill_cases_in("hold")
-    cases = protocol.cases_of("hold", table)
-    assert (len(cases), set(table["leakage_flow_lpm"]), cases.families) == (4, {1.0}, None)
-
-
 def test_the_shipped_protocols_are_possible_and_as_wide_as_promised():
     protocol = named("robustness")
     table = protocol.table()

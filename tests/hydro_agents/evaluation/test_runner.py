@@ -11,7 +11,7 @@ from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.participants import Participants, participants, split_name
 from hydro_agents.evaluation.runner import DONE, FAILED, NOT_APPLICABLE, run
 from hydro_agents.evaluation.tracking import replay
-from hydro_agents.running.cases import ControllerError, run_cases
+from hydro_agents.running.cases import run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER
 
 ROOM = {"standstill_leak_levels": [1.0], "standstill_plants": 3}
@@ -70,16 +70,6 @@ def test_another_controller_of_the_same_name_takes_no_old_results(tmp_path):
     assert not first.part("tracking")["mean_error_mm"].equals(other.part("tracking")["mean_error_mm"])
 
 
-def test_conditions_that_change_nothing_at_standstill_share_their_search(tmp_path):
-    conditions = {"few": {"families": ["step"]}, "more": {"families": ["sine"]}}
-    results = run(small(**ROOM, conditions=conditions), Participants({"P": Proportional()}), tmp_path, jobs=1)
-    assert len(results.part("standstill")) == 2 * 3
-    by_condition = [rows["amplitude_um"].tolist() for _, rows in results.part("standstill").groupby("condition")]
-    assert by_condition[0] == by_condition[1]
-    files = list((tmp_path / JOBS_FOLDER).iterdir())
-    assert len(files) == 2 * 2 + 1  # two jobs for each condition, one search
-
-
 # Failures ----------------------------------------------------------------------------------------------------------
 
 
@@ -105,11 +95,6 @@ def test_a_controller_that_fails_loses_what_it_fails_under_alone():
     (error,) = results.errors
     assert "fussy under few" in error
     assert "RuntimeError: two axes are too few" in error
-
-
-def test_when_nobody_runs_the_first_reason_is_told():
-    with pytest.raises(ControllerError, match=r"no controller ran under any condition.*returned nan"):
-        run(small(), Participants({"mine": Broken()}), jobs=1)
 
 
 def test_a_condition_that_cannot_begin_is_told_and_the_others_stay():

@@ -82,14 +82,6 @@ def test_ratios_of_a_controller_that_is_better_by_a_factor(cases):
     assert table["cases"].tolist() == [48, 24, 24]
 
 
-def test_families_of_the_leak_conditions(cases):
-    other = [rows(name, error, "odd", "force") for name, error in (("PID", 1.0), ("good", 9.0))]
-    mixed = joined(cases, *other, *(each.assign(family="creep", condition="slow") for each in other))
-    table = results_of(mixed).table("comparison").query("group == 'family'")
-    assert table["value"].tolist() == ["step", "sine"]
-    np.testing.assert_allclose(table["ratio"], 0.5)
-
-
 def test_a_controller_absent_from_a_condition_is_compared_where_it_ran(cases):
     partial = joined(cases, rows("part", 0.5))
     comparison = results_of(partial).table("comparison")

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 import yaml
 from driven import commands
-from refusal import redigested, refused
-from safetensors.numpy import load_file, save_file
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_agents.learning.features import Normalisation, PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
@@ -96,15 +93,3 @@ def test_stored_weights_keep_normalisation_and_estimates(tmp_path):
     np.testing.assert_array_equal(commands(before, CONFIG), commands(after, CONFIG))
     plain = policy(PolicyFeatures(CONFIG, BASE, 0.2, see_estimates=True))
     assert (commands(plain, CONFIG) != commands(after, CONFIG)).any()
-
-
-def test_weights_without_a_tensor_and_a_controller_that_estimates_nothing_are_refused(tmp_path):
-    file = policy(PolicyFeatures(CONFIG, BASE, 0.2).normalised()).save(tmp_path / "policy")
-    tensors = load_file(file)
-    del tensors["normalisation.unit"]
-    save_file(tensors, file)
-    redigested(file)
-    with refused(r"normalisation\.unit"):
-        PolicyController.load(tmp_path / "policy")
-    with refused("see_estimates: PID has no estimates"):
-        PolicyFeatures(CONFIG, PID(PIDGains(), CONFIG), 0.2, see_estimates=True)

@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.controllers.base import rows as rows_of
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.trainers import trainer
@@ -41,26 +40,6 @@ def test_the_weights_act_as_the_model_does_over_starts_of_episodes():
         ends += started.sum()
     assert ends >= 8
     assert np.abs(command).max() > 0.01
-
-
-def test_a_kept_state_goes_on_alike_and_each_axis_has_its_own(tmp_path):
-    file = train(tmp_path, total_steps=96).save(tmp_path / "policy")
-    policy = PolicyController.load(file)
-    layout = policy.features.layout
-    rows = (0.3 * np.random.default_rng(3).standard_normal((20, 3, len(layout.names)))).astype(np.float32)
-    memory = None
-    for row in rows[:10]:
-        _, memory = policy.predict(row, memory)
-    before = memory.hidden.copy()
-    first, _ = policy.predict(rows[10], memory, np.array([False, True, False]))
-    again, after = policy.predict(rows[10], memory, np.array([False, True, False]))
-    np.testing.assert_array_equal(memory.hidden, before)
-    np.testing.assert_array_equal(first, again)
-    fresh, begun = policy.predict(rows[10])
-    np.testing.assert_array_equal(after.hidden[1], begun.hidden[1])
-    assert fresh[1] == first[1]
-    alone, _ = policy.predict(rows[10, 0], rows_of(memory, np.array([0])))
-    np.testing.assert_allclose(alone, first[0], atol=1e-6)
 
 
 def test_an_interrupted_training_ends_as_an_uninterrupted_one_bit_for_bit(tmp_path):

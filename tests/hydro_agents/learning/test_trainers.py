@@ -6,7 +6,7 @@ import torch
 from refusal import refused
 from stable_baselines3 import PPO, TD3
 
-from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
@@ -14,7 +14,7 @@ from hydro_agents.learning.trainers import TRAINERS, trainer
 from hydro_agents.learning.training import make_env, make_features, make_model
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.files import validate
 
 CONFIG = TaskConfig(episode_duration=0.1)
@@ -65,7 +65,6 @@ def test_a_trainer_that_cannot_be_used_is_refused_with_one_line(kind, message):
         trainer(kind)
 
 
-LAYOUT = ObservationLayout.of(CONFIG)
 SETTINGS = PPOSettings(total_steps=128, axes=4, steps_per_rollout=16, minibatches=2, epochs=1, hidden_sizes=(8, 4))
 
 
@@ -91,23 +90,3 @@ def test_models_that_do_not_fit_are_refused():
         PolicyController.from_sb3(PPO("MlpPolicy", plain, n_steps=8, batch_size=8, device="cpu"))
     with refused("TD3Policy: must be an MlpPolicy of tanh or relu"):
         PolicyController.from_sb3(TD3("MlpPolicy", plain, device="cpu", buffer_size=10))
-
-
-def test_plain_observations_are_those_of_the_vector_environment():
-    env = AxisVecEnv({"episode_duration": 0.1}, 5, seed=11, control_period=0.01)
-    plain = ServoHydraulicVectorEnv(5, TaskConfig(episode_duration=0.1, control_period=0.01), autoreset_mode="SameStep")
-    assert env.observation_space == plain.single_observation_space
-    assert env.action_space == plain.single_action_space
-    expected, _ = plain.reset(seed=11)
-    np.testing.assert_array_equal(env.reset(), expected)
-    generator = np.random.default_rng(0)
-    for _ in range(25):
-        action = generator.uniform(-1.0, 1.0, (5, 1)).astype(np.float32)
-        found, reward, done, infos = env.step(action)
-        expected, rewards, terminated, truncated, info = plain.step(action)
-        np.testing.assert_array_equal(found, expected)
-        np.testing.assert_array_equal(reward, rewards.astype(np.float32))
-        np.testing.assert_array_equal(done, terminated | truncated)
-        for axis in np.flatnonzero(done):
-            np.testing.assert_array_equal(infos[axis]["terminal_observation"], info["final_obs"][axis])
-            assert infos[axis]["TimeLimit.truncated"] == (not terminated[axis])

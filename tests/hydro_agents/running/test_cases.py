@@ -143,23 +143,6 @@ def test_a_failed_axis_keeps_its_last_values(failing):
         assert np.ptp(run.reference[case, last:]) > 0.0  # its reference goes on
 
 
-def test_the_leak_of_a_failed_axis_is_that_at_its_failure(failing):
-    cases, run = failing
-    calm = run_cases(LONG, Ram([]), cases)
-    for case in (0, 2):
-        env = ServoHydraulicEnv(LONG)
-        env.reset(seed=int(cases.seeds[case]), options={"reference": "sine"})
-        for step in range(LONG.steps):  # noqa: B007
-            *_, terminated, _, info = env.step([1.0])
-            if terminated:
-                break
-        assert step == run.failed_at[case]
-        assert run.leakage_flow_lpm[case] == info["leakage_flow_lpm"]
-        assert run.leakage_class[case] == info["leakage_class"]
-        assert run.leakage_flow_lpm[case] <= calm.leakage_flow_lpm[case]
-    assert run.leakage_flow_lpm[1] == calm.leakage_flow_lpm[1]
-
-
 class Answers:
     """Gives a prepared answer in its third call."""
 

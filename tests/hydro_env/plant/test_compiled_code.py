@@ -60,18 +60,6 @@ def test_a_plant_among_others_moves_exactly_as_it_does_alone(count):
         np.testing.assert_array_equal(own_peaks[0], peaks[axis])
 
 
-def test_only_the_given_plants_move():
-    axes = drawn_plants(24)
-    state, peaks = axes.state.copy(), np.full((24, kernel.N_PEAKS), -1.0)
-    voltage = np.full((24, 1), 5.0)
-    advance(state, axes.coefficient, voltage, np.array([5e-3]), peaks, 5, 18)
-    moved = np.zeros(24, dtype=bool)
-    moved[5:18] = True
-    np.testing.assert_array_equal(state[~moved], axes.state[~moved])
-    assert (state[moved, 0] != axes.state[moved, 0]).all()
-    np.testing.assert_array_equal(peaks[:, 0] == -1.0, ~moved)
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])
 def test_a_broken_state_ends_and_harms_no_neighbour(value):
     count = 20

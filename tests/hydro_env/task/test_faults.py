@@ -134,19 +134,6 @@ def test_schedules():
     assert (seen[150], seen[-2]) == (pytest.approx(2e5, rel=0.02), pytest.approx(4e5, rel=0.02))
 
 
-def test_info_of_one_axis_of_many_and_flat():
-    env = gym.make("ServoHydraulic-v0")
-    _, info = env.reset(seed=1, options={"faults": {"valve_flow": -0.2}})
-    assert info["faults"] == {"valve_flow": -0.2}
-    envs = ServoHydraulicVectorEnv(3)
-    _, info = envs.reset(seed=1, options={"faults": {"valve_flow": [0.0, -0.2, 0.1]}})
-    np.testing.assert_array_equal(info["faults"]["valve_flow"], [0.0, -0.2, 0.1])
-    np.testing.assert_array_equal(info["faults"]["_valve_flow"], [False, True, True])
-    flat = gym.make("ServoHydraulic-v0", info="flat", faults={"tank_pressure": {"probability": 1.0}})
-    _, info = flat.reset(seed=1)
-    assert 2e5 <= info["fault_tank_pressure"] <= 8e5
-
-
 @pytest.mark.parametrize(
     ("faults", "message"),
     [

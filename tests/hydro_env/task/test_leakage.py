@@ -106,17 +106,6 @@ def test_a_leak_follows_its_schedule(schedule):
     np.testing.assert_allclose(flow[-1] * flow[-1] / flow[-2], target, rtol=1e-6)
 
 
-def test_a_given_leak_is_the_end_of_its_schedule():
-    env = ServoHydraulicEnv(leakage={"schedule": "onset", "start_range": [0.1, 0.1]}, episode_duration=0.5)
-    _, info = env.reset(seed=0, options={"leakage_flow_lpm": 2.0})
-    labels = [info["leakage_class"]]
-    for _ in range(100):
-        info = env.step(np.zeros(1))[-1]
-        labels.append(info["leakage_class"])
-    assert labels == [0] * 11 + [3] * 90
-    assert info["leakage_flow_lpm"] == pytest.approx(2.0)
-
-
 def test_the_leak_is_no_part_of_the_observation():
     """Two leaks, the same seed: before anything has moved, only what the leak does to pressures and spool differs."""
     env = ServoHydraulicEnv()

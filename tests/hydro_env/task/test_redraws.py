@@ -69,18 +69,6 @@ def test_what_decides_nothing_is_not_drawn_again():
     np.testing.assert_array_equal(moved, envs.axes.column("redraws") > 0)
 
 
-def test_automatic_resets_draw_again_too():
-    leakage = {"healthy_share": 0.0, "faulty_range": [20.0, 20.0]}
-    envs = ServoHydraulicVectorEnv(200, episode_duration=0.05, info=False, leakage=leakage)
-    envs.reset(seed=0)
-    redraws = 0
-    for _ in range(44):
-        envs.step(np.zeros((200, 1)))
-        redraws += int((envs.axes.column("redraws") > 0).sum())
-    assert redraws > 100
-    assert (envs.axes.column("leak_target_flow") == 20.0).all()
-
-
 def test_a_period_that_takes_too_many_steps_ends_the_episode_with_a_name():
     """A rig that check-rig would refuse: friction so stiff that a period would take minutes."""
     stiff = {

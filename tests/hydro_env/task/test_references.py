@@ -81,16 +81,6 @@ def test_the_axis_hardly_moves_at_a_pause_a_slow_run_and_small_steps():
         assert 0.05e-3 <= sizes[0] <= 0.2e-3
 
 
-@pytest.mark.parametrize("family", ["ramp", "start_stop"])
-def test_ramps_and_start_stop_runs_have_one_speed_at_a_time(family):
-    steps = np.abs(np.diff(drawn(family)[0]))
-    # Speed is constant but for the starts, stops and last samples of a run.
-    assert (np.abs(np.diff(steps, axis=1)) < 1e-12).mean() > 0.95
-    if family == "start_stop":  # the same in all runs of an episode
-        for row in steps:
-            assert np.median(row[row > 1e-12]) == pytest.approx(row.max(), rel=1e-9)
-
-
 def test_steps_have_the_configured_size_and_hold_still_between():
     low, high = 0.01, 0.02
     rows, axes = drawn("step", references={"step_range": (low, high)})

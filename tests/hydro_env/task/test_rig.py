@@ -173,11 +173,3 @@ def test_a_rig_says_which_sensors_it_has(small):
     mine = task_config({"sensors": {"pressure_a": {"noise": 3e4}}}, rig=small)
     assert (mine.sensors.pressure_a.noise, mine.sensors.pressure_a.high) == (3e4, 250e5)
     assert not mine.sensors.spool_position.fitted
-
-
-def test_a_range_that_was_given_sets_noise_and_bias_of_its_sensor(small):
-    with small.open("a") as file:
-        file.write("sensors:\n  pressure_a: {high: 250 bar}\n  pressure_b: {high: 250 bar, noise: 0.2 bar}\n")
-    sensors = task_config(rig=small).sensors
-    assert (sensors.pressure_a.noise, sensors.pressure_a.bias) == pytest.approx((0.125e5, 0.625e5))
-    assert (sensors.pressure_b.noise, sensors.pressure_b.bias) == pytest.approx((0.2e5, 0.625e5))
