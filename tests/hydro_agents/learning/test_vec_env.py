@@ -123,25 +123,6 @@ def test_the_full_preview_holds_every_sample():
     assert again.shape[1] == features.size
 
 
-def test_attributes_seeds_and_options_are_those_of_a_vec_env():
-    env = make()
-    assert env.get_attr("num_envs") == [6] * 6
-    assert env.env_is_wrapped(object) == [False] * 6
-    env.set_attr("reward_scale", 3.0)
-    assert env.get_attr("reward_scale", [0, 1]) == [3.0, 3.0]
-    assert [env.has_attr(name) for name in ("features", "axes", "absent")] == [True, True, False]
-    assert env.seed(4) == [4, 5, 6, 7, 8, 9]
-    first = env.reset()
-    assert [state.count for state in env.env_method("get_state", indices=[1])] == [6]
-    env.seed(4)
-    np.testing.assert_array_equal(env.reset(), first)
-    env.set_options({"leakage_flow_lpm": 2.0})
-    env.reset()
-    np.testing.assert_allclose(env.env.axes.column("leak_flow"), 2.0)
-    env.reset()  # options hold for one reset
-    assert not np.isclose(env.env.axes.column("leak_flow"), 2.0).any()
-
-
 SHORT_STROKE = {
     "plant": {"cylinder": {"stroke": 0.06}, "load": {"spring_stiffness": 0.0}},
     "randomisation": {},

@@ -13,7 +13,6 @@ from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
 from hydro_agents.report.controllers_page import (
     Example,
-    by_leak,
     controllers_page,
     errors,
     heat_map,
@@ -76,20 +75,6 @@ def test_one_controller_without_a_head():
         assert absent not in text
 
 
-def test_errors_and_limit_cycles_stand_in_the_overview(tables):
-    counts = {"limit_cycles": [14, 0], "standstills": 16, "failures": [1, 0], "largest_amplitude_um": [7900.0, 0.0]}
-    cycles = pd.DataFrame({"controller": ["PID", ODD_NAME], **counts, "frequency_hz": 8.0})
-    restless = {**tables, "limit_cycle_summary": cycles}
-    table = overview(restless)
-    means = tables["cases"].groupby("controller", sort=False)["mean_error_mm"]
-    assert table["error", "mean, mm"].tolist() == pytest.approx(means.mean().tolist())
-    assert table["error", "worst run, mm"].tolist() == means.max().tolist()
-    assert table["at rest"].loc["PID"].tolist() == [14, 16, 1, 7900.0]
-    assert "PID does not come to rest" in text_of(verdict, restless)
-    calm = cycles.assign(limit_cycles=0, failures=0)
-    assert "PID does not come to rest" not in text_of(verdict, {**restless, "limit_cycle_summary": calm})
-
-
 @pytest.mark.parametrize(
     ("ratio", "told"),
     [
@@ -114,16 +99,6 @@ def test_a_policy_is_compared_with_the_controller_that_it_corrects(tables):
     errors(page, {**tables, "comparison": both})
     (row,) = [row for row in Parsed(page.html()).rows if row[0] == f"PPO ÷ {ODD_NAME}"]
     assert (row[1], row[4]) == ("0.90 (0.80 to 0.95)", "100")
-
-
-def test_the_growth_of_the_error_with_the_leak_is_a_table(tables):
-    found, page = tables["growth"], Page("Trial")
-    drawn(by_leak)(page, tables)
-    rows = Parsed(page.html()).rows
-    for name, own in found.groupby("controller"):
-        (shown_row,) = [row for row in rows if row[0] == name and len(row) == 1 + len(own) and "(" in row[1]]
-        ratios = [float(cell.split()[0]) for cell in shown_row[1:]]
-        assert sorted(ratios) == pytest.approx(sorted(own["ratio"]), rel=6e-3)
 
 
 # Several conditions ---------------------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from refusal import refused
 from hydro_agents.report.kit import (
     BLUE,
     GREEN,
-    MOST_POINTS,
     Page,
     as_text,
     draw,
@@ -120,19 +119,6 @@ def test_a_figure_shows_the_table_and_a_participant_keeps_its_colour():
     assert [text.get_text() for text in rows.get_yticklabels()] == ["b", "a"]
     np.testing.assert_array_equal(rows.containers[0].lines[0].get_xydata(), [[0.5, 0.0], [1.0, 1.0]])
     assert rows.containers[0].lines[0].get_color() == BLUE
-
-
-@drawn
-def test_lines_of_samples_break_where_rows_are_missing_and_keep_their_extremes():
-    axes = panel()
-    time = np.r_[0.0:1.0:0.01, 2.0:3.0:0.01]
-    signal(axes, time, time)
-    assert np.isnan(axes.lines[0].get_ydata()).sum() == 1
-    long = np.zeros(100 * MOST_POINTS)
-    long[12345] = 7.0
-    signal(axes, np.arange(float(len(long))), long)
-    assert len(axes.lines[1].get_xdata()) <= MOST_POINTS
-    assert np.nanmax(axes.lines[1].get_ydata()) == 7.0
 
 
 def test_a_frame_becomes_texts_for_the_console():
