@@ -26,7 +26,7 @@ from paper.settling import friction_scan_table, settling_table
 PAGE_FILE = "page.html"
 EQUATIONS_FILE = "equations.csv"
 VERDICTS_FILE = "verdicts.csv"
-SUFFIXES = ("svg", "csv")
+SUFFIXES = ("png", "csv")
 
 
 class Entry(NamedTuple):
@@ -162,7 +162,7 @@ def reproduce_to_folder(folder: Path, overwrite: bool, command: str = "python -m
 def _draw(page: Page, entry: Entry, table: pd.DataFrame, folder: Path) -> None:
     """Draw a figure into its files and into the page, and write its table."""
     panels = entry.paint(table)
-    write_whole(folder / f"{entry.key}.svg", picture(panels, "svg"))
+    write_whole(folder / f"{entry.key}.png", picture(panels, "png"))
     write_text(folder / f"{entry.key}.csv", table.to_csv(index=False, float_format="%.9g"))
     page.figure(panels, entry.title)
 

@@ -211,13 +211,12 @@ for line in sys.argv[1:]:
 """
 
 
-def test_study_and_training_need_no_rig_package(tmp_path):
+def test_a_study_needs_no_rig_package(tmp_path):
     shutil.copytree(ROOT / "agents/hydro_agents", tmp_path / "hydro_agents")
     (tmp_path / "sitecustomize.py").write_text(WITHOUT_RIG)
     (tmp_path / "study.yaml").write_text(SMALL_STUDY)
     lines = (
         "study --config study.yaml --jobs 2 --output study",
-        "train pid --config study.yaml --steps 8 --output trained",
         "--help",
     )
     answer = subprocess.run(

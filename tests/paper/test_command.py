@@ -35,10 +35,10 @@ def folder(tmp_path_factory):
 
 
 def test_every_figure_has_picture_and_table(folder):
-    keys = sorted(path.stem for path in folder.glob("*.svg"))
+    keys = sorted(path.stem for path in folder.glob("*.png"))
     assert keys == sorted(entry.key for entry in command.FIGURES)
     for key in keys:
-        assert "<svg" in (folder / f"{key}.svg").read_text(encoding="utf-8")
+        assert (folder / f"{key}.png").read_bytes().startswith(b"\x89PNG")
         table = pd.read_csv(folder / f"{key}.csv")
         assert len(table) > 3
         assert table.notna().any().all()
@@ -46,7 +46,7 @@ def test_every_figure_has_picture_and_table(folder):
 
 def test_the_page_shows_every_figure_and_needs_nothing_else(folder):
     page = (folder / "page.html").read_text(encoding="utf-8")
-    assert page.count('role="img"') == len(list(folder.glob("*.svg")))
+    assert page.count('role="img"') == len(list(folder.glob("*.png")))
     assert "nan" not in re.sub(r"<[^>]*>", " ", page).split()
     assert not re.search(r"""src\s*=|@import|<script|<link""", page)
 

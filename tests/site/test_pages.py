@@ -45,7 +45,8 @@ def given(tmp_path, signals, monkeypatch):
     for folder in ("agents", "configs"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(rig_gains, "CHOICE_CASES", 7)  # half of the simulations that choose gains for a rig
+    sets = rig_gains.gain_sets
+    monkeypatch.setattr(rig_gains, "gain_sets", lambda *rig: sets(*rig)[:2])  # of which a simulation chooses
     row = {"controller": "PID", "training_seed": 0, "condition": "leak_8", "family": "sine", "plant": 0}
     return {"signals": signals, "row": row | {"leakage_flow_lpm": 8.0, "seed": 2_200_000}}
 
