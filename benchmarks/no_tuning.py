@@ -35,10 +35,10 @@ SETS, SET_RIGS, JUDGING_RIGS = 8, 1100, 1000  # sets beside the default; first t
 
 
 def tune_for_any_rig(folder: Path, evaluations: int) -> None:
-    """Tune one set of gains over the training rigs, from those of the paper's rig; the log is the checkpoint."""
+    """Tune one set of gains over the training rigs, from those of the paper's rig; the folder is the checkpoint."""
     tasks = [drawn_task(task_config("mixed_leaks"), LAW, seed) for seed in RIGS.take(TRAINING_RIGS)]
     start = FlowLinearisingGains(**read_yaml(usual_gains(KIND)))
-    log, began = folder / "tuning.csv", time.perf_counter()
+    began = time.perf_counter()
 
     def progress(best: Tuned) -> None:
         write_yaml(folder / "gains.yaml", best.gains.model_dump(mode="json"))
@@ -46,7 +46,7 @@ def tune_for_any_rig(folder: Path, evaluations: int) -> None:
         print(f"{best.evaluations} candidates: {1e3 * best.cost.equal:.5f} mm, {took:.0f} s", flush=True)
 
     search = Search(evaluations=evaluations, cases=CASES, start=start)
-    tune(KIND, tasks, search, log, resume=log.exists(), progress=progress)
+    tune(KIND, tasks, search, folder, progress)
 
 
 def sets_for_any_rig(folder: Path, rigs: int, evaluations: int) -> None:
@@ -76,8 +76,7 @@ def tuned_for(task: TaskConfig, folder: Path, evaluations: int, cases: int = 42)
     """Gains tuned for one rig, from those for any rig; a file keeps them."""
     file = folder / "gains.yaml"
     if not file.exists():
-        log = folder / "tuning.csv"
-        best = tune(KIND, task, Search(evaluations=evaluations, cases=cases), log, resume=log.exists())
+        best = tune(KIND, task, Search(evaluations=evaluations, cases=cases), folder)
         write_yaml(file, best.gains.model_dump(mode="json"))
     return FlowLinearisingGains(**read_yaml(file))
 

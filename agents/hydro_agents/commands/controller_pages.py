@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
@@ -29,20 +29,14 @@ def robustness_page() -> PageOf:
     return PageOf("robustness.html", draw, summary, remarks)
 
 
-def study_page(configuration: str, timings: Mapping[str, float] | None = None) -> PageOf:
-    """The page of a study.
-
-    Args:
-        configuration: the settings of the study, YAML.
-        timings: s, by phase.
-    """
+def study_page(configuration: str) -> PageOf:
+    """The page of a study with these settings (YAML)."""
 
     def draw(results: Results) -> Page:
         return controllers_page(
             results.protocol.title,
             results.tables(),
             examples=example_traces(results),
-            timings=timings,
             configuration=configuration,
         )
 

@@ -10,7 +10,6 @@ import typer
 
 from hydro_agents.commands.options import (
     Agents,
-    Backend,
     Config,
     Jobs,
     Overwrite,
@@ -56,7 +55,6 @@ def evaluate(
     resume: Resume = False,
     overwrite: Overwrite = False,
     jobs: Jobs = None,
-    backend: Backend = "loky",
 ) -> None:
     """Compare the controllers of a study and your own on test plants, and evaluate the leakage head.
 
@@ -84,7 +82,7 @@ def evaluate(
 
     if protocol is None:
         options = Options(task, rig, output or Path("results/evaluate"), resume, overwrite)
-        with workers(jobs, backend):
+        with workers(jobs):
             _evaluate_study(config, named_agents(agent), head, plants, options)
         return
     file = config_file("protocols", protocol)
@@ -95,7 +93,7 @@ def evaluate(
     for option, value in of_the_file.items():
         if value is not None:
             raise ConfigurationError(f"{option}: a protocol takes it from its file")
-    with workers(jobs, backend):
+    with workers(jobs):
         if leaks:
             _evaluate_detectors(head, options)
         else:

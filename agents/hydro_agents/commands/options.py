@@ -45,14 +45,6 @@ Agents = Annotated[
 Jobs = Annotated[
     int | None, typer.Option("--jobs", "-j", min=1, max=1024, help="Jobs side by side; default: one per core.")
 ]
-Backend = Annotated[
-    str,
-    typer.Option(
-        metavar="loky|dask",
-        help="Where joblib runs the jobs: processes of this machine (loky), or the Dask cluster whose scheduler the "
-        "variable DASK_SCHEDULER_ADDRESS names.",
-    ),
-]
 
 
 def _rig_file(given: Path | None) -> Path | None:

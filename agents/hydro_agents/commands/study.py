@@ -11,7 +11,6 @@ import typer
 
 from hydro_agents.commands.options import (
     Agents,
-    Backend,
     Config,
     Jobs,
     Output,
@@ -47,7 +46,6 @@ def study(
     resume: Resume = False,
     overwrite: Overwrite = False,
     jobs: Jobs = None,
-    backend: Backend = "loky",
 ) -> None:
     """Train PPO on flow linearisation and the leakage head from scratch, compare all controllers, write one report.
 
@@ -65,7 +63,7 @@ def study(
 
     settings = default_study(config, task, rig)
     first = settings.seed if seed is None else seed
-    with workers(jobs, backend):
+    with workers(jobs):
         whole_study(settings, output, range(first, first + (seeds or 1)), resume, overwrite)
 
 
@@ -87,11 +85,10 @@ def whole_study(
 
     study.check()
     with claimed(study, folder, seeds, study_page("").files, resume, overwrite), ProgressDisplay() as display:
-        results, seconds = run_study(study, folder, seeds, display, facts_of(seed=str(seeds[0])))
-        page = study_page((folder / CONFIG_FILE).read_text(encoding="utf-8"), seconds)
+        results = run_study(study, folder, seeds, display, facts_of(seed=str(seeds[0])))
+        page = study_page((folder / CONFIG_FILE).read_text(encoding="utf-8"))
         page.write(results, folder, display)
         shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
-    display.say("times: " + ", ".join(f"{phase} {taken:.0f} s" for phase, taken in seconds.items()))
     page.tell(results, folder, display)
     return results
 
@@ -119,7 +116,6 @@ def train(
     resume: Resume = False,
     overwrite: Overwrite = False,
     jobs: Jobs = None,
-    backend: Backend = "loky",
 ) -> None:
     """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` continues from it.
 
@@ -141,7 +137,7 @@ def train(
         raise ConfigurationError("--steps: does not apply to hydro train head")
     if agent is not None and part != "head":
         raise ConfigurationError(f"--agent: does not apply to hydro train {part}")
-    with workers(jobs, backend):
+    with workers(jobs):
         if part == "head":
             training = _head(study, output, seed, named_agents(agent))
         elif part in CONTROLLERS:
@@ -165,14 +161,14 @@ class Training(NamedTuple):
         """Claim the folder, and train."""
         from hydro_agents.running.console import ProgressDisplay
         from hydro_agents.running.folders import output_folder
+        from hydro_agents.running.jobs import JOBS_FOLDER
 
         if resume and not any(file for pattern in self.kept for file in folder.glob(pattern)):
-            raise ConfigurationError(
-                f"{folder}: nothing to resume, there is no {self.kept[0].rstrip('*')}; leave --resume out"
-            )
+            raise ConfigurationError(f"{folder}: nothing to resume; leave --resume out")
         claimed = output_folder(folder, f"train {self.part}", self.files, resume=resume, overwrite=overwrite)
         with claimed, ProgressDisplay() as display:
             self.work(display)
+            shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
 
 
 def _named(study: StudySettings, what: str, steps: int | None) -> tuple[StudySettings, str]:
@@ -215,14 +211,8 @@ def _of_gains(study: StudySettings, kind: str, steps: int | None) -> StudySettin
 def _controller(study: StudySettings, name: str, folder: Path, seed: int) -> Training:
     """Train a controller; gains of the rig for the one that it corrects are tuned first."""
     from hydro_agents.controllers.registry import GAINS_FILE
-    from hydro_agents.study.training import (
-        CHECKPOINTS,
-        TRAINING_FILES,
-        TUNING_FILES,
-        WEIGHTS,
-        train_controller,
-        tune_controller,
-    )
+    from hydro_agents.running.jobs import RESULT_FILES
+    from hydro_agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS, train_controller, tune_controller
 
     entry = study.controllers[name]
     if entry.corrects in study.trained:
@@ -234,19 +224,19 @@ def _controller(study: StudySettings, name: str, folder: Path, seed: int) -> Tra
         base = study.make(entry.corrects)
         one_rig = getattr(entry.settings, "law", None) is None  # gains of one rig serve no policy for any axis
         if one_rig and entry.corrects in study.tuned:
-            files, tuned = (*TRAINING_FILES, *TUNING_FILES), entry.corrects
+            files, tuned = (*TRAINING_FILES, GAINS_FILE, RESULT_FILES), entry.corrects
 
     def work(display: ProgressDisplay) -> None:
-        own = tune_controller(study, tuned, folder / GAINS_FILE, seed, display) if tuned else base
+        own = tune_controller(study, tuned, folder / GAINS_FILE, folder, seed, display) if tuned else base
         train_controller(study, name, folder, seed, own, display)
 
-    return Training(name, f"{WEIGHTS}.safetensors", files, (CHECKPOINTS, *TUNING_FILES), work)
+    return Training(name, f"{WEIGHTS}.safetensors", files, (CHECKPOINTS, RESULT_FILES), work)
 
 
 def _head(study: StudySettings, folder: Path, seed: int, agents: dict[str, str]) -> Training:
     from hydro_agents.detection.training_settings import HeadTrainingSettings
-    from hydro_agents.running.jobs import JOBS_FOLDER
-    from hydro_agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
+    from hydro_agents.running.jobs import RESULT_FILES
+    from hydro_agents.study.training import HEAD_WEIGHTS, train_leakage_head
 
     settings = study.leakage_head or HeadTrainingSettings()
     settings.check(study.task)
@@ -255,17 +245,17 @@ def _head(study: StudySettings, folder: Path, seed: int, agents: dict[str, str])
 
     def work(display: ProgressDisplay) -> None:
         train_leakage_head(study, folder, seed, list(named.values()), display)
-        shutil.rmtree(folder / JOBS_FOLDER, ignore_errors=True)
 
-    return Training("head", f"{HEAD_WEIGHTS}.safetensors", HEAD_FILES, [HEAD_CHECKPOINTS], work)
+    return Training("head", f"{HEAD_WEIGHTS}.safetensors", [f"{HEAD_WEIGHTS}.*", RESULT_FILES], [RESULT_FILES], work)
 
 
 def _gains(study: StudySettings, kind: str, folder: Path, seed: int) -> Training:
-    from hydro_agents.study.training import TUNING_LOG, tune_controller
+    from hydro_agents.running.jobs import RESULT_FILES
+    from hydro_agents.study.training import tune_controller
 
     file = f"{kind}.yaml"
 
     def work(display: ProgressDisplay) -> None:
-        tune_controller(study, kind, folder / file, seed, display)
+        tune_controller(study, kind, folder / file, folder, seed, display)
 
-    return Training(kind, file, [file, TUNING_LOG], [TUNING_LOG], work)
+    return Training(kind, file, [file, RESULT_FILES], [RESULT_FILES], work)

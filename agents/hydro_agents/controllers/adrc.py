@@ -15,12 +15,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydro_agents.controllers.base import gain
-from hydro_agents.controllers.observer_feedback import JumpGains, ObserverFeedback, sampled
+from hydro_agents.controllers.observer_feedback import ObserverFeedback, ObserverFeedbackGains, sampled
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.types import Floats
 
 
-class ADRCGains(JumpGains):
+class ADRCGains(ObserverFeedbackGains):
     """Gains of :class:`ADRC`, relative to the rig."""
 
     controller_bandwidth: float = gain(1.2, (0.1, 5.0), "1", "ω_c, per lag of the rig", low=1e-3, logarithmic=True)

@@ -8,14 +8,11 @@ from one estimated disturbance for each measured signal.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from hydro_agents.controllers.base import gain
 from hydro_agents.controllers.observer_feedback import (
-    JumpGains,
     ObserverFeedback,
     ObserverFeedbackGains,
     SampledModel,
@@ -40,8 +37,8 @@ REGULATED = 6
 """States that the regulator feeds back; all but the disturbances."""
 
 
-class KalmanGains(ObserverFeedbackGains):
-    """Gains of the regulator and of the Kalman filter, relative to the rig; drifts are those of random walks."""
+class LQGGains(ObserverFeedbackGains):
+    """Gains of :class:`LQG`: regulator and Kalman filter, relative to the rig; drifts are those of random walks."""
 
     bandwidth: float = gain(0.9, (0.1, 10.0), "1", "of the regulator, per lag of the rig", low=1e-3, logarithmic=True)
     damping: float = gain(0.1, (0.02, 1.5), "1", "damping ratio of mass and oil", low=1e-3, logarithmic=True)
@@ -53,10 +50,6 @@ class KalmanGains(ObserverFeedbackGains):
         0.04, (0.001, 10.0), "1/√s", "of full speed × hydraulic frequency", low=1e-6, logarithmic=True
     )
     valve_noise: float = gain(0.04, (0.001, 10.0), "1/√s", "of full opening", low=1e-6, logarithmic=True)
-
-
-class LQGGains(KalmanGains, JumpGains):
-    """Gains of :class:`LQG`."""
 
 
 class LQG(ObserverFeedback):
@@ -72,7 +65,7 @@ class LQG(ObserverFeedback):
 
     disturbance = FLOW
 
-    def __init__(self, gains: KalmanGains, config: TaskConfig) -> None:
+    def __init__(self, gains: LQGGains, config: TaskConfig) -> None:
         super().__init__(gains, config)
         c, frequency, period = plant_coefficients(config.plant), self.frequency, config.control_period
         self._mass, self._spring = 1.0 / c.inverse_mass, c.spring_stiffness
@@ -108,10 +101,10 @@ class LQG(ObserverFeedback):
         oil = np.hypot(c.area_a * sensors.pressure_a.noise, c.area_b * sensors.pressure_b.noise)
         noise = np.array([sensors.position.noise, oil, sensors.spool_position.noise * full])
         noise = np.maximum(noise, 1e-6 * full * np.array([self.delay, frequency * self._mass, 1.0]))
-        self.weight, self.size = (gains.bandwidth / self.lag) ** 2 * period, size[:REGULATED]
+        weight = (gains.bandwidth / self.lag) ** 2 * period
         try:
             self.correction = kalman_gain(self.model, full * np.sqrt(period) * drift, noise, size)
-            self.feedback, preview = regulator(self.model, self.weight, self.size, full)
+            self.feedback, preview = regulator(self.model, weight, size[:REGULATED], full)
         except np.linalg.LinAlgError as error:
             raise ConfigurationError(f"lqg: no regulator or Kalman filter for these gains: {error}") from None
         # A step of the reference moves all later samples; the last known step repeats without end.
@@ -134,17 +127,10 @@ class LQG(ObserverFeedback):
         """See :meth:`ObserverFeedback.speed`."""
         k, disturbance = self.feedback, estimate[:, FLOW]
         motion = error * k[POSITION] + estimate[:, [SPEED, ACCELERATION]] @ k[[SPEED, ACCELERATION]]
-        motion += self.moving_valve(estimate) @ k[VALVE]
+        # The regulator has no disturbance states: it sees the valve opening that moves the axis.
+        motion += (estimate[:, VALVE] + estimate[:, [FLOW]] * self._valve_at_rest) @ k[VALVE]
         speed: Floats = command + steps @ self._preview - motion - k[-1] * (command + disturbance)
         return speed
-
-    def moving_valve(self, estimate: Floats) -> Floats:
-        """States of the valve as the regulator knows them, (N, 3): it has no disturbance states.
-
-        It sees the valve opening that moves the axis.
-        """
-        valve: Floats = estimate[:, VALVE] + estimate[:, [FLOW]] * self._valve_at_rest
-        return valve
 
 
 def kalman_gain(model: SampledModel, drift: Floats, noise: Floats, size: Floats) -> Floats:
@@ -163,36 +149,11 @@ def kalman_gain(model: SampledModel, drift: Floats, noise: Floats, size: Floats)
     return k
 
 
-class TrackingProblem(NamedTuple):
-    """Σ (weight · (position − reference))² + (change of the command)², scaled; states and last command are z, (n + 1,).
-
-    z[k+1] = transition z[k] + drive · change[k]; the cost to go without reference is zᵀ cost z.
-    """
-
-    size: Floats  # (n + 1,), of z in its own units
-    transition: Floats  # (n + 1, n + 1)
-    drive: Floats  # (n + 1,)
-    position: Floats  # (n + 1,), weighted position per z
-    cost: Floats  # (n + 1, n + 1), solution of the Riccati equation
-
-
-def tracking_problem(model: SampledModel, weight: float, size: Floats, full: float) -> TrackingProblem:
-    """The problem that :func:`regulator` solves; the arguments are the same."""
-    n = len(size)
-    transition = np.eye(n + 1)
-    transition[:n, :n] = model.transition[:n, :n]
-    transition[:n, n] = (model.input_old + model.input_new)[:n]
-    size = np.append(size, full)
-    transition = transition * size / size[:, None]
-    drive = np.append(model.input_new[:n], 1.0) / size
-    position = np.zeros(n + 1)
-    position[POSITION] = weight * size[POSITION]
-    cost = solve_discrete_are(transition, drive[:, None], np.outer(position, position), np.eye(1))
-    return TrackingProblem(size, transition, drive, position, cost)
-
-
 def regulator(model: SampledModel, weight: float, size: Floats, full: float) -> tuple[Floats, Floats]:
     """Gains that minimise Σ (weight · (position − reference))² + (change of the command)².
+
+    States and last command are z, scaled by their sizes: z[k+1] = transition z[k] + drive · change[k]. Without a
+    reference the cost to go is zᵀ cost z.
 
     Args:
         model: its first states are fed back.
@@ -203,7 +164,16 @@ def regulator(model: SampledModel, weight: float, size: Floats, full: float) -> 
     Returns:
         Gains on states and last command, (n + 1,), and on the reference 1, 2, … :data:`TAIL` periods ahead, (TAIL,).
     """
-    size, transition, drive, position, cost = tracking_problem(model, weight, size, full)
+    n = len(size)
+    transition = np.eye(n + 1)
+    transition[:n, :n] = model.transition[:n, :n]
+    transition[:n, n] = (model.input_old + model.input_new)[:n]
+    size = np.append(size, full)
+    transition = transition * size / size[:, None]
+    drive = np.append(model.input_new[:n], 1.0) / size
+    position = np.zeros(n + 1)
+    position[POSITION] = weight * size[POSITION]
+    cost = solve_discrete_are(transition, drive[:, None], np.outer(position, position), np.eye(1))
     shared = drive / (1.0 + drive @ cost @ drive)
     feedback = shared @ cost @ transition
     closed = transition - np.outer(drive, feedback)

@@ -45,11 +45,6 @@ class ObserverFeedbackGains(Group):
     flow_gain_retracting: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
     gain_adaptation: float = gain(60.0, (0.0, 150.0), "1/s", "rate at which a flow gain adapts at full speed", high=1e3)
     leak_adaptation: float = gain(60.0, (0.0, 150.0), "1/s", "rate at which the leak adapts at full pressure", high=1e3)
-
-
-class JumpGains(ObserverFeedbackGains):
-    """Further gains of a controller that removes jumps from the reference and sets off before them."""
-
     set_off_delay: float = gain(1.4, (0.0, 4.0), "1", "set-off before a jump of the reference, in delays", high=100.0)
     set_off_share: float = gain(
         0.9, (0.0, 2.0), "1", "earlier set-off, in halves of its time at full speed", high=100.0
@@ -99,7 +94,7 @@ class ObserverFeedback(ClassicalController):
     A subclass sets ``model`` and ``correction`` (n, m), the gain of its observer on the innovations of the measured
     signals: position (m), force of the oil (N), speed at the measured opening (m/s), or the first m of them. The state
     ``disturbance`` of the model is the part of the speed (m/s) that the command does not explain. The subclass defines
-    :meth:`following`, and :meth:`speed` or :meth:`wanted`.
+    :meth:`following` and :meth:`speed`.
 
     The flow gain of each direction and the leak adapt along their gradients (Åström & Wittenmark, *Adaptive Control*
     (1995), chapter 5): a disturbance that grows with the speed is an error of the flow gain, one that grows with the
@@ -137,11 +132,9 @@ class ObserverFeedback(ClassicalController):
         rates = np.array([gains.gain_adaptation, gains.gain_adaptation, gains.leak_adaptation])
         self._rates = rates * period / self.full_speed**2
         self.preview = Preview(config)
-        self.jump = JUMP * self.full_speed * period
-        if isinstance(gains, JumpGains):
-            self._near = gains.braking * self.full_speed * self.delay
-            delay = gains.set_off_delay * self.delay
-            self._jumps = Jumps(self.flow, self.jump, delay, gains.set_off_share, self.preview.times)
+        self._near = gains.braking * self.full_speed * self.delay
+        jump, early = JUMP * self.full_speed * period, gains.set_off_delay * self.delay
+        self._jumps = Jumps(self.flow, jump, early, gains.set_off_share, self.preview.times)
 
     def following(self, measured: Floats, command: Floats, speed: Floats) -> Floats:
         """Estimate (N, n) of an axis at a known speed from its measured signals and its speed command.
@@ -201,20 +194,11 @@ class ObserverFeedback(ClassicalController):
 
         new = ObserverState(estimate, command, now.supply, adapted, now.reference)
         scaled, leak = _scaled(flow, adapted), self._leak(adapted, difference)
-        return self.flow.opening(self.wanted(new, scaled, leak) - leak, scaled), new
-
-    def wanted(self, now: ObserverState, flow: Flow, leak: Floats) -> Floats:
-        """The next speed command, m/s, (N,).
-
-        Args:
-            now: the memory with this period's estimate; its last speed command stands in ``command_before``.
-            flow: with the adapted flow gains.
-            leak: speed by the leak, m/s, (N,).
-        """
         steps, jumps = self._jumps.split(now.reference)
         begun = self._jumps.begun(jumps, flow.force, now.supply)
-        error = braked(now.estimate[:, 0] - now.reference[:, 1] - begun, self._near)
-        return self.speed(now.estimate, error, now.command_before, steps)
+        error = braked(estimate[:, 0] - now.reference[:, 1] - begun, self._near)
+        wanted = self.speed(estimate, error, command, steps)
+        return self.flow.opening(wanted - leak, scaled), new
 
     def _speeds(self, openings: Floats, flow: Flow, adapted: Floats, difference: Floats) -> Floats:
         """Speeds in m/s, (M, N), of openings (M, N) with the adapted flow gains and leak."""

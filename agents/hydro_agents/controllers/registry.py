@@ -18,7 +18,6 @@ from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.by_name import imported
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.lqg import LQG, LQGGains
-from hydro_agents.controllers.mpc import MPC, MPCGains
 from hydro_agents.controllers.pid import PID, PIDGains
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
@@ -31,7 +30,6 @@ CONTROLLERS: dict[str, tuple[type[ClassicalController], type[Group]]] = {
     "flow_linearising": (FlowLinearising, FlowLinearisingGains),
     "adrc": (ADRC, ADRCGains),
     "lqg": (LQG, LQGGains),
-    "mpc": (MPC, MPCGains),
 }
 """Each classical controller by kind: its class, and the class of its gains."""
 

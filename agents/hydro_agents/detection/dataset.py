@@ -98,7 +98,7 @@ class TrainingPlan:
     """
 
     config: TaskConfig
-    controllers: Sequence[Controller | None]  # None: not known yet
+    controllers: Sequence[Controller]
     settings: HeadTrainingSettings
     split: str = "training"  # of the law's rigs
 
@@ -146,7 +146,7 @@ class TrainingPlan:
         return min(largest, CHUNK // 4) if leak in CHANGING else largest  # more lengths of windows
 
     def jobs(self, episodes: int, first_seed: int) -> dict[str, Job]:
-        """A job for each chunk whose controller is known, by the chunk's number; results: :class:`LabelledWindows`.
+        """A job for each chunk, by its number; results: :class:`LabelledWindows`.
 
         Args:
             episodes: number of runs; rounding may add a few.
@@ -160,8 +160,6 @@ class TrainingPlan:
             acting, digest = None, "none"
             if self.settings.law is None and chunk.controller >= 0:
                 acting, digest = self.controllers[chunk.controller], digests[chunk.controller]
-                if acting is None:
-                    continue
             arguments = (self.settings, chunk, seeds, self.rigs[number % len(self.rigs)])
             jobs[str(number)] = Job(simulated, acting, arguments, digest)
         return jobs

@@ -29,16 +29,11 @@ from hydro_agents.detection.head import (
     tensors_like,
 )
 from hydro_agents.detection.intervals import COVERAGE, FEWEST, GROUPS, WIDTHS, distances, groups, quantiles
-from hydro_agents.detection.sheet import RIG_FEATURES
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.jobs import Job, run_jobs
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
-from hydro_agents.running.weights import flat, load_checkpoint, restore_optimiser, restored, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group
 
-CHECKPOINT_FILE = "head_checkpoint.safetensors"
-KIND = "leakage head checkpoint"
 NEVER_VARIED, INVALID = 1e-5, FEATURES.index("invalid features")
 RIDGE = 0.05  # added to the covariance of the standardised features before inversion
 
@@ -77,8 +72,7 @@ def train_head(
     settings: HeadTrainingSettings,
     seed: int = 0,
     progress: Progress | None = None,
-    folder: str | Path | None = None,
-    resume: bool = False,
+    folder: Path | None = None,
 ) -> LeakageHead:
     """Train a head, and set its thresholds and intervals on validation plants.
 
@@ -89,40 +83,37 @@ def train_head(
         settings: settings of the training.
         seed: seed of data and network.
         progress: called with the phase, the amount done, the total amount, and the loss (NaN during simulation).
-        folder: for ``head_checkpoint.safetensors``, the network, and the folder ``jobs``, the windows simulated so
-            far; ``None`` writes nothing.
-        resume: continue from that checkpoint.
+        folder: keeps the simulated windows, and gives those that it has; ``None`` keeps none.
 
     Raises:
-        ConfigurationError: the settings do not suit the task, or the checkpoint is missing, damaged or of other
-            settings.
-        KeyboardInterrupt: Ctrl-C; the folder keeps everything except the unfinished chunks or epoch.
+        ConfigurationError: the settings do not suit the task, or a run failed.
     """
     settings.check(config)
     torch.set_num_threads(1)  # more threads cost more than this small network gains
-    torch.manual_seed(seed)
     began = time.monotonic()
-    job = _Job(config, controllers, settings, seed, folder, progress or (lambda *_: None))
-    if resume:
-        job.restore()
-    job.save()
-    job.simulate()
-    try:
-        job.fit()
-    except KeyboardInterrupt:
-        job.save()
-        raise
+    tell: Progress = progress or (lambda *_: None)
+    windows: dict[str, LabelledWindows] = {}
+    for phase, jobs in simulations(config, controllers, settings, seed).items():
+
+        def report(_: str, done: int, total: int, phase: str = phase) -> None:
+            tell(phase, done, total, math.nan)
+
+        found, _ = run_jobs(jobs, folder, None, report)
+        for result in found.values():
+            if result.error:
+                raise ConfigurationError(result.error)
+        windows[phase] = LabelledWindows.joined([LabelledWindows(**found[key].metrics) for key in jobs])
+    tensors = fitted(windows["data"], settings, seed, tell)
     record = {"seed": seed, "settings": settings.model_dump(mode="json")}
-    head = calibrated(job.tensors(), config, settings.longest_window(config), job.windows["validation"], record)
-    if not resume:  # the time of the runs before is unknown
-        head.settings.training["seconds"] = round(time.monotonic() - began, 1)
+    head = calibrated(tensors, config, settings.longest_window(config), windows["validation"], record)
+    head.settings.training["seconds"] = round(time.monotonic() - began, 1)
     return head
 
 
 def simulations(
-    config: TaskConfig, controllers: Sequence[Controller | None], settings: HeadTrainingSettings, seed: int
+    config: TaskConfig, controllers: Sequence[Controller], settings: HeadTrainingSettings, seed: int
 ) -> dict[str, dict[str, Job]]:
-    """The simulations of a training's data and of its validation; ``None`` is a controller that is not known yet."""
+    """The simulations of a training's data and of its validation."""
     plans = {phase: TrainingPlan(config, controllers, settings, split) for phase, split in SPLITS.items()}
     return {
         "data": plans["data"].jobs(settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start),
@@ -145,111 +136,47 @@ def loss_of(output: Tensor, labels: Tensor, size: Tensor, size_weight: float) ->
     return wrong_label.sum(dim=1).mean() + size_weight * pinball.sum(dim=0).mean()
 
 
-def _described(controller: Controller) -> Any:
-    gains = getattr(controller, "gains", None)
-    return [type(controller).__name__, gains.model_dump(mode="json") if isinstance(gains, Group) else None]
+def fitted(
+    data: LabelledWindows, settings: HeadTrainingSettings, seed: int, progress: Progress
+) -> dict[str, NDArray[Any]]:
+    """The tensors of a head whose network has learned from the windows, without thresholds and intervals."""
+    features = data.features
+    torch.manual_seed(seed)
+    network = make_network(settings.width, features.shape[1], settings.dropout)
+    rate, decay = settings.learning_rate, settings.weight_decay
+    optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
+    tensors = tensors_like(settings.width, features.shape[1]) | statistics_of(features)
+    inputs = torch.from_numpy(standardised(features, tensors["mean"], tensors["scale"]))
+    disturbed = (data.disturbance >= 1.0).astype(np.float32)
+    labels = torch.from_numpy(np.column_stack([data.labels, disturbed]))
+    size = torch.from_numpy(size_target(data.size))
+    total = len(inputs)
+    per_epoch = math.ceil(total / settings.batch)
+    for epoch in range(settings.epochs):
+        order = np.random.default_rng([seed, epoch]).permutation(total)
+        losses = []
+        for number, first in enumerate(range(0, total, settings.batch)):
+            share = (epoch * per_epoch + number) / (settings.epochs * per_epoch)
+            optimiser.param_groups[0]["lr"] = settings.learning_rate_at(share)
+            rows = order[first : first + settings.batch]
+            loss = loss_of(network(inputs[rows]), labels[rows], size[rows], settings.size_weight)
+            optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            optimiser.step()
+            losses.append(float(loss.detach()))
+        progress("training", epoch + 1, settings.epochs, float(np.mean(losses)))
+    return tensors | network_tensors(network)
 
 
-class _Job:
-    """A training: simulated windows, network and optimiser, with a checkpoint of all of them."""
-
-    def __init__(
-        self,
-        config: TaskConfig,
-        controllers: Sequence[Controller],
-        settings: HeadTrainingSettings,
-        seed: int,
-        folder: str | Path | None,
-        progress: Progress,
-    ) -> None:
-        self.settings, self.seed, self.progress = settings, seed, progress
-        self.folder = self.checkpoint = None
-        if folder is not None:
-            self.folder = Path(folder)
-            self.checkpoint = self.folder / CHECKPOINT_FILE
-        self.jobs = simulations(config, controllers, settings, seed)
-        inputs = len(FEATURES)
-        if settings.law is not None:
-            inputs += len(RIG_FEATURES)
-        self.network = make_network(settings.width, inputs, settings.dropout)
-        rate, decay = settings.learning_rate, settings.weight_decay
-        self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)
-        self.epoch = 0
-        self.windows: dict[str, LabelledWindows] = {}
-        self.made_with = {
-            "seed": seed,
-            "settings": settings.model_dump(mode="json"),
-            "task": config.model_dump(mode="json"),
-            "controllers": [_described(controller) for controller in controllers],
-        }
-
-    def restore(self) -> None:
-        if self.checkpoint is None:
-            raise ConfigurationError("resume: a folder with a checkpoint is needed")
-        tensors, stored = load_checkpoint(self.checkpoint, KIND)
-        for what, own in self.made_with.items():
-            if stored.get(what) != own:
-                raise ConfigurationError(f"{self.checkpoint}: was made with other {what}; cannot resume")
-        self.network.load_state_dict(restored(self.network.state_dict(), tensors, "network"))
-        restore_optimiser(self._optimiser, tensors, "optimiser")
-        self.epoch = stored["epoch"]
-
-    def save(self) -> None:
-        if self.checkpoint is not None:
-            optimiser = flat(self._optimiser.state_dict()["state"], "optimiser")
-            tensors = optimiser | flat(self.network.state_dict(), "network")
-            save_checkpoint(self.checkpoint, KIND, tensors, {"epoch": self.epoch} | self.made_with)
-
-    def simulate(self) -> None:
-        for phase, jobs in self.jobs.items():
-
-            def report(_: str, done: int, total: int, phase: str = phase) -> None:
-                self.progress(phase, done, total, math.nan)
-
-            found, _ = run_jobs(jobs, self.folder, None, report)
-            for result in found.values():
-                if result.error:
-                    raise ConfigurationError(result.error)
-            self.windows[phase] = LabelledWindows.joined([LabelledWindows(**found[key].metrics) for key in jobs])
-
-    def tensors(self) -> dict[str, NDArray[Any]]:
-        """The tensors of the head, with the statistics of the features of the training windows."""
-        features = self.windows["data"].features
-        tensors = tensors_like(self.settings.width, features.shape[1]) | network_tensors(self.network)
-        tensors["mean"] = features.mean(axis=0)
-        deviation = features.std(axis=0)
-        # What never varied cannot be judged: a rig's file may know a range where the law draws none.
-        judged = (deviation > NEVER_VARIED) | (np.arange(len(deviation)) == INVALID)
-        tensors["scale"] = np.where(judged, 1.0 / (deviation + 1e-3), 0.0).astype(np.float32)
-        inputs = standardised(features, tensors["mean"], tensors["scale"])
-        covariance = np.cov(inputs.T) + RIDGE * np.eye(features.shape[1])
-        tensors["whitener"] = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
-        tensors["widening"][:] = 1.0
-        return tensors
-
-    def fit(self) -> None:
-        data, settings, start = self.windows["data"], self.settings, self.tensors()
-        inputs = torch.from_numpy(standardised(data.features, start["mean"], start["scale"]))
-        disturbed = (data.disturbance >= 1.0).astype(np.float32)
-        labels = torch.from_numpy(np.column_stack([data.labels, disturbed]))
-        size = torch.from_numpy(size_target(data.size))
-        total = len(inputs)
-        per_epoch = math.ceil(total / settings.batch)
-        while self.epoch < settings.epochs:
-            order = np.random.default_rng([self.seed, self.epoch]).permutation(total)
-            losses = []
-            for number, first in enumerate(range(0, total, settings.batch)):
-                share = (self.epoch * per_epoch + number) / (settings.epochs * per_epoch)
-                self._optimiser.param_groups[0]["lr"] = settings.learning_rate_at(share)
-                rows = order[first : first + settings.batch]
-                loss = loss_of(self.network(inputs[rows]), labels[rows], size[rows], settings.size_weight)
-                self._optimiser.zero_grad(set_to_none=True)
-                loss.backward()
-                self._optimiser.step()
-                losses.append(float(loss.detach()))
-            self.epoch += 1
-            self.save()
-            self.progress("training", self.epoch, settings.epochs, float(np.mean(losses)))
+def statistics_of(features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+    """The tensors that standardise and whiten the features of the training windows, (N, F)."""
+    mean, deviation = features.mean(axis=0), features.std(axis=0)
+    # What never varied cannot be judged: a rig's file may know a range where the law draws none.
+    judged = (deviation > NEVER_VARIED) | (np.arange(len(deviation)) == INVALID)
+    scale = np.where(judged, 1.0 / (deviation + 1e-3), 0.0).astype(np.float32)
+    covariance = np.cov(standardised(features, mean, scale).T) + RIDGE * np.eye(features.shape[1])
+    whitener = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
+    return {"mean": mean, "scale": scale, "whitener": whitener}
 
 
 def size_target(size: NDArray[np.float64]) -> NDArray[np.float32]:

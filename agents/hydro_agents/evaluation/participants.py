@@ -27,11 +27,8 @@ NAMES = {"flow_linearising": "Flow linearisation", "ppo": "PPO on flow linearisa
 
 
 def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:
-    """Controllers with gains or weights for the rig of a task, by name; the first one, the PID, is the baseline.
-
-    The MPC takes part where it is named: docs/results.md compares it with flow linearisation.
-    """
-    kinds = [kind for kind in CONTROLLERS if kind != "mpc" and origin_of_gains(kind, task) != GainsOrigin.NOWHERE]
+    """Controllers with gains or weights for the rig of a task, by name; the first one, the PID, is the baseline."""
+    kinds = [kind for kind in CONTROLLERS if origin_of_gains(kind, task) != GainsOrigin.NOWHERE]
     named: dict[str, Controller | str] = {_name(kind): kind for kind in (*kinds, *SHIPPED_WEIGHTS)}
     if task.plant != PlantParameters():
         gone = ", ".join(_name(kind) for kind in CONTROLLERS if origin_of_gains(kind, task) == GainsOrigin.NOWHERE)

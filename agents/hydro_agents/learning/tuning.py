@@ -6,13 +6,11 @@ Source: Hansen & Ostermeier, *Completely derandomized self-adaptation in evoluti
 
 from __future__ import annotations
 
-import hashlib
-import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
@@ -28,8 +26,9 @@ from hydro_agents.learning.trials import (
     summed_up,
     tuning_cases,
 )
+from hydro_agents.running.jobs import Columns, Job, run_here
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
-from hydro_env.files import Group, read_text, validate, write_text
+from hydro_env.files import Group, validate
 from hydro_env.mistakes import unknown
 from hydro_env.task.configuration import task_config
 from hydro_env.types import Floats
@@ -105,8 +104,7 @@ def tune(
     kind: str,
     config: TaskConfig | Sequence[TaskConfig],
     search: Search = USUAL,
-    log: Path | None = None,
-    resume: bool = False,
+    folder: Path | None = None,
     progress: Callable[[Tuned], None] | None = None,
 ) -> Tuned:
     """Tune the gains of a kind of :data:`~hydro_agents.controllers.registry.CONTROLLERS`.
@@ -115,59 +113,39 @@ def tune(
         kind: the controller.
         config: the task; of several tasks the geometric mean of the costs counts.
         search: how the search goes.
-        log: CSV file with the costs of every generation. It is also the checkpoint.
-        resume: continue from ``log``; the result is bit-equal to that of an uninterrupted run.
+        folder: keeps the costs of every generation, and gives those that it has: an interrupted search goes on
+            bit-equal.
         progress: called after every generation with the best candidate so far.
 
     Raises:
-        ConfigurationError: the kind is unknown, or the log is damaged or was written with other settings.
+        ConfigurationError: the kind is unknown, or no candidate can control the axis.
     """
     if kind not in CONTROLLERS:
         raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}")
     group = CONTROLLERS[kind][1]
     start = search.start or group()
     tasks = [config] if isinstance(config, TaskConfig) else list(config)
-    settings = _settings(kind, search, start, tasks)
-    rows = _read(log, settings) if log is not None and resume else []
     space = Space(group, tasks[0].plant)
     optimiser = _optimiser(space, start, search)
     best: Tuned | None = None
     for generation in range(-(-search.evaluations // search.population)):
         points = [optimiser.ask() for _ in range(search.population)]
         gains = [_gains(start, space.values(point), search.separable) for point in points]
-        new = generation >= len(rows)
-        if new:
-            rows.append(costs_of_sets(kind, gains, tasks, search.cases, search.seed))
-        costs = [getattr(cost, search.objective) for cost in rows[generation]]
+        found = run_here(Job(costs_in_columns, kind, (gains, tasks, search.cases, search.seed), kind), folder)
+        costs = found[search.objective].tolist()
         optimiser.tell(list(zip(points, costs, strict=True)))
         evaluations = (generation + 1) * search.population
         leader = int(np.argmin(costs))
         leading = gains[leader]
         if leading is not None and (best is None or costs[leader] < getattr(best.cost, search.objective)):
-            best = Tuned(leading, rows[generation][leader], evaluations)
+            best = Tuned(leading, Cost(float(found["mean"][leader]), float(found["equal"][leader])), evaluations)
         if best is not None:
             best = best._replace(evaluations=evaluations)
-        if new and log is not None:
-            _write(log, settings, rows)
-        if new and best is not None and progress is not None:
-            progress(best)
+            if progress is not None:
+                progress(best)
     if best is None:
         raise ConfigurationError(f"{kind}: none of {search.evaluations} candidates could control the axis")
     return best
-
-
-def _settings(kind: str, search: Search, start: Group, tasks: Sequence[TaskConfig]) -> dict[str, Any]:
-    """What a log must have in common with the search that continues it."""
-    described = json.dumps([task.model_dump(mode="json") for task in tasks])
-    return {
-        "kind": kind,
-        "objective": search.objective,
-        "seed": search.seed,
-        "cases": search.cases,
-        "population": search.population,
-        "start": start.model_dump(mode="json"),
-        "task": hashlib.sha256(described.encode()).hexdigest(),
-    }
 
 
 def _optimiser(space: Space, start: Group, search: Search) -> CMA | SepCMA:
@@ -220,6 +198,14 @@ def costs_of_sets(
     return [Cost(*pair) for pair in np.exp(np.log(found).mean(axis=0)).tolist()]
 
 
+def costs_in_columns(
+    kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
+) -> Columns:
+    """The costs of :func:`costs_of_sets`, by their names, each (candidates,)."""
+    rows = np.array(costs_of_sets(kind, gains, tasks, cases, seed))
+    return dict(zip(Cost._fields, rows.T, strict=True))
+
+
 def cost_candidates(
     kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
 ) -> list[Floats]:
@@ -238,34 +224,3 @@ def _controller(kind: str, gains: Group | None, config: TaskConfig) -> Controlle
     with warnings.catch_warnings(action="ignore"), suppress(Exception):
         return CONTROLLERS[kind][0](gains, config) if gains is not None else None
     return None
-
-
-# The log ------------------------------------------------------------------------------------------------------------
-
-
-def _write(log: Path, settings: Mapping[str, Any], rows: Sequence[Sequence[Cost]]) -> None:
-    lines = [f"# {json.dumps(settings)}", "generation,candidate,mean,equal"]
-    for generation, costed in enumerate(rows):
-        lines += [f"{generation},{number},{cost.mean!r},{cost.equal!r}" for number, cost in enumerate(costed)]
-    write_text(log, "\n".join([*lines, ""]))
-
-
-def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Cost]]:
-    """The generations of a log.
-
-    Raises:
-        ConfigurationError: the log is damaged or belongs to other settings.
-    """
-    text = read_text(log)
-    try:
-        first, *lines = text.splitlines()
-        written = dict(json.loads(first.removeprefix("# ")))
-        rows = np.loadtxt(lines[1:], delimiter=",", ndmin=2).reshape(-1, settings["population"], 4)
-        if not np.array_equal(rows[..., :2], np.moveaxis(np.indices(rows.shape[:2]), 0, -1)):
-            raise ValueError("a row is out of order")
-    except (ValueError, TypeError) as error:
-        raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
-    for name, value in json.loads(json.dumps(settings)).items():
-        if written.get(name) != value:
-            raise ConfigurationError(f"{log}: was written with another {name}; --overwrite begins anew")
-    return [[Cost(*pair) for pair in generation] for generation in rows[..., 2:].tolist()]

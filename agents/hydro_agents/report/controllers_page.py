@@ -87,7 +87,6 @@ def controllers_page(
     tables: Mapping[str, pd.DataFrame],
     *,
     examples: Sequence[Example] = (),
-    timings: Mapping[str, float] | None = None,
     configuration: str = "",
 ) -> Page:
     """The page.
@@ -96,7 +95,6 @@ def controllers_page(
         title: of the protocol.
         tables: of the run, by the names of their CSV files.
         examples: the same episodes at every leak.
-        timings: s, by phase.
         configuration: YAML text.
     """
     page, names = Page(title), names_of(tables)
@@ -118,7 +116,7 @@ def controllers_page(
     if "training_curve" in tables:
         training(page, tables["training_curve"], names)
     method(page, tables)
-    run_facts(page, tables, timings, configuration)
+    run_facts(page, tables, configuration)
     return page
 
 

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import Table, duration, number, setting
+from hydro_agents.running.text import Table, number, setting
 from hydro_env.files import write_whole
 from hydro_env.types import Floats
 
@@ -215,19 +215,11 @@ def problems(page: Page, tables: Mapping[str, pd.DataFrame], who: str) -> None:
             page.table(table[["condition", "status", "message"]], words=True)
 
 
-def run_facts(
-    page: Page,
-    tables: Mapping[str, pd.DataFrame],
-    timings: Mapping[str, float] | None = None,
-    configuration: str = "",
-) -> None:
-    """The tables ``protocol`` and ``conditions``, durations (s) and settings (YAML text) of the run."""
+def run_facts(page: Page, tables: Mapping[str, pd.DataFrame], configuration: str = "") -> None:
+    """The tables ``protocol`` and ``conditions``, and settings (YAML text) of the run."""
     page.heading("This run")
     if "protocol" in tables:
         page.table(tables["protocol"].set_index("key"), words=True)
-    if timings:
-        times = {phase: duration(seconds) for phase, seconds in timings.items()}
-        page.table(pd.DataFrame({"time": pd.Series(times)}), "Time taken")
     if configuration:
         with page.fold("Configuration"):
             page.code(configuration)

@@ -16,11 +16,10 @@ import sys
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib import import_module
 from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
 from threading import Thread
@@ -29,7 +28,7 @@ from typing import Any
 
 import joblib
 import numpy as np
-from joblib import Parallel, cpu_count, delayed, effective_n_jobs, parallel_config
+from joblib import Parallel, cpu_count, delayed, parallel_config
 from joblib.parallel import get_active_backend
 from numpy.typing import NDArray
 from pydantic_core import to_json
@@ -45,7 +44,7 @@ _RIG = ("estimation", "recordings", "export", "identification", "diagnosis", "wa
 ROOMS = (*_AGENTS, *(f"hydro_rig/{room}" for room in _RIG))
 """Rooms whose code may change the result of a job; each uses only those before it."""
 
-_KILLED = ("TerminatedWorkerError", "BrokenProcessPool", "KilledWorker")  # the errors of loky and of Dask, by name
+_KILLED = ("TerminatedWorkerError", "BrokenProcessPool")  # the errors of loky, by name
 
 Columns = dict[str, NDArray[Any]]  # numbers by name, arrays of any shape
 Report = Callable[[str, int, int], None]
@@ -53,28 +52,9 @@ Report = Callable[[str, int, int], None]
 
 
 @contextmanager
-def workers(jobs: int | None = None, backend: str = "loky") -> Iterator[None]:
-    """Run all jobs of a block on some workers.
-
-    Args:
-        jobs: number of jobs side by side; ``None``: one per core of this machine, or of the cluster.
-        backend: a name that joblib knows: ``loky``, processes of this machine; ``dask``, the cluster whose scheduler
-            the variable ``DASK_SCHEDULER_ADDRESS`` names, or else one that begins here and ends with the block.
-
-    Raises:
-        ConfigurationError: joblib does not know the backend, it is not installed, or its cluster does not answer.
-    """
-    options: dict[str, Any] = {"n_jobs": jobs or cpu_count()}
-    with ExitStack() as stack:
-        try:
-            if backend == "loky":
-                options |= {"initializer": _begin, "initargs": (os.getpid(),)}
-            if backend == "dask":
-                client = import_module("distributed").Client
-                options = {"n_jobs": jobs or -1, "client": stack.enter_context(client())}
-            stack.enter_context(parallel_config(backend, **options))
-        except (ImportError, OSError, ValueError) as error:
-            raise ConfigurationError(f"--backend {backend}: {error}") from None
+def workers(jobs: int | None = None) -> Iterator[None]:
+    """Run all jobs of a block in some processes of this machine; ``None``: one per core."""
+    with parallel_config("loky", n_jobs=jobs or cpu_count(), initializer=_begin, initargs=(os.getpid(),)):
         yield
 
 
@@ -242,7 +222,7 @@ def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[
         yield _run_alone(key, waiting[key])
     if not left:
         return
-    # Dask has as many jobs under way as the cluster has cores; what is sent to it can be fewer.
+    # A cluster has as many jobs under way as it has cores; what is sent to it can be fewer.
     limit = jobs or get_active_backend()[1]
     sent = {"pre_dispatch": limit} if limit and limit > 0 else {}
     pool: Any = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered", **sent)
@@ -257,24 +237,6 @@ def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[
             "a worker process was killed (for its memory?); the finished results are kept: "
             "go on with --resume and a smaller --jobs"
         ) from None
-
-
-@contextmanager
-def beside(listed: Iterable[Job], folder: Path) -> Iterator[None]:
-    """Run jobs on the other cores while the block runs here; their results wait in the folder for :func:`run_jobs`.
-
-    The end of the block ends the rest. Without another core, or on a cluster, nothing runs beside.
-    """
-    backend, count = get_active_backend()
-    others = min(effective_n_jobs(count), cpu_count()) - 1
-    files = {folder / JOBS_FOLDER / job.file: job for job in listed if job.digest}
-    calls = [delayed(_kept)(file, job, job.code) for file, job in files.items() if not file.exists()]
-    if not calls or others < 1 or type(backend).__name__ != "LokyBackend":
-        yield
-        return
-    pool: Any = Parallel(n_jobs=others + 1, batch_size=1, pre_dispatch=others, return_as="generator_unordered")
-    with _closed_at_end(pool(calls)):
-        yield
 
 
 @contextmanager
@@ -308,8 +270,20 @@ def _in_worker(key: str, job: Job, code: str) -> tuple[str, JobResult]:
     return _run_alone(key, job)
 
 
-def _kept(file: Path, job: Job, code: str) -> None:
-    save_result(file, _in_worker(file.name, job, code)[1])
+def run_here(job: Job, folder: Path | None) -> Columns:
+    """The numbers of one job that may have jobs of its own; read from a folder if they stand there, else kept there.
+
+    Raises:
+        ConfigurationError: that of the job, or a file cannot be written.
+    """
+    if folder is None:
+        return job.work(job.participant, *job.arguments)
+    file = folder / JOBS_FOLDER / job.file
+    stored = load_result(file)
+    if stored is None:
+        stored = JobResult(job.work(job.participant, *job.arguments))
+        save_result(file, stored)
+    return stored.metrics
 
 
 def save_result(path: Path, result: JobResult) -> None:

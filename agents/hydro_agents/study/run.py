@@ -1,42 +1,38 @@
 """Runs a study: tune and train its controllers and the leakage head, then compare all controllers.
 
-Each phase writes its result into the output folder; an interrupted study can therefore resume. A study with several
-training seeds trains each learned controller once per seed, as ``NAME#0``, ``NAME#1``, …: the seeds share its rows in
-the tables, whose intervals include them.
+The output folder gets the result of each phase, and meanwhile its finished jobs; an interrupted study can therefore
+resume. A study with several training seeds trains each learned controller once per seed, as ``NAME#0``, ``NAME#1``, …:
+the seeds share its rows in the tables, whose intervals include them.
 """
 
 from __future__ import annotations
 
 import json
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
 
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import GAINS_FILE, make_controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.conditions import at
 from hydro_agents.evaluation.participants import participants
-from hydro_agents.evaluation.runner import Results, plan, run
+from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.learning.loading import load_controller
 from hydro_agents.running.cases import Cases, run_cases, validation_errors
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
-from hydro_agents.running.jobs import Job, beside
+from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.seeds import SEED_MARK, TRIAL_RUN
 from hydro_agents.study.settings import StudySettings
 from hydro_agents.study.training import (
-    HEAD_FILES,
     HEAD_WEIGHTS,
     TRAINING_FILES,
-    TUNING_FILES,
     WEIGHTS,
     read_curve,
     train_controller,
@@ -44,54 +40,14 @@ from hydro_agents.study.training import (
     tune_controller,
 )
 from hydro_env import ConfigurationError
-from hydro_env.files import Group, read_json, read_yaml, validate, write_whole, write_yaml
+from hydro_env.files import read_yaml, write_yaml
 
 CONFIG_FILE = "study.yaml"
-HEAD_PHASE = "train leakage head"
 TUNED_FILE = "tuned_study.yaml"
 """The study with the tuned gains, for `hydro evaluate --config` and `hydro train --config`."""
 
 TRAINED_BY = ("seed", "task", "controllers", "leakage_head")
 """Settings on which trained weights depend; the others may change when a study resumes."""
-
-STATE_FILE = "state.json"
-Result = TypeVar("Result")
-
-
-class State(Group):
-    """What ``state.json`` holds: the finished phases of a study, and how long each took."""
-
-    format: Literal["hydro_env study, state 1"] = "hydro_env study, state 1"
-    done: tuple[str, ...] = ()
-    seconds: dict[str, float] = Field(default_factory=dict)
-
-
-class Phases:
-    """Finished phases of a study and their durations.
-
-    Args:
-        folder: folder of the study; the state of an earlier session is read from it.
-
-    Raises:
-        ConfigurationError: the state is damaged.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.file = folder / STATE_FILE
-        values = read_json(self.file) if self.file.exists() else {}
-        self.state = validate(State, values, str(self.file))
-
-    def run(self, name: str, work: Callable[[], Result]) -> Result:
-        """Run a phase, and add its duration to the time of earlier sessions."""
-        began, done = time.monotonic(), self.state.done
-        try:
-            result = work()
-            done = (*(phase for phase in done if phase != name), name)
-            return result
-        finally:
-            spent = round(self.state.seconds.get(name, 0.0) + time.monotonic() - began, 1)
-            self.state = State(done=done, seconds=self.state.seconds | {name: spent})
-            write_whole(self.file, self.state.model_dump_json(indent=1).encode())
 
 
 def labels_of(study: StudySettings, name: str, seeds: range) -> dict[str, int]:
@@ -105,12 +61,12 @@ def claimed(
     study: StudySettings, folder: Path, seeds: range, files: Sequence[str], resume: bool, overwrite: bool
 ) -> AbstractContextManager[Path]:
     """The folder of a study, for its files and ``files``; see :func:`~hydro_agents.running.folders.output_folder`."""
-    writes = [CONFIG_FILE, TUNED_FILE, STATE_FILE, *HEAD_FILES, *files]
+    writes = [CONFIG_FILE, TUNED_FILE, f"{HEAD_WEIGHTS}.*", RESULT_FILES, *files]
     for name in study.trained:
         for label in labels_of(study, name, seeds):
             writes += [f"controllers/{label}/{file}" for file in TRAINING_FILES]
     for name in study.tuned:
-        writes += [f"controllers/{name}/{file}" for file in TUNING_FILES]
+        writes.append(f"controllers/{name}/{GAINS_FILE}")
     return output_folder(folder, "study", writes, resume=resume, overwrite=overwrite)
 
 
@@ -120,7 +76,7 @@ def run_study(
     seeds: range,
     display: ProgressDisplay,
     facts: Sequence[tuple[str, str]] = (),
-) -> tuple[Results, dict[str, float]]:
+) -> Results:
     """Run all phases that are not finished in the folder (:func:`claimed`).
 
     Args:
@@ -131,8 +87,8 @@ def run_study(
         facts: more rows of the table ``protocol``: key and value.
 
     Returns:
-        The results, with the further table ``training_curve`` (:data:`~hydro_agents.study.training.CURVE`, the error of
-        the first controller on the same plants), and the seconds of each phase.
+        The results, with the further table ``training_curve`` (:data:`~hydro_agents.study.training.CURVE`, and the
+        error of the first controller on the same plants).
 
     Raises:
         ConfigurationError: settings contradict each other, or the folder holds results of other settings.
@@ -140,44 +96,32 @@ def run_study(
     """
     _write_settings(study, folder, seeds[0])
     try_out(study)
-    phases = Phases(folder)
     known: dict[str, Controller] = {}
+    tuned = (folder / TUNED_FILE).exists()
     for name, entry in study.controllers.items():
-        if entry.trainer is None:
-            known[name] = _tuned(study, name, folder, seeds[0], phases, display)
-    with beside(_early_jobs(study, known, seeds[0], phases), folder):
-        for name in study.trained:
-            for label, seed in labels_of(study, name, seeds).items():
-                known[label] = _trained(study, label, folder, seed, known, phases, display)
-    controllers = {label: known[label] for name in study.controllers for label in labels_of(study, name, seeds)}
+        gains = folder / "controllers" / name / GAINS_FILE
+        if name in study.tuned and tuned:
+            known[name] = make_controller(entry.kind, study.task, read_yaml(gains))
+        elif name in study.tuned:
+            known[name] = tune_controller(study, name, gains, folder, seeds[0], display)
+        elif entry.trainer is None:
+            known[name] = study.make(name)
     if study.tuned:
-        write_yaml(folder / TUNED_FILE, _with_gains(study, controllers))
+        write_yaml(folder / TUNED_FILE, _with_gains(study, known))
+    for name in study.trained:
+        for label, seed in labels_of(study, name, seeds).items():
+            known[label] = _trained(study, label, folder, seed, known, display)
+    controllers = {label: known[label] for name in study.controllers for label in labels_of(study, name, seeds)}
     acting = [controllers[next(iter(labels_of(study, name, seeds)))] for name in study.controllers]
-    head = _head(study, folder, seeds[0], acting, phases, display)
+    head = _head(study, folder, seeds[0], acting, display)
     protocol = study.evaluation.protocol(study.task, study.title)
     chosen = replace(participants(controllers, protocol), head=head, corrects=study.corrects)
-    results = phases.run("evaluate", lambda: run(protocol, chosen, folder, None, display.update, facts))
+    results = run(protocol, chosen, folder, None, display.update, facts)
     curve = pd.concat([read_curve(folder / "controllers" / label).assign(controller=label) for label in controllers])
     if len(curve):
         curve["first_mean_error_mm"] = validation_errors(study.task, next(iter(controllers.values())))[0]
     results.further["training_curve"] = curve.reset_index(drop=True)
-    return results, phases.state.seconds
-
-
-def _early_jobs(study: StudySettings, known: Mapping[str, Controller], seed: int, phases: Phases) -> Iterator[Job]:
-    """What can be done while the policies train: evaluating the others, and most runs of the head's training."""
-    if not known or not study.trained or "evaluate" in phases.state.done:
-        return
-    protocol = study.evaluation.protocol(study.task, study.title)
-    for each in plan(protocol, participants(known, protocol)):
-        for _, job in each.jobs:
-            yield job
-    if study.leakage_head is not None:
-        acting = [known.get(name) for name in study.controllers]
-        from hydro_agents.detection.head_training import simulations  # loads torch
-
-        for jobs in simulations(study.task, acting, study.leakage_head, seed).values():
-            yield from jobs.values()
+    return results
 
 
 def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:
@@ -216,52 +160,33 @@ def try_out(study: StudySettings) -> None:
                 run_cases(study.task, study.make(name), cases, states=False)
 
 
-def _tuned(
-    study: StudySettings, name: str, folder: Path, seed: int, phases: Phases, display: ProgressDisplay
-) -> Controller:
-    """A controller that needs no training, tuned first if the study requires it."""
-    if name not in study.tuned:
-        return study.make(name)
-    file = folder / "controllers" / name / GAINS_FILE
-    if f"tune {name}" in phases.state.done:
-        display.say(f"{name}: already tuned")
-        return make_controller(study.controllers[name].kind, study.task, read_yaml(file))
-    return phases.run(f"tune {name}", lambda: tune_controller(study, name, file, seed, display))
-
-
 def _trained(
     study: StudySettings,
     label: str,
     folder: Path,
     seed: int,
     known: Mapping[str, Controller],
-    phases: Phases,
     display: ProgressDisplay,
 ) -> Controller:
     """A controller after its training with one seed; it corrects that of the same seed, if that one is trained too."""
     name, own = label.partition(SEED_MARK)[0], folder / "controllers" / label
     entry = study.controllers[name]
     assert entry.trainer is not None
-    if f"train {label}" in phases.state.done:
+    if any(own.glob(f"{WEIGHTS}.*")):
         display.say(f"{label}: already trained")
         return load_controller(entry.trainer.load(own / WEIGHTS), study.task, label)
     base = None
     if entry.corrects is not None:
         base = known.get(f"{entry.corrects}{SEED_MARK}{seed}") or known[entry.corrects]
-    return phases.run(f"train {label}", lambda: train_controller(study, label, own, seed, base, display))
+    return train_controller(study, label, own, seed, base, display)
 
 
 def _head(
-    study: StudySettings,
-    folder: Path,
-    seed: int,
-    acting: Sequence[Controller],
-    phases: Phases,
-    display: ProgressDisplay,
+    study: StudySettings, folder: Path, seed: int, acting: Sequence[Controller], display: ProgressDisplay
 ) -> LeakageHead | None:
     if study.leakage_head is None:
         return None
-    if HEAD_PHASE in phases.state.done:
+    if any(folder.glob(f"{HEAD_WEIGHTS}.*")):
         display.say("leakage head: already trained")
         return LeakageHead.load(folder / HEAD_WEIGHTS)
-    return phases.run(HEAD_PHASE, lambda: train_leakage_head(study, folder, seed, acting, display))
+    return train_leakage_head(study, folder, seed, acting, display)

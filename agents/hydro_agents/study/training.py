@@ -9,14 +9,13 @@ from pathlib import Path
 import pandas as pd
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.registry import GAINS_FILE, gains_text, make_controller
+from hydro_agents.controllers.registry import gains_text, make_controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from hydro_agents.learning.stable_gain import stable_start
 from hydro_agents.learning.tuning import Search, Tuned, tune
 from hydro_agents.running.console import ProgressDisplay
-from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.limit_cycles import comes_to_rest, counted_at_rest, rest_text
 from hydro_agents.running.seeds import SEED_MARK, STANDSTILLS
 from hydro_agents.study.settings import StudySettings
@@ -25,14 +24,10 @@ from hydro_env.files import write_text
 WEIGHTS = "policy"
 HEAD_WEIGHTS = "leakage_head"
 CHECKPOINTS = "checkpoint*"
-HEAD_CHECKPOINTS = "head_checkpoint*"
 TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")
 """Files that the training of a controller writes; the names of checkpoints begin with ``checkpoint``."""
 
-TUNING_LOG = "tuning.csv"
-TUNING_FILES = (GAINS_FILE, TUNING_LOG)  # files that the tuning of a controller writes
 STANDSTILL_CASES = 16  # at which the tuned gains are searched for limit cycles
-HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS, RESULT_FILES)
 
 
 def train_controller(
@@ -77,23 +72,25 @@ def train_controller(
     return controller
 
 
-def tune_controller(study: StudySettings, name: str, file: Path, seed: int, display: ProgressDisplay) -> Controller:
+def tune_controller(
+    study: StudySettings, name: str, file: Path, folder: Path, seed: int, display: ProgressDisplay
+) -> Controller:
     """Tune one classical controller of a study with progress on the console; continues after an interruption.
 
-    The best gains so far are written after every generation. The costs of every candidate stand in ``tuning.csv``
-    beside the gains; a search continues from an earlier one there. The file of the final gains says in a comment
-    whether an axis under them comes to rest without sensor noise.
+    The best gains so far are written after every generation. The file of the final gains says in a comment whether an
+    axis under them comes to rest without sensor noise.
 
     Args:
         study: the study.
         name: name of a controller with ``tune``.
         file: for the gains.
+        folder: keeps the finished generations.
         seed: seed of the search.
         display: shows the progress.
 
     Raises:
-        ConfigurationError: a log of other settings, or no candidate can control the axis.
-        KeyboardInterrupt: Ctrl-C; the log keeps the finished generations.
+        ConfigurationError: no candidate can control the axis.
+        KeyboardInterrupt: Ctrl-C.
     """
     entry = study.controllers[name]
     budget, given = entry.tune, entry.settings
@@ -101,7 +98,6 @@ def tune_controller(study: StudySettings, name: str, file: Path, seed: int, disp
     start = stable_start(study.task, given)
     if getattr(start, "proportional", None) != getattr(given, "proportional", None):
         display.say(f"{name}: its gains are unstable on this rig; the search starts from the figures of the rig")
-    log = file.with_name(TUNING_LOG)
 
     def report(best: Tuned) -> None:
         note = f"mean {1e3 * best.cost.mean:.4f} mm, equal weights {1e3 * best.cost.equal:.4f} mm"
@@ -110,7 +106,7 @@ def tune_controller(study: StudySettings, name: str, file: Path, seed: int, disp
 
     display.update(f"tune {name}", 0, budget.evaluations)
     search = Search(budget.objective, budget.evaluations, seed, budget.cases, start)
-    tuned = tune(entry.kind, study.task, search, log, resume=log.exists(), progress=report)
+    tuned = tune(entry.kind, study.task, search, folder, report)
     made = make_controller(entry.kind, study.task, tuned.gains.model_dump())
     found = counted_at_rest(made, study.task, STANDSTILLS, STANDSTILL_CASES)
     note = f"{rest_text(found)} (drawn plants and leaks, without sensor noise)"
@@ -145,7 +141,7 @@ def train_leakage_head(
     controllers: Sequence[Controller],
     display: ProgressDisplay,
 ) -> LeakageHead:
-    """Train the leakage head on episodes under each controller, from the checkpoint in the folder on; write it there.
+    """Train the leakage head on episodes under each controller; the folder keeps the runs and gets the head.
 
     Raises:
         ConfigurationError: the settings are impossible, or the rig lacks a sensor that the head reads.
@@ -154,11 +150,10 @@ def train_leakage_head(
 
     settings = study.leakage_head or HeadTrainingSettings()
     settings.check(study.task)
-    resume = any(folder.glob(HEAD_CHECKPOINTS))
 
     def report(phase: str, done: int, total: int, loss: float) -> None:
         display.update(f"leakage head, {phase}", done, total, "" if math.isnan(loss) else f"loss {loss:.4f}")
 
-    head = train_head(study.task, controllers, settings, seed, report, folder=folder, resume=resume)
+    head = train_head(study.task, controllers, settings, seed, report, folder)
     head.save(folder / HEAD_WEIGHTS)
     return head

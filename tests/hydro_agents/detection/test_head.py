@@ -14,8 +14,6 @@ from hydro_agents.detection.dataset import LEAK_COURSES, LabelledWindows, Traini
 from hydro_agents.detection.features import FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import OUTPUTS, OUTSIDE, LeakageEstimate, LeakageHead
 from hydro_agents.detection.head_training import (
-    CHECKPOINT_FILE,
-    KIND,
     calibrated,
     loss_of,
     make_network,
@@ -25,8 +23,8 @@ from hydro_agents.detection.head_training import (
 from hydro_agents.detection.intervals import quantiles
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.detection import area_under_roc
+from hydro_agents.running.jobs import RESULT_FILES
 from hydro_agents.running.seeds import TRAINING_SEEDS
-from hydro_agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)
@@ -79,7 +77,7 @@ def windows_of(jobs):
 
 
 def interrupted(folder, when):
-    """The checkpoint of a training that Ctrl-C stops when ``when(phase, done, total)`` is true."""
+    """A training that Ctrl-C stops when ``when(phase, done, total)`` is true."""
 
     def interrupt(phase, done, total, loss):
         if when(phase, done, total):
@@ -87,7 +85,6 @@ def interrupted(folder, when):
 
     with pytest.raises(KeyboardInterrupt):
         trained(folder, progress=interrupt)
-    return load_checkpoint(folder / CHECKPOINT_FILE, KIND)
 
 
 def test_learns_to_tell_leaks(head):
@@ -162,16 +159,18 @@ def test_windows_of_several_lengths_and_with_gaps_are_read(head):
     assert head.estimate_windows(signals[:0]).probability.shape == (0,)
 
 
-def test_interrupted_training_resumes_to_the_same_head(small_head, tmp_path):
-    tensors, stored = interrupted(tmp_path, lambda phase, done, total: phase == "training" and done == 2)
-    assert stored["epoch"] == 2
-    resumed = trained(tmp_path, resume=True)
+@pytest.mark.parametrize("phase", ["data", "training"])
+def test_a_training_that_is_stopped_keeps_its_runs_and_gives_the_same_head(small_head, tmp_path, phase):
+    interrupted(tmp_path, lambda now, done, total: now == phase and done > total // 2)
+    kept = len([*tmp_path.glob(RESULT_FILES)])
+    assert kept >= 2
+    seen = []
+    resumed = trained(tmp_path, progress=lambda phase, done, *_: seen.append((phase, done)))
+    reused = dict(reversed(seen))  # the first that each phase tells
+    assert reused["data"] + reused["validation"] == kept
     for name, value in small_head.tensors.items():
         np.testing.assert_array_equal(resumed.tensors[name], value)
     assert resumed.settings.threshold == small_head.settings.threshold
-    save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored)
-    with refused("was made with other controllers"):
-        trained(tmp_path, controller=PID(PIDGains(), CONFIG), resume=True)
 
 
 def test_thresholds_and_intervals_hold_what_they_say_on_validation_windows(head):

@@ -77,7 +77,7 @@ def test_a_pid_on_a_rig_that_nobody_tuned_takes_its_gains_from_the_rig(task, mon
     assert shipped("pid", task_config(rig="symmetric_eha")).gains != paper  # its own ship
 
 
-@pytest.mark.parametrize("kind", ["adrc", "lqg", "mpc"])
+@pytest.mark.parametrize("kind", ["adrc", "lqg"])
 def test_gains_of_another_rig_are_refused_with_what_to_do(kind, task):
     with pytest.raises(ConfigurationError, match=rf"^mine: {kind}: no gains for this rig; hydro study --rig FILE"):
         load_controller(kind, task, "mine")

@@ -1,7 +1,6 @@
 """Tuning lowers the cost, repeats and resumes bit-equal; what cannot be made or fails is a bad candidate."""
 
 import numpy as np
-import pandas as pd
 import pytest
 import yaml
 from proportional import Constant
@@ -23,6 +22,7 @@ from hydro_agents.learning.trials import (
 )
 from hydro_agents.learning.tuning import Search, Space, tune
 from hydro_agents.running.cases import run_cases
+from hydro_agents.running.jobs import JOBS_FOLDER
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
@@ -42,13 +42,18 @@ def short_rest(monkeypatch):
 
 @pytest.mark.parametrize("objective", ["equal", "mean"])
 def test_the_search_improves_what_it_is_asked_for(objective, tmp_path):
-    seen, log = [], tmp_path / "log.csv"
+    seen = []
     search = SMALL._replace(evaluations=18, objective=objective)
-    best = tune("pid", SHORT, search, log, progress=seen.append)
+    best = tune("pid", SHORT, search, tmp_path, seen.append)
     assert [one.evaluations for one in seen] == [6, 12, 18]
     assert getattr(seen[-1].cost, objective) < getattr(seen[0].cost, objective)
     assert (seen[-1].gains, seen[-1].cost) == (best.gains, best.cost)
-    assert getattr(best.cost, objective) == pd.read_csv(log, comment="#")[objective].min()
+    assert getattr(best.cost, objective) == min(costed[objective].min() for costed in kept(tmp_path).values())
+
+
+def kept(folder):
+    """The costs of the generations that a folder keeps, by the names of their files."""
+    return {file.name: dict(np.load(file)) for file in (folder / JOBS_FOLDER).iterdir()}
 
 
 def test_of_several_tasks_the_geometric_mean_counts():
@@ -74,35 +79,23 @@ def test_cases_are_training_cases_with_all_leaks_and_families():
     assert set(cases.leakage_flow_lpm) == set(LEAK_LEVELS)  # 42: each with each
 
 
-def test_a_stopped_search_goes_on_bit_equal(tmp_path):
+def test_a_stopped_search_goes_on_bit_equal_and_another_one_begins_anew(tmp_path):
     search = SMALL._replace(evaluations=18)
-    whole = tune("pid", SHORT, search, tmp_path / "whole.csv")
+    whole = tune("pid", SHORT, search, tmp_path / "whole")
 
     def stop(best):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        tune("pid", SHORT, search, tmp_path / "parts.csv", progress=stop)
-    done = []
-    parts = tune("pid", SHORT, search, tmp_path / "parts.csv", True, done.append)
-    assert [one.evaluations for one in done] == [12, 18]
-    assert parts == whole
-    assert (tmp_path / "parts.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
-
-
-def test_a_log_of_other_settings_or_a_damaged_one_is_refused(tmp_path):
-    log = tmp_path / "tuning.csv"
-    tune("pid", SHORT, SMALL, log)
-    for other, what in (({"objective": "mean"}, "objective"), ({"seed": 1}, "seed"), ({"cases": 14}, "cases")):
-        with refused(f"tuning.csv: was written with another {what}"):
-            tune("pid", SHORT, SMALL._replace(**other), log, resume=True)
-    with refused("was written with another task"):
-        tune("pid", TaskConfig(episode_duration=0.4), SMALL, log, resume=True)
-    text = log.read_text()
-    for damaged in (text[:-40], "no log", text.replace("\n0,", "\n1,")):
-        log.write_text(damaged)
-        with refused(r"tuning\.csv: is damaged"):
-            tune("pid", SHORT, SMALL, log, resume=True)
+        tune("pid", SHORT, search, tmp_path / "parts", stop)
+    assert len(kept(tmp_path / "parts")) == 1
+    assert tune("pid", SHORT, search, tmp_path / "parts") == whole
+    np.testing.assert_equal(kept(tmp_path / "parts"), kept(tmp_path / "whole"))
+    longer = TaskConfig(episode_duration=0.4)
+    for task, other in ((SHORT, SMALL._replace(seed=1)), (SHORT, SMALL._replace(cases=14)), (longer, SMALL)):
+        before = len(kept(tmp_path / "whole"))
+        tune("pid", task, other, tmp_path / "whole")
+        assert len(kept(tmp_path / "whole")) == before + 1
 
 
 def test_a_given_start_is_where_the_search_begins_and_keeps_what_is_not_searched():
@@ -193,9 +186,7 @@ def test_the_command_tunes_and_resumes(tmp_path):
     kind, study, folder = "pid", tmp_path / "study.yaml", tmp_path / "out"
     study.write_text(yaml.safe_dump({"task": {"episode_duration": 0.3}, "controllers": {"PID": {"kind": "pid"}}}))
     train(kind, folder, study, steps=14)
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert not (folder / JOBS_FOLDER).exists()
     make_controller(kind, TaskConfig(), read_yaml(folder / f"{kind}.yaml"))
-    train(kind, folder, study, steps=14, resume=True)  # nothing is left to do
-    with refused("was written with another seed"):
-        train(kind, folder, study, steps=14, resume=True, seed=5)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    with refused("nothing to resume"):
+        train(kind, folder, study, steps=14, resume=True)

@@ -57,7 +57,6 @@ def test_the_page_shows_every_part(tables):
     text = shown(
         {**tables, "training_curve": curve},
         examples=[example],
-        timings={"train PPO": 3725.0},
         configuration="task:\n  control_period: 0.005 # <&>\n",
     )
     for part in ("Single runs", "Detecting the leak", "Training", "1 h 2 min", "control_period: 0.005 # <&>", ODD_NAME):

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
-from joblib import effective_n_jobs
+from joblib import effective_n_jobs, parallel_config
 from refusal import refused
 
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.evaluation.tracking import tracked
 from hydro_agents.learning.trials import costs_of
 from hydro_agents.running import jobs
-from hydro_agents.running.jobs import JOBS_FOLDER, Job, answers_of, run_jobs, workers
+from hydro_agents.running.jobs import JOBS_FOLDER, Job, answers_of, run_here, run_jobs, workers
 from hydro_env import TaskConfig
 
 
@@ -39,12 +39,10 @@ def expected():
     return run_jobs(roots(), None, None, None)[0]
 
 
-@pytest.mark.parametrize("backend", ["loky", pytest.param("dask", marks=pytest.mark.slow)])
-def test_every_backend_gives_the_same_bits_and_a_job_starts_no_others(backend, expected, monkeypatch):
-    pytest.importorskip("distributed" if backend == "dask" else "joblib")
+def test_workers_give_the_same_bits_and_a_job_starts_no_others(expected, monkeypatch):
     here = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     monkeypatch.setenv("PYTHONPATH", here)
-    with workers(2, backend), warnings.catch_warnings():
+    with workers(2), warnings.catch_warnings():
         warnings.simplefilter("error")
         assert effective_n_jobs(None) == 2
         found, _ = run_jobs(roots(), None, None, None)
@@ -56,15 +54,24 @@ def test_every_backend_gives_the_same_bits_and_a_job_starts_no_others(backend, e
     assert {result.metrics["jobs"].item() for result in found.values()} == {1}
 
 
-def test_a_running_cluster_is_used_and_stays(expected):
-    dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
+def test_the_cluster_of_a_block_runs_the_jobs_and_stays(expected):
+    distributed = pytest.importorskip("distributed")
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
-        with dask.config.set({"scheduler-address": cluster.scheduler_address}), workers(None, "dask"):
+        with parallel_config("dask", client=client):
             assert effective_n_jobs(None) == 2
             found, _ = run_jobs(roots(), None, None, None)
         assert client.submit(abs, -2).result() == 2
     assert bits(found) == bits(expected)
+
+
+def test_a_job_that_is_run_here_is_kept_in_a_folder_and_read_from_there(tmp_path):
+    job = roots()["4"]
+    first = run_here(job, tmp_path)
+    (file,) = (tmp_path / JOBS_FOLDER).iterdir()
+    before = file.stat().st_mtime_ns
+    assert first["root"].tolist() == run_here(job, tmp_path)["root"].tolist() == run_here(job, None)["root"].tolist()
+    assert file.stat().st_mtime_ns == before
 
 
 def test_after_a_killed_worker_finished_results_are_not_computed_again(tmp_path, expected):
@@ -107,6 +114,5 @@ def test_a_job_of_the_rig_package_follows_its_rooms(monkeypatch):
     assert Job(tracked, estimator).code[-1] == "hydro_rig/estimation"
 
 
-def test_a_backend_that_cannot_begin_is_told_in_one_line():
-    assert_one_clear_line(hydro("evaluate", "--backend", "slurm"), "--backend slurm: ", "loky")
+def test_a_number_of_jobs_that_cannot_be_is_told_in_one_line():
     assert_one_clear_line(hydro("evaluate", "--jobs", "0"), "--jobs")

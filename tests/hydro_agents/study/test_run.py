@@ -1,6 +1,5 @@
 """A whole study with an algorithm of one's own: what it leaves, how it resumes, and what stops it early."""
 
-import json
 import re
 import sys
 from pathlib import Path
@@ -132,11 +131,9 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
     assert [(call["seed"], call["resume"]) for call in algorithm.calls] == [(5, False)]
     assert type(algorithm.calls[0]["base"]).__name__ == "PID"
     assert result.controllers == ["PID", "mine"]
-    for name in ("study.yaml", "state.json", "report.html", "controllers/mine/policy.json"):
+    for name in ("study.yaml", "report.html", "controllers/mine/policy.json"):
         assert (folder / name).is_file()
     assert_published("study", folder / "tables")
-    state = json.loads((folder / "state.json").read_text())
-    assert state["done"] == ["train mine", "train leakage head", "evaluate"]
     assert StudySettings.from_yaml(folder / "study.yaml").seed == 5
 
     other = {**CONTROLLERS, "mine": {**CONTROLLERS["mine"], "settings": {"gain": 4.0}}}
@@ -153,9 +150,6 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
     pd.testing.assert_frame_equal(again.table("cases"), result.table("cases"))
     assert "Another" in (folder / "report.html").read_text()
 
-    (folder / "state.json").write_text('{"format": "mine"}')
-    with refused(r"state\.json: format"):
-        run_study(settings, folder, seed=5, resume=True)
     anew = run_study(settings.model_copy(update={"leakage_head": None}), folder, seed=5, overwrite=True)
     assert len(algorithm.calls) == 2
     pd.testing.assert_frame_equal(anew.table("comparison"), result.table("comparison"))
@@ -241,7 +235,7 @@ def test_train_takes_any_trained_controller_of_the_study_and_tunes_what_it_corre
     assert algorithm.calls[0]["base"].gains.model_dump() == gains
     for what, options, message in (
         ("nothing", {}, "train 'nothing': unknown; this study trains: mine, head, pid, "),
-        ("pid", {"resume": True}, "nothing to resume, there is no tuning.csv"),
+        ("pid", {"resume": True}, "nothing to resume"),
         ("head", {"steps": 3}, "--steps: does not apply to hydro train head"),
         ("mine", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train mine"),
         ("mine", {"resume": True}, "nothing to resume"),

@@ -24,7 +24,7 @@ from hydro_rig.export.controller_folder import exported_files
 from hydro_rig.export.measured import MeasuredSignals
 from hydro_rig.export.tracing import TraceError
 
-KINDS = ("pid", "flow_linearising", "adrc", "lqg", "ppo", "mpc")
+KINDS = ("pid", "flow_linearising", "adrc", "lqg", "ppo")
 TASK = TaskConfig(episode_duration=0.6)
 SEED = VALIDATION_SEEDS.start + 710_000
 
