@@ -7,7 +7,7 @@ rig gains are tuned first, and controllers that need a sensor that the rig lacks
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -39,7 +39,6 @@ from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
 from hydro_env.task.configuration import task_config
-from hydro_env.task.rig import merged
 from hydro_env.task.sensors import SENSORS
 
 Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]
@@ -61,11 +60,6 @@ class ControllerEntry(Group):
         default_factory=dict,
         validate_default=True,
         description="settings of the controller or its training; or the path of a YAML file",
-    )
-    after: str | None = Field(
-        None,
-        exclude=True,
-        description="an earlier entry, whose kind, settings and corrected controller apply where this one says nothing",
     )
     corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
     tune: TuningSettings | None = Field(
@@ -117,25 +111,6 @@ def trainer_of(kind: str) -> Trainer | None:
     return trainer(kind) if hasattr(given, "train") and hasattr(given, "load") else None
 
 
-def refuse_later(name: str, key: str, named: str | None, earlier: Collection[str]) -> None:
-    """Refuse an entry that names another one in a field if that one does not stand before it."""
-    if named is not None and named not in earlier:
-        must = f"must be a controller before it ({', '.join(earlier) or 'none'})"
-        raise ValueError(f"controllers.{name}: {key} = '{named}': {must}{did_you_mean(named, earlier)}")
-
-
-def following(entry: dict[str, Any], before: dict[str, Any] | None, training: Any) -> dict[str, Any]:
-    """An entry with what it takes over; the settings are merged group by group."""
-    whole = (before or {}) | entry | {"after": None}
-    first = (before or {}).get("settings", {})
-    if before is None and str(whole.get("kind")) not in CONTROLLERS:
-        first = training
-    own = entry.get("settings", {})
-    if isinstance(first, dict) and isinstance(own, dict):
-        whole["settings"] = merged(first, own)
-    return whole
-
-
 class StudySettings(Group):
     """A study: task, controllers, training and evaluation. ``configs/studies`` holds examples."""
 
@@ -145,35 +120,19 @@ class StudySettings(Group):
     controllers: dict[Name, ControllerEntry] = Field(
         min_length=1, description="by name; the first one is the baseline of the comparison"
     )
-    training: dict[str, Any] = Field(
-        default_factory=dict,
-        exclude=True,
-        description="settings of every training, unless its controller says otherwise",
-    )
     leakage_head: HeadTrainingSettings | None = Field(
         default_factory=HeadTrainingSettings, description="null: the study trains no leakage head"
     )
     evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _complete(cls, values: dict[str, Any]) -> dict[str, Any]:
-        """Give each entry what it takes over from the one that it comes ``after``, and from ``training``."""
-        if not isinstance(values.get("controllers"), dict):
-            return values
-        entries: dict[str, Any] = {}
-        for name, entry in values["controllers"].items():
-            if isinstance(entry, dict):
-                refuse_later(name, "after", entry.get("after"), entries)
-                entry = following(entry, entries.get(str(entry.get("after"))), values.get("training"))
-            entries[name] = entry
-        return {**values, "controllers": entries, "training": {}}
-
     @model_validator(mode="after")
     def _corrections(self) -> StudySettings:
         earlier: list[str] = []
         for name, entry in self.controllers.items():
-            refuse_later(name, "corrects", entry.corrects, earlier)
+            if entry.corrects is not None and entry.corrects not in earlier:
+                must = f"must be a controller before it ({', '.join(earlier) or 'none'})"
+                guess = did_you_mean(entry.corrects, earlier)
+                raise ValueError(f"controllers.{name}: corrects = '{entry.corrects}': {must}{guess}")
             earlier.append(name)
         return self
 

@@ -134,22 +134,6 @@ def test_another_rig_changes_the_task_and_asks_for_tuning(tmp_path):
     assert default_study(file, task="no_preview").tuned == ["PID"]
 
 
-def test_an_entry_takes_over_what_it_does_not_change(tmp_path):
-    found = study(
-        tmp_path,
-        PLAIN.replace("controllers:", "training: {total_steps: 64, axes: 8}\ncontrollers:")
-        + "  alone: {kind: ppo, settings: {residual: false, axes: 16}}\n"
-        "  correction: {kind: ppo, corrects: PID, settings: {reversal_price: 2.0}}\n"
-        "  wide: {after: correction, settings: {activation: tanh}}\n",
-    )
-    alone, correction, wide = (found.controllers[name].settings for name in ("alone", "correction", "wide"))
-    assert (alone.total_steps, alone.axes, correction.axes, wide.axes) == (64, 16, 8, 8)
-    assert (found.controllers["alone"].corrects, found.controllers["wide"].corrects) == (None, "PID")
-    assert (wide.activation, wide.reversal_price) == ("tanh", 2.0)
-    assert correction.activation == "relu"
-    assert StudySettings(**found.model_dump(mode="json")) == found
-
-
 @pytest.mark.parametrize(("seeds", "expected"), [("CHOICES", VALIDATION_SEEDS), ("EVALUATION", TEST_SEEDS)])
 def test_choices_are_made_on_validation_plants(seeds, expected):
     settings = ProtocolSettings(seeds=seeds, plants=3)
