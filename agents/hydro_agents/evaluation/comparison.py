@@ -13,8 +13,6 @@ from hydro_agents.evaluation.metrics import COMPARED, ERROR, ERROR_SENSOR
 from hydro_agents.running.statistics import (
     RESAMPLES,
     Weights,
-    improvements,
-    interquartile_means,
     interval,
     means,
     plant_weights,
@@ -155,9 +153,7 @@ class Grid:
             "equal_weight": _geometric_mean(_ratios(mine, theirs, kinds)),
             "ratio_sensor": sensed.mean / their_sensed.mean,
             "equal_weight_sensor": _geometric_mean(_ratios(sensed, their_sensed, kinds)),
-            "iqm_ratio": interquartile_means(ratios, mine.weights),
             "share_better": means(better, mine.weights),
-            "probability_of_improvement": improvements(mine.values, theirs.values, mine.weights, theirs.weights.seeds),
         }
         row: dict[str, float] = {}
         for name, resampled in statistics.items():

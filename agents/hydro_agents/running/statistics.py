@@ -20,7 +20,6 @@ from hydro_env.types import Floats
 CONFIDENCE = 0.95
 LEAST_SAMPLES = 3  # for an interval
 RESAMPLES = 1000
-_LARGEST = 20_000  # numbers that are weighted at once: they fit into the cache, which is three times faster
 
 
 class Interval(NamedTuple):
@@ -80,47 +79,6 @@ def means(values: Floats, weights: Weights) -> Floats:
 def _weighted(values: Floats, weights: Weights) -> Floats:
     """Σ over seeds and plants of weight · weight · value (S, U)."""
     return np.asarray(np.sum(weights.seeds * (weights.plants @ values.T), axis=1))
-
-
-def interquartile_means(values: Floats, weights: Weights) -> Floats:
-    """Weighted mean of the middle half of values (S, U, K) in every resampling, (R + 1,)."""
-    seeds, plants, _ = np.nonzero(~np.isnan(values))
-    flat = values[~np.isnan(values)]
-    if len(flat) == 0:
-        return np.full(len(weights.plants), np.nan)
-    order = np.argsort(flat, kind="stable")
-    flat, seeds, plants = flat[order], seeds[order], plants[order]
-    parts = []
-    rows = max(_LARGEST // len(flat), 1)
-    for first in range(0, len(weights.plants), rows):
-        part = slice(first, first + rows)
-        each = weights.seeds[part][:, seeds] * weights.plants[part][:, plants]
-        upper = np.cumsum(each, axis=1)
-        quarter = 0.25 * upper[:, -1:]
-        # The part of each value's weight between the first and the last quarter.
-        inside = np.clip(np.minimum(upper, 3.0 * quarter) - np.maximum(upper - each, quarter), 0.0, None)
-        with np.errstate(invalid="ignore"):  # a resampling may contain no plant with a value
-            parts.append(inside @ flat / inside.sum(axis=1))
-    return np.concatenate(parts)
-
-
-def improvements(values: Floats, others: Floats, weights: Weights, other_seeds: Floats) -> Floats:
-    """Probability that a training seed of one controller beats one of another in the same case, for every resampling.
-
-    Equal errors count half (Agarwal et al. 2021, with the case as the task).
-
-    Args:
-        values: (S, U, K), of the first controller.
-        others: (S', U, K), of the second controller.
-        weights: of the seeds of the first controller, and of the plants.
-        other_seeds: weights of the seeds of the second controller, (R + 1, S').
-    """
-    total = np.zeros(len(other_seeds))
-    for other, weight in zip(others, other_seeds.T, strict=True):
-        absent = np.isnan(values) | np.isnan(other)
-        better = np.where(absent, np.nan, (values < other) + 0.5 * (values == other))
-        total += weight * means(better, weights)
-    return np.asarray(total / other_seeds.sum(axis=1))
 
 
 def interval(resampled: Floats, plants: int) -> Interval:

@@ -89,13 +89,6 @@ def family_name(family: str) -> str:
     return FAMILY_NAMES.get(family, family)
 
 
-def correction_name(name: str, base: str) -> str:
-    """The name of a policy that corrects another controller: "PPO on flow linearisation", "PPO on PID"."""
-    if not base[:2].isupper():
-        base = base[:1].lower() + base[1:]
-    return f"{name.removesuffix(f' on {base}')} on {base}"
-
-
 @dataclass(frozen=True)
 class Table:
     """A table of texts; the first column names its rows."""

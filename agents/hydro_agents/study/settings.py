@@ -33,7 +33,7 @@ from hydro_agents.learning.loading import (
 from hydro_agents.learning.rig_gains import searched_gains
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import read_settings, read_task
-from hydro_agents.running.text import NAME_RULE, correction_name
+from hydro_agents.running.text import NAME_RULE
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
@@ -332,8 +332,8 @@ def _begun(entry: ControllerEntry) -> ControllerEntry:
 def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[str]]:
     """The part of a study that works with the sensors of its task.
 
-    A classical controller that reads an absent sensor is left out. A policy that corrects such a controller corrects
-    the last classical one before it instead, also by name. The leakage head needs all sensors.
+    A classical controller that reads an absent sensor is left out, and so is one that corrects it. The leakage head
+    needs all sensors.
 
     Returns:
         The study, and one line per change; the study itself if the rig lacks no sensor.
@@ -347,26 +347,18 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
     kept: dict[str, ControllerEntry] = {}
     notes = []
     for name, entry in study.controllers.items():
-        if entry.kind in CONTROLLERS:
+        reason = ""
+        if entry.corrects is not None and entry.corrects not in kept:
+            reason = f"it corrects {entry.corrects}"
+        elif entry.kind in CONTROLLERS:
             try:
                 study.make(name)
             except ConfigurationError as error:
-                notes.append(f"{name} is left out: {error}")
-                continue
-        if entry.corrects is not None and entry.corrects not in kept:
-            others = [other for other, one in kept.items() if one.kind in CONTROLLERS]
-            if not others:
-                notes.append(f"{name} is left out: it corrects {entry.corrects}")
-                continue
-            notes.append(f"{name} corrects {others[-1]} instead of {entry.corrects}")
-            if name.endswith(before := correction_name("", entry.corrects)):
-                name = name.removesuffix(before) + correction_name("", others[-1])
-            changes: dict[str, Any] = {"corrects": others[-1]}
-            estimates = CONTROLLERS[kept[others[-1]].kind][0].estimate_names
-            if getattr(entry.settings, "see_estimates", False) and not estimates:
-                changes["settings"] = entry.settings.model_copy(update={"see_estimates": False})
-            entry = entry.changed(**changes)
-        kept[name] = entry
+                reason = str(error)
+        if reason:
+            notes.append(f"{name} is left out: {reason}")
+        else:
+            kept[name] = entry
     if not kept:
         raise ConfigurationError(f"no controller works with the sensors of this rig: {notes[0]}")
     if study.leakage_head is not None:

@@ -67,14 +67,14 @@ def cases():
 
 def test_ratios_of_a_controller_that_is_better_by_a_factor(cases):
     table = by_condition(results_of(cases).table("comparison"))
-    for name in ("ratio", "equal_weight", "iqm_ratio", "worst_ratio"):
+    for name in ("ratio", "equal_weight", "worst_ratio"):
         assert table.loc["plain", name] == pytest.approx(0.5)
         assert table.loc["late", name] == pytest.approx(0.8)
     assert table.loc["plain", "ratio_low"] == table.loc["plain", "ratio_high"] == pytest.approx(0.5)
     assert table.loc["all", "equal_weight"] == pytest.approx(np.sqrt(0.5 * 0.8))
     assert table.loc["all", "ratio"] == pytest.approx(0.65)  # both conditions have the same errors of the baseline
     assert table.loc["all", "worst_ratio"] == pytest.approx(0.8)
-    assert (table[["share_better", "probability_of_improvement"]] == 1.0).all(axis=None)
+    assert (table["share_better"] == 1.0).all()
     assert table.loc["plain", "travel_ratio"] == pytest.approx(0.5)
     assert table.loc["all", "travel_ratio"] == pytest.approx(0.65)
     sensed = table[["ratio_sensor", "equal_weight_sensor", "equal_weight_sensor_low"]]
@@ -117,7 +117,7 @@ def test_training_seeds_count_as_one_controller():
     results = results_of(cases)
     row = results.table("comparison").set_index("group").loc["all"]
     assert row["ratio"] == pytest.approx(1.0)
-    assert row["share_better"] == row["probability_of_improvement"] == 0.5
+    assert row["share_better"] == 0.5
     assert row["ratio_low"] == pytest.approx(0.5)  # a resampling may draw the same seed twice
     assert row["ratio_high"] == pytest.approx(1.5)
     summary = results.table("summary")

@@ -4,12 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import trim_mean
 
 from hydro_agents.running.statistics import (
     Weights,
-    improvements,
-    interquartile_means,
     interval,
     means,
     plant_weights,
@@ -77,8 +74,6 @@ def test_the_first_row_is_the_estimate_itself_and_strata_keep_their_number_of_pl
     values = np.random.default_rng(0).normal(size=(3, 8, 5))
     drawn = weights(3, ["a"] * 8)
     assert means(values, drawn)[0] == pytest.approx(values.mean())
-    # 120 values: the middle half is exactly the one of scipy.
-    assert interquartile_means(values, drawn)[0] == pytest.approx(trim_mean(values.ravel(), 0.25))
     strata = np.array(["a", "a", "b", "b", "b"])
     drawn = plant_weights(strata, 200)
     assert [set(drawn[:, strata == name].sum(axis=1)) for name in "ab"] == [{2.0}, {3.0}]
@@ -92,7 +87,6 @@ def test_a_resampling_is_what_repeated_plants_and_seeds_would_give():
     drawn = Weights(np.array([[2.0, 0.0]]), np.array([[1.0, 3.0, 0.0, 0.0]]))
     repeated = np.concatenate([values[:1], values[:1]])[:, [0, 1, 1, 1]]
     assert means(values, drawn)[0] == pytest.approx(repeated.mean())
-    assert interquartile_means(values, drawn)[0] == pytest.approx(trim_mean(repeated.ravel(), 0.25))
 
 
 def ones(plants, resamples=1):
@@ -103,11 +97,7 @@ def test_missing_cases_do_not_count():
     values = np.array([[[1.0, np.nan], [3.0, 5.0], [np.nan, np.nan]]])
     nothing = np.full((1, 2, 2), np.nan)
     assert means(values, ones(3))[0] == 3.0
-    assert interquartile_means(values, ones(3))[0] == pytest.approx(3.0)
     assert np.isnan(means(nothing, ones(2)))[0]
-    assert np.isnan(interquartile_means(nothing, ones(2, 4))).all()
-    values = np.array([0.0, 1.0, 2.0, 3.0, 100.0]).reshape(1, 5, 1)  # the middle 2.5 of 5: 0.75 · 1, 2, 0.75 · 3
-    assert interquartile_means(values, ones(5))[0] == pytest.approx((0.75 + 2.0 + 2.25) / 2.5)
 
 
 def test_training_seeds_widen_the_interval():
@@ -118,12 +108,3 @@ def test_training_seeds_widen_the_interval():
     alike = interval(means(np.repeat(plants, 5, axis=0), drawn), 20)
     scattered = interval(means(plants + seeds, drawn), 20)
     assert scattered.high - scattered.low > 1.5 * (alike.high - alike.low)
-
-
-def test_probability_of_improvement_counts_pairs_of_training_seeds():
-    mine = np.array([1.0, 3.0]).reshape(2, 1, 1)
-    theirs = np.array([2.0, 3.0, 4.0]).reshape(3, 1, 1)
-    both = Weights(np.ones((1, 2)), np.ones((1, 1)))
-    # 1 beats all three; 3 loses, ties, wins.
-    assert improvements(mine, theirs, both, np.ones((1, 3)))[0] == pytest.approx((3 + 1.5) / 6)
-    assert improvements(mine, theirs, Weights(np.array([[0.0, 2.0]]), both.plants), np.array([[3.0, 0, 0]]))[0] == 0.0

@@ -1,6 +1,6 @@
 """Numbers, durations, names and tables as a person writes them."""
 
-from hydro_agents.running.text import correction_name, duration, markdown, number
+from hydro_agents.running.text import duration, markdown, number
 
 
 def test_numbers_and_names_as_a_person_writes_them():
@@ -8,6 +8,4 @@ def test_numbers_and_names_as_a_person_writes_them():
     assert [number(float("nan")), number(0.0000123), number(948.14, digits=4)] == ["–", "0.0000123", "948.1"]
     assert [number(-12.3), number(-0.0004, 2), number(-0.0)] == ["−12.3", "0.00", "0"]
     assert [duration(x) for x in (1.25, 75.0, 3725.0)] == ["1.2 s", "1 min 15 s", "1 h 2 min"]
-    assert correction_name("PPO", "Flow linearisation") == "PPO on flow linearisation"
-    assert correction_name("PPO on flow linearisation", "Flow linearisation") == "PPO on flow linearisation"
     assert markdown(["a|b", "mm"], [["x", "1"]]) == "| a\\|b | mm |\n|---|---:|\n| x | 1 |"
