@@ -43,7 +43,7 @@ def tune_for_any_rig(folder: Path, evaluations: int) -> None:
     def progress(best: Tuned) -> None:
         write_yaml(folder / "gains.yaml", best.gains.model_dump(mode="json"))
         took = time.perf_counter() - began
-        print(f"{best.evaluations} candidates: {1e3 * best.cost.equal:.5f} mm, {took:.0f} s", flush=True)
+        print(f"{best.evaluations} candidates: {1e3 * best.cost:.5f} mm, {took:.0f} s", flush=True)
 
     search = Search(evaluations=evaluations, cases=CASES, start=start)
     tune(KIND, tasks, search, folder, progress)
@@ -61,7 +61,7 @@ def sets_for_any_rig(folder: Path, rigs: int, evaluations: int) -> None:
         sets.append(tuned_for(task, folder / f"set_{number:02}", evaluations, CASES))
         print(f"set {number + 1} of {rigs}", flush=True)
     costs = [costs_on_rig(KIND, sets, task) for task in training(JUDGING_RIGS, 2 * rigs)]
-    errors = np.log([[cost.equal for cost in of_rig] for of_rig in costs])
+    errors = np.log(costs)
     chosen = [0]
     while len(chosen) <= min(SETS, rigs):
         left = [number for number in range(len(sets)) if number not in chosen]

@@ -24,7 +24,6 @@ from hydro_env import ConfigurationError
 if TYPE_CHECKING:
     from hydro_agents.commands.protocols import Options
     from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.study.settings import StudySettings
     from hydro_env import TaskConfig
 
 NO_HEAD = Path("none")
@@ -150,7 +149,7 @@ def _evaluate_study(
     from hydro_agents.commands.controller_pages import study_page
     from hydro_agents.commands.protocols import run_protocol
     from hydro_agents.evaluation.evaluate import ProtocolSettings
-    from hydro_agents.evaluation.participants import participants, split_name
+    from hydro_agents.evaluation.participants import participants
     from hydro_agents.study.settings import default_study
     from hydro_env.files import validate
 
@@ -160,30 +159,13 @@ def _evaluate_study(
         study = study.model_copy(update={"evaluation": changed})
     if options.rig is not None:
         study = study.with_gains_of_rig()
-    replaced = {split_name(name)[0] for name in own}
-    agents = {name: what for name, what in _trained_beside(config, study).items() if name not in replaced} | own
-    controllers = study.with_weights(agents, leave_out=True)
+    controllers = study.with_weights(own, leave_out=True)
     tell_rigs(study, controllers)
     watching = None if head == NO_HEAD else _watching(head, study.task)
     protocol = study.evaluation.protocol(study.task, study.title)
     chosen = replace(participants(controllers, protocol), head=watching, corrects=study.corrects)
     page = study_page(yaml.safe_dump(study.model_dump(mode="json"), sort_keys=False, allow_unicode=True))
     run_protocol(protocol, chosen, options, page, study)
-
-
-def _trained_beside(config: Path | None, study: StudySettings) -> dict[str, str]:
-    """By controller (or NAME#SEED), the weights of a study, if the settings are the file in the folder of it."""
-    from hydro_agents.evaluation.participants import split_name
-    from hydro_agents.running.weights import weight_files
-
-    if config is None or not config.is_file():  # none, or a name in configs/studies
-        return {}
-    agents = {}
-    for folder in sorted((config.parent / "controllers").glob("*")):
-        weights = folder / "policy"
-        if split_name(folder.name)[0] in study.trained and weight_files(weights)[1].is_file():
-            agents[folder.name] = str(weights)
-    return agents
 
 
 def _watching(head: Path | None, task: TaskConfig) -> LeakageHead | None:

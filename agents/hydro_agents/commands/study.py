@@ -204,7 +204,7 @@ def _of_gains(study: StudySettings, kind: str, steps: int | None) -> StudySettin
     from hydro_agents.study.settings import StudySettings as Study
     from hydro_env.files import validate
 
-    entry = {"kind": kind, "tune": {"objective": "equal", "evaluations": steps or EVALUATIONS}}
+    entry = {"kind": kind, "tune": {"evaluations": steps or EVALUATIONS}}
     return validate(Study, {"task": study.task, "controllers": {kind: entry}, "leakage_head": None}, "train")
 
 

@@ -25,23 +25,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from hydro_agents.detection.activity import Activity
-from hydro_agents.detection.detector import Cause, Reading
+from hydro_agents.detection.detector import Reading
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.types import Floats
 
 Flags = NDArray[np.bool_]
 
 OUTLIER = 3.0  # standard deviations; a look farther from the mean of those before it counts as this far
-
-CAUSE_LOOKS = 30.0  # looks that count for the cause: their weights fall exponentially
-LEAST_SHARE = 0.15
-"""Share of them by which a cause is named, if none has a larger share. Detectors name a fault that is not there in
-about one look of a hundred, and miss one that is there far more often."""
-
-LEAST_WEIGHT = 0.25  # of the last looks, at which a share counts: of few looks, two must agree
-
-VOTED = tuple(cause for cause in Cause if cause != Cause.UNDETERMINED)
-NAMED = tuple(cause for cause in VOTED if cause > Cause.INTERNAL_LEAK)
 
 
 class Scale(Group):
@@ -96,7 +86,6 @@ class AlarmState(NamedTuple):
     seen: Floats  # (N, activities), how many of them
     total: Floats  # (N,), S above
     alarm: Flags  # (N,), latched
-    causes: Floats  # (N, VOTED), weight of the last looks that named each
 
 
 class Alarm(NamedTuple):
@@ -104,7 +93,6 @@ class Alarm(NamedTuple):
 
     alarm: Flags  # latched until ``reset``
     total: Floats  # the sum divided by its threshold; the alarm rises above 1
-    cause: NDArray[np.int64]  # the :class:`~hydro_agents.detection.detector.Cause` that the last looks name; else NONE
     learnt: Flags  # whether the axis's own baseline is known for its present activity
 
 
@@ -139,7 +127,6 @@ class LeakAlarm:
             seen=np.zeros((count, len(Activity))),
             total=np.zeros(count),
             alarm=np.zeros(count, dtype=np.bool_),
-            causes=np.zeros((count, len(VOTED))),
         )
 
     def update(self, look: Reading, activity: NDArray[np.int8], state: AlarmState) -> tuple[Alarm, AlarmState]:
@@ -169,17 +156,11 @@ class LeakAlarm:
 
         reach = np.where(seen > 0.0, OUTLIER * spread, np.inf)  # the first look is the mean
         learns = counts & ~learnt
-        after = AlarmState(state.mean.copy(), state.seen.copy(), total, alarm, state.causes.copy())
+        after = AlarmState(state.mean.copy(), state.seen.copy(), total, alarm)
         after.mean[axes, activity] += np.where(learns, np.clip(score - mean, -reach, reach) / (seen + 1.0), 0.0)
         after.seen[axes, activity] += learns
-        named = look.cause[:, None] == np.array(VOTED)
-        votes = look.cause != Cause.UNDETERMINED
-        after.causes[votes] += (named - state.causes)[votes] / CAUSE_LOOKS
-        share = after.causes / np.maximum(after.causes.sum(axis=1), LEAST_WEIGHT)[:, None]
-        others = share[:, [VOTED.index(cause) for cause in NAMED]]
-        cause = np.where(others.max(axis=1) > LEAST_SHARE, np.array(NAMED)[others.argmax(axis=1)], Cause.NONE)
         known = after.seen[axes, activity] >= self._learning[activity]
-        return Alarm(alarm, total / self.settings.threshold, cause, known), after
+        return Alarm(alarm, total / self.settings.threshold, known), after
 
     def reset(self, state: AlarmState, axes: Flags, relearn: bool = False) -> AlarmState:
         """Acknowledge the alarms of some axes (N,): their evidence starts at zero again.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.stats import mannwhitneyu
 
 from hydro_agents.detection.detector import Detector, MeasuredColumns, Windows, threshold_at_false_alarm_rate
 from hydro_agents.detection.monitor import HeadDetector
@@ -130,13 +131,8 @@ def area_under_roc(scores: NDArray[Any], positive: NDArray[np.bool_]) -> float:
     """Probability that a leak scores higher than a healthy seal (ties count half); NaN without both kinds."""
     if positive.all() or not positive.any():
         return float("nan")
-    order = np.argsort(-scores, kind="stable")
-    falling = np.asarray(scores, dtype=np.float64)[order]
-    last = np.append(np.flatnonzero(np.diff(falling)), len(scores) - 1)  # of each distinct score
-    flagged = np.concatenate([[0.0], last + 1])
-    true = np.concatenate([[0.0], np.cumsum(positive[order])[last]])
-    false = flagged - true
-    return float(np.trapezoid(true / true[-1], false / false[-1]))
+    pairs = np.count_nonzero(positive) * np.count_nonzero(~positive)
+    return float(mannwhitneyu(scores[positive], scores[~positive], method="asymptotic").statistic / pairs)
 
 
 def detection_rate(scores: NDArray[Any], threshold: float) -> float:

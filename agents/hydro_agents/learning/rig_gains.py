@@ -13,13 +13,13 @@ import numpy as np
 
 from hydro_agents.controllers.registry import CONTROLLERS
 from hydro_agents.learning.stable_gain import pids_from_figures
-from hydro_agents.learning.trials import Cost
 from hydro_agents.learning.tuning import Search, costs_of_sets, tune
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.limit_cycles import counted_at_rest
 from hydro_agents.running.seeds import STANDSTILLS
 from hydro_env import TaskConfig
 from hydro_env.files import Group, read_yaml, validate
+from hydro_env.types import Floats
 
 GainsFor = Callable[[str, TaskConfig], Group]  # of a kind and a task
 
@@ -67,7 +67,7 @@ def chosen_gains(kind: str, config: TaskConfig) -> Group:
         sets = gain_sets(kind, config)
         _FOUND[key] = sets[0]
         if len(sets) > 1:
-            errors = [cost.equal for cost in costs_on_rig(kind, sets, config)]
+            errors = costs_on_rig(kind, sets, config)
             if min(errors) < CLEARLY * errors[0]:
                 _FOUND[key] = sets[int(np.argmin(errors))]
     answer: Group = _FOUND[key]
@@ -90,8 +90,7 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
         leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
         errors = np.zeros(len(leaders))
         for seed in TRIALS:
-            costs = costs_of_sets(kind, leaders, [config], TRIAL_CASES, seed)
-            errors += np.log([cost.equal for cost in costs]) / len(TRIALS)
+            errors += np.log(costs_of_sets(kind, leaders, [config], TRIAL_CASES, seed)) / len(TRIALS)
         for number, gains in enumerate(leaders):
             counts = counted_at_rest(CONTROLLERS[kind][0](gains, config), config, STANDSTILLS, RESTS)
             errors[number] += PER_LIMIT_CYCLE[kind] * counts["limit_cycles"] / RESTS
@@ -100,6 +99,6 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
     return answer
 
 
-def costs_on_rig(kind: str, sets: Sequence[Group], config: TaskConfig) -> list[Cost]:
-    """Costs of some sets of gains on the rig of a task."""
+def costs_on_rig(kind: str, sets: Sequence[Group], config: TaskConfig) -> Floats:
+    """Costs of some sets of gains on the rig of a task, m, (sets,)."""
     return costs_of_sets(kind, sets, [config], CHOICE_CASES, 0)

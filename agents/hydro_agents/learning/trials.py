@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -55,13 +55,6 @@ def resting_cases(seed: int = 0) -> Cases:
     """The cases of the families :data:`RESTING`."""
     leaks, families = np.tile(REST_LEAKS, len(RESTING)), np.repeat(RESTING, len(REST_LEAKS))
     return Cases(np.array(LEARNING.training(seed, len(leaks))), leaks, families)
-
-
-class Cost(NamedTuple):
-    """Costs of a candidate on the training cases, in m; each includes the cost of command changes."""
-
-    mean: float  # mean over the cases of the task of the mean absolute error
-    equal: float  # geometric mean over the families, resting ones too, of the mean over their cases
 
 
 def costs_of(
@@ -119,12 +112,14 @@ def costs_of(
     return result
 
 
-def summed_up(costs: Sequence[Floats], cases: Sequence[Cases]) -> list[Cost]:
-    """:class:`Cost` of each candidate from :func:`costs_of`; the sums depend on the number of candidates."""
+def summed_up(costs: Sequence[Floats], cases: Sequence[Cases]) -> Floats:
+    """Costs of the candidates of :func:`costs_of`, m, (candidates,): each family, resting ones too, weighs the same.
+
+    They are geometric means over the families of the mean over their cases.
+    """
     parts = []
     for own, rows in zip(cases, costs, strict=True):
         families = np.array(own.options["reference"])
         for family in dict.fromkeys(own.options["reference"]):
             parts.append(rows[:, families == family].mean(axis=1))
-    means, equal = costs[0].mean(axis=1), np.exp(np.mean(np.log(parts), axis=0))
-    return [Cost(*pair) for pair in np.stack([means, equal], axis=1).tolist()]
+    return np.asarray(np.exp(np.mean(np.log(parts), axis=0)))

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
@@ -20,7 +20,6 @@ from hydro_agents.controllers.registry import CONTROLLERS
 from hydro_agents.learning.trials import (
     JUDGED,
     REST,
-    Cost,
     costs_of,
     resting_cases,
     summed_up,
@@ -70,15 +69,12 @@ class Tuned(NamedTuple):
     """The best candidate so far."""
 
     gains: Group
-    cost: Cost
+    cost: float  # m, see :func:`~hydro_agents.learning.trials.summed_up`
     evaluations: int
 
 
 class Search(NamedTuple):
     """How a search goes."""
-
-    objective: Literal["mean", "equal"] = "equal"
-    """Mean absolute error, or geometric mean over the families; see :class:`~hydro_agents.learning.trials.Cost`."""
 
     evaluations: int = EVALUATIONS  # number of candidates, rounded up to whole generations
     seed: int = 0  # of the optimiser and of the training cases
@@ -132,13 +128,13 @@ def tune(
         points = [optimiser.ask() for _ in range(search.population)]
         gains = [_gains(start, space.values(point), search.separable) for point in points]
         found = run_here(Job(costs_in_columns, kind, (gains, tasks, search.cases, search.seed), kind), folder)
-        costs = found[search.objective].tolist()
+        costs = found["costs"].tolist()
         optimiser.tell(list(zip(points, costs, strict=True)))
         evaluations = (generation + 1) * search.population
         leader = int(np.argmin(costs))
         leading = gains[leader]
-        if leading is not None and (best is None or costs[leader] < getattr(best.cost, search.objective)):
-            best = Tuned(leading, Cost(float(found["mean"][leader]), float(found["equal"][leader])), evaluations)
+        if leading is not None and (best is None or costs[leader] < best.cost):
+            best = Tuned(leading, costs[leader], evaluations)
         if best is not None:
             best = best._replace(evaluations=evaluations)
             if progress is not None:
@@ -171,7 +167,7 @@ def _gains(start: Group, values: Mapping[str, float], rounded: bool) -> Group | 
 
 def costs_of_sets(
     kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
-) -> list[Cost]:
+) -> Floats:
     """The costs of some sets of gains, of several tasks the geometric means; each worker costs a part of the sets.
 
     Args:
@@ -195,15 +191,14 @@ def costs_of_sets(
         found.append(summed_up(costs[2 * number : 2 * number + 2], both))
     if len(tasks) == 1:
         return found[0]
-    return [Cost(*pair) for pair in np.exp(np.log(found).mean(axis=0)).tolist()]
+    return np.asarray(np.exp(np.log(found).mean(axis=0)))
 
 
 def costs_in_columns(
     kind: str, gains: Sequence[Group | None], tasks: Sequence[TaskConfig], cases: int, seed: int
 ) -> Columns:
-    """The costs of :func:`costs_of_sets`, by their names, each (candidates,)."""
-    rows = np.array(costs_of_sets(kind, gains, tasks, cases, seed))
-    return dict(zip(Cost._fields, rows.T, strict=True))
+    """The costs of :func:`costs_of_sets`, for a :class:`~hydro_agents.running.jobs.Job`."""
+    return {"costs": costs_of_sets(kind, gains, tasks, cases, seed)}
 
 
 def cost_candidates(

@@ -212,7 +212,7 @@ def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[
         jobs: number of jobs side by side; ``None``: that of the active ``parallel_config``, or one.
 
     Raises:
-        ConfigurationError: a worker was killed, or has another version of the code.
+        ConfigurationError: a worker was killed.
     """
     here = [key for key, job in waiting.items() if job.participant is not None and not job.digest]
     left = {key: job for key, job in waiting.items() if key not in here}
@@ -227,7 +227,7 @@ def answers_of(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[
     sent = {"pre_dispatch": limit} if limit and limit > 0 else {}
     pool: Any = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered", **sent)
     try:
-        with _closed_at_end(pool(delayed(_in_worker)(key, job, job.code) for key, job in left.items())) as answers:
+        with _closed_at_end(pool(delayed(_run_alone)(key, job) for key, job in left.items())) as answers:
             for answer in answers:  # noqa: UP028 (`yield from` would close the answers before the warning is off)
                 yield answer
     except Exception as error:
@@ -262,12 +262,6 @@ def _run_alone(key: str, job: Job) -> tuple[str, JobResult]:
     finally:
         if torch is not None:
             torch.set_num_threads(threads)
-
-
-def _in_worker(key: str, job: Job, code: str) -> tuple[str, JobResult]:
-    if job.code != code:
-        raise ConfigurationError("a worker has another version of hydro_env: install the same")
-    return _run_alone(key, job)
 
 
 def run_here(job: Job, folder: Path | None) -> Columns:

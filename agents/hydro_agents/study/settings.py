@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field, SerializeAsAny, StringConstraints, ValidationInfo, field_validator, model_validator
 
@@ -47,7 +47,6 @@ Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]
 class TuningSettings(Group):
     """Tuning of a classical controller (:func:`hydro_agents.learning.tuning.tune`) before it takes part in a study."""
 
-    objective: Literal["mean", "equal"] = Field("equal", description="mean error, or each family with equal weight")
     evaluations: int = Field(840, ge=1, le=10_000_000, description="total number of candidates")
     cases: int = Field(42, ge=1, le=100_000, description="training cases per candidate")
 

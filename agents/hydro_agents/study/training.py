@@ -100,20 +100,20 @@ def tune_controller(
         display.say(f"{name}: its gains are unstable on this rig; the search starts from the figures of the rig")
 
     def report(best: Tuned) -> None:
-        note = f"mean {1e3 * best.cost.mean:.4f} mm, equal weights {1e3 * best.cost.equal:.4f} mm"
-        display.update(f"tune {name}", min(best.evaluations, budget.evaluations), budget.evaluations, note)
+        done = min(best.evaluations, budget.evaluations)
+        display.update(f"tune {name}", done, budget.evaluations, f"{1e3 * best.cost:.4f} mm")
         write_text(file, gains_text(best.gains))
 
     display.update(f"tune {name}", 0, budget.evaluations)
-    search = Search(budget.objective, budget.evaluations, seed, budget.cases, start)
+    search = Search(budget.evaluations, seed, budget.cases, start)
     tuned = tune(entry.kind, study.task, search, folder, report)
     made = make_controller(entry.kind, study.task, tuned.gains.model_dump())
     found = counted_at_rest(made, study.task, STANDSTILLS, STANDSTILL_CASES)
     note = f"{rest_text(found)} (drawn plants and leaks, without sensor noise)"
     write_text(file, gains_text(tuned.gains, note[0].upper() + note[1:]))
     display.say(
-        f"{name}: on training cases, cost of command changes included: mean {1e3 * tuned.cost.mean:.4f} mm, "
-        f"geometric mean of the families {1e3 * tuned.cost.equal:.4f} mm"
+        f"{name}: {1e3 * tuned.cost:.4f} mm on training cases, geometric mean of the families, cost of command changes "
+        "included"
     )
     if not comes_to_rest(found):
         display.say(f"{name}, tuned: {note}")

@@ -16,7 +16,6 @@ from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.rig_gains import chosen_gains, costs_on_rig, gain_sets, searched_gains
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_axes, make_features, make_model, train_policy
-from hydro_agents.learning.trials import Cost
 from hydro_agents.learning.tuning import Tuned
 from hydro_agents.learning.vec_env import RigsVecEnv
 from hydro_agents.running.folders import pretrained_folder
@@ -120,7 +119,7 @@ def test_a_simulation_chooses_the_gains_that_the_policy_corrects(policy):
     sets = rig_gains.gain_sets("flow_linearising", RIGS[0])
     assert sets[0] == FlowLinearisingGains()
     chosen = chosen_gains("flow_linearising", RIGS[0])
-    costs = [cost.equal for cost in costs_on_rig("flow_linearising", sets, RIGS[0])]
+    costs = list(costs_on_rig("flow_linearising", sets, RIGS[0]))
     clearly = min(costs) < 0.9 * costs[0]
     assert sets.index(chosen) == (int(np.argmin(costs)) if clearly else 0)
     assert policy[1].moved_to(RIGS[0], chosen_gains).features.base.gains == chosen
@@ -141,7 +140,7 @@ def test_a_search_prefers_gains_that_come_to_rest_to_slightly_better_ones(monkey
     calm, task = FlowLinearisingGains(), RIGS[1]
     wild = calm.model_copy(update={"position_gain": 20.0 * calm.position_gain})
     for better, taken in ((0.95, calm), (0.1, wild)):
-        costs = {calm: Cost(1.0, 1.0), wild: Cost(1.0, better)}
+        costs = {calm: 1.0, wild: better}
         monkeypatch.setattr(rig_gains, "_FOUND", {})
         monkeypatch.setattr(rig_gains, "chosen_gains", lambda *_: calm)
         monkeypatch.setattr(rig_gains, "tune", lambda *_, progress, **__: progress(Tuned(wild, None, 0)))
