@@ -134,17 +134,25 @@ def gains_text(gains: Group, note: str = "") -> str:
     return "\n".join(lines) + "\n"
 
 
+def controller_with_gains(values: Mapping[str, Any], config: TaskConfig) -> Controller:
+    """The classical controller with these gains; their names identify it.
+
+    Raises:
+        ConfigurationError: they are the gains of no controller, or impossible.
+    """
+    kinds = [kind for kind, (_, gains) in CONTROLLERS.items() if values and set(values) <= set(gains.model_fields)]
+    if len(kinds) != 1:
+        raise ConfigurationError(f"must hold the gains of one controller ({', '.join(CONTROLLERS)})")
+    return make_controller(kinds[0], config, values)
+
+
 def controller_from_gains(path: str | Path, config: TaskConfig) -> Controller:
-    """The classical controller whose gains a file holds; the names of the gains identify it.
+    """The classical controller whose gains a file holds.
 
     Raises:
         ConfigurationError: the file cannot be read, or holds the gains of no controller.
     """
-    values = read_yaml(path)
-    kinds = [kind for kind, (_, gains) in CONTROLLERS.items() if values and set(values) <= set(gains.model_fields)]
-    if len(kinds) != 1:
-        raise ConfigurationError(f"{path}: must hold the gains of one controller ({', '.join(CONTROLLERS)})")
     try:
-        return make_controller(kinds[0], config, values)
+        return controller_with_gains(read_yaml(path), config)
     except ConfigurationError as error:
-        raise ConfigurationError(f"{path}: {error}") from None
+        raise ConfigurationError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None

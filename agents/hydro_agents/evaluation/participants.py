@@ -6,14 +6,13 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.controllers.registry import CONTROLLERS, controller_with_gains, make_controller
 from hydro_agents.evaluation.conditions import at
-from hydro_agents.evaluation.robustness_protocol import ControllerChoice, RobustnessProtocol
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.learning.loading import SHIPPED_WEIGHTS, GainsOrigin, load_controller, origin_of_gains
-from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
@@ -109,19 +108,13 @@ def participants(
     ready = {name: load_controller(what, protocol.task, name) for name, what in controllers.items()}
     made: dict[tuple[str, str], Controller] = {}
     for condition, entry in protocol.conditions.items():
-        for name, choice in entry.controllers.items():
+        task = protocol.task_in(condition)
+        for name, what in entry.controllers.items():
             if name in ready:
                 with at(f"conditions.{condition}.controllers.{name}"):
-                    made[name, condition] = _chosen(choice, protocol.task_in(condition))
+                    chosen: Any = what if isinstance(what, str) else controller_with_gains(what, task)
+                    made[name, condition] = load_controller(chosen, task, name)
     return Participants(ready, made)
-
-
-def _chosen(choice: ControllerChoice, task: TaskConfig) -> Controller:
-    if choice.weights is None:
-        return load_controller(make_controller(choice.kind, task, choice.settings), task, choice.kind)
-    if choice.kind not in TRAINERS:
-        raise ConfigurationError(f"kind '{choice.kind}': must be {', '.join(TRAINERS)} with weights")
-    return load_controller(choice.weights, task, choice.kind, TRAINERS[choice.kind])
 
 
 def split_name(name: str) -> tuple[str, int]:

@@ -14,11 +14,10 @@ from pydantic import Field, model_validator
 
 from hydro_agents.evaluation.conditions import Condition, Protocol
 from hydro_agents.running.cases import Cases
-from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
-from hydro_agents.running.tasks import Factor, mappings, read_settings
+from hydro_agents.running.tasks import Factor, mappings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
-from hydro_env.files import Group, validate
+from hydro_env.files import Group, read_yaml, validate
 from hydro_env.mistakes import kept, known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.reference_signals import MOVING_FAMILIES
@@ -29,16 +28,6 @@ FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count >= len
 PlantSeeds = Annotated[str, known_name(FAMILIES_OF_PLANTS, "range of seeds")]
 
 
-class ControllerChoice(Group):
-    """A variant of a controller that was tuned or trained for a condition."""
-
-    kind: str = Field(description="as in a study: pid, ppo, or module:attribute")
-    settings: dict[str, Any] = Field(default_factory=dict, description="gains, or the path of a YAML file")
-    weights: str | None = Field(
-        None, description="weights of a trained controller: a path, or a name in agents/hydro_agents/pretrained"
-    )
-
-
 class PairedCondition(Condition):
     """One condition; the controllers do not know it."""
 
@@ -47,8 +36,9 @@ class PairedCondition(Condition):
     )
     families: tuple[Family, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
     plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
-    controllers: dict[str, ControllerChoice] = Field(
-        default_factory=dict, description="by name; controllers tuned or trained for this condition"
+    controllers: dict[str, str | dict[str, Any]] = Field(
+        default_factory=dict,
+        description="by name; controllers for this condition: as in --agent, or the path of a file of gains",
     )
 
     @model_validator(mode="after")
@@ -155,7 +145,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
 
     @classmethod
     def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
-        """Add the conditions of a sweep; read the settings of controllers, and find their weights."""
+        """Add the conditions of a sweep; read the gains of controllers for a condition."""
         conditions = values.get("conditions")
         if "sweep" in values and isinstance(conditions, dict):
             swept = validate(Sweep, values.pop("sweep"), f"{file}: sweep").conditions()
@@ -165,13 +155,10 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
             values["conditions"] = conditions = {**conditions, **swept}
         for condition in mappings(conditions).values():
             chosen = condition.get("controllers")
-            with kept(errors):
-                read_settings(chosen, file)
-            for choice in mappings(chosen).values():
-                if isinstance(weights := choice.get("weights"), str):
-                    shipped = pretrained_folder() / weights
-                    own = file.parent / weights
-                    choice["weights"] = str(shipped if shipped.with_suffix(".safetensors").exists() else own)
+            for name, what in chosen.items() if isinstance(chosen, dict) else ():
+                if isinstance(what, str) and what.endswith(".yaml"):
+                    with kept(errors):
+                        chosen[name] = read_yaml(file.parent / what)
 
     def changed_task(self, name: str) -> TaskConfig:
         """The task with the changes of a condition; a condition whose only reference is 'user' draws no other."""

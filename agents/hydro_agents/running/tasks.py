@@ -148,24 +148,18 @@ def mappings(values: Any) -> dict[str, dict[str, Any]]:
     return {name: entry for name, entry in entries if isinstance(entry, dict)}
 
 
-def read_settings(controllers: Any, file: Path) -> dict[str, str]:
+def read_settings(controllers: Any, file: Path) -> None:
     """Replace each controller's ``settings`` by the content of a YAML file, if they are its path relative to ``file``.
-
-    Returns:
-        The files that were read, by the controller's name.
 
     Raises:
         ConfigurationError: a file cannot be read.
     """
-    sources = {}
     errors: list[ConfigurationError] = []
-    for name, entry in mappings(controllers).items():
+    for entry in mappings(controllers).values():
         if isinstance(entry.get("settings"), str):
-            sources[name] = str(file.parent / entry.pop("settings"))
             with kept(errors):
-                entry["settings"] = read_yaml(sources[name])
+                entry["settings"] = read_yaml(file.parent / entry.pop("settings"))
     refuse(errors, str(file))
-    return sources
 
 
 def named_faults(texts: Sequence[str]) -> dict[str, float]:

@@ -96,12 +96,12 @@ def test_the_shipped_protocols_are_possible_and_as_wide_as_promised():
 def test_a_file_names_its_task_rigs_and_gains_by_path_and_the_digest_follows_all(tmp_path):
     path, gains = tmp_path / "own.yaml", tmp_path / "gains.yaml"
     (tmp_path / "task.yaml").write_text("episode_duration: 0.5\n")
-    entry = {"controllers": {"PID": {"kind": "pid", "settings": "gains.yaml"}}, "rig": "symmetric_eha"}
+    entry = {"controllers": {"PID": "gains.yaml"}, "rig": "symmetric_eha"}
     path.write_text(yaml.safe_dump({**SMALL, "task": "task.yaml", "conditions": {"rig": entry}}))
     gains.write_text("proportional: 12.0\n")
     protocol, whole = RobustnessProtocol.from_yaml(path), file_sha256(path)
     assert protocol.task.episode_duration == 0.5
-    assert protocol.conditions["rig"].controllers["PID"].settings == {"proportional": 12.0}
+    assert protocol.conditions["rig"].controllers["PID"] == {"proportional": 12.0}
     assert protocol.task_in("rig").plant.load.mass == 20.0
     assert RobustnessProtocol.from_yaml(path).sha256 == protocol.sha256
     gains.write_text("proportional: 13.0\n")

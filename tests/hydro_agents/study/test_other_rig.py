@@ -104,6 +104,8 @@ def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, capsys, monk
     rig, file = files
     monkeypatch.setattr(settings, "searched_gains", lambda *_: PIDGains())
     monkeypatch.setattr(rig_gains, "searched_gains", lambda *_: FlowLinearisingGains())  # of what the policy corrects
+    on_pid = STUDY.replace("corrects: Flow linearisation", "corrects: PID").replace(", see_estimates: true", "")
+    file.write_text(on_pid)
     study = default_study(file, rig=rig).with_gains_of_rig()
     assert list(study.with_weights({}, leave_out=True)) == ["PID"]
     assert "hydro: left out: PPO: no weights of this kind are shipped" in capsys.readouterr().err
