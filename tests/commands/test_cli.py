@@ -245,7 +245,7 @@ def test_a_study_that_was_stopped_is_resumed(tmp_path, monkeypatch):
     monkeypatch.setattr(dataset, "OPERATIONS", dataset.OPERATIONS[:1])  # less to train a head on
     done("study", "--config", study, "--output", folder, "--resume")
     assert (folder / "report.html").is_file()
-    for name in ("cases.csv", "comparison.csv", "detection_summary.csv"):
+    for name in ("cases.csv", "comparison.csv", "detection_rates.csv"):
         assert (folder / "tables" / name).stat().st_size > 100
     assert len(list(csv.DictReader((folder / "tables" / "cases.csv").open()))) == 2 * 2 * 2 * 3
     weights = (

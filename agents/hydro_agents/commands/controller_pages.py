@@ -10,7 +10,7 @@ import numpy as np
 from hydro_agents.commands.protocols import PageOf
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results
-from hydro_agents.report.controllers_page import Example, controllers_page, detection_table
+from hydro_agents.report.controllers_page import Example, controllers_page, flagged
 from hydro_agents.report.kit import Page, as_text
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.limit_cycles import rest_warning
@@ -73,8 +73,8 @@ def summary(results: Results) -> Iterator[Table]:
     for row in results.table("ranking").to_dict("records"):
         rows.append(tuple(cell.format(**row) for cell in pattern.split("|")))
     yield Table(title, header, rows)
-    if len(results.table("detection_summary")):
-        yield as_text(detection_table(results.table("detection_summary")), "Detection, summary")
+    if len(rates := results.table("detection_rates")):
+        yield as_text(flagged(rates), "Episodes that the leakage head flags, %, by leak in l/min")
 
 
 def remarks(results: Results) -> Iterator[str]:

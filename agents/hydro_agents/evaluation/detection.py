@@ -1,4 +1,4 @@
-"""Evaluation of the leakage head under each controller: episodes, rates, areas over all thresholds, sizes."""
+"""Evaluation of the leakage head under each controller: whole episodes, and the shares that it flags."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import mannwhitneyu
 
-from hydro_agents.detection.detector import Detector, MeasuredColumns, Windows, threshold_at_false_alarm_rate
+from hydro_agents.detection.detector import Detector, MeasuredColumns, Windows
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.evaluation.participants import split_name
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 
 
-FALSE_ALARM_RATE = 0.01
 RANGE_EDGES = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
 """l/min at 100 bar; bounds of the size ranges, if the task draws such leaks."""
 
@@ -101,40 +100,9 @@ def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame
     return pd.DataFrame(rows)
 
 
-def detection_summary(detection: pd.DataFrame, threshold: float, config: TaskConfig) -> pd.DataFrame:
-    """Per controller: area under the ROC curve, rates at the head's threshold, and the error of the size."""
-    rows, leakage = [], config.leakage
-    for controller, frame in detection.groupby("controller", sort=False):
-        flow, score = frame["leakage_flow_lpm"].to_numpy(), frame["probability"].to_numpy()
-        healthy, leaking = flow <= leakage.class_bounds[0], flow > leakage.faulty_range[0]
-        kept, moderate = healthy | leaking, flow >= leakage.class_bounds[1]
-        at_target = threshold_at_false_alarm_rate(score[healthy], FALSE_ALARM_RATE)
-        decades = np.abs(np.log10(frame["estimated_flow_lpm"].to_numpy()[leaking] / flow[leaking]))
-        rows.append(
-            {
-                "controller": controller,
-                "auroc": area_under_roc(score[kept], leaking[kept]),
-                "threshold": threshold,
-                "false_alarm_rate": detection_rate(score[healthy], threshold),
-                "detection_rate_moderate": detection_rate(score[moderate], threshold),
-                "detection_rate_moderate_at_1_percent": detection_rate(score[moderate], at_target),
-                "median_size_error_factor": float(10 ** np.median(decades)),
-                "p90_size_error_factor": float(10 ** np.quantile(decades, 0.9)),
-                "healthy_episodes": int(healthy.sum()),
-                "leaking_episodes": int(leaking.sum()),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
 def area_under_roc(scores: NDArray[Any], positive: NDArray[np.bool_]) -> float:
     """Probability that a leak scores higher than a healthy seal (ties count half); NaN without both kinds."""
     if positive.all() or not positive.any():
         return float("nan")
     pairs = np.count_nonzero(positive) * np.count_nonzero(~positive)
     return float(mannwhitneyu(scores[positive], scores[~positive], method="asymptotic").statistic / pairs)
-
-
-def detection_rate(scores: NDArray[Any], threshold: float) -> float:
-    """Share of scores at or above the threshold; NaN without scores."""
-    return float(np.mean(np.asarray(scores) >= threshold)) if len(scores) else float("nan")

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.comparison import ALL, Grid, Mask
-from hydro_agents.evaluation.detection import detection_rates, detection_summary
+from hydro_agents.evaluation.detection import detection_rates
 from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
 from hydro_agents.evaluation.runner import FAILED, Results, table
 from hydro_agents.running.limit_cycles import counted
@@ -194,10 +194,3 @@ def limit_cycle_summary(results: Results) -> pd.DataFrame:
 def rates(results: Results) -> pd.DataFrame:
     """Share of episodes flagged, by class and size of the leak."""
     return detection_rates(results.part("episodes"), results.protocol.task)
-
-
-@table("detection_summary", of="episodes")
-def detected(results: Results) -> pd.DataFrame:
-    """Areas under the curves, rates, and errors of the size, per controller."""
-    threshold = results.participants.head.settings.threshold
-    return detection_summary(results.part("episodes"), threshold, results.protocol.task)

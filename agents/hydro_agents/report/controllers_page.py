@@ -58,19 +58,6 @@ GROUPS = {
 
 MANY = GROUPS["parameter"]  # it has a table of its own, because it has many conditions
 
-DETECTION = {
-    "auroc": "Area under the ROC curve",
-    "threshold": "Threshold of the leak probability",
-    "false_alarm_rate": "False alarms at this threshold, %",
-    "detection_rate_moderate": "Moderate and severe leaks flagged at this threshold, %",
-    "detection_rate_moderate_at_1_percent": "The same at a threshold with 1 % false alarms here, %",
-    "median_size_error_factor": "Size: factor of error, half of the leaks within",
-    "p90_size_error_factor": "Size: factor of error, nine in ten within",
-    "healthy_episodes": "Healthy episodes",
-    "leaking_episodes": "Leaking episodes",
-}
-"""Rows of the summary of the detection; % means that the table holds a share."""
-
 
 class Example(NamedTuple):
     """One test episode under every controller."""
@@ -111,7 +98,7 @@ def controllers_page(
     by_leak(page, tables)
     by_kind(page, tables)
     single_runs(page, examples)
-    if "detection_summary" in tables:
+    if "detection_rates" in tables:
         detection(page, tables)
     if "training_curve" in tables:
         training(page, tables["training_curve"], names)
@@ -314,7 +301,7 @@ def example_axes(example: Example) -> list[Axes]:
 
 
 def detection(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
-    """The leakage head under every controller: shares flagged by size, and the summary."""
+    """The leakage head under every controller: shares of whole episodes that it flags, by size."""
     page.heading("Detecting the leak")
     rates, names = tables["detection_rates"], names_of(tables)
     ranges = (rates["group"] == "range") & ~rates["value"].str.startswith("≥")
@@ -322,15 +309,14 @@ def detection(page: Page, tables: Mapping[str, pd.DataFrame]) -> None:
     shown = rates[ranges | (rates["value"] == "healthy")]
     draw(axes, shown, "value", "flagged_share", names, factor=100.0, kind="points")
     page.figure(axes, "Flagged episodes by leak", "Bars: 95 % interval. Flags on healthy seals are false alarms.")
-    page.table(detection_table(tables["detection_summary"]), "Detection by the leakage head, from whole episodes")
+    page.table(flagged(rates), "Flagged episodes, %, by leak in l/min at 100 bar")
 
 
-def detection_table(summary: pd.DataFrame) -> pd.DataFrame:
-    """Areas under the curves, rates and errors of the size, one column per controller."""
-    known = summary.set_index("controller").rename(columns=DETECTION)
-    for name in known.columns[known.columns.str.endswith("%")]:
-        known[name] *= 100.0
-    return known.T.astype(object).rename_axis(columns=None)
+def flagged(rates: pd.DataFrame) -> pd.DataFrame:
+    """Shares of flagged episodes, %, without and with leaks by size: a column per controller."""
+    rows = rates[(rates["group"] == "range") | (rates["value"] == "healthy")]
+    shares = 100.0 * rows.pivot(index="value", columns="controller", values="flagged_share")
+    return shares.loc[rows["value"].unique(), rows["controller"].unique()].rename_axis(columns=None)
 
 
 def learning_of(curve: pd.DataFrame) -> pd.DataFrame:

@@ -208,7 +208,7 @@ def test_evaluate_joins_training_seeds_and_keeps_the_results_of_the_others(setti
     agents = ["mine#0=pid", "mine#1=flow_linearising", "broken=my_study_algorithm:Broken"]
     with refused(r"broken under task: .*out holds the other results"):
         evaluate(out, file, agents, head=Path("none"))
-    assert "Detection, summary" not in capsys.readouterr().out
+    assert "leakage head flags" not in capsys.readouterr().out
     status = pd.read_csv(out / "tables" / "status.csv").set_index("controller").loc["broken"]
     assert status["message"].startswith("seed 2000000, reference step, leak 0.01 l/min, at 0.000 s: predict returned")
     assert not (out / "tables" / "detection.csv").exists()
