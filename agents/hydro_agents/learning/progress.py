@@ -33,7 +33,6 @@ from hydro_env.task.drawn_rigs import rig_tasks
 PROGRESS_FILE = "progress.csv"
 STEPS = "time/total_timesteps"
 VALIDATION_RIGS, VALIDATION_PLANTS = 8, 8
-Row = dict[str, float]
 
 
 class Progress(NamedTuple):
@@ -76,14 +75,14 @@ class ProgressFile(KVWriter):
         write_text(self._path, table.to_csv(index=False, lineterminator="\n") if self._rows else "")
 
 
-def read_progress(path: str | Path, steps: float = math.inf) -> list[Row]:
+def read_progress(path: str | Path, steps: float = math.inf) -> list[dict[str, float]]:
     """The rows of ``progress.csv`` up to a number of steps; an empty field is NaN.
 
     A damaged file is left out with a warning: no result depends on the log.
     """
     try:
         table = pd.read_csv(path, index_col=False, dtype=str).astype(float)
-        rows: list[Row] = table[table[STEPS] <= steps].to_dict("records")
+        rows: list[dict[str, float]] = table[table[STEPS] <= steps].to_dict("records")
     except pd.errors.EmptyDataError:
         return []
     except (OSError, ValueError, KeyError) as error:

@@ -38,14 +38,14 @@ from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.randomisation import default_randomisation
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
-LEAKS = (HEALTHY_LEAK, 0.3, 1.0, 4.0)  # l/min at 100 bar: a healthy seal, and three leaking ones
+EXAMINED_LEAKS = (HEALTHY_LEAK, 0.3, 1.0, 4.0)  # l/min at 100 bar: a healthy seal, and three leaking ones
 
 OVERDAMPED, HELD_NOWHERE = "overdamped", "cannot be held"  # instead of a figure
 
 BAR, MILLIMETRE, CUBIC_CENTIMETRE, SQUARE_CENTIMETRE = 1e5, 1e-3, 1e-6, 1e-4
 
 
-class Row(NamedTuple):
+class RigFigure(NamedTuple):
     """One figure of the table."""
 
     group: str
@@ -60,7 +60,7 @@ class Row(NamedTuple):
         return self.value if isinstance(self.value, str) else f"{self.value:.{digits}g}"
 
 
-def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig | None = None) -> list[Row]:
+def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig | None = None) -> list[RigFigure]:
     """All figures of a rig, in the units of practice.
 
     Args:
@@ -87,7 +87,9 @@ def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig
         *_forces(parameters),
         *_oscillation(parameters, place),
         *_loop(task or TaskConfig(plant=parameters, randomisation=default_randomisation(parameters)), place),
-        Row("integration", "fastest rate |λ|, at rest", _position(place), _figure(_fastest, parameters, place), "1/s"),
+        RigFigure(
+            "integration", "fastest rate |λ|, at rest", _position(place), _figure(_fastest, parameters, place), "1/s"
+        ),
     ]
 
 
@@ -113,60 +115,66 @@ def resting_place(parameters: PlantParameters) -> float:
     return float(held[len(held) // 2])
 
 
-def _geometry(parameters: PlantParameters) -> list[Row]:
+def _geometry(parameters: PlantParameters) -> list[RigFigure]:
     c, half = plant_coefficients(parameters), 0.5 * parameters.cylinder.stroke
     rows = [
-        Row("cylinder", "area a (bore side)", "", c.area_a / SQUARE_CENTIMETRE, "cm²"),
-        Row("cylinder", "area b (rod side)", "", c.area_b / SQUARE_CENTIMETRE, "cm²"),
-        Row("cylinder", "area ratio a/b", "", c.area_a / c.area_b, "1"),
+        RigFigure("cylinder", "area a (bore side)", "", c.area_a / SQUARE_CENTIMETRE, "cm²"),
+        RigFigure("cylinder", "area b (rod side)", "", c.area_b / SQUARE_CENTIMETRE, "cm²"),
+        RigFigure("cylinder", "area ratio a/b", "", c.area_a / c.area_b, "1"),
     ]
     for position in (-half, 0.0, half):
         for name, volume in zip("ab", chamber_volumes(parameters, position), strict=True):
             at = _position(position)
-            rows.append(Row("cylinder", f"oil in chamber {name}", at, volume / CUBIC_CENTIMETRE, "cm³"))
+            rows.append(RigFigure("cylinder", f"oil in chamber {name}", at, volume / CUBIC_CENTIMETRE, "cm³"))
     return rows
 
 
-def _valve(parameters: PlantParameters) -> list[Row]:
+def _valve(parameters: PlantParameters) -> list[RigFigure]:
     c, supply, valve = plant_coefficients(parameters), parameters.supply, parameters.valve
     spool_per_volt = c.drive_rate / c.coil_rate * c.spool_gain
     drop = supply.pressure - supply.tank_pressure
     rated = f"{valve.rated_pressure_drop / BAR:g} bar over both edges"
     flow = c.edge_gain * math.sqrt(0.5 * drop)
     rows = [
-        Row("valve", "gain K of one edge", "fully open", c.edge_gain / LITRE_PER_MINUTE * BAR**0.5, "l/(min √bar)"),
-        Row("valve", "rated flow", rated, valve.rated_flow / LITRE_PER_MINUTE, "l/min"),
-        Row("valve", "spool at 10 V", "full = 1", min(FULL_VOLTAGE * spool_per_volt, 1.0), "1"),
+        RigFigure(
+            "valve", "gain K of one edge", "fully open", c.edge_gain / LITRE_PER_MINUTE * BAR**0.5, "l/(min √bar)"
+        ),
+        RigFigure("valve", "rated flow", rated, valve.rated_flow / LITRE_PER_MINUTE, "l/min"),
+        RigFigure("valve", "spool at 10 V", "full = 1", min(FULL_VOLTAGE * spool_per_volt, 1.0), "1"),
     ]
     if valve.overlap:
-        rows.append(Row("valve", "dead band", "to each side", valve.overlap / spool_per_volt, "V", "dead band"))
-    rows.append(Row("valve", "no-load flow", f"{drop / BAR:g} bar over both edges", flow / LITRE_PER_MINUTE, "l/min"))
+        rows.append(RigFigure("valve", "dead band", "to each side", valve.overlap / spool_per_volt, "V", "dead band"))
+    rows.append(
+        RigFigure("valve", "no-load flow", f"{drop / BAR:g} bar over both edges", flow / LITRE_PER_MINUTE, "l/min")
+    )
     return rows
 
 
-def _speeds(parameters: PlantParameters) -> list[Row]:
+def _speeds(parameters: PlantParameters) -> list[RigFigure]:
     c, supply, external = plant_coefficients(parameters), parameters.supply, parameters.load.external_force
     free, limits = speed_limits(parameters), force_limits(parameters)
     slow_out = speed_limits(parameters, external + limits.extending * 2 / 3).extending
     slow_in = speed_limits(parameters, external - limits.retracting * 2 / 3).retracting
-    rows, lasting = [], [Row("speed", "flow of the pump", "", supply.pump_flow / LITRE_PER_MINUTE, "l/min")]
+    rows, lasting = [], [RigFigure("speed", "flow of the pump", "", supply.pump_flow / LITRE_PER_MINUTE, "l/min")]
     for way, speed, slow, area in (
         ("out", free.extending, slow_out, c.area_a),
         ("in", free.retracting, slow_in, c.area_b),
     ):
         flow, fed = speed * area / LITRE_PER_MINUTE, min(speed, supply.pump_flow / area) / MILLIMETRE
         rows += [
-            Row("speed", f"no-load speed {way}", "fully open", speed / MILLIMETRE, "mm/s", f"speed {way}"),
-            Row("speed", f"speed {way}", "2/3 of force limit", slow / MILLIMETRE, "mm/s", f"loaded {way}"),
-            Row("speed", f"flow from the supply {way}", "no-load speed", flow, "l/min"),
+            RigFigure("speed", f"no-load speed {way}", "fully open", speed / MILLIMETRE, "mm/s", f"speed {way}"),
+            RigFigure("speed", f"speed {way}", "2/3 of force limit", slow / MILLIMETRE, "mm/s", f"loaded {way}"),
+            RigFigure("speed", f"flow from the supply {way}", "no-load speed", flow, "l/min"),
         ]
-        lasting.append(Row("speed", f"lasting speed {way}", "fed by the pump alone", fed, "mm/s", f"lasting {way}"))
+        lasting.append(
+            RigFigure("speed", f"lasting speed {way}", "fed by the pump alone", fed, "mm/s", f"lasting {way}")
+        )
     if supply.model != "constant":
         rows += lasting
     return rows
 
 
-def _forces(parameters: PlantParameters) -> list[Row]:
+def _forces(parameters: PlantParameters) -> list[RigFigure]:
     limits, (low, high) = force_limits(parameters), reachable_range(parameters)
     stiffness = parameters.load.spring_stiffness
     against = "stroke"
@@ -174,65 +182,73 @@ def _forces(parameters: PlantParameters) -> list[Row]:
         against = f"spring {stiffness / 1e3:g} N/mm"
     pressure = f"{parameters.supply.pressure / BAR:g} bar"
     return [
-        Row("force", "force limit out", pressure, limits.extending / 1e3, "kN", "force out"),
-        Row("force", "force limit in", pressure, limits.retracting / 1e3, "kN", "force in"),
-        Row("force", "reach in", against, low / MILLIMETRE, "mm", "reach in"),
-        Row("force", "reach out", against, high / MILLIMETRE, "mm", "reach out"),
+        RigFigure("force", "force limit out", pressure, limits.extending / 1e3, "kN", "force out"),
+        RigFigure("force", "force limit in", pressure, limits.retracting / 1e3, "kN", "force in"),
+        RigFigure("force", "reach in", against, low / MILLIMETRE, "mm", "reach in"),
+        RigFigure("force", "reach out", against, high / MILLIMETRE, "mm", "reach out"),
     ]
 
 
-def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
+def _oscillation(parameters: PlantParameters, place: float) -> list[RigFigure]:
     group, half, softest = "oil column", 0.5 * parameters.cylinder.stroke, softest_position(parameters)
     rows = []
     for position in (-half, -0.5 * half, 0.0, 0.5 * half, half):
         frequency = closed_port_natural_frequency(parameters, position) / (2 * math.pi)
-        rows.append(Row(group, "natural frequency, ports shut", _position(position), frequency, "Hz"))
+        rows.append(RigFigure(group, "natural frequency, ports shut", _position(position), frequency, "Hz"))
     lowest, at = closed_port_natural_frequency(parameters, softest), _position(softest)
-    rows.append(Row(group, "lowest natural frequency", at, lowest / (2 * math.pi), "Hz", "lowest frequency"))
-    rows.append(Row(group, "the same", at, lowest, "rad/s"))
+    rows.append(RigFigure(group, "lowest natural frequency", at, lowest / (2 * math.pi), "Hz", "lowest frequency"))
+    rows.append(RigFigure(group, "the same", at, lowest, "rad/s"))
     for position in dict.fromkeys((0.0, softest)):
         stiffness = closed_port_stiffness(parameters, position) * MILLIMETRE / 1e3
-        rows.append(Row(group, "stiffness, ports shut", _position(position), stiffness, "kN/mm"))
-    for leak in LEAKS:
+        rows.append(RigFigure(group, "stiffness, ports shut", _position(position), stiffness, "kN/mm"))
+    for leak in EXAMINED_LEAKS:
         damping, at = _figure(_damping, leaking(parameters, leak), place), f"{_position(place)}, {leak_text(leak)}"
-        rows.append(Row(group, "damping ratio, linearised", at, damping, "1", f"damping {leak_text(leak)}"))
+        rows.append(RigFigure(group, "damping ratio, linearised", at, damping, "1", f"damping {leak_text(leak)}"))
     return rows
 
 
-def _loop(task: TaskConfig, place: float) -> list[Row]:
+def _loop(task: TaskConfig, place: float) -> list[RigFigure]:
     group, largest, friction = "position loop", "largest stable gain", "simulated with friction"
     places = places_in_reach(task.plant)
     span = f"worst, {places[0] / MILLIMETRE:+.0f} to {places[-1] / MILLIMETRE:+.0f} mm"
     timed = f"{largest} ({1e3 * task.control_period:g} ms, {1e3 * task.command_latency:g} ms late)"
-    plants = {f"{_position(place)}, {leak_text(leak)}": beyond_dead_band(leaking(task.plant, leak)) for leak in LEAKS}
+    plants = {
+        f"{_position(place)}, {leak_text(leak)}": beyond_dead_band(leaking(task.plant, leak)) for leak in EXAMINED_LEAKS
+    }
     rows = []
     for here, plant in plants.items():
-        rows.append(Row(group, "gain 2 ζ ω / speed (no sampling)", here, _figure(_rule_of_thumb, plant, place), "1/m"))
+        rows.append(
+            RigFigure(group, "gain 2 ζ ω / speed (no sampling)", here, _figure(_rule_of_thumb, plant, place), "1/m")
+        )
     healthy = None
-    for leak, (here, plant) in zip(LEAKS, plants.items(), strict=True):
-        rows.append(Row(group, timed, here, _figure(_largest_gain, plant, place, task), "1/m"))
+    for leak, (here, plant) in zip(EXAMINED_LEAKS, plants.items(), strict=True):
+        rows.append(RigFigure(group, timed, here, _figure(_largest_gain, plant, place, task), "1/m"))
         over_reach, key = weakest(nominal_loops(task, leak)), ""
         if leak == HEALTHY_LEAK:
             healthy, key = over_reach, "gain over the reach"
-        rows.append(Row(group, largest, f"{span}, {leak_text(leak)}", _gain(over_reach), "1/m", key))
+        rows.append(RigFigure(group, largest, f"{span}, {leak_text(leak)}", _gain(over_reach), "1/m", key))
     worst, within = weakest(loops_within_ranges(task)), f"worst of {DRAWN} plants in the ranges"
-    rows.append(Row(group, largest, f"{within}, {leak_text(HEALTHY_LEAK)}", _gain(worst), "1/m", "gain in the ranges"))
+    rows.append(
+        RigFigure(group, largest, f"{within}, {leak_text(HEALTHY_LEAK)}", _gain(worst), "1/m", "gain in the ranges")
+    )
     try:
         quiet = quiet_gains(task)
     except HydroError:
         return rows
     recommended = quiet.recommended
-    rows.append(Row(group, "recommended gain", friction, recommended, "1/m", "recommended gain"))
+    rows.append(RigFigure(group, "recommended gain", friction, recommended, "1/m", "recommended gain"))
     for which, gain, weak in (("own values", quiet.own, healthy), ("worst in the ranges", quiet.worst, worst)):
         at, margin = f"recommended gain, {which}", 20.0 * math.log10(gain / recommended)
-        rows.append(Row(group, "largest quiet gain", f"{which}, {friction}", gain, "1/m", f"quiet, {which}"))
-        rows.append(Row(group, "gain margin", f"{at}, {friction}", margin, "dB", f"gain margin, {which}"))
+        rows.append(RigFigure(group, "largest quiet gain", f"{which}, {friction}", gain, "1/m", f"quiet, {which}"))
+        rows.append(RigFigure(group, "gain margin", f"{at}, {friction}", margin, "dB", f"gain margin, {which}"))
         if weak is not None:
             phase = _figure(weak.loop.phase_margin, recommended)
-            rows.append(Row(group, "phase margin", f"{at}, without friction", phase, "°", f"phase margin, {which}"))
+            rows.append(
+                RigFigure(group, "phase margin", f"{at}, without friction", phase, "°", f"phase margin, {which}")
+            )
     for here, plant in plants.items():
         stiffness = _figure(_static_stiffness, plant, place, recommended)
-        rows.append(Row(group, "static stiffness", f"recommended gain, {here}", stiffness, "kN/mm"))
+        rows.append(RigFigure(group, "static stiffness", f"recommended gain, {here}", stiffness, "kN/mm"))
     return rows
 
 

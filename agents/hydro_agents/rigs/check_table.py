@@ -13,7 +13,7 @@ from rich.padding import Padding
 from rich.table import Table as ConsoleTable
 
 from hydro_agents.learning.stable_gain import DRAWN, beyond_dead_band
-from hydro_agents.rigs.check import BAR, HELD_NOWHERE, LEAKS, MILLIMETRE, Row, check_rig, leak_text
+from hydro_agents.rigs.check import BAR, HELD_NOWHERE, EXAMINED_LEAKS, MILLIMETRE, RigFigure, check_rig, leak_text
 from hydro_agents.running.console import PlainConsole, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.tasks import timed_task
@@ -33,12 +33,12 @@ PRESSURES = ("pressure_a", "pressure_b")
 WEAK_DAMPING = 0.05  # damping ratio below which an axis rings: after five periods a step still oscillates by a fifth
 
 
-def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, str]]:
+def brief(rows: Sequence[RigFigure], parameters: PlantParameters) -> list[tuple[str, str]]:
     """Speeds, forces, frequency, damping, gain and a verdict, each as (name, text)."""
     figures = {row.key: row for row in rows if row.key}
     text = {key: row.text(3) for key, row in figures.items()}
     short = {key: row.text(2) for key, row in figures.items()}
-    healthy, leaking = (f"damping {leak_text(leak)}" for leak in (LEAKS[0], LEAKS[-1]))
+    healthy, leaking = (f"damping {leak_text(leak)}" for leak in (EXAMINED_LEAKS[0], EXAMINED_LEAKS[-1]))
     # Gains in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed; beyond a dead band.
     full_speed = sum(speed_limits(beyond_dead_band(parameters))) / 2.0
     for key in ("gain over the reach", "gain in the ranges", "recommended gain"):
@@ -52,7 +52,7 @@ def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, s
         "natural frequency": f"{text['lowest frequency']} Hz at the softest place "
         f"({figures['lowest frequency'].at}), ports shut",
         "damping ratio": f"{short[healthy]} with a healthy seal, {short[leaking]} with a leak of "
-        f"{leak_text(LEAKS[-1])}, without friction",
+        f"{leak_text(EXAMINED_LEAKS[-1])}, without friction",
         "largest stable gain": f"{text['gain over the reach']} with the file's own values, "
         f"{text['gain in the ranges']} on the worst of {DRAWN} plants drawn from their ranges; healthy seal",
     }
@@ -67,7 +67,7 @@ def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, s
     return [*facts.items(), ("verdict", "; ".join(["it works", *watch]))]
 
 
-def _watched(figures: Mapping[str, Row], damping: float | str) -> list[str]:
+def _watched(figures: Mapping[str, RigFigure], damping: float | str) -> list[str]:
     """What a person must watch on a rig that works."""
     watch = []
     if "dead band" in figures:
@@ -174,7 +174,7 @@ def _summary(rig: Rig) -> str:
     return ", ".join(facts)
 
 
-def check_csv(rows: list[Row]) -> str:
+def check_csv(rows: list[RigFigure]) -> str:
     """All figures with nine digits, one per line."""
     table = pd.DataFrame([row._replace(value=row.text(9)) for row in rows]).drop(columns="key")
     text: str = table.to_csv(index=False, lineterminator="\n")
@@ -230,7 +230,7 @@ PLAUSIBLE = (
 )
 
 
-def sensor_rows(rig: Rig, task: TaskConfig) -> list[Row]:
+def sensor_rows(rig: Rig, task: TaskConfig) -> list[RigFigure]:
     """Largest constant error of the position, which no controller sees; range, noise and error of the pressures.
 
     Each says whether it is an assumption.
@@ -241,13 +241,13 @@ def sensor_rows(rig: Rig, task: TaskConfig) -> list[Row]:
 
     bias = task.sensors.position.bias
     at = f"{origin('position.bias')}: {100.0 * bias / rig.plant.cylinder.stroke:.2g} % of stroke"
-    rows = [Row("sensors", "largest constant error, position", at, bias / MILLIMETRE, "mm")]
+    rows = [RigFigure("sensors", "largest constant error, position", at, bias / MILLIMETRE, "mm")]
     for name in PRESSURES:
         sensor = getattr(task.sensors, name)
         if sensor.fitted:
             for field, what in (("high", "range"), ("noise", "noise"), ("bias", "constant error")):
                 value = getattr(sensor, field) / BAR
-                rows.append(Row("sensors", f"{what}, {name}", origin(f"{name}.{field}"), value, "bar"))
+                rows.append(RigFigure("sensors", f"{what}, {name}", origin(f"{name}.{field}"), value, "bar"))
     return rows
 
 
