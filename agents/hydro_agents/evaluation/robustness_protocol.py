@@ -154,7 +154,7 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
                 raise ConfigurationError(f"{file}: conditions.{twice}: is also in sweep")
             values["conditions"] = conditions = {**conditions, **swept}
         for condition in mappings(conditions).values():
-            chosen = condition.get("controllers")
+            chosen: Any = condition.get("controllers")
             for name, what in chosen.items() if isinstance(chosen, dict) else ():
                 if isinstance(what, str) and what.endswith(".yaml"):
                     with kept(errors):

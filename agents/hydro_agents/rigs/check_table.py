@@ -13,7 +13,7 @@ from rich.padding import Padding
 from rich.table import Table as ConsoleTable
 
 from hydro_agents.learning.stable_gain import DRAWN, beyond_dead_band
-from hydro_agents.rigs.check import BAR, HELD_NOWHERE, EXAMINED_LEAKS, MILLIMETRE, RigFigure, check_rig, leak_text
+from hydro_agents.rigs.check import BAR, EXAMINED_LEAKS, HELD_NOWHERE, MILLIMETRE, RigFigure, check_rig, leak_text
 from hydro_agents.running.console import PlainConsole, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.tasks import timed_task
