@@ -17,7 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar, cast
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints
 
 from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.jobs import Job
@@ -125,21 +125,11 @@ class Protocol(Group, Generic[AnyCondition]):
     kind: str
     title: str
     task: TaskConfig = Field(default_factory=TaskConfig)
-    parts: tuple[str, ...] = Field((), description="what is measured; default: what the other keys ask for")
     conditions: dict[Name, AnyCondition] = Field(min_length=1)
-
-    @model_validator(mode="after")
-    def _known_parts(self) -> Self:
-        refuse_unknown("parts", self.parts, [name for name, part in PARTS.items() if self.kind == part.kind], "part")
-        return self
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """The parts that the protocol measures."""
-        return self.parts or self.asked()
-
-    def asked(self) -> tuple[str, ...]:
-        """The parts that the other keys ask for; each kind has its own."""
+        """The parts that the protocol measures; each kind has its own."""
         raise NotImplementedError
 
     @classmethod

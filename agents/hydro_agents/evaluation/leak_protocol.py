@@ -85,8 +85,9 @@ class LeakProtocol(Protocol[LeakCondition]):
             refuse_unknown(f"conditions.{name}: detectors", condition.detectors or (), self.detectors, "detector")
         return self
 
-    def asked(self) -> tuple[str, ...]:
-        """The parts that the other keys ask for."""
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """The windows, and the bound where a key asks for it."""
         return ("windows", "leak_bound") if self.bound_conditions else ("windows",)
 
     def changed_task(self, name: str) -> TaskConfig:

@@ -24,9 +24,6 @@ ones."""
 
 ERROR, ERROR_SENSOR = "mean_error_mm", "mean_error_sensor_mm"  # the metrics by which controllers are compared
 
-FRAMES = {ERROR: "accuracy", ERROR_SENSOR: "repeatability"}
-"""The frame of each, by the terms that :data:`FRAMES_TEXT` explains."""
-
 FRAMES_TEXT = (
     "Accuracy is the error of the true position. Repeatability is the error of the position that the sensor reads "
     "without noise: the constant bias of the sensor, which no controller can see, does not count. The terms are "

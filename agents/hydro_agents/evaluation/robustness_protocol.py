@@ -139,7 +139,8 @@ class RobustnessProtocol(PairedCases, Protocol[PairedCondition]):
             raise ValueError("conditions: 'all' is the name of their mean")
         return self
 
-    def asked(self) -> tuple[str, ...]:
+    @property
+    def measured(self) -> tuple[str, ...]:
         """Tracking and standstills; detection where a head watches."""
         return ("tracking", "standstill", "episodes") if self.standstill_plants else ("tracking", "episodes")
 

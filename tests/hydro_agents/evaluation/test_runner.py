@@ -121,7 +121,7 @@ def test_other_periods_and_rigs_need_controllers_of_their_own():
     assert status.loc["slow", "status"] == status.loc["rig", "status"] == NOT_APPLICABLE
     assert "10 ms" in status.loc["slow", "message"]
     assert not results.errors
-    choice = {"PID": {"kind": "pid", "settings": {"proportional": 15.0}}}
+    choice = {"PID": {"proportional": 15.0}}
     named = small(conditions={"plain": {}, "slow": {**conditions["slow"], "controllers": choice}})
     ready = participants({"PID": "pid"}, named)
     assert set(run(named, ready, jobs=1).part("tracking")["condition"]) == {"plain", "slow"}
