@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import wraps
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -35,9 +36,25 @@ RESTS = 96  # standstills
 PER_LIMIT_CYCLE = {"pid": 15.0, "flow_linearising": 1.5}
 """What a limit cycle at all of them adds to the logarithm of the error; that of a PID is millimetres large."""
 
+Found = TypeVar("Found")
 _FOUND: dict[tuple[str, str, str], Any] = {}  # by what was sought, kind and task
 
 
+def _once(search: Callable[[str, TaskConfig], Found]) -> Callable[[str, TaskConfig], Found]:
+    """A search that a process makes once for each kind and task."""
+
+    @wraps(search)
+    def answer(kind: str, config: TaskConfig) -> Found:
+        key = search.__name__, kind, repr(config)
+        if key not in _FOUND:
+            _FOUND[key] = search(kind, config)
+        found: Found = _FOUND[key]
+        return found
+
+    return answer
+
+
+@_once
 def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
     """Sets of gains that may serve the rig of a task; the first is preferred.
 
@@ -48,10 +65,7 @@ def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
         ConfigurationError: no PID follows from the figures.
     """
     if kind == "pid":
-        key = "sets", kind, repr(config)
-        if key not in _FOUND:
-            _FOUND[key] = pids_from_figures(config)
-        return [*_FOUND[key]]
+        return [*pids_from_figures(config)]
     group = CONTROLLERS[kind][1]
     sets = [group()]
     file = config_folder() / "agents" / f"{kind}_sets.yaml"
@@ -60,43 +74,37 @@ def gain_sets(kind: str, config: TaskConfig) -> list[Group]:
     return sets
 
 
+@_once
 def chosen_gains(kind: str, config: TaskConfig) -> Group:
     """The set of :func:`gain_sets` that controls the simulated rig of the task best, if clearly so; in seconds."""
-    key = "chosen", kind, repr(config)
-    if key not in _FOUND:
-        sets = gain_sets(kind, config)
-        _FOUND[key] = sets[0]
-        if len(sets) > 1:
-            errors = costs_on_rig(kind, sets, config)
-            if min(errors) < CLEARLY * errors[0]:
-                _FOUND[key] = sets[int(np.argmin(errors))]
-    answer: Group = _FOUND[key]
-    return answer
+    sets = gain_sets(kind, config)
+    if len(sets) > 1:
+        errors = costs_on_rig(kind, sets, config)
+        if min(errors) < CLEARLY * errors[0]:
+            return sets[int(np.argmin(errors))]
+    return sets[0]
 
 
+@_once
 def searched_gains(kind: str, config: TaskConfig) -> Group:
     """Gains from a short search around :func:`chosen_gains`; it takes about a minute.
 
     Fresh cases decide between the best candidate of each generation, the choice and the first set: a search favours
     what some cases happen to like. Limit cycles at rest count against each.
     """
-    key = "searched", kind, repr(config)
-    if key not in _FOUND:
-        print(f"hydro: {kind}: a simulation of the rig searches gains; about a minute", file=sys.stderr)
-        chosen = chosen_gains(kind, config)
-        found = [gain_sets(kind, config)[0], chosen]
-        search = Search(evaluations=NEARBY, cases=SEARCH_CASES, start=chosen, spread=NEAR[kind], separable=True)
-        tune(kind, config, search, progress=lambda best: found.append(best.gains))
-        leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
-        errors = np.zeros(len(leaders))
-        for seed in TRIALS:
-            errors += np.log(costs_of_sets(kind, leaders, [config], TRIAL_CASES, seed)) / len(TRIALS)
-        for number, gains in enumerate(leaders):
-            counts = counted_at_rest(CONTROLLERS[kind][0](gains, config), config, STANDSTILLS, RESTS)
-            errors[number] += PER_LIMIT_CYCLE[kind] * counts["limit_cycles"] / RESTS
-        _FOUND[key] = leaders[int(np.argmin(errors))]
-    answer: Group = _FOUND[key]
-    return answer
+    print(f"hydro: {kind}: a simulation of the rig searches gains; about a minute", file=sys.stderr)
+    chosen = chosen_gains(kind, config)
+    found = [gain_sets(kind, config)[0], chosen]
+    search = Search(evaluations=NEARBY, cases=SEARCH_CASES, start=chosen, spread=NEAR[kind], separable=True)
+    tune(kind, config, search, progress=lambda best: found.append(best.gains))
+    leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
+    errors = np.zeros(len(leaders))
+    for seed in TRIALS:
+        errors += np.log(costs_of_sets(kind, leaders, [config], TRIAL_CASES, seed)) / len(TRIALS)
+    for number, gains in enumerate(leaders):
+        counts = counted_at_rest(CONTROLLERS[kind][0](gains, config), config, STANDSTILLS, RESTS)
+        errors[number] += PER_LIMIT_CYCLE[kind] * counts["limit_cycles"] / RESTS
+    return leaders[int(np.argmin(errors))]
 
 
 def costs_on_rig(kind: str, sets: Sequence[Group], config: TaskConfig) -> Floats:
