@@ -67,6 +67,7 @@ def test_simulate_starts_where_the_rig_can_rest(tmp_path, monkeypatch):
     at_mid_stroke = hydro("simulate", "--rig", tmp_path / "rig.yaml", "--position", "0", "-o", tmp_path / "2")
     assert_one_clear_line(at_mid_stroke, "position = 0 m cannot be held")
     monkeypatch.setattr(stable_gain, "DRAWN", 2)
+    monkeypatch.setattr(stable_gain, "PLANTS", 2)
     checked = done("check-rig", "--rig", tmp_path / "rig.yaml")
     assert f"x = {place:+.1f} mm" in checked.stdout
 

@@ -16,23 +16,16 @@ YAML = [
     ("a: &a 1\nb: [" + "*a, " * 101 + "]", "more than 100 aliases"),
     ("a: " + "[" * 90_000, "maximum recursion depth"),
     ("load: {mass: 1}\nload: {mass: 2}", "line 2: the key 'load' stands here twice"),
-    ("load:\n  mass: 1\n  mass: 2", "line 3: the key 'mass' stands here twice"),
     ("a: " + "9" * 5000, "not valid YAML: Exceeds the limit"),
-    ("a: 1\nb: !!float abc", "not valid YAML: could not convert string"),
     ("a: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
-    ("? [1]\n: 2", "unhashable key"),
     ("7: 1", "7 is a key: keys must be text"),
-    ("a: \x01", "special characters"),
     ("- 1", "must be a mapping of settings, not list"),
-    ("hello", "must be a mapping of settings, not str"),
 ]
 JSON = [
     ('{"a": ', "not valid JSON in line 1"),
     ("[" * 90_000, "maximum recursion depth"),
-    ('{"a": ' + "9" * 5000 + "}", "Exceeds the limit"),
     ('{"a": 1, "a": 2}', "a key stands twice"),
     ("[1]", "must be a mapping of settings, not list"),
-    ("null", "must be a mapping of settings, not NoneType"),
 ]
 HOSTILE = [(read, *case) for read, cases in ((read_yaml, YAML), (read_json, JSON)) for case in cases]
 

@@ -17,24 +17,17 @@ RIGS = [
     ("cylinder: {bore_diameter: 63 mn}", "'63 mn': unit 'mn': must be one of mm, m, cm, in, um, µm (unit"),
     ("supply: {pressure: 160 bars}", "must be one of bar, MPa, psi, kPa, Pa, mbar, GPa; did you mean bar?"),
     ("randomisation: {load.mass: {uniform: [1 kg, 3 mm]}}", "load.mass: unit 'mm': must be one of kg, t, g"),
-    ("sensors: {pressure_a: {high: 3 mm}}", "pressure_a.high = '3 mm': unit 'mm': must be one of bar, MPa"),
     ("load: {mass: heavy}", "load.mass = 'heavy': must be a number within 0.01 to 1000000 (unit: kg)"),
     ("leakage: {internal_resistance: 1}", "must be a number, at least 100000000 (unit"),  # the other bound is infinity
     ("load: {mass: .nan}", "load.mass = nan: "),
-    ("load: {mass: true}", "load.mass = true: must be a number, not true/false"),
-    ("load:\n  mass: 120,5 kg", "load.mass = '120,5 kg': must be a number within 0.01 to 1000000 (unit: kg)"),
     # Names of groups, fields and choices.
     ("loads: {mass: 60}", "loads: unknown key; did you mean load?"),
-    ("load:", "load: must be a group of settings"),
-    ("randomisation: {load.mass: {factor: [2, 1]}}", "randomisation.load.mass: bounds = [2, 1]"),
     ("supply: {model: accumulater}", "must be one of constant, accumulator, pump; did you mean accumulator?"),
     # What does not fit together.
     ("cylinder: {rod_diameter: 0.05}", "rod_diameter = 50 mm does not fit: "),
     ("supply: {tank_pressure: 80e5}", "pressure = 70 bar must be above tank_pressure = 80 bar"),
-    ("supply: {precharge_pressure: 75e5}", "precharge_pressure = 75 bar must be below pressure"),
     ("supply: {relief_slope: 0}", "nothing limits the pressure"),
     ("friction: {breakaway_force: 100}", "breakaway_force = 100 N must not be below coulomb_force = 120 N"),
-    ("friction: {model: lugre, coulomb_force: 0}", "coulomb_force = 0 N must be above 0 with model lugre"),
     ("load: {external_force: 1e6}", "load.external_force = 1e+06 N: "),
     # YAML.
     ("load:\n\tmass: 3", "not valid YAML in line 2: "),

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from hydro_agents.learning import stable_gain
+
 ROOT = Path(__file__).parents[2]
 FURTHER = (
     "hydro_agents.controllers.pid.PID",
@@ -40,6 +42,8 @@ def public_names():
 @pytest.mark.parametrize("name", public_names())
 def test_the_example_of_a_public_name_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(stable_gain, "DRAWN", 8)
+    monkeypatch.setattr(stable_gain, "PLANTS", 2)
     module, _, attribute = name.rpartition(".")
     thing = getattr(importlib.import_module(module), attribute)
     (test,) = doctest.DocTestFinder(recurse=False).find(thing, name, globs={})

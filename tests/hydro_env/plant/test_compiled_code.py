@@ -6,7 +6,9 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
+import numba
 import numpy as np
 import pytest
 
@@ -127,54 +129,46 @@ def test_the_cache_is_keyed_by_the_digest_alone():
         assert all(isinstance(cell.cell_contents, bool) for cell in cells.values())
 
 
-CHEAP = """
-import hydro_env.compiling as compiling
-import numpy as np
-
 def build(sources):
     def double(values):
         assert sources >= 0
         return 2.0 * values.sum()
+
     return compiling.compiled(double)
 
-print(build(compiling.SOURCES)(np.ones(3)))
-"""
+
+@pytest.fixture
+def run_cheap_kernel(tmp_path, monkeypatch, capsys):
+    """A function that begins a kernel anew; it returns the files of the cache, and what was said on the console."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
+    def run():
+        compiling._announce.cache_clear()
+        assert build(compiling.SOURCES)(np.ones(3)) == 6.0
+        return sorted(tmp_path.rglob("*.nb[ic]")), capsys.readouterr().err
+
+    return run
 
 
-def run_cheap_kernel(folder):
-    """The files of the cache, and what the kernel has said on the console."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, folder / "cheap.py"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=folder, check=True)
-    assert done.stdout.strip() == "6.0"
-    return sorted((folder / "cache").rglob("*.nb[ic]")), done.stderr
-
-
-def test_the_cache_is_made_once_read_silently_and_a_damaged_one_made_again(tmp_path):
-    (tmp_path / "cheap.py").write_text(CHEAP)
-    files, said = run_cheap_kernel(tmp_path)
+def test_the_cache_is_made_once_read_silently_and_a_damaged_one_made_again(run_cheap_kernel):
+    files, said = run_cheap_kernel()
     assert len(files) == 2
     assert "compiling" in said
     content = {file: file.read_bytes() for file in files}
-    assert run_cheap_kernel(tmp_path) == (files, "")
+    assert run_cheap_kernel() == (files, "")
     for damage, ending in ((bytes(range(256)) * 8, ".nbi"), (b"x", ".nbc")):
         for file in files:
             file.write_bytes(damage if file.suffix == ending else content[file])
-        dropped, _ = run_cheap_kernel(tmp_path)
+        dropped, _ = run_cheap_kernel()
         assert damage not in [file.read_bytes() for file in dropped]
-        again = dropped if len(dropped) == 2 else run_cheap_kernel(tmp_path)[0]
+        again = dropped if len(dropped) == 2 else run_cheap_kernel()[0]
         assert again == files
 
 
-def test_a_full_disk_does_not_stop_a_kernel(tmp_path):
+def test_a_full_disk_does_not_stop_a_kernel(run_cheap_kernel, monkeypatch):
     """Writing fails while the machine code is stored: the kernel is compiled for this process alone."""
-    full = """import numpy as np
-import os
-def no_space(*arguments):
-    raise OSError(28, "No space left on device")
-os.replace = no_space"""
-    (tmp_path / "cheap.py").write_text(CHEAP.replace("import numpy as np", full))
-    run_cheap_kernel(tmp_path)
+    monkeypatch.setattr(os, "replace", mock.Mock(side_effect=OSError(28, "No space left on device")))
+    run_cheap_kernel()
 
 
 def test_every_kind_of_action_array_uses_one_compiled_step():

@@ -40,8 +40,11 @@ def test_each_language_gives_the_voltages_of_the_vectors_sample_by_sample(kind, 
     assert np.isnan(signals).any()
     if language == "c":
         run = InC(library(tmp_path, sources_in(made.folder)))
+    elif language == "onnx":
+        run = InOnnx(made.folder / "controller.onnx")
     else:
-        run = InOnnx(made.folder / "controller.onnx") if language == "onnx" else InPython(made.graph.measured)
+        run, signals = InPython(made.graph.measured), signals[:180]  # one of the episodes: it takes its time
+    starts, expected = starts[: len(signals)], expected[: len(signals)]
     voltage = np.array([run(row, bool(start)) for row, start in zip(signals, starts, strict=True)])
     assert np.abs(voltage - expected).max() <= 1e-5
 
