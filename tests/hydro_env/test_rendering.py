@@ -5,7 +5,6 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -130,15 +129,3 @@ def test_a_window_shows_the_same_picture_and_stays_closed(renderer, by_its_user)
     window.close()
     window.close()
     assert not pygame.display.get_init()
-
-
-@pytest.mark.usefixtures("dummy_video")
-def test_a_window_follows_simulated_time(monkeypatch):
-    waited = []
-    monkeypatch.setattr(AxisRenderer, "_show", lambda self, frame_time: waited.append(frame_time))
-    with gym.make("ServoHydraulic-v0", control_period=0.01, render_mode="human") as env:
-        assert env.metadata["render_fps"] == 100  # what recorders of each step need
-        env.reset(seed=0)
-        for _ in range(20):
-            env.step(np.zeros(1))
-    assert waited == pytest.approx([0.02] * 11)

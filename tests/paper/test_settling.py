@@ -8,7 +8,6 @@ import pytest
 
 from hydro_env import PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
-from hydro_env.task.sensors import Sensors
 from paper.rig import SAMPLE_TIME, quick_stop
 from paper.settling import trends
 from paper.signals import (
@@ -17,7 +16,6 @@ from paper.signals import (
     band_envelope,
     drift,
     last_above,
-    recorded,
     recorded_acceleration,
     swing_envelope,
 )
@@ -68,15 +66,6 @@ def test_accelerometer_noise_and_range():
     assert signal.std() == pytest.approx(0.086, rel=0.05)
     hit = recorded_acceleration(np.full(100, 50.0), SAMPLE_TIME, np.random.default_rng(0))
     assert hit.max() <= ACCELEROMETER_RANGE + 0.01
-
-
-def test_position_sensor_noise_bias_and_steps():
-    sensor = Sensors().position
-    signal = recorded(np.full(20_000, 0.01), sensor, np.random.default_rng(1))
-    assert signal.std() == pytest.approx(sensor.noise, rel=0.05)
-    assert 0.0 < abs(signal.mean() - 0.01) <= sensor.bias + 1e-6
-    steps = (signal - sensor.low) / sensor.resolution
-    assert steps == pytest.approx(np.round(steps), abs=1e-6)
 
 
 def test_the_stop_is_at_time_zero():

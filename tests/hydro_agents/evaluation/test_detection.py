@@ -1,20 +1,17 @@
 """Detection by the head: the area under the ROC against scikit-learn, tables against figures by hand."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 import sklearn.metrics
 
-from hydro_agents.detection.detector import Reading, threshold_at_false_alarm_rate
+from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.evaluation.detection import (
     area_under_roc,
-    detection_columns,
     detection_rates,
 )
-from hydro_agents.running.cases import Cases
 from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
 
@@ -83,26 +80,3 @@ def test_rates_per_class_and_range():
     default = detection_rates(episodes(), TaskConfig())
     ranges = default[(default["controller"] == "A") & (default["group"] == "range")]["value"]
     assert list(ranges) == ["0.1–0.2", "0.2–0.3", "0.3–0.5", "0.5–1", "1–2", "2–4", "≥ 0.3"]
-
-
-def test_one_row_per_episode():
-    class Detector:
-        threshold = 0.5
-
-        def read(self, windows, task):
-            spool = windows.signal("spool_position")[:, 0]
-            return Reading.of(spool, probability=spool, flow_lpm=10.0 * spool)
-
-    probability = np.array([0.2, 0.5, 0.7])
-    cases = Cases(np.array([7, 8, 9]), np.array([0.01, 0.4, 3.0]))
-    signals = np.repeat(probability[:, None, None], 5, axis=1)
-    rollout = SimpleNamespace(signals=signals, leakage_class=np.array([0, 2, 3]))
-    columns = detection_columns(cases, rollout, Detector(), TASK)
-    assert {name: values.tolist() for name, values in columns.items()} == {
-        "seed": [7, 8, 9],
-        "leakage_flow_lpm": [0.01, 0.4, 3.0],
-        "class": ["healthy", "moderate", "severe"],
-        "probability": [0.2, 0.5, 0.7],
-        "estimated_flow_lpm": [2.0, 5.0, 7.0],
-        "flagged": [False, True, True],
-    }

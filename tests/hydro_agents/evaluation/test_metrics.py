@@ -168,19 +168,6 @@ def test_every_case_of_a_rollout():
     np.testing.assert_allclose(found["mean_error_sensor_mm"], [0.09 + 0.11 * 10 / 10, 0.1], rtol=1e-3)
 
 
-def test_where_overshoot_and_steady_state_are_counted():
-    reference = np.concatenate([[0.0, 0.004, 0.008], np.full(40, 0.01)])  # from the sample before the step
-    position = reference + 0.001 * (np.arange(43) == 20)
-    assert metrics_of(reference, position, period=0.005)["overshoot_percent"] == pytest.approx(50.0)
-    reference = np.concatenate([np.zeros(3), np.full(6, 0.01)])  # at slow sampling the last sample
-    position = reference + np.concatenate([np.zeros(7), [0.003, 0.001]])
-    assert metrics_of(reference, position, period=0.05)["steady_state_error_mm"] == pytest.approx(1.0)
-    # A standstill that the preview cuts short does not end the search: of the second one alone.
-    reference = np.repeat([0.0, 0.01, 0.02], [10, 20, 60])
-    found = metrics_of(reference, reference + 0.001, 0.005, preview=0.06)
-    assert (found["steady_state_error_mm"], found["unsettled_share"]) == (pytest.approx(1.0), 1.0)
-
-
 @pytest.mark.parametrize(
     ("command", "count"),
     [

@@ -168,17 +168,3 @@ def test_all_tables_of_a_run_are_written(tmp_path):
     alone = run(small(conditions={"plain": {}}), Participants({"P": Proportional()}), jobs=1)
     assert alone.table("comparison").empty
     assert alone.table("ranking")["controller"].tolist() == ["P"]
-
-
-def test_one_condition_is_told_by_leak_and_the_growth_is_that_on_the_same_plants():
-    table = results_of(joined(rows("PID", 1.0), rows("good", 0.5))).table("comparison")
-    assert table["group"].tolist() == ["all", "level", "level", "family", "family"]
-    assert table["value"].tolist()[1:] == ["0.03", "4.0", "step", "sine"]
-    grown = rows("PID", 1.0)
-    grown["mean_error_mm"] *= np.where(grown["leakage_flow_lpm"] == 4.0, 3.0, 1.0)
-    first = grown["leakage_flow_lpm"] == 0.03
-    ratio = grown[~first]["mean_error_mm"].mean() / grown[first]["mean_error_mm"].mean()
-    growth = results_of(grown).table("growth")
-    assert growth["family"].tolist() == ["all", "step", "sine"]
-    assert growth.loc[0, "ratio"] == pytest.approx(ratio)
-    assert results_of(grown[first]).table("growth").empty

@@ -9,12 +9,10 @@ from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.any_axis import PREVIEW_PACES, AnyAxisFeatures
 from hydro_agents.learning.features import HISTORY_SIGNALS, LASTING_TIME, PolicyFeatures
 from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.training import in_family_units, make_env
+from hydro_agents.learning.training import make_env
 from hydro_agents.learning.vec_env import AxisVecEnv
-from hydro_agents.running.cases import family_errors
-from hydro_env import REFERENCE_FAMILIES, TaskConfig
+from hydro_env import TaskConfig
 from hydro_env.files import validate
-from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 CONFIG = TaskConfig(episode_duration=0.1)
 BASE = PID(PIDGains(), CONFIG)
@@ -58,26 +56,6 @@ def test_the_price_of_a_reversal_by_hand():
     twins = axes(paired=True, reversal_price=1.0)
     twins.reset()  # a twin pays for its commands too
     assert all((twins.step(np.zeros((6, 1)))[1] == 0.0).all() for _ in range(25))
-
-
-def test_reward_in_units_of_the_family():
-    measured = family_errors(CONFIG, BASE, plants=4)
-    exact = TaskConfig(episode_duration=0.1, reward={"effort": 0.0})
-    config = in_family_units(exact, measured)
-    plain, scaled = (AxisVecEnv(task, 12, PolicyFeatures(task, BASE), seed=3) for task in (exact, config))
-    plain.reset()
-    scaled.reset()
-    family = plain.env.axes.column("reference_family").astype(int)
-    factor = np.array([exact.reward.error_scale / measured.get(name, np.nan) for name in REFERENCE_FAMILIES])[family]
-    assert len(set(factor)) > 2
-    for _ in range(10):
-        _, reward, _, _ = plain.step(np.zeros((12, 1)))
-        _, other, _, _ = scaled.step(np.zeros((12, 1)))
-        np.testing.assert_allclose(other, reward * factor, rtol=1e-5)
-    lowest = min(measured.values())
-    assert config.reward.error_limit * lowest == pytest.approx(CONFIG.reward.error_limit * CONFIG.reward.error_scale)
-    assert sorted(measured) == sorted(MOVING_FAMILIES)
-    assert measured["step"] > measured["point_to_point"] > 0.0
 
 
 def test_units_of_the_family_in_the_frame_of_the_sensor():

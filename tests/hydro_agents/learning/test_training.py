@@ -8,7 +8,7 @@ from refusal import refused
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.training import discount, make_env, make_features, make_model, train_policy
+from hydro_agents.learning.training import discount, make_env, make_features, train_policy
 from hydro_agents.running.cases import validation_errors
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
@@ -81,18 +81,6 @@ def test_the_discount_is_that_of_a_time_relative_to_the_rig():
     for task in (task_config(rig="aalborg_svsdp_2017"), task_config("period_2ms"), task_config("period_10ms")):
         periods = pace(task) / task.control_period
         assert discount(task, settings) ** periods == pytest.approx(0.97**1.54)
-
-
-def test_the_residual_form_starts_as_the_pid():
-    features = make_features(CONFIG, SETTINGS, BASE)
-    env = make_env(CONFIG, SETTINGS, features, 0)
-    model = make_model(env, SETTINGS, 0)
-    output, _ = model.predict(env.reset(), deterministic=True)
-    assert np.abs(output).max() < 0.02
-    assert not model.policy.log_std.requires_grad
-    alone = make_model(env, SETTINGS.model_copy(update={"residual": False}), 0)
-    small, plain = (each.policy.action_net.weight.detach().numpy() for each in (model, alone))
-    np.testing.assert_allclose(small, 0.1 * plain, rtol=1e-6)
 
 
 def test_practice_changes_what_occurs_and_not_what_the_policy_sees():

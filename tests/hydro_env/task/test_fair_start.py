@@ -67,19 +67,6 @@ def test_a_steady_force_is_a_share_of_what_the_supply_gives_against_it():
     assert 0.4 < (base > 0).mean() < 0.6
 
 
-def test_mixed_forces_are_steps_pulses_and_sines_alike():
-    envs, _ = begun(disturbance={"kind": "mixed", "force_share": (0.1, 0.2), "start_range": (0.1, 0.1)})
-    kinds, counts = np.unique(envs.axes.column("force_kind"), return_counts=True)
-    np.testing.assert_array_equal(kinds, [1.0, 2.0, 3.0])
-    assert counts.min() > COUNT / 3 - 4 * np.sqrt(COUNT * 2 / 9)
-    for _ in range(60):
-        envs.step(ZERO)
-    force = np.array([envs.axes.external_force(axis) for axis in range(COUNT)]) - envs.axes.column("force_base")
-    kind = envs.axes.column("force_kind")
-    assert (force[kind == 1] != 0.0).all()  # a step lasts
-    assert (force[kind == 2] == 0.0).all()  # a pulse of 50 ms from 0.2 s on is over at 0.3 s
-
-
 def test_forces_may_act_in_a_share_of_the_episodes():
     """An episode with forces is that of a task in which they always act; one without is that of a task without."""
     forces = {"kind": "mixed", "steady_share": (0.1, 0.3), "force_share": (0.1, 0.2), "start_range": (0.05, 0.1)}

@@ -62,25 +62,6 @@ def test_bias_stays_for_the_episode_and_is_drawn_anew_for_the_next():
     assert (np.abs(biases[-1] - biases[0]) > 1e-7).all()
 
 
-def test_noise_is_drawn_anew_in_every_sample_and_channel():
-    env = ServoHydraulicEnv(
-        sensors=sensors(**{name: {"noise": 1e-3 * (1e8 if "pressure" in name else 1)} for name in SENSORS})
-    )
-    env.reset(seed=0)
-    rows = []
-    for _ in range(400):
-        env.step(np.zeros(1))
-        axes = env.axes
-        truth = (axes.state[0, 0], axes.column("sensed_a")[0], axes.column("sensed_b")[0], axes.state[0, 4])
-        rows.append([of_channel(axes, "measured", name)[0] - true for name, true in zip(SENSORS, truth, strict=True)])
-    noise = np.array(rows)
-    correlation = np.corrcoef(noise.T) - np.eye(4)
-    assert np.abs(correlation).max() < 4.5 / np.sqrt(400)
-    for column in noise.T:
-        assert abs(np.corrcoef(column[1:], column[:-1])[0, 1]) < 4.5 / np.sqrt(400)
-        assert len(np.unique(column)) == 400
-
-
 @pytest.mark.parametrize("name", SENSORS)
 def test_readings_lie_on_the_steps_of_the_acquisition(name):
     sensor = getattr(Sensors(), name)
