@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pandas as pd
@@ -13,7 +12,7 @@ from hydro_agents.evaluation.conditions import Cell, beginning
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.running.cases import Cases, ControllerError, Rollout, run_cases
+from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.limit_cycles import standstill_metrics, standstill_task
 from hydro_env import TaskConfig
@@ -79,24 +78,3 @@ def at_rest(controller: Controller, config: TaskConfig, cases: Cases) -> Columns
     with beginning():
         rollout = run_cases(config, controller, cases)
     return standstill_metrics(rollout, config)
-
-
-def replay(protocol: RobustnessProtocol, chosen: Participants, row: Mapping[Any, Any]) -> Rollout:
-    """Run one case again with its traces.
-
-    Args:
-        protocol: the protocol.
-        chosen: the controllers.
-        row: ``controller``, ``training_seed``, ``condition``, ``family``, ``leakage_flow_lpm``, ``seed``, as in
-            the tables.
-
-    Raises:
-        ControllerError: the controller cannot run under this condition.
-    """
-    condition, who = str(row["condition"]), (row["controller"], int(row["training_seed"]))
-    name = next(name for name in chosen.controllers if split_name(name) == who)
-    controller = chosen.of(name, condition, protocol)
-    if isinstance(controller, str):
-        raise ControllerError(f"{name} under {condition}: {controller}")
-    case = protocol.cases_of(condition, pd.DataFrame([row]))
-    return run_cases(protocol.task_in(condition), controller, case)

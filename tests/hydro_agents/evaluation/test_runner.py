@@ -10,7 +10,6 @@ from small_protocol import Broken, Proportional, small
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.participants import Participants, participants, split_name
 from hydro_agents.evaluation.runner import DONE, FAILED, NOT_APPLICABLE, run
-from hydro_agents.evaluation.tracking import replay
 from hydro_agents.running.cases import run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER
 
@@ -143,11 +142,10 @@ def test_names_hold_training_seeds(names, message):
     assert (split_name("PPO#12"), split_name("PPO")) == (("PPO", 12), ("PPO", 0))
 
 
-def test_a_case_can_be_replayed(alone):
+def test_a_case_can_be_run_again(alone):
     protocol, chosen = small(**ROOM), two()
-    row = alone.part("tracking")[alone.part("tracking")["condition"] == "late"].iloc[-1].to_dict()
-    rollout = replay(protocol, chosen, row)
-    assert rollout.position.shape == (1, protocol.task.steps)
+    rows = alone.part("tracking")[alone.part("tracking")["condition"] == "late"].iloc[-1:]
+    controller = chosen.of(rows["controller"].iloc[0], "late", protocol)
+    rollout = run_cases(protocol.task_in("late"), controller, protocol.cases_of("late", rows))
     error = 1e3 * np.abs(rollout.reference.astype(np.float64) - rollout.position).mean()
-    assert error == pytest.approx(row["mean_error_mm"], rel=1e-6)
-    assert rollout.leakage_flow_lpm[0] == row["leakage_flow_lpm"]
+    assert error == pytest.approx(rows["mean_error_mm"].iloc[0], rel=1e-6)
