@@ -168,8 +168,6 @@ class TrainingCallback(BaseCallback):
             reward, length = float(np.mean(episodes[:, 0] / episodes[:, 1])), float(np.mean(episodes[:, 1]))
         if self._progress is not None:
             self._progress(Progress(steps, total, self.seconds, reward))
-        for name, value in self.model.get_env().mean_rewards().items():
-            self.logger.record(f"reward/{name}", value)
         if every and (steps // every > self._logged // every or steps >= total):
             for name, value in self._validation().items():
                 self.logger.record(f"validation/{name}", value)

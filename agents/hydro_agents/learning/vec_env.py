@@ -22,12 +22,8 @@ from hydro_agents.learning.features import (
 )
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import AxesState
-from hydro_env.task.rewards import REWARD_TERMS
 
 Array = NDArray[Any]
-
-REWARD_PARTS = (*REWARD_TERMS, "prices", "learned")
-"""The terms of the task; the prices, relative to the twin; and what the policy learns from, before ``reward_scale``."""
 
 
 class _SharedVecEnv(VecEnv):
@@ -122,8 +118,6 @@ class AxisVecEnv(_SharedVecEnv):
         self._twin_commands = np.zeros((0, 1), dtype=np.float32)
         self._returns = np.zeros(count)
         self._lengths = np.zeros(count, dtype=np.int64)
-        self._parts = np.zeros(len(REWARD_PARTS))
-        self._periods = 0
         observed: spaces.Space[Any] = self.env.single_observation_space
         if features is not None:
             observed = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size,), np.float32)
@@ -174,15 +168,13 @@ class AxisVecEnv(_SharedVecEnv):
         axes = self.env.axes
         before = axes.column("change").copy()
         observation, rewards, terminated, truncated, _ = self.env.step(command)
-        price = self._price * _smaller_swing(before, axes.column("change"))
-        worth, done = rewards - price, terminated | truncated
+        worth = rewards - self._price * _smaller_swing(before, axes.column("change"))
+        done = terminated | truncated
         if self._paired:
-            worth, price = worth[:count] - worth[count:], price[:count] - price[count:]
+            worth = worth[:count] - worth[count:]
             done = done[:count] | done[count:]  # an axis and its twin restart together
         self._returns += rewards[:count]
         self._lengths += 1
-        self._parts += [*-axes.column("costs")[:count].mean(axis=0), -price.mean(), worth.mean()]
-        self._periods += 1
         infos: list[dict[str, Any]] = [{} for _ in range(count)]
         if done.any():
             self._fill_infos(infos, np.flatnonzero(done), observation, terminated)
@@ -192,12 +184,6 @@ class AxisVecEnv(_SharedVecEnv):
         self._returns[done] = 0.0
         self._lengths[done] = 0
         return inputs, (worth * self.reward_scale).astype(np.float32), done, infos
-
-    def mean_rewards(self) -> dict[str, float]:
-        """Mean of each part of the reward (REWARD_PARTS) per axis and control period since the last call."""
-        means = self._parts / max(self._periods, 1)
-        self._parts[:], self._periods = 0.0, 0
-        return dict(zip(REWARD_PARTS, means.tolist(), strict=True))
 
     def _fill_infos(
         self, infos: list[dict[str, Any]], ended: NDArray[np.int64], last: Array, terminated: NDArray[np.bool_]
@@ -278,11 +264,6 @@ class RigsVecEnv(_SharedVecEnv):
         results = [env.step(self._actions[part]) for env, part in zip(self.envs, self._parts, strict=True)]
         inputs, rewards, done, infos = zip(*results, strict=True)
         return np.concatenate(inputs), np.concatenate(rewards), np.concatenate(done), [*chain(*infos)]
-
-    def mean_rewards(self) -> dict[str, float]:
-        """Mean over the rigs of :meth:`AxisVecEnv.mean_rewards`."""
-        means = np.mean([list(env.mean_rewards().values()) for env in self.envs], axis=0)
-        return dict(zip(REWARD_PARTS, means.tolist(), strict=True))
 
     def get_state(self) -> dict[str, Any]:
         """Complete state, for :meth:`set_state`."""

@@ -61,7 +61,6 @@ def test_log_of_a_training(tmp_path):
     base = validation_errors(CONFIG, BASE)
     assert rows[-1]["validation/base_mean_error_mm"] == base[0] != mean
     assert rows[-1]["validation/error_to_corrected"] == mean / base[0]
-    assert all(row["reward/tracking"] < 0.0 == row["reward/prices"] for row in rows)
 
 
 def test_an_update_begins_with_the_policy_of_its_rollout(tmp_path):

@@ -13,7 +13,6 @@ from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.paces import pace
-from hydro_env.task.rewards import REWARD_TERMS
 
 CONFIG = TaskConfig(episode_duration=0.1)
 LAYOUT = ObservationLayout.of(CONFIG)
@@ -32,27 +31,6 @@ def test_paired_reward_of_the_pid_against_itself_is_zero():
     assert np.all(rewards[-1] < 0.0)
     with refused("residual form"):
         make(base=None, paired=True)
-
-
-@pytest.mark.parametrize("paired", [False, True])
-def test_the_parts_of_the_reward_add_up(paired):
-    env = make(seed=4, paired=paired, reversal_price=2.0, reward_scale=0.25)
-    env.reset()
-    generator, learned, failures = np.random.default_rng(1), [], 0
-    for _ in range(30):
-        _, reward, _, infos = env.step(generator.uniform(-1.0, 1.0, (6, 1)))
-        learned.append(reward.mean() / 0.25)
-        failures += sum(not info.get("TimeLimit.truncated", True) for info in infos)
-    parts = env.mean_rewards()
-    assert list(parts) == ["tracking", "effort", "failure", "prices", "learned"]
-    assert parts["learned"] == pytest.approx(np.mean(learned), rel=1e-5)
-    assert parts["tracking"] < 0.0
-    assert parts["failure"] == pytest.approx(-failures * CONFIG.reward.failure / (30 * 6))
-    task = sum(parts[name] for name in REWARD_TERMS)
-    if not paired:
-        assert parts["learned"] == pytest.approx(task + parts["prices"], rel=1e-5)
-    assert parts["prices"] < 0.0
-    assert set(env.mean_rewards().values()) == {0.0}  # nothing since then
 
 
 def test_stagger_spreads_the_ends_and_inputs_are_cut_off():
