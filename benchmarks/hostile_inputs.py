@@ -35,7 +35,6 @@ from hydro_rig.estimation.estimator import WEAR
 from hydro_rig.recordings.columns import own_map, read_map
 from hydro_rig.recordings.files import read_columns
 from hydro_rig.recordings.findings import Weight, lines_of
-from hydro_rig.recordings.guessed_map import UnknownHeadingsError
 from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.simulated import record_axis
 
@@ -56,7 +55,6 @@ class Answer(NamedTuple):
     causes: frozenset[str] = frozenset()  # that the verdict names: signals, and unknowns of the estimator
     leak: Leak | None = None
     text: str = ""  # all that was said; advice stands there
-    guess: str = ""  # a map
 
 
 def outcome(answer: Answer, truth: float, true: frozenset[str]) -> str:
@@ -119,8 +117,6 @@ class Reader:
                     text = "\n".join([verdict.why, *lines])
                     self._known[key] = Answer(verdict.kind.value, causes_of(diagnosis), verdict.leak, text)
                 return self._known[key]
-        except UnknownHeadingsError as error:
-            return Answer(REFUSED, text=str(error), guess=error.guess)
         except HydroError as error:
             return Answer(REFUSED, text=str(error))
         except Exception:
@@ -130,9 +126,6 @@ class Reader:
 def followed(answer: Answer, columns: Mapping[str, Any], window: float) -> tuple[dict[str, Any], float, str]:
     """The map and the windows that an answer advises, and the advice in short; empty: it advises nothing else."""
     changed: dict[str, Any] = {name: dict(entry) for name, entry in columns.items()}
-    if answer.guess:
-        guess = yaml.safe_load(answer.guess) or {}
-        return (guess, window, "map") if {"time", "command"} <= set(guess) else (changed, window, "")
     advice = []
     if "time" in changed and (found := re.search(r"equidistant: ([\w.]+(?: m?s)?)\b", answer.text)):
         advice.append(found[0])
@@ -170,7 +163,7 @@ def cases_of(reader: Reader, folder: Path, name: str, mangling: Mangling, axis: 
         verdict, causes = f"{answer.kind}: {' '.join(answer.text.split())[:400]}", " ".join(sorted(answer.causes))
         seconds = f"{time.perf_counter() - begin:.1f}"
         rows.append([seed, leak, mangling.kind, name, advice, judged, verdict, causes, *size, seconds])
-        if columns is None and not answer.guess and answer.kind != "traceback":
+        if columns is None and answer.kind != "traceback":
             with contextlib.suppress(HydroError):
                 given = own_map(read_columns(file).headings, str(file))
                 columns = {signal: {"column": column.column} for signal, column in given.columns().items()}

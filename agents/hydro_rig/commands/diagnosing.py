@@ -20,7 +20,6 @@ from hydro_agents.commands.options import (
     command_line,
     say,
 )
-from hydro_rig.commands.guesses import reading
 
 
 def diagnose(
@@ -57,13 +56,14 @@ def diagnose(
     from hydro_rig.diagnosis.diagnose import diagnose as diagnose_recording
     from hydro_rig.diagnosis.diagnosis_page import FILES, JOB, diagnose_to_folder
     from hydro_rig.diagnosis.verdict import EXIT_CODES
+    from hydro_rig.estimation.progress import shown
     from hydro_rig.recordings.columns import read_map
 
     refuse_taken(output, JOB, FILES, overwrite)
     config = task_config(task, rig=rig)
     companion = companion_of(detector)
     mapped = read_map(columns) if columns is not None else None
-    with reading(as_json):
+    with shown(as_json):
         diagnosis = diagnose_recording(recording, config, companion, mapped, window)
     lines = diagnose_to_folder(output, diagnosis, overwrite, command_line())
     if as_json:
@@ -112,10 +112,11 @@ def trend(
     2 wrong input.
     """
     from hydro_agents.running.machine import Origin
+    from hydro_rig.estimation.progress import shown
     from hydro_rig.watching.page import trend_page
     from hydro_rig.watching.watch import watch
 
-    with reading(as_json):
+    with shown(as_json):
         found = watch(recordings, append, columns or [], task, rig or [], oil, limit, jobs)
     page = append.with_suffix(".html")
     trend_page(found.trends, append.name, found.left_out).write(page, Origin.now(command_line()))

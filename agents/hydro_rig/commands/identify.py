@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from hydro_agents.commands.options import Output, Overwrite, OwnTask, command_line, say
-from hydro_rig.commands.guesses import reading
 
 
 def identify(
@@ -58,6 +57,7 @@ def identify(
     from hydro_agents.running.folders import refuse_taken
     from hydro_env.task.configuration import task_config
     from hydro_env.task.rig import read_rig
+    from hydro_rig.estimation.progress import shown
     from hydro_rig.identification.files import FILES, JOB, identify_to_folder
     from hydro_rig.identification.identify import identify as identify_recordings
     from hydro_rig.recordings.columns import maps_of
@@ -66,6 +66,6 @@ def identify(
     known = read_rig(rig)
     config = task_config(task, rig=known.source)
     maps = maps_of(columns or [], recordings)
-    with reading():
+    with shown():
         found = identify_recordings(recordings, config, known, maps, hold_back or [])
     say(*identify_to_folder(output, found, overwrite, command_line()))

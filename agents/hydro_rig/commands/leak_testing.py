@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 import typer
 
 from hydro_agents.commands.options import Columns, Overwrite, OwnTask, Rig, command_line, say
-from hydro_rig.commands.guesses import reading
 
 
 def leak_test(
@@ -46,6 +45,7 @@ def leak_test(
     from hydro_rig.diagnosis.leak_test_plan import plan
     from hydro_rig.diagnosis.leak_test_reading import read_leak_test
     from hydro_rig.diagnosis.verdict import EXIT_CODES
+    from hydro_rig.estimation.progress import shown
     from hydro_rig.recordings.columns import read_map
     from hydro_rig.recordings.findings import lines_of
 
@@ -61,7 +61,7 @@ def leak_test(
     folder = output or Path("results/leak_test")
     refuse_taken(folder, pages.JOB, pages.READING_FILES, overwrite)
     mapped = read_map(columns) if columns is not None else None
-    with reading():
+    with shown():
         found = read_leak_test(recording, config, mapped)
     with output_folder(folder, pages.JOB, pages.READING_FILES, overwrite=overwrite):
         pages.write_reading(folder, found, command_line())

@@ -17,7 +17,6 @@ from hydro_env.files import write_text
 from hydro_env.types import Floats
 from hydro_rig.diagnosis.diagnose import Diagnosis, findings_table, leak_table
 from hydro_rig.diagnosis.verdict import Kind
-from hydro_rig.identification.data_sheet import lines_to_paste
 from hydro_rig.identification.identification_page import findings_frame, rig_line
 from hydro_rig.recordings.columns import MEASURED
 from hydro_rig.recordings.findings import Finding, Weight, lines_of
@@ -46,7 +45,6 @@ PANELS = {
 """Displayed units per SI unit, and signals, of each row of the figure."""
 
 LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
-MEND = "These lines in the file of the task (--task) make its data sheet agree with the recording:"
 
 
 def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str) -> list[str]:
@@ -56,9 +54,6 @@ def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, comm
         write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
         diagnosis_page(diagnosis).write(folder / PAGE_FILE, Origin.now(command))
     lines = lines_of(diagnosis.checked.findings)
-    fitted = diagnosis.read.fitted
-    mend = lines_to_paste(fitted, diagnosis.task) if fitted is not None else ""
-    lines += [f"{MEND}\n{mend.rstrip()}"] if mend else []
     return [*lines, str(folder / PAGE_FILE), diagnosis.verdict.line()]
 
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.sensors import SENSORS
-from hydro_env.types import Floats, Mask
+from hydro_env.types import Floats
 from hydro_rig.estimation.first_guess import first_values
 from hydro_rig.estimation.model import Model
 from hydro_rig.estimation.result import Estimate, join
@@ -19,7 +17,6 @@ from hydro_rig.estimation.search import EstimationSettings, search
 from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import Prior, priors_of
 
-FILLED_ERROR = 0.02  # standard deviation of a command that was filled in, in parts of full scale
 SAMPLES_PER_BATCH = 25_600  # largest number of samples, over all windows, in one fit; more would only need more memory
 
 
@@ -74,53 +71,10 @@ def estimate(
             raise ConfigurationError(f"first: '{name}' is not among the unknowns")
         guess[:, model.names.index(name)] = values
     problem, scaled = Problem.of(model, usable_readings(windows, config, model)), model.scaled(guess)
-    lost: Mask = np.asarray(np.isnan(windows[:, : len(SENSORS)]).all(axis=1))  # rows whose command was filled in
     parts, together = [], max(SAMPLES_PER_BATCH // windows.shape[2], 1)
     for rows in np.split(np.arange(len(windows)), range(together, len(windows), together)):
-        parts.append(_searched(problem.part(rows), scaled[rows], settings, lost[rows]))
+        parts.append(search(problem.part(rows), scaled[rows], settings))
     return join(parts)
-
-
-def _searched(problem: Problem, first: Floats, settings: EstimationSettings, lost: Mask) -> Estimate:
-    """The estimate of windows; those with lost rows are fitted again with the commands that explain the readings."""
-    found = search(problem, first, settings)
-    chosen = np.flatnonzero(lost.any(axis=1) & ~lost.all(axis=1) & np.isfinite(found.scaled).all(axis=1))
-    if len(chosen):
-        part, begin = problem.part(chosen), found.scaled[chosen]
-        command, wider = likelier_commands(part, begin, lost[chosen])
-        part.model.commands = part.model.commands._replace(command=command)
-        again = search(part, begin, replace(settings, horizons=(), restarts=0))
-        found.take(chosen, again, again.unlikelihood < found.unlikelihood[chosen])
-        factor = np.ones_like(found.scaled)
-        factor[chosen] = wider
-        found.scale(factor)
-    return found
-
-
-def likelier_commands(problem: Problem, scaled: Floats, lost: Mask) -> tuple[Floats, Floats]:
-    """The commands (B, T), those of lost rows corrected by a linear step in them and the unknowns together.
-
-    Also returned: the factors, (B, P), by which not knowing these commands widens the unknowns.
-    """
-    model, linear = problem.model, problem.linearised(scaled, None)
-    command, (window, sample) = model.commands.command.copy(), np.nonzero(lost)
-    moved = model.part(window)
-    step = np.where(command[lost] > 0.0, -FILLED_ERROR, FILLED_ERROR)
-    moved.commands.command[np.arange(len(window)), sample] += step
-    change = (moved.readings(scaled[window]) - model.readings(scaled)[window]) * np.sign(step)[:, None, None]
-    change = np.nan_to_num(np.where(linear.known[window], change, 0.0)).reshape(len(window), -1)
-    wider, unknowns = np.ones_like(scaled), scaled.shape[1]
-    for one, (prior, away) in enumerate(zip(problem.belief.precision, scaled - problem.belief.mean, strict=True)):
-        own = window == one
-        slopes = np.concatenate([linear.jacobian[one], change[own]])
-        weighted = slopes * linear.weight[one]
-        curvature = weighted @ slopes.T + block_diag(prior, np.eye(own.sum()))
-        score = weighted @ linear.residual[one]
-        score[:unknowns] -= prior @ away
-        unsure, sure = np.linalg.inv(curvature), np.linalg.inv(curvature[:unknowns, :unknowns])  # covariances
-        command[one, sample[own]] += FILLED_ERROR * (unsure @ score)[unknowns:]
-        wider[one] = np.sqrt(np.maximum(np.diag(unsure)[:unknowns] / np.diag(sure), 1.0))
-    return np.clip(command, -1.0, 1.0), wider
 
 
 def checked_signals(signals: Any) -> Floats:

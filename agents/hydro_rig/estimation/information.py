@@ -26,6 +26,7 @@ from hydro_env.types import Floats
 from hydro_rig.estimation.estimate import usable_readings
 from hydro_rig.estimation.known_windows import KnownWindows, known_windows
 from hydro_rig.estimation.model import Model
+from hydro_rig.estimation.solver import Problem
 from hydro_rig.estimation.unknowns import LEAKAGE, Prior, priors_of
 
 TOLERANCE = 1e-8  # tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %
@@ -55,14 +56,9 @@ def bound(
         threads: worker threads; ``None`` takes one per core.
     """
     model, scaled = true_model(config, windows, priors, threads)
-    used = np.isfinite(usable_readings(windows.signals, config, model))
-    jacobian = np.where(used[:, None], jacobian_at(model, scaled), 0.0).reshape(*scaled.shape, -1)
-    information = jacobian @ jacobian.transpose(0, 2, 1) + np.eye(len(priors))  # and that of the priors
-    # The unknowns have very different information; scaling each by its own keeps the inverse accurate.
-    scale = 1.0 / np.sqrt(np.einsum("bii->bi", information))
-    inverse = np.linalg.inv(information * scale[:, :, None] * scale[:, None, :])
-    place = model.names.index(name)
-    deviation: Floats = np.sqrt(inverse[:, place, place]) * scale[:, place]
+    problem, place = Problem.of(model, usable_readings(windows.signals, config, model)), model.names.index(name)
+    linear = problem.linearised(scaled, steps_at(model, scaled), central=True)
+    deviation: Floats = np.sqrt(linear.covariance(problem.belief)[:, place, place])
     return deviation * model.derivative(scaled)[:, place]
 
 
@@ -75,16 +71,11 @@ def true_model(
     return model, model.scaled(np.stack([windows.value(name) for name in priors], axis=1))
 
 
-def jacobian_at(model: Model, scaled: Floats) -> Floats:
-    """Derivatives of the readings over their noise, (B, P, channels, T), by central differences.
-
-    A first, coarse derivative gives the steps: each changes the readings by about :data:`RESPONSE`.
-    """
+def steps_at(model: Model, scaled: Floats) -> Floats:
+    """Steps of the differences, (B, S, S): by a coarse derivative each changes the readings by :data:`RESPONSE`."""
     coarse = model.linearise(scaled)[1][:, model.simulated]
     steps = np.clip(RESPONSE / np.sqrt(1.0 + (coarse**2).sum(axis=(2, 3))), 1e-7, 0.1)
-    directions = steps[:, :, None] * np.eye(len(model.simulated))
-    above, below = (model.linearise(scaled, sign * directions)[1] for sign in (1.0, -1.0))
-    return 0.5 * (above + below)
+    return np.asarray(steps[:, :, None] * np.eye(len(model.simulated)))
 
 
 def leak_bound(protocol: LeakProtocol, chosen: object) -> Iterator[Cell]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 
+from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.jobs import Report
 
 _display: ContextVar[Report | None] = ContextVar("display", default=None)
@@ -19,6 +20,13 @@ def told_to(display: Report | None) -> Iterator[None]:
         yield
     finally:
         _display.reset(token)
+
+
+@contextmanager
+def shown(quiet: bool = False) -> Iterator[None]:
+    """What is told inside the block is shown on the console, unless ``quiet``."""
+    with nullcontext() if quiet else ProgressDisplay() as display, told_to(display and display.update):
+        yield
 
 
 def tell(phase: str, done: int, total: int) -> None:

@@ -69,12 +69,6 @@ class Estimate:
         self.deviations[:] = np.hypot(self.deviations, scaled * scale)
         self.remaining[:] = np.hypot(self.remaining, scaled)
 
-    def scale(self, factor: Floats) -> None:
-        """Multiply the standard deviations by factors, (B, P)."""
-        self.covariance[:] *= factor[:, :, None] * factor[:, None]
-        self.deviations[:] *= factor
-        self.remaining[:] *= factor
-
     def part(self, windows: Indices) -> Estimate:
         """Some of the windows."""
         return Estimate(names=self.names, **{name: getattr(self, name)[windows] for name in _PER_WINDOW})

@@ -15,7 +15,7 @@ import numpy as np
 
 from hydro_agents.detection.detector import Windows
 from hydro_env import TaskConfig
-from hydro_env.types import Floats, Indices, Mask
+from hydro_env.types import Floats, Indices
 from hydro_rig.estimation.estimate import estimate, usable_readings
 from hydro_rig.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_rig.estimation.progress import tell
@@ -55,11 +55,6 @@ MUCH_BETTER = 0.7
 """A null that wanders is taken where it brings the median misfit below this share; otherwise it only takes up noise."""
 
 STARTING_VALUES = 2  # common fits from different values; the best is taken
-AS_GOOD = 6.0  # rise of the cost up to which another minimum explains the readings as well (5 % of two dimensions)
-APART = 4.0  # standard deviations between two minima
-PROMISING = (
-    50.0  # rise of the cost up to which the end of a rough search is searched further, if it is far from the best
-)
 
 
 class Joint(NamedTuple):
@@ -72,7 +67,6 @@ class Joint(NamedTuple):
     misfit: Floats  # (B,), as in hydro_rig.estimation.result.Estimate
     own: Indices  # (P − p,), indices of the unknowns of each window
     response: Floats  # (B, P − p, p), change of the most probable start states per change of the shared unknowns
-    cost: float  # weighted squares of the residuals, and of the scaled unknowns
 
     @property
     def precision(self) -> Floats:
@@ -98,14 +92,13 @@ class Common(NamedTuple):
     problem: Problem  # of the windows that were used
     joint: Joint
     misfit: Floats  # (B,), of all windows; infinite for one that was left out
-    second: Joint | None = None  # another minimum that explains the readings as well
 
     @classmethod
-    def of(cls, count: int, kept: Indices, problem: Problem, joint: Joint, second: Joint | None = None) -> Common:
+    def of(cls, count: int, kept: Indices, problem: Problem, joint: Joint) -> Common:
         """The fit of the windows ``kept`` of ``count`` ones."""
         misfit = np.full(count, np.inf)
         misfit[kept] = joint.misfit
-        return cls(problem, joint, misfit, second)
+        return cls(problem, joint, misfit)
 
     @property
     def model(self) -> Model:
@@ -135,8 +128,7 @@ def fit_together(problem: Problem, first: Floats) -> Joint:
     misfit = misfit_of(linear, np.linalg.inv(equations.precision))
     curvature = equations.curvature[:, own]
     response = np.asarray(-np.linalg.solve(curvature[:, :, own], curvature[:, :, shared]), np.float64)
-    cost = _cost(linear.residual.reshape(linear.known.shape), linear.known, scaled, shared, own)
-    return Joint(scaled, shared, equations.information, equations.score, misfit, own, response, cost)
+    return Joint(scaled, shared, equations.information, equations.score, misfit, own, response)
 
 
 def shared_and_own(model: Model) -> tuple[Indices, Indices]:
@@ -148,17 +140,6 @@ def shared_and_own(model: Model) -> tuple[Indices, Indices]:
 def descend(problem: Problem, first: Floats, effort: Effort = ROUGH) -> tuple[Floats, Floats]:
     """Unknowns at the end of a search, (B, P) scaled, and the directions of its differences."""
     return fit(problem, first, effort, shared=shared_and_own(problem.model)[0])
-
-
-def _cost(residual: Floats, known: Mask, scaled: Floats, shared: Indices, own: Indices) -> float:
-    """Twice the negative logarithm of the posterior: of residuals (B, channels, T) over their noise, and the priors.
-
-    A channel of a window that scatters more than its noise counts as if it had that noise, as in the search.
-    """
-    number = known.sum(axis=2)
-    square = np.nan_to_num((residual**2).sum(axis=2) / np.maximum(number, 1), nan=1e12, posinf=1e12)
-    likelihood = number * np.where(square > 1.0, 1.0 + np.log(np.maximum(square, 1.0)), square)
-    return float(likelihood.sum() + (scaled[:, own] ** 2).sum() + (scaled[0, shared] ** 2).sum())
 
 
 def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> Common:
@@ -240,33 +221,28 @@ def _common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior
     for again in (False, True):  # the second time without the outliers of the first
         problem = replayed(windows.part(kept), config, priors)
         rough = [descend(problem, first)[0] for first in _first_values(problem, alone, kept)]
-        costs = costs_of(problem, rough)
-        order = np.argsort(costs)
-        joint = fit_together(problem, rough[order[0]])
+        joint = fit_together(problem, rough[int(np.argmin(costs_of(problem, rough)))])
         still = without_outliers(joint.misfit)
         if again or len(still) == len(kept):
             break
         kept = kept[still]
-    second = None
-    for place in order[1:]:
-        if costs[place] < costs[order[0]] + PROMISING and _far(rough[place][0, joint.shared], joint):
-            other = fit_together(problem, rough[place])
-            joint, other = (joint, other) if joint.cost <= other.cost else (other, joint)
-            if other.cost < joint.cost + AS_GOOD and _far(other.common, joint):
-                second = other
-    return Common.of(len(windows), kept, problem, joint, second)
-
-
-def _far(common: Floats, joint: Joint) -> bool:
-    """Whether shared values, (p,) scaled, lie outside the uncertainty of a fit."""
-    away = common - joint.common
-    return float(away @ joint.precision @ away) > APART**2 + len(away)
+    return Common.of(len(windows), kept, problem, joint)
 
 
 def costs_of(problem: Problem, trials: list[Floats]) -> list[float]:
-    """The cost of each trial, (B, P) scaled."""
-    known, places = np.isfinite(problem.measured), shared_and_own(problem.model)
-    return [_cost(problem.residual(one[:, None])[:, 0], known, one, *places) for one in trials]
+    """Twice the negative logarithm of the posterior at each trial, (B, P) scaled.
+
+    A channel of a window that scatters more than its noise counts as if it had that noise, as in the search.
+    """
+    number = np.isfinite(problem.measured).sum(axis=2)
+    shared, own = shared_and_own(problem.model)
+    costs = []
+    for scaled in trials:
+        total = (problem.residual(scaled[:, None])[:, 0] ** 2).sum(axis=2)
+        square = np.nan_to_num(total / np.maximum(number, 1), nan=1e12, posinf=1e12)
+        likelihood = number * np.where(square > 1.0, 1.0 + np.log(np.maximum(square, 1.0)), square)
+        costs.append(float(likelihood.sum() + (scaled[:, own] ** 2).sum() + (scaled[0, shared] ** 2).sum()))
+    return costs
 
 
 def without_outliers(misfit: Floats) -> Indices:

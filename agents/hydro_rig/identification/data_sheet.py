@@ -1,4 +1,4 @@
-"""Where a recording contradicts the data sheet: timing, noise, slow errors and spikes, in words and as lines of a file.
+"""Where a recording contradicts the data sheet: timing, noise, slow errors and spikes, in words.
 
 The estimator (:mod:`hydro_rig.estimation.estimate`) estimates them from the windows that the data sheet does not
 explain.
@@ -6,11 +6,9 @@ explain.
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import yaml
 
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
@@ -96,30 +94,8 @@ def worst_signal(found: Estimate, task: TaskConfig) -> str:
     return f"{name} differs most from the model, {how}, by {_size(name, float(total[channel]), task)}"
 
 
-def lines_to_paste(found: Estimate, task: TaskConfig) -> str:
-    """The contradictions as lines of a task's file; empty if there are none."""
-    if not found.holds.any():
-        return ""
-    rows = 0
-    values: dict[str, Any] = {}
-    for signal, kind, size in _odd(found, task):
-        if kind == LATENCY:
-            rows = math.floor(size / task.control_period)
-            values[LATENCY] = _rounded(size - rows * task.control_period)
-        elif kind == RISE_TIME:
-            values.setdefault("sensors", {})[RISE_TIME] = _rounded(size)
-        elif kind == "white":
-            values.setdefault("sensors", {})[signal] = {"noise": _rounded(size * _noise(signal, task))}
-    text: str = yaml.safe_dump(values, sort_keys=False) if values else ""
-    return text + (f"# and in the map of the columns: command: {{rows_early: {rows}, …}}\n" if rows else "")
-
-
 def _ms(seconds: float) -> str:
     return f"{number(1e3 * seconds, 1)} ms"
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")
 
 
 def _size(name: str, size: float, task: TaskConfig) -> str:

@@ -94,7 +94,6 @@ def as_json(found: Identification, command: str) -> Any:
         "held_back": {"why": found.parts.reason, "parts": parts},
         "windows": len(fit.misfit),
         "windows_explained": int(fit.explained.sum()),
-        "another_minimum": fit.second,
         "unknowns": unknowns,
         "findings": lines_of(found.findings),
         "notes": found.noted,

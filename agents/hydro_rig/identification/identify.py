@@ -146,12 +146,6 @@ class Identification:
                 notes.append(
                     f"The {self.look(name).words} is {1e3 * value:.2g} ms, not {1e3 * assumed:.2g} ms ({name}): used."
                 )
-        others = []
-        for name, value in fit.second.items():
-            look = self.look(name)
-            others.append(f"{look.words} {look.value(value, 0.01 * value)}")
-        if others:
-            notes.append(f"Other values explain the recording as well: {', '.join(others)}. A richer motion decides.")
         if self.beyond:
             notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
         if self.beyond == [self.look(RATED_FLOW).words]:

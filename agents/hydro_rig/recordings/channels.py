@@ -1,6 +1,6 @@
 """Checks of each single channel, missing, constant, stuck, saturated, and impossible values; and of the driving.
 
-A limit cycle, and a command at its limit, tell of the controller rather than of the axis; a set point is no command.
+A command at its limit tells of the controller rather than of the axis; a set point is no command.
 """
 
 from __future__ import annotations
@@ -9,14 +9,13 @@ import numpy as np
 
 from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
 from hydro_env import TaskConfig
-from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
+from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.sensors import COMMAND, POSITION, PRESSURE_A, PRESSURE_B, SPOOL, Sensor
 from hydro_env.types import Floats, Mask
-from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.recordings.columns import MEASURED, UNITS
 from hydro_rig.recordings.findings import Finding, Weight, finding_of, missing_weight, runs_of, severe_if
 from hydro_rig.recordings.recording import FULL_COMMAND
-from hydro_rig.recordings.sampling import Sampled, cut
+from hydro_rig.recordings.sampling import Sampled
 
 LONGEST_LAG = 0.3  # s, by which a position may follow its set point
 SPEED_OVER = 0.02  # s, half of the time over which the speed is taken
@@ -43,12 +42,7 @@ LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the
 OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
 AXIS = "axis"  # what findings about the manner of operation are about
-STRETCH = 1.0  # s, in which an oscillation is looked for
-LEAST_FREQUENCY = 0.15  # of a limit cycle, as a share of the natural frequency of the axis on its oil
-LEAST_CYCLES = 3  # in a stretch
-LEAST_SWING = 0.05  # of the command of an oscillation, as a fraction of full command
-LEAST_POWER = 0.6  # share of the oscillation's frequency in the power of command and position
-MANY_STRETCHES = 0.25  # share of stretches that oscillate, and of samples at full command, that is worth a word
+MUCH_AT_FULL_COMMAND = 0.25  # share of samples at full command that is worth a word
 
 
 def check_channels(samples: Sampled, config: TaskConfig) -> tuple[list[Finding], Mask]:
@@ -237,27 +231,13 @@ def _shown(signal: str, value: float) -> str:
     return f"{value / UNITS[signal][unit]:.4g} {unit}"
 
 
-def check_driving(samples: Sampled, config: TaskConfig) -> list[Finding]:
-    """Find a loop that oscillates near the axis's natural frequency, and a valve at full command for long."""
-    command, findings = np.abs(samples.signals[COMMAND]), []
-    if (command > OVERRANGE).any():  # the unit is wrong
-        return []
-    least = LEAST_FREQUENCY * closed_port_natural_frequency(config.plant) / (2.0 * np.pi)
-    windows = cut(samples, max(round(STRETCH / samples.period), LEAST_CYCLES))
-    found = []
-    for window in windows.signals:
-        swing = _swing(window[[COMMAND, POSITION]], samples.period, least, config)
-        if swing is not None:
-            found.append(swing)
-    if len(found) > MANY_STRETCHES * len(windows):
-        frequency, volts, metres = np.median(found, axis=0) * np.array([1.0, FULL_VOLTAGE, 1e3])
-        what = f"oscillates at {frequency:.2g} Hz (command ±{volts:.2g} V, position ±{metres:.2g} mm) for much of the "
-        what += "recording; unless its reference does so, the gains of its controller are too high for this rig"
-        findings.append(Finding(AXIS, what, Weight.NOTE, share=len(found) / len(windows)))
+def check_driving(samples: Sampled) -> list[Finding]:
+    """Find a valve at full command for long."""
+    command = np.abs(samples.signals[COMMAND])
     full = command >= FULL_COMMAND
-    if full.mean() > MANY_STRETCHES:
-        findings.append(finding_of(full, samples.time, AXIS, "runs with the command at its limit", Weight.NOTE))
-    return findings
+    if (command > OVERRANGE).any() or full.mean() <= MUCH_AT_FULL_COMMAND:  # beyond: the unit is wrong
+        return []
+    return [finding_of(full, samples.time, AXIS, "runs with the command at its limit", Weight.NOTE)]
 
 
 def check_set_point(signals: Floats, period: float) -> Finding | None:
@@ -282,20 +262,3 @@ def _correlation(one: Floats, other: Floats) -> float:
     """Size of the correlation of two signals (T,); 0 if one is constant."""
     one, other = one - one.mean(), other - other.mean()
     return abs(float(one @ other)) / max(float(np.sqrt((one @ one) * (other @ other))), 1e-300)
-
-
-def _swing(signals: Floats, period: float, least: float, config: TaskConfig) -> tuple[float, float, float] | None:
-    """Frequency in Hz and amplitudes (SI) of an oscillation of command and position (2, T); ``None``: there is none."""
-    if not np.isfinite(signals).all():
-        return None
-    time = np.linspace(-1.0, 1.0, signals.shape[1])
-    motion = signals - np.array([np.polyval(np.polyfit(time, values, 2), time) for values in signals])
-    power = np.abs(np.fft.rfft(np.hanning(len(time)) * motion, axis=1)) ** 2
-    peak = int(power[0].argmax())
-    frequency, near = peak / (len(time) * period), slice(max(peak - 2, 0), peak + 3)
-    amplitude = np.sqrt(2.0) * motion.std(axis=1)
-    enough = amplitude > np.array([LEAST_SWING, 5.0 * config.sensors.position.noise])
-    alone = power[:, near].sum(axis=1) > LEAST_POWER * power.sum(axis=1)
-    if peak < LEAST_CYCLES or frequency < least or not (enough & alone).all():
-        return None
-    return frequency, float(min(amplitude[0], 1.0)), float(amplitude[1])

@@ -13,7 +13,7 @@ import numpy as np
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import COMMAND
-from hydro_env.types import Floats, Indices
+from hydro_env.types import Floats
 from hydro_rig.recordings.findings import Finding, Weight
 from hydro_rig.recordings.recording import FULL_COMMAND, Recording
 from hydro_rig.recordings.row_distance import LARGEST_DEVIATION
@@ -57,38 +57,32 @@ def liveliest(recording: Recording, window: float, config: TaskConfig, most: int
     for begin, end in zip([0, *back], [*back, len(recording.time)], strict=True):
         run = recording.part(int(begin), int(end))
         index = np.floor(run.time / window + 1e-6).astype(np.int64)
-        starts = np.flatnonzero(np.diff(index, prepend=-1))
-        ends = np.append(starts[1:], len(index))
-        score = _scores(run, starts, ends, window, config)
-        for place, start in enumerate(starts):
-            at = run.begin + float(index[start]) * window
+        step = float(np.median(np.diff(run.time))) if len(run.time) > 1 else window
+        for rows in np.split(np.arange(len(index)), np.flatnonzero(np.diff(index)) + 1):
+            within = float(index[rows[0]]) * window
+            at = run.begin + within
             section = int((at - first) // SECTION)
-            if section not in best or score[place] > best[section].score:
-                rows = max(int(start) - MARGIN, 0), min(int(ends[place]) + MARGIN, len(index))
-                best[section] = Candidate(float(score[place]), at, run.part(*rows))
+            score = _score(run.time[rows] - within, run.signals[:, rows], max(step, 1e-9), window, config)
+            if section not in best or score > best[section].score:
+                chosen = run.part(max(int(rows[0]) - MARGIN, 0), int(rows[-1]) + 1 + MARGIN)
+                best[section] = Candidate(score, at, chosen)
     windows = sorted(best.values(), key=lambda one: (-one.score, one.begin))[:most]
     return Lively(sorted(windows, key=lambda one: one.begin), first, last, findings)
 
 
-def _scores(run: Recording, starts: Indices, ends: Indices, window: float, config: TaskConfig) -> Floats:
-    """Liveliness of windows of rows."""
+def _score(time: Floats, signals: Floats, step: float, window: float, config: TaskConfig) -> float:
+    """Liveliness of the rows of a window: time from its begin (n,), signals (5, n); usual distance of rows ``step``."""
     pressure = config.plant.supply.pressure
-    size = np.array([config.plant.cylinder.stroke, pressure, pressure, 1.0, 1.0])
-    span = np.fmax.reduceat(run.signals, starts, axis=1) - np.fmin.reduceat(run.signals, starts, axis=1)
-    score = np.nansum(np.minimum(span / size[:, None], 1.0), axis=0)
-    command, count = run.signals[COMMAND], ends - starts
-    way = np.add.reduceat(np.abs(np.nan_to_num(np.diff(command, prepend=command[0]))), starts)
-    full = np.add.reduceat((np.abs(command) >= FULL_COMMAND).astype(np.int64), starts)
-    step = float(np.median(np.diff(run.time))) if len(run.time) > 1 else window
-    period = max(config.control_period, step)
-    known = np.flatnonzero(np.isfinite(command))
-    gap = np.full(len(command), 0.0 if len(known) else np.inf)
-    between = np.diff(run.time[known])
-    gap[known[1:]] = between
-    gap[known[:-1]] = np.maximum(gap[known[:-1]], between)
-    useless = np.maximum.reduceat(gap, starts) > (LONGEST_FILL + 1.5) * period
-    useless |= (count < LEAST_ROWS * window / max(step, 1e-9)) | (full > MOST_ROWS_AT_FULL_COMMAND * count)
-    return np.asarray(score + np.minimum(way / window, 1.0) + UNUSABLE * useless)
+    sizes = np.array([config.plant.cylinder.stroke, pressure, pressure, 1.0, 1.0])
+    spans = np.fmax.reduce(signals, axis=1) - np.fmin.reduce(signals, axis=1)
+    known = np.isfinite(signals[COMMAND])
+    command, gaps = signals[COMMAND, known], np.diff(time[known], prepend=0.0, append=window)
+    way = float(np.abs(np.diff(command)).sum())
+    score = float(np.nansum(np.minimum(spans / sizes, 1.0))) + min(way / window, 1.0)
+    longest = (LONGEST_FILL + 1.5) * max(config.control_period, step)
+    lacking = len(time) < LEAST_ROWS * window / step or gaps.max() > longest
+    full = (np.abs(command) >= FULL_COMMAND).sum() > MOST_ROWS_AT_FULL_COMMAND * len(time)
+    return score + UNUSABLE * bool(lacking or full)
 
 
 def sampled_windows(candidates: Sequence[Candidate], window: float, config: TaskConfig) -> Sampled:

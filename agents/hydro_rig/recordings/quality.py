@@ -107,7 +107,7 @@ def check_samples(samples: Sampled, known: Sequence[Finding], config: TaskConfig
         return Checked(samples, [*findings, set_point])
     samples, beyond = _within_full_scale(samples)
     findings += beyond
-    findings += check_driving(samples, config)
+    findings += check_driving(samples)
     of_channels, bad = check_channels(samples, config)
     findings += of_channels
     samples = samples._replace(signals=np.where(bad, np.nan, samples.signals))

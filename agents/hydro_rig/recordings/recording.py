@@ -15,7 +15,6 @@ from hydro_env.types import Floats
 from hydro_rig.recordings.columns import LOAD_PRESSURE, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_rig.recordings.files import Columns, numbers_of, read_columns, together
 from hydro_rig.recordings.findings import Finding, Weight, missing_weight, severe_if
-from hydro_rig.recordings.guessed_map import UnknownHeadingsError, guessed_map
 from hydro_rig.recordings.row_distance import Spacing, spacing_of
 
 LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
@@ -60,7 +59,6 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
 
     Raises:
         ConfigurationError: the file is unreadable, too large or not a table, or a column or its unit is missing.
-        UnknownHeadingsError: there is no map, and the headings are others; it holds a guess.
 
     Example:
         >>> from pathlib import Path
@@ -73,12 +71,33 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
         >>> read_recording(Path("axis.csv")).signals.shape  # position, pressures, spool position, command
         (5, 100)
     """
-    return recording_of(read_columns(path), str(path), columns)
+    source, file = str(path), read_columns(path)
+    columns = columns or own_map(file.headings, source)
+    values, units, begin, findings = _values_of(file, columns, source)
+    stamps, spacing = _time_of(values.pop("time"), columns.time.equidistant, source)
+    values["command"] = pd.Series(values["command"]).shift(columns.command.rows_early).to_numpy()
+    differential = LOAD_PRESSURE in values
+    if differential:
+        values["pressure_a"], units["pressure_a"] = values.pop(LOAD_PRESSURE), units.pop(LOAD_PRESSURE)
+    for signal in MEASURED:
+        if signal not in values:
+            findings.append(Finding(signal, "was not recorded", Weight.NOTE, absent=True))
+    known = np.isfinite(stamps)
+    if not known.all():
+        share = float(1.0 - known.mean())
+        what = "is missing in some rows, which are left out"
+        findings.append(Finding("time", what, severe_if(share > 0.2), share=share))
+    time, absent = stamps[known], np.full(len(stamps), np.nan)
+    signals = np.array([values.get(signal, absent)[known] for signal in MEASURED])
+    auxiliary = {name: values[name][known] for name in AUXILIARY if name in values}
+    begin += float(time[0])
+    return Recording(source, time - time[0], signals, units, findings, auxiliary, begin, differential, spacing)
 
 
-def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -> Recording:
-    """The recording in the columns of a file; errors as :func:`read_recording`."""
-    columns = columns or map_for(file, source)
+def _values_of(
+    file: Columns, columns: ColumnMap, source: str
+) -> tuple[dict[str, Floats], dict[str, str], float, list[Finding]]:
+    """Values in SI by signal, (n,) each, their units in the file, time of the first date and time, and findings."""
     chosen = columns.columns()
     places = {signal: place_of(column, signal, file.headings, source) for signal, column in chosen.items()}
     cells, findings = together(file, places)
@@ -100,34 +119,16 @@ def recording_of(file: Columns, source: str, columns: ColumnMap | None = None) -
         units[signal], size = unit_of(column, signal, heading, source)
         found = size * (column.gain * numbers + column.offset)
         values[signal] = np.where(np.isfinite(found), found, np.nan)
-    values["command"] = pd.Series(values["command"]).shift(columns.command.rows_early).to_numpy()
-    differential = LOAD_PRESSURE in values
-    if differential:
-        values["pressure_a"], units["pressure_a"] = values.pop(LOAD_PRESSURE), units.pop(LOAD_PRESSURE)
-    for signal in MEASURED:
-        if signal not in values:
-            findings.append(Finding(signal, "was not recorded", Weight.NOTE, absent=True))
-    time, spacing = _time_of(values.pop("time"), columns.time.equidistant, cells["time"], source)
-    known = np.isfinite(time)
-    if not known.all():
-        share = float(1.0 - known.mean())
-        what = "is missing in some rows, which are left out"
-        findings.append(Finding("time", what, severe_if(share > 0.2), share=share))
-    time, absent = time[known], np.full(rows, np.nan)
-    signals = np.array([values.get(signal, absent)[known] for signal in MEASURED])
-    auxiliary = {name: values[name][known] for name in AUXILIARY if name in values}
-    begin += float(time[0])
-    return Recording(source, time - time[0], signals, units, findings, auxiliary, begin, differential, spacing)
+    return values, units, begin, findings
 
 
-def _time_of(time: Floats, equidistant: bool | float, cells: pd.Series, source: str) -> tuple[Floats, Spacing | None]:
+def _time_of(time: Floats, equidistant: bool | float, source: str) -> tuple[Floats, Spacing | None]:
     """The stamps (n,), s, of rows that are equidistant or not; and what is known of the distance of such rows."""
     known = np.isfinite(time)
     if known.sum() < FEWEST_ROWS and isinstance(equidistant, bool):
-        example = str(cells.iloc[0])[:40]
         raise ConfigurationError(
-            f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp (the first one is {example!r}); allowed are "
-            "numbers, 2026-03-01T08:00:00.005 and 01.03.2026 08:00:00,005"
+            f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp; allowed are numbers, 2026-03-01T08:00:00.005 "
+            "and 01.03.2026 08:00:00,005"
         )
     if equidistant is False:
         return time, None
@@ -139,18 +140,6 @@ def _time_of(time: Floats, equidistant: bool | float, cells: pd.Series, source: 
         )
     first = time[known][0] if known.any() else 0.0
     return np.asarray(first + 0.5 * sum(spacing) * np.arange(len(time)), np.float64), spacing
-
-
-def map_for(file: Columns, source: str) -> ColumnMap:
-    """The map of a file with the headings of this project.
-
-    Raises:
-        UnknownHeadingsError: the headings are others; it holds a guess.
-    """
-    try:
-        return own_map(file.headings, source)
-    except ConfigurationError as error:
-        raise UnknownHeadingsError(str(error), guessed_map(file.headings)) from None
 
 
 def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:

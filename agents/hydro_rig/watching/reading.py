@@ -19,11 +19,10 @@ from hydro_rig.diagnosis.verdict import BALANCE, Kind, Leak, combined
 from hydro_rig.diagnosis.volume_balance import Blocks, leak_of_blocks
 from hydro_rig.estimation.progress import told_to
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.files import read_columns
 from hydro_rig.recordings.findings import Weight
 from hydro_rig.recordings.liveliest import Lively, liveliest, sampled_windows
 from hydro_rig.recordings.quality import check_samples
-from hydro_rig.recordings.recording import recording_of
+from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.sampling import Sampled, cut, on_grid
 from hydro_rig.watching.oil import Oil, referred
 
@@ -39,7 +38,7 @@ def row_of_file(path: Path, config: TaskConfig, columns: ColumnMap | None, oil: 
     Raises:
         ConfigurationError: the file cannot be read, or holds no rows.
     """
-    rows = recording_of(read_columns(path), str(path), columns)
+    rows = read_recording(path, columns)
     live = liveliest(rows, WINDOW, config, MOST_WINDOWS)
     clock = 0.0 if FIRST_DATE <= rows.begin <= LAST_DATE else _began(path) - rows.begin
     row = row_of(live, config, oil, list(flow_blocks(rows)))

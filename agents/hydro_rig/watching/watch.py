@@ -16,8 +16,6 @@ from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
 from hydro_rig.estimation.progress import tell
 from hydro_rig.recordings.columns import ColumnMap, maps_of
-from hydro_rig.recordings.files import read_columns
-from hydro_rig.recordings.recording import map_for
 from hydro_rig.watching.oil import Oil
 from hydro_rig.watching.reading import row_of_file
 from hydro_rig.watching.table import File, files_of, read_table, with_row
@@ -89,8 +87,6 @@ def watch(
             write_text(table_file, table.to_csv(index=False, lineterminator="\n"))
         tell("files", done, len(new))
     if table.empty:
-        if maps_by_name[new[0]] is None:
-            map_for(read_columns(new[0].path), str(new[0].path))  # shows a guessed map if the headings are unknown
         raise ConfigurationError(errors[new[0].name])
     newest = {
         file.axis: errors.get(file.name, "") for file in sorted(files, key=lambda file: file.path.stat().st_mtime)

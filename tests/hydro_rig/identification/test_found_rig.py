@@ -76,7 +76,7 @@ def fit_of(values, remaining=None):
     """A fit with given values and ends of intervals by name: (value, low, high)."""
     left = remaining or {}
     unknowns = [Unknown(name, Prior(1.0, 1.0), *three, left.get(name, 0.1), 1.0) for name, three in values.items()]
-    return Fit(tuple(unknowns), np.zeros(5), None, {})
+    return Fit(tuple(unknowns), np.zeros(5), None)
 
 
 @pytest.mark.parametrize("misfit", [1.0, 9.0], ids=["explained", "not explained"])

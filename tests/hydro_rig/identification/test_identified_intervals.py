@@ -31,7 +31,7 @@ def joint_of(found, information, score):
     """The common fit of windows without unknowns of their own."""
     count, places = len(score), np.arange(len(found))
     nothing = np.empty(0, np.int64), np.zeros((count, 0, len(found)))
-    return Joint(np.tile(found, (count, 1)), places, information, score, np.ones(count), *nothing, 0.0)
+    return Joint(np.tile(found, (count, 1)), places, information, score, np.ones(count), *nothing)
 
 
 def fit_of(path, config, cut, task=None):
@@ -93,7 +93,7 @@ def test_intervals_are_as_wide_as_recordings_disagree(shift, before, after):
         spread = spread_of(joint)
         columns = found, found - spread.reach, found + spread.reach, spread.reach / 1.96, spread.widening
         unknowns = tuple(Unknown(name, prior, *row) for name, *row in zip(names, *columns, strict=True))
-        fit = Fit(unknowns, np.ones(24), joint, {})
+        fit = Fit(unknowns, np.ones(24), joint)
         more = widened(fit, recording)
         once += fit.unknowns[0].low <= 0.0 <= fit.unknowns[0].high
         held += more.unknowns[0].low <= 0.0 <= more.unknowns[0].high

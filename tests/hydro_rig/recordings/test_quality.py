@@ -204,13 +204,6 @@ def test_a_command_in_the_wrong_row_is_moved_back(recording, rows):
     assert np.isfinite(moved.signals).all()
 
 
-def test_a_log_of_seconds_is_no_error(recording):
-    """A clock in ms read as s: one sample is longer than the stretches in which an oscillation is looked for."""
-    checked = check_recording(restamped(lambda t: 1e3 * t)(recording), CONFIG, own_grid=True)
-    assert checked.samples.period == pytest.approx(5.0)
-    assert checked.severe
-
-
 def test_faulty_readings_are_left_out(recording):
     damaged = edited(0, slice(7, None, 31), -0.2)(recording)
     samples = check_recording(damaged, CONFIG).samples
@@ -329,24 +322,12 @@ def test_single_lost_commands_are_filled_in_from_the_signals_around_them(recordi
     assert cut(samples, 300).commanded.tolist() == [True, True, True, False]
 
 
-@pytest.mark.parametrize(
-    ("frequency", "volts", "words"),
-    [
-        (18.0, 3.0, ["axis oscillates at 18 Hz (command ±3 V, position ±1 mm)"]),
-        (18.0, 50.0, ["axis oscillates at 18 Hz (command ±10 V, position ±1 mm)", "command at its limit"]),
-        (2.0, 3.0, []),  # a reference may do so
-        (18.0, 0.1, []),
-    ],
-)
-def test_an_axis_that_oscillates_or_saturates_is_named(recording, frequency, volts, words):
-    time = CONFIG.control_period * np.arange(len(recording.time))
-    signals, phase = recording.signals.copy(), 2.0 * np.pi * frequency * time
-    signals[4], signals[0] = np.clip(0.1 * volts * np.sin(phase), -1.0, 1.0), 1e-3 * np.cos(phase)
-    found = check_driving(sampled(changed(recording, time=time, signals=signals), CONFIG), CONFIG)
-    assert len(found) == len(words)
-    for finding, said in zip(found, words, strict=True):
-        assert said in finding.line()
-        assert finding.weight is NOTE
+@pytest.mark.parametrize(("volts", "words"), [(3.0, []), (50.0, ["axis runs with the command at its limit"])])
+def test_a_valve_at_its_limit_for_long_is_named(recording, volts, words):
+    signals = recording.signals.copy()
+    signals[4] = np.clip(0.1 * volts * np.sin(100.0 * recording.time), -1.0, 1.0)
+    found = check_driving(sampled(changed(recording, signals=signals), CONFIG))
+    assert [finding.line().partition(",")[0] for finding in found] == words
 
 
 @pytest.mark.parametrize("own_grid", [False, True])

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from command_line import assert_one_clear_line, hydro
 from recorded import recorded_file
 from refusal import refused
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_rig.recordings.columns import read_map
 from hydro_rig.recordings.findings import Weight
-from hydro_rig.recordings.guessed_map import UnknownHeadingsError
 from hydro_rig.recordings.recording import read_recording
 from hydro_rig.recordings.row_distance import equidistant, spacing_of
 from hydro_rig.recordings.sampling import cut, sampled
@@ -213,50 +211,6 @@ def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("hydro_rig.recordings.files.LARGEST_RECORDING", 100)
     with refused("larger than"):
         read_recording(written(tmp_path, PLAIN))
-
-
-GUESSES = {
-    "Zeit [ms],Stellgröße [V],Weg [mm],Soll-Weg [mm],Druck A [bar],Druck B [bar],Schieber [%]": {
-        "time": "Zeit [ms]", "command": "Stellgröße [V]", "position": "Weg [mm]", "pressure_a": "Druck A [bar]",
-        "pressure_b": "Druck B [bar]", "spool_position": "Schieber [%]",
-    },
-    "Time_s,xRef,xPiston,pCap,pRod,uValve": {
-        "time": "Time_s", "command": "uValve", "position": "xPiston", "pressure_a": "pCap", "pressure_b": "pRod",
-    },
-    "Temperature [°C],Counter,Button": {},
-}  # fmt: skip
-"""Columns that are guessed from headings."""
-
-
-@pytest.mark.parametrize("headings", GUESSES)
-def test_a_map_is_guessed_from_unknown_headings_and_can_be_saved(tmp_path, headings):
-    width = headings.count(",") + 1
-    rows = [
-        ",".join([str(5 * k)] + [f"{3.0 + 0.5 * (k % 3 + column):g}" for column in range(1, width)]) for k in range(9)
-    ]
-    path = written(tmp_path, "\n".join([headings, *rows]))
-    with pytest.raises(UnknownHeadingsError, match="--map FILE") as error:
-        read_recording(path)
-    assert "\n" not in str(error.value)
-    (tmp_path / "map.yaml").write_text(error.value.guess, encoding="utf-8")
-    wanted = GUESSES[headings]
-    if not wanted:
-        assert "# command: which column? It is needed." in error.value.guess
-        with pytest.raises(ConfigurationError):
-            read_map(tmp_path / "map.yaml")
-        return
-    found = read_map(tmp_path / "map.yaml")
-    assert {signal: column.column for signal, column in found.columns().items()} == wanted
-    again = read_recording(path, found)
-    assert np.isfinite(again.signals[4]).all()
-
-
-def test_the_guess_goes_to_standard_output_and_the_error_to_the_other(tmp_path):
-    path = written(tmp_path, "Zeit [s],Ventil [V],Weg [mm]\n" + "\n".join(f"{0.005 * k:g},1,{k}" for k in range(20)))
-    answer = hydro("diagnose", path, "--output", tmp_path / "out")
-    assert_one_clear_line(answer, "no column has the heading 'time'")
-    (tmp_path / "map.yaml").write_text(answer.stdout, encoding="utf-8")
-    assert read_map(tmp_path / "map.yaml").columns().keys() == {"time", "command", "position"}
 
 
 def test_pressures_of_the_supply_a_flow_and_a_temperature_may_stand_beside_the_signals(tmp_path):
