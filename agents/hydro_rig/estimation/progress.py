@@ -25,7 +25,7 @@ def told_to(display: Report | None) -> Iterator[None]:
 @contextmanager
 def shown(quiet: bool = False) -> Iterator[None]:
     """What is told inside the block is shown on the console, unless ``quiet``."""
-    with nullcontext() if quiet else ProgressDisplay() as display, told_to(display and display.update):
+    with nullcontext() if quiet else ProgressDisplay() as display, told_to(None if display is None else display.update):
         yield
 
 

@@ -55,6 +55,9 @@ MUCH_BETTER = 0.7
 """A null that wanders is taken where it brings the median misfit below this share; otherwise it only takes up noise."""
 
 STARTING_VALUES = 2  # common fits from different values; the best is taken
+APART = 4.0  # standard deviations between two minima
+PROMISING = 50.0
+"""Rise of the cost up to which the end of a rough search is searched further, if it is far from the best."""
 
 
 class Joint(NamedTuple):
@@ -221,12 +224,24 @@ def _common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior
     for again in (False, True):  # the second time without the outliers of the first
         problem = replayed(windows.part(kept), config, priors)
         rough = [descend(problem, first)[0] for first in _first_values(problem, alone, kept)]
-        joint = fit_together(problem, rough[int(np.argmin(costs_of(problem, rough)))])
+        costs = costs_of(problem, rough)
+        order = np.argsort(costs)
+        joint = fit_together(problem, rough[order[0]])
         still = without_outliers(joint.misfit)
         if again or len(still) == len(kept):
             break
         kept = kept[still]
+    for place in order[1:]:
+        if costs[place] < costs[order[0]] + PROMISING and _far(rough[place][0, joint.shared], joint):
+            both = [joint, fit_together(problem, rough[place])]
+            joint = both[int(np.argmin(costs_of(problem, [one.scaled for one in both])))]
     return Common.of(len(windows), kept, problem, joint)
+
+
+def _far(common: Floats, joint: Joint) -> bool:
+    """Whether shared values, (p,) scaled, lie outside the uncertainty of a fit."""
+    away = common - joint.common
+    return float(away @ joint.precision @ away) > APART**2 + len(away)
 
 
 def costs_of(problem: Problem, trials: list[Floats]) -> list[float]:

@@ -26,8 +26,10 @@ from hydro_rig.estimation.unknowns import (
     priors_of,
     starts_of,
 )
-from hydro_rig.identification.common_fit import WELL_FITTED, Common, Joint, common_fit
+from hydro_rig.identification.common_fit import WELL_FITTED, Common, Joint, common_fit, fit_together
 from hydro_rig.identification.intervals import (
+    Sides,
+    Spread,
     beside_the_edge,
     range_ends,
     sides_of,
@@ -35,6 +37,7 @@ from hydro_rig.identification.intervals import (
     truncated_end,
     within_bounds,
 )
+from hydro_rig.identification.profiles import pinned, ridge
 
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 DETERMINED = 0.5
@@ -114,32 +117,61 @@ def fit_windows(
     return _summary(common_fit(windows, config, priors), config, ranges)
 
 
+def _beside_edges(common: Common, config: TaskConfig, ends: Floats) -> tuple[Joint, Spread, Sides]:
+    """Interval ends on one side only: their unknowns move away from the found edge, and the others are fitted again."""
+    joint, model = common.joint, common.model
+    spread = spread_of(joint)
+    sides = sides_of(common.problem, joint, spread, ends, common.explained > 0)
+    edges = np.flatnonzero(sides.open)
+    if not len(edges):
+        return joint, spread, sides
+    scaled, places = joint.scaled.copy(), joint.shared[edges]
+    moved = {}
+    for edge, place in zip(edges.tolist(), places.tolist(), strict=True):
+        name, end = model.names[place], ends[edge, int(sides.open[edge] > 0)]
+        limit = float(_known_end(joint.common, sides)[edge])
+        moved[place] = beside_the_edge(name, model.priors[name], config.plant, limit, float(end))
+        scaled += ridge(joint, edge) * (moved[place] - joint.scaled[0, place])
+    scaled[:, places] = 0.0
+    again = fit_together(pinned(common.problem, moved), scaled)
+    for place, value in moved.items():
+        again.scaled[:, place] = value
+    # The readings say nothing about them here.
+    again.information[:, edges] = again.information[:, :, edges] = 0.0
+    again.score[:, edges] = again.response[:, :, edges] = 0.0
+    return again, spread_of(again), sides
+
+
+def _known_end(values: Floats, sides: Sides) -> Floats:
+    """The known end of each interval with one open side, (p,) scaled."""
+    return np.where(sides.open > 0, values - sides.reach[:, 0], values + sides.reach[:, 1])
+
+
 def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distribution]) -> Fit:
     """Values and intervals of the shared unknowns."""
     shared = common.joint.shared
     names = tuple(common.model.names[place] for place in shared)
     priors = {name: common.model.priors[name] for name in names}
-    ends, joint = range_ends(config, ranges, priors), common.joint
-    spread = spread_of(joint)
-    sides = sides_of(common.problem, joint, spread, ends, common.explained > 0)
+    ends = range_ends(config, ranges, priors)
+    joint, spread, sides = _beside_edges(common, config, ends)
+    values = common.model.values(joint.scaled[0])[shared].tolist()
     reach = np.minimum(np.maximum(sides.reach, spread.reach[:, None]), COVERAGE) * np.array([-1.0, 1.0])
-    middle, scaled = joint.common, joint.common[:, None] + reach
+    scaled, known = joint.common[:, None] + reach, _known_end(common.joint.common, sides)
     unknowns = []
     for row, (name, prior) in enumerate(priors.items()):
         side = int(sides.open[row])
         if side:
-            known = middle[row] - side * sides.reach[row, int(side < 0)]
             scaled[row] = ends[row]
-            scaled[row, int(side < 0)] = known
-            middle[row] = beside_the_edge(name, prior, config.plant, known, float(ends[row, int(side > 0)]))
-        value = float(prior.value(middle[row]))
+            scaled[row, int(side < 0)] = known[row]
         low, high = prior.value(scaled[row]).tolist()
         if name in (LEAKAGE, EXTERNAL_LEAKAGE):
-            high = truncated_end(value, low, high)
-        value, low, high = (within_bounds(config.plant, name, end) for end in (value, low, high))
+            high = truncated_end(values[row], low, high)
+        value, low, high = (within_bounds(config.plant, name, end) for end in (values[row], low, high))
         remaining = min(float(scaled[row, 1] - scaled[row, 0]) / (2.0 * COVERAGE), 1.0)
         unknowns.append(Unknown(name, prior, value, low, high, remaining, float(spread.widening[row]), side))
-    return Fit(tuple(unknowns), common.misfit, joint)
+    misfit = common.misfit.copy()
+    misfit[np.isfinite(misfit)] = joint.misfit
+    return Fit(tuple(unknowns), misfit, joint)
 
 
 def widened(fit: Fit, recording: Indices) -> Fit:

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import yaml
 from browser import problems_everywhere
 from command_line import assert_one_clear_line, hydro, own_lines
 from recorded import CONFIG, recorded_file
@@ -56,13 +55,12 @@ def test_a_fault_is_told_from_a_leak(tmp_path):
     assert "besides, null shift of the valve" in verdict
 
 
-def test_a_late_command_is_read_and_the_console_says_how_the_task_would_agree(tmp_path):
+def test_a_late_command_is_read_and_the_console_says_how_late_it_is(tmp_path):
     recorded_file(tmp_path / "a.csv", {"command_latency": 3e-3}, leakage=0.5, duration=1.0)
     answer = hydro("diagnose", tmp_path / "a.csv", "--window", 1, "--output", tmp_path / "out")
     lines = own_lines(answer.stdout)
     assert lines[-1].startswith(("internal leak of 0.50", "internal leak of 0.49"))
-    mended = yaml.safe_load(next(line for line in lines if line.startswith("command_latency:")))
-    assert mended["command_latency"] == pytest.approx(3e-3, abs=2e-4)
+    assert any("acts 3.0 ms after its row, and not 1.0 ms (command_latency): used" in line for line in lines)
 
 
 def test_a_log_of_its_own_period_is_read(tmp_path):

@@ -40,7 +40,7 @@ def test_only_windows_with_all_commands_are_read():
 def test_a_window_that_no_leak_explains_is_unknown():
     windows = made("none", 0.5)
     windows.signals[0, 0] = windows.signals[0, 0, ::-1]  # no axis moves against its command
-    assert EstimatorDetector().read(windows, CONFIG).cause.tolist() == [Cause.UNKNOWN, Cause.NONE]
+    assert EstimatorDetector(restarts=0).read(windows, CONFIG).cause.tolist() == [Cause.UNKNOWN, Cause.NONE]
 
 
 def test_changes_of_the_task_reach_the_fit():

@@ -210,7 +210,7 @@ def test_faults_of_the_task_widen_its_priors():
 
 def test_at_rest_the_search_ends_at_the_lowest_point():
     task = at_rest(TaskConfig())
-    windows = known_windows(task, shipped("lqg", task), leak_cases(VALIDATION_SEEDS[930_000:], 8, 0.01), 1.0, 2.0)
+    windows = known_windows(task, shipped("lqg", task), leak_cases(VALIDATION_SEEDS[930_000:], 4, 0.01), 1.0, 2.0)
     read = estimate(windows.signals, task)
     away = (read.value(LEAKAGE) - windows.leakage_flow_lpm) / read.deviation(LEAKAGE)
     assert read.holds.all()

@@ -82,7 +82,7 @@ def test_a_recorded_supply_gives_the_leak_although_it_swings(leak):
 
 
 def test_a_supply_that_moves_is_found_without_its_record():
-    windows = swinging(0.3)
+    windows = swinging(0.3, axes=1)
     found = EstimatorDetector().read(Windows(windows.signals, windows.begin, windows.end), CONFIG)
     assert found.answers.all()
     np.testing.assert_allclose(found.flow_lpm, 0.3, atol=0.03)

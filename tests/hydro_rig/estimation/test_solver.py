@@ -45,12 +45,12 @@ def final_equations(problem, scaled, shared):
     return linear.equations(scaled, problem.belief.without(shared), shared), linear.weight**0.5
 
 
-def test_ten_windows_end_in_the_minimum_that_scipy_finds():
-    problem, guess = problem_of(np.linspace(0.02, 1.0, 10), range(1_300_100, 1_300_110))
+def test_five_windows_end_in_the_minimum_that_scipy_finds():
+    problem, guess = problem_of(np.linspace(0.02, 1.0, 5), range(1_300_100, 1_300_105))
     places = np.arange(guess.shape[1])[None]
     found, _ = fit(problem, guess, Effort(200, 1e-3))
-    away = np.zeros((2, 10))  # largest distance in standard deviations, of scipy from the first guess and from here
-    for window in range(10):
+    away = np.zeros((2, 5))  # largest distance in standard deviations, of scipy from the first guess and from here
+    for window in range(5):
         one = problem.part(np.array([window]))
         equations, roots = final_equations(one, found[window : window + 1], NONE_SHARED)
         deviation = np.sqrt(np.diag(np.linalg.inv(equations.precision[0])))
@@ -59,7 +59,7 @@ def test_ten_windows_end_in_the_minimum_that_scipy_finds():
         # Sticking friction roughens the valley: where scipy's way from the first guess ends early, it ends higher.
         assert away[0, window] < 0.1 or runs[0].cost > runs[1].cost
     assert (away[1] < 0.1).all()
-    assert (away[0] < 0.1).sum() >= 8
+    assert (away[0] < 0.1).sum() >= 4
 
 
 def test_windows_with_common_parameters_end_in_the_minimum_that_scipy_finds():

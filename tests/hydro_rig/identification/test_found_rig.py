@@ -100,7 +100,7 @@ def test_a_fit_that_explains_no_window_says_so_first(misfit):
 
 def test_a_wrong_null_adds_up_over_a_recording_and_not_over_a_forecast():
     """A controller that nobody records held the axis in place; the simulation gets its commands alone."""
-    config = task_config(plant={"load": {"spring_stiffness": 0.0}}, randomisation={}, episode_duration=20.0)
+    config = task_config(plant={"load": {"spring_stiffness": 0.0}}, randomisation={}, episode_duration=14.0)
     cases = Cases(VALIDATION_SEEDS.start + 997_000 + np.arange(1), families=np.array(["multi_sine"]))
     signals, _ = measured_run(config, FlowLinearising(FlowLinearisingGains(), config), cases)
     part, valve = Stretch(0, 0.0, signals[0]), config.plant.valve
