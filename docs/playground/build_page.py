@@ -104,7 +104,7 @@ def written(kind: str, config: TaskConfig) -> Written:
         TraceError: the controller cannot be exported exactly.
     """
     controller: Any = shipped(kind, config)
-    rows = {row.name: row for row in variable_gains(controller, config) if row.name in GAINS}
+    rows = {row.name: row for row in variable_gains(controller) if row.name in GAINS}
     space = search_space(type(controller.gains), config.plant) if rows else {}
     sliders: list[dict[str, Any]] = []
     for name, (label, unit) in GAINS.items():

@@ -21,7 +21,7 @@ from hydro_rig.estimation.estimator import EstimatorDetector
 from hydro_rig.estimation.progress import tell
 from hydro_rig.estimation.result import Estimate, join
 from hydro_rig.recordings.columns import ColumnMap
-from hydro_rig.recordings.findings import Finding, Weight, lines_of
+from hydro_rig.recordings.findings import Finding, lines_of
 from hydro_rig.recordings.parts import lively
 from hydro_rig.recordings.quality import check_recording
 from hydro_rig.recordings.recording import Recording, read_recording
@@ -112,7 +112,6 @@ def diagnose(
     companion: Detector = HeadDetector(detector) if isinstance(detector, LeakageHead) else detector
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
-    checked.findings.extend(_about_auxiliary(recording))
     config = on_grid(config, checked.samples.period)
     length = max(round(window / config.control_period), 2)
     note = companion.refuses(config, length)
@@ -164,19 +163,6 @@ def read_windows(windows: Windows, config: TaskConfig, threads: int | None = Non
         if more is not None:
             fitted = join([fitted, more])
     return reading, fitted
-
-
-def _about_auxiliary(recording: Recording) -> list[Finding]:
-    """What the further signals of a recording say, but for the flow."""
-    findings: list[Finding] = []
-    for name, values in recording.auxiliary.items():
-        if np.isfinite(values).any() and name != "flow":
-            warm = name == "oil_temperature"
-            low, high = (1.0 if warm else 1e-5) * np.nanquantile(values, [0.01, 0.99])
-            end = "°C; a leak past the seal grows as the oil thins" if warm else "bar; the model follows it"
-            what = f"is {low:.4g} to {high:.4g} {end}"
-            findings.append(Finding(name, what, Weight.NOTE))
-    return findings
 
 
 def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:

@@ -1,90 +1,99 @@
-"""Writes a graph of array operations as C99 statements: plain loops over arrays of fixed size."""
+"""Writes a graph of array operations as statements: plain loops over arrays of fixed size; and what makes them C99."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_rig.export.c_files import c_operand
-from hydro_rig.export.graph import KINDS, SCALED, Graph, Node, regular, runs_of_places, source_of
+from hydro_rig.export.c_files import c_number
+from hydro_rig.export.graph import KINDS, Graph, Node
 
-C_TYPES = dict(zip(KINDS, ("double", "float", "long", "int"), strict=True))
-_INFIX = {
-    **{"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "and": "&&", "or": "||"},
-    **{"equal": "==", "not_equal": "!="},
-}
-_COMPARED = {"greater": ">", "greater_equal": ">=", "less": "<", "less_equal": "<="}
-_PREFIX = {"negative": "-", "not": "!"}
-_FUNCTIONS = {name: name for name in ("sqrt", "exp", "log", "tanh", "copysign")}
-_FUNCTIONS |= {"absolute": "fabs", "power": "pow", "arcsinh": "asinh"}
-_HELPERS = {
-    # As in NumPy: the first value unless the other one is larger (smaller); NaN stays NaN.
-    "maximum": "static {type} {name}({type} a, {type} b) {{ return isless(a, b) ? b : a; }}",
-    "minimum": "static {type} {name}({type} a, {type} b) {{ return isgreater(a, b) ? b : a; }}",
-    "sign": "static {type} {name}({type} a) {{ return isgreater(a, 0) ? 1 : isless(a, 0) ? -1 : a; }}",
-}
-_EXACT = {"where", "cast", "maximum", "minimum", "absolute", "sign", "copysign", "negative"}
 LONGEST = 120  # characters of the longest number that is written into the statement of another one
 
 
+class Language(NamedTuple):
+    """How a language writes things: texts for ``str.format``."""
+
+    types: Mapping[Any, str]
+    operations: Mapping[str, str]  # {0} … an operand beside others, {a} … alone; {to}, {of}: types; {f}: see C
+    number: Callable[[Any], str]
+    assign: str  # variable, text
+    loop: str  # index, count, statement, last
+    variable: str  # type, name
+    array: str  # type, name, size, last
+    table: str  # type, name, size, last, numbers
+    comment: str
+    reserved: frozenset[str]  # in small letters
+    declares_first: bool  # all variables before all statements
+    repeats: frozenset[str] = frozenset()  # operations whose text holds an operand more than once
+
+
+C_TYPES = dict(zip(KINDS, ("double", "float", "long", "int"), strict=True))
+C_OPERATIONS = {
+    "add": "{0} + {1}", "subtract": "{0} - {1}", "multiply": "{0} * {1}", "divide": "{0} / {1}", "negative": "-{0}",
+    "and": "{0} && {1}", "or": "{0} || {1}", "not": "!{0}", "equal": "{0} == {1}",
+    # The macros of C99 raise no exception for what is not a number.
+    "greater": "isgreater({a}, {b})", "greater_equal": "isgreaterequal({a}, {b})",
+    "less": "isless({a}, {b})", "less_equal": "islessequal({a}, {b})",
+    "where": "{0} ? {1} : {2}", "cast": "({to}){0}",
+    # The suffix f is that of functions in single precision.
+    "absolute": "fabs{f}({a})", "sqrt": "sqrt{f}({a})", "exp": "exp{f}({a})", "log": "log{f}({a})",
+    "power": "pow{f}({a}, {b})", "tanh": "tanh{f}({a})", "arcsinh": "asinh{f}({a})",
+}  # fmt: skip
+C = Language(
+    types=C_TYPES,
+    operations=C_OPERATIONS,
+    number=c_number,
+    assign="{} = {};",
+    loop="for (int {0} = 0; {0} < {1}; ++{0}) {2}",
+    variable="{} {};",
+    array="{} {}[{}];",
+    table="static const {0} {1}[{2}] = {{\n    {4}\n}};",
+    comment="/* {} */",
+    reserved=frozenset(("short", "long", "signed", "register", "auto", "static", "const", "double", "i", "j", "k")),
+    declares_first=False,
+)
+
+
 @dataclass
-class CWriter:
-    """Collects constant tables and helper functions of one C file, and writes statements that use them.
+class Writer:
+    """Writes statements of a language, and collects the constant tables and declarations that they need.
+
+    A statement is a whole line of Python: it takes up the numbers that only this line needs. Arithmetic in single
+    precision stays in statements of its own, because a processor may compute an expression more exactly.
 
     Args:
-        inputs: C text of each input of the graph, by name; for an array without index.
-        prefix: of the names of helper functions, for a file that contains others.
+        graph: from which the statements come.
+        inputs: text of each of its inputs, by name; for an array without index.
+        language: of the statements.
         places: names of the elements of arrays, by the name of the array.
+        taken: further names that no variable may have.
+        prefix: of the names of tables, for a file that contains others.
     """
 
+    graph: Graph
     inputs: Mapping[str, str]
-    prefix: str = ""
+    language: Language = C
     places: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    taken: Sequence[str] = ()
+    prefix: str = ""
     tables: list[str] = field(default_factory=list)
-    helpers: list[str] = field(default_factory=list)
+    declared: list[str] = field(default_factory=list)  # where the language wants them first
     _names: dict[Node, str] = field(default_factory=dict)
-    _used: set[str] = field(default_factory=set)
-    _single: set[Node] = field(default_factory=set)
     _inside: set[Node] = field(default_factory=set)
-    types: ClassVar[Mapping[Any, str]] = C_TYPES
-    repeats: ClassVar[frozenset[str]] = frozenset()  # operations whose text holds an operand more than once
-    reserved: ClassVar[frozenset[str]] = frozenset((
-        "short", "long", "signed", "unsigned", "register", "auto", "static", "const", "union", "double", "float",
-        "i", "j", "k", "factor",
-    ))  # fmt: skip
 
-    def reserve(self, *names: str) -> None:
-        """Reserve names that no variable may have."""
-        self._used.update(map(self._key, names))
-
-    def plan(self, graph: Graph) -> None:
-        """Let a statement be a whole line of Python: it takes up the numbers that only this line needs.
-
-        Arithmetic in single precision stays in statements of its own, because a processor may compute an expression
-        more exactly. The results are the same, bit by bit.
-        """
-        outputs = {source_of(node) for node in graph.outputs.values()}
-        readers: dict[Node, list[Node]] = {}
-        for node in graph.nodes():
-            if regular(node) is None:
+    def __post_init__(self) -> None:
+        self._used = {name.lower() for name in self.taken} | self.language.reserved
+        self._kept = {node.whole for node in self.graph.outputs.values()}
+        self._readers: dict[Node, list[Node]] = {}
+        for node in self.graph.nodes():
+            if not node.is_part:
                 for operand in node.operands:
-                    readers.setdefault(source_of(operand), []).append(node)
-        for node, readers_of_node in readers.items():
-            if len(readers_of_node) == 1 and node not in outputs and self._may_be_inside(node, readers_of_node[0]):
-                self._single.add(node)
-
-    def _may_be_inside(self, node: Node, reader: Node) -> bool:
-        exact = node.kind != np.float32 or node.operation in _EXACT
-        same_size = node.size == reader.size or reader.operation in ("collect", "sum")
-        own_line = node.origin == reader.origin or (node.operation == "cast" and not node.name.endswith(SCALED))
-        return (
-            exact and same_size and own_line and node.operation not in ("matmul", "sum", "collect")
-            and reader.operation != "matmul" and reader.operation not in self.repeats
-        )  # fmt: skip
+                    self._readers.setdefault(operand.whole, []).append(node)
 
     def statements(self, nodes: Sequence[Node], indent: str = "    ") -> list[str]:
         """Statements that compute nodes, operands first; each result gets a variable."""
@@ -94,7 +103,8 @@ class CWriter:
             written = self._statement(node)
             if written and node.origin and node.origin != origin:
                 origin = node.origin
-                lines.append(self.comment(origin))
+                plain = re.sub(r"/\*|\*/|\(\*|\*\)", lambda mark: " ".join(mark[0]), origin)
+                lines.append(self.language.comment.format(plain))
             lines += written
         return [f"{indent}{line}" for line in lines]
 
@@ -103,12 +113,14 @@ class CWriter:
         if node in self._names and node.operation not in ("input", "constant"):
             return self._names[node]
         variable = self._new_name(name)
-        lines += [f"{indent}{line}" for line in self._assigned(node, variable, self.element(node, "i"))]
+        lines += [f"{indent}{line}" for line in self._defined(node, variable, self.element(node, "i"))]
         return variable
 
-    def stored(self, target: str, name: str, node: Node, lines: list[str], indent: str = "    ") -> str:
-        """A statement that stores a result; statements before it go to ``lines``."""
-        return indent + self.copied(target, self.kept(name, node, lines, indent), node.size)
+    def stored(self, target: str, variable: str, size: int) -> str:
+        """A statement that copies a variable, or an array of a size."""
+        if size == 1:
+            return self.language.assign.format(target, variable)
+        return self._loop("i", size, self.language.assign.format(f"{target}[i]", f"{variable}[i]"))
 
     def element(self, node: Node, index: int | str) -> str:
         """Text of one element; ``index`` is a number, or the text of an index in a loop; of one element always that."""
@@ -116,195 +128,152 @@ class CWriter:
         if node.operation == "constant":
             assert node.table is not None
             if isinstance(index, int):
-                return self.number(node.table[index])
+                return self.language.number(node.table[index])
             if node not in self._names:
-                kind = "constant_table" if node.name == "constant" else node.name
-                name = self._names[node] = self._new_name(self.prefix + kind)
-                self.tables.append(self.table(name, node.table))
+                self._names[node] = self._table(node)
             return f"{self._names[node]}[{index}]"
-        if run := regular(node):
-            return self.element(run.source, loop_place(run.start, run.step, index))
+        if node.is_part:
+            run = node.runs[0]
+            return self.element(run.source, _place(run.start, run.step, index))
         if node in self._inside:
-            text = self._elementwise(node, index)
-            return text if self._is_closed(node) else f"({text})"
+            return self._expression(node, index)
         text = self.inputs[node.name] if node.operation == "input" else self._names[node]
-        return text if node.size == 1 else f"{text}[{self._place(node, index)}]"
+        return text if node.size == 1 else f"{text}[{self._named_place(node, index)}]"
 
-    def _place(self, node: Node, index: int | str) -> int | str:
-        """An index, by its name where it has one."""
+    def _named_place(self, node: Node, index: int | str) -> int | str:
         names = self.places.get(node.name, ())
         return names[index] if isinstance(index, int) and len(names) == node.size else index
 
-    def _elementwise(self, node: Node, index: int | str) -> str:
-        return self._expression(node, [self.element(part, index) for part in node.operands])
+    def _table(self, node: Node) -> str:
+        assert node.table is not None
+        name = self._new_name(self.prefix + ("constant_table" if node.name == "constant" else node.name))
+        numbers = [self.language.number(value) for value in node.table]
+        rows = [", ".join(numbers[first : first + 8]) for first in range(0, len(numbers), 8)]
+        kind, size = self.language.types[node.kind], node.size
+        self.tables.append(self.language.table.format(kind, name, size, size - 1, ",\n    ".join(rows)))
+        return name
 
     def _statement(self, node: Node) -> list[str]:
-        if regular(node) is not None:
+        if node.is_part:
             return []
-        if node in self._single and len(self._elementwise(node, "i")) <= LONGEST:
+        if self._may_be_inside(node) and len(self._expression(node, "i")) <= LONGEST:
             self._inside.add(node)
             return []
         name = self._names[node] = self._new_name(node.name or node.operation)
-        special = {"collect": self._collected, "matmul": self._multiplied, "sum": self._summed}.get(node.operation)
-        if special is not None:
-            return special(node, name)
-        return self._assigned(node, name, self._elementwise(node, "i"))
+        if node.operation == "collect":
+            return self._collected(node, name)
+        if node.operation in ("matmul", "sum"):
+            return self._total(node, name)
+        return self._defined(node, name, self._expression(node, "i"))
 
-    def _assigned(self, node: Node, name: str, text: str) -> list[str]:
-        if node.size == 1:
-            return [self.defined(node, name, text)]
-        return [*self.declared_array(node, name), self.loop("i", node.size, self.assign(f"{name}[i]", text))]
+    def _may_be_inside(self, node: Node) -> bool:
+        """Whether only one other statement of the same line of Python needs a number, and it stays as exact there."""
+        readers = self._readers.get(node, [])
+        if len(readers) != 1 or node in self._kept or node.operation in ("matmul", "sum", "collect"):
+            return False
+        reader = readers[0]
+        if reader.operation == "matmul" or reader.operation in self.language.repeats:
+            return False
+        same_size = node.size == reader.size or reader.operation in ("collect", "sum")
+        exact = node.kind != np.float32 or node.operation in ("where", "cast", "absolute", "negative")
+        return same_size and exact and node.origin == reader.origin
+
+    def _expression(self, node: Node, index: int | str) -> str:
+        texts = [self.element(operand, index) for operand in node.operands]
+        kinds = {"to": self.language.types[node.kind], "of": self.language.types[node.operands[-1].kind]}
+        suffix = "f" if node.operands[-1].kind == np.float32 else ""
+        template = self.language.operations[node.operation]
+        return template.format(*map(_beside, texts), **dict(zip("abc", texts, strict=False)), **kinds, f=suffix)
+
+    def _defined(self, node: Node, name: str, text: str) -> list[str]:
+        """Statements that define a variable, or each element of an array."""
+        language = self.language
+        if node.size == 1 and not language.declares_first:
+            return [f"const {language.types[node.kind]} {language.assign.format(name, text)}"]
+        target = name if node.size == 1 else f"{name}[i]"
+        statement = language.assign.format(target, text)
+        return [*self._declaration(node, name), statement if node.size == 1 else self._loop("i", node.size, statement)]
+
+    def _declaration(self, node: Node, name: str) -> list[str]:
+        text = declaration(self.language, name, node.size, node.kind)
+        if not self.language.declares_first:
+            return [text]
+        self.declared.append(text)
+        return []
 
     def _collected(self, node: Node, name: str) -> list[str]:
-        lines = self.declared_array(node, name)
-        for run in runs_of_places(node):
+        lines = self._declaration(node, name)
+        for run in node.runs:
             if run.length == 1:
-                target = f"{name}[{self._place(node, run.first)}]"
-                lines.append(self.assign(target, self.element(run.source, run.start)))
+                target = f"{name}[{self._named_place(node, run.first)}]"
+                lines.append(self.language.assign.format(target, self.element(run.source, run.start)))
             else:
-                text = self.element(run.source, loop_place(run.start, run.step, "i"))
-                target = f"{name}[{loop_place(run.first, 1, 'i')}]"
-                lines.append(self.loop("i", run.length, self.assign(target, text)))
+                text = self.element(run.source, _place(run.start, run.step, "i"))
+                target = f"{name}[{_place(run.first, 1, 'i')}]"
+                lines.append(self._loop("i", run.length, self.language.assign.format(target, text)))
         return lines
 
+    def _total(self, node: Node, name: str) -> list[str]:
+        """Sums over ``i``; the innermost loop runs over the columns, so that a compiler can vectorise it."""
+        k, i, j = digits = tuple(zip("kij", node.sizes, strict=True))
+        if node.operation == "sum":
+            term = _beside(self.element(node.operands[0], _mixed(digits)))
+        else:
+            left, right = node.operands
+            term = f"{_beside(self.element(left, _mixed((k, i))))} * {_beside(self.element(right, _mixed((i, j))))}"
+        into = name if node.size == 1 else f"{name}[{_mixed((k, j))}]"
+        statement = self.language.assign.format(into, f"{into} + {term}")
+        for index, count in reversed(digits):
+            statement = self._loop(index, count, statement) if count > 1 else statement
+        zero = self.language.number(node.kind.type(0))
+        begin = self.language.assign.format(name if node.size == 1 else f"{name}[i]", zero)
+        if node.size > 1:
+            begin = self._loop("i", node.size, begin)
+        return [*self._declaration(node, name), begin, statement]
+
+    def _loop(self, index: str, count: int, statement: str) -> str:
+        return self.language.loop.format(index, count, statement, count - 1)
+
     def _new_name(self, name: str) -> str:
-        plain = f"{name}_value" if self._key(name) in self.reserved else name
+        plain = f"{name}_value" if name.lower() in self.language.reserved else name
         unique, number = plain, 1
-        while self._key(unique) in self._used:
+        while unique.lower() in self._used:
             number += 1
             unique = f"{plain}_{number}"
-        self._used.add(self._key(unique))
+        self._used.add(unique.lower())
         return unique
 
-    # The language -------------------------------------------------------------------------------------------------
 
-    def _key(self, name: str) -> str:
-        """By what names differ."""
-        return name
-
-    def comment(self, text: str) -> str:
-        """A comment."""
-        return f"/* {text.replace('*/', '* /').replace('/*', '/ *')} */"
-
-    def number(self, value: Any) -> str:
-        """An exact number."""
-        return c_operand(value)
-
-    def assign(self, target: str, text: str) -> str:
-        """A statement that gives a variable a value."""
-        return f"{target} = {text};"
-
-    def loop(self, index: str, count: int, statement: str) -> str:
-        """A statement for each index."""
-        return f"for (int {index} = 0; {index} < {count}; ++{index}) {statement}"
-
-    def copied(self, target: str, variable: str, size: int) -> str:
-        """A statement that copies a variable, or an array of a size."""
-        if size == 1:
-            return self.assign(target, variable)
-        return self.loop("i", size, self.assign(f"{target}[i]", f"{variable}[i]"))
-
-    def declared_array(self, node: Node, name: str) -> list[str]:
-        """What stands in front of the statements that fill an array."""
-        return [f"{self.types[node.kind]} {name}[{node.size}];"]
-
-    def defined(self, node: Node, name: str, text: str) -> str:
-        """A statement that defines a variable."""
-        return f"const {self.types[node.kind]} {name} = {text};"
-
-    def table(self, name: str, values: NDArray[Any]) -> str:
-        """A constant table."""
-        rows = in_rows(self.number, values, 4)
-        return f"static const {self.types[values.dtype]} {name}[{values.size}] = {{\n    {rows}\n}};"
-
-    def _is_closed(self, node: Node) -> bool:
-        """Whether the text of an operation needs no brackets inside another one."""
-        if node.operation in _COMPARED:
-            return node.operands[0].kind.kind == "f"
-        return node.operation in (*_FUNCTIONS, *_HELPERS) or (node.operation == "cast" and node.kind != np.bool_)
-
-    def _expression(self, node: Node, operands: list[str]) -> str:
-        operation, kind = node.operation, node.operands[-1].kind
-        suffix = "f" if kind == np.float32 else ""
-        if operation in _INFIX:
-            return f" {_INFIX[operation]} ".join(operands)
-        if operation in _COMPARED:
-            if kind.kind == "f":  # the macros of C99 raise no exception for what is not a number
-                return f"is{operation.replace('_', '')}({', '.join(map(bare, operands))})"
-            return f" {_COMPARED[operation]} ".join(operands)
-        if operation in _PREFIX:
-            return f"{_PREFIX[operation]}{operands[0]}"
-        if operation == "where":
-            return f"{operands[0]} ? {operands[1]} : {operands[2]}"
-        if operation == "cast":
-            return f"{operands[0]} != 0" if node.kind == np.bool_ else f"({C_TYPES[node.kind]}){operands[0]}"
-        name = f"{_FUNCTIONS.get(operation, self.prefix + operation)}{suffix}"
-        if operation in _HELPERS:
-            text = _HELPERS[operation].format(type=C_TYPES[kind], name=name)
-            if text not in self.helpers:
-                self.helpers.append(text)
-        return f"{name}({', '.join(map(bare, operands))})"
-
-    def _multiplied(self, node: Node, name: str) -> list[str]:
-        """Sums in the order of the inner index; the innermost loop runs over the columns for vectorisation."""
-        (left, right), (rows, inner, columns) = node.operands, node.sizes
-        kind = self.types[node.kind]
-        if node.size == 1:
-            term = f"{self.element(left, 'i')} * {self.element(right, 'i')}"
-            return [f"{kind} {name} = 0;", self.loop("i", inner, f"{name} += {term};")]
-        at, to = ("i", "j") if rows == 1 else (f"k * {inner} + i", f"k * {columns} + j")
-        from_right = "i" if columns == 1 else f"i * {columns} + j"
-        # A zero adds nothing if the weights are finite, and half of the outputs of a ReLU layer are zero.
-        finite = right.operation == "constant" and right.table is not None and np.isfinite(right.table).all()
-        skip = "if (factor != 0) " if finite and columns >= 16 else ""
-        term = self.loop("j", columns, f"{name}[{to}] += factor * {self.element(right, from_right)};")
-        return [
-            *self.declared_array(node, name),
-            self.loop("i", node.size, f"{name}[i] = 0;"),
-            *([self.loop("k", rows, "").rstrip()] if rows > 1 else []),
-            self.loop("i", inner, "{"),
-            f"    const {kind} factor = {self.element(left, at)};",
-            f"    {skip}{term}",
-            "}",
-        ]
-
-    def _summed(self, node: Node, name: str) -> list[str]:
-        operand, (outer, length, inner) = node.operands[0], node.sizes
-        if node.size == 1:
-            term = f"{name} += {self.element(operand, 'i')};"
-            return [f"{self.types[node.kind]} {name} = 0;", self.loop("i", length, term)]
-        term = self.element(operand, f"(k * {length} + i) * {inner} + j")
-        return [
-            *self.declared_array(node, name),
-            self.loop("i", node.size, f"{name}[i] = 0;"),
-            self.loop("k", outer, self.loop("i", length, self.loop("j", inner, "").rstrip())),
-            f"    {name}[k * {inner} + j] += {term};",
-        ]
+def declaration(language: Language, name: str, size: int, kind: np.dtype[Any]) -> str:
+    """A variable, or an array of a size."""
+    text = language.variable if size == 1 else language.array
+    return text.format(language.types[kind], name, size, size - 1)
 
 
-def bare(text: str) -> str:
-    """A text without brackets around all of it."""
+def _beside(text: str) -> str:
+    """A text beside an operator: in brackets if it holds one itself."""
     depth = 0
-    for place, letter in enumerate(text):
-        depth += (letter == "(") - (letter == ")")
-        if depth == 0:
-            return text[1:-1] if text[0] == "(" and place == len(text) - 1 else text
-    return text
+    for letter in text:
+        depth += (letter in "([") - (letter in ")]")
+        if letter == " " and depth == 0:
+            return f"({text})"
+    return f"({text})" if text.startswith("-") else text
 
 
-def in_rows(written: Callable[[Any], str], values: NDArray[Any], indent: int) -> str:
-    """Values with commas, eight in a line."""
-    rows = (", ".join(map(written, values[first : first + 8])) for first in range(0, values.size, 8))
-    return f",\n{' ' * indent}".join(rows)
-
-
-def loop_place(start: int, step: int, index: int | str) -> int | str:
+def _place(start: int, step: int, index: int | str) -> int | str:
     """The place ``start + step * index``, as a number or as a text."""
     if isinstance(index, int):
         return start + step * index
     if step == 0:
         return start
-    if step != 1:
-        plain = index.isidentifier() or index.endswith("]")
-        index = f"{step} * {index}" if plain else f"{step} * ({index})"
-    return index if start == 0 else f"{start} + {index}"
+    text = index if step == 1 else f"{step} * {_beside(index)}"
+    return text if start == 0 else f"{start} + {text}"
+
+
+def _mixed(digits: Sequence[tuple[str, int]]) -> int | str:
+    """Place of an element in a flat array, by indices and their counts."""
+    text = ""
+    for index, count in digits:
+        if count > 1:
+            text = f"{_beside(text)} * {count} + {index}" if text else index
+    return text or 0

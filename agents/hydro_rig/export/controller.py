@@ -5,25 +5,36 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.registry import CONTROLLERS, GainRow, gain_rows
+from hydro_agents.controllers.flow_linearising import FlowLinearising
+from hydro_agents.controllers.pid import PID
+from hydro_agents.controllers.registry import GainRow, gain_rows
 from hydro_env import ConfigurationError, TaskConfig, __version__
-from hydro_env.files import Group
 from hydro_rig.export.c_files import CCode, c_code
-from hydro_rig.export.c_writer import C_TYPES, CWriter
-from hydro_rig.export.graph import Graph, Node, in_order
+from hydro_rig.export.c_writer import C_TYPES, Writer
+from hydro_rig.export.graph import Graph, Node, in_order, needed
 from hydro_rig.export.measured import LOST_RULE, MeasuredController, MeasuredSignals
 from hydro_rig.export.tracing import TraceError, named, trace
 
 STARTED, CONTINUED = "started.", "continued."
 GAINS = "gains."
 INPUTS = ("signals", "valid", "start", "lost_limit")
+VARIABLE_GAINS = {
+    PID: (
+        *("proportional", "integral", "derivative", "derivative_filter_time", "feedforward_extending"),
+        *("feedforward_retracting", "anti_windup_time"),
+    ),
+    FlowLinearising: ("position_gain", "braking", "force_rate", "damping_filter", "friction"),
+}
+"""Gains that may change while the exported code runs: it has the effect of a new controller with this gain. The others
+are part of numbers that a controller computes when it is made, or decisions."""
+
 _C_NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
@@ -77,8 +88,7 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
     who = type(controller).__name__
     measured = MeasuredController(controller, MeasuredSignals(config, entries_read(controller, config)))
     empty = measured.empty()
-    everything = leaves_of(empty)
-    arrays = arrays_of(everything)
+    arrays = leaves_of(empty)
 
     def step(signals: Any, valid: Any, start: Any, lost_limit: Any, **values: Any) -> dict[str, Any]:
         sound, variable = [], dict[str, Any]()
@@ -92,11 +102,7 @@ def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence
         now = varied.step(signals, valid, start, lost_limit, with_leaves(empty, values), sound)
         outputs: dict[str, Any] = {"begins": now.begins, "lost": now.lost, **leaves_of(now.common)}
         for prefix, case in ((STARTED, now.started), (CONTINUED, now.continued)):
-            for name, leaf in leaves_of(case).items():
-                if hasattr(leaf, "dtype"):
-                    outputs[prefix + name] = leaf
-                elif name in arrays or leaf != everything.get(name):
-                    raise TraceError(f"{who}: its memory '{name}' is a number that changes: cannot be exported")
+            outputs |= {prefix + name: leaf for name, leaf in leaves_of(case).items()}
         return outputs
 
     starts = {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
@@ -122,39 +128,10 @@ def _with_gains(controller: Any, gains: Mapping[str, Any]) -> Controller:
     return changed  # type: ignore[no-any-return]
 
 
-def variable_gains(controller: Any, config: TaskConfig) -> list[GainRow]:
-    """The gains that can be changed while the exported code runs.
-
-    A change must have the effect of a new controller with this gain: a gain from which the controller computes other
-    numbers when it is made, or on which it decides, stays a constant.
-    """
-    make, gains = type(controller), getattr(controller, "gains", None)
-    if not isinstance(gains, Group) or make not in {kind for kind, _ in CONTROLLERS.values()}:
-        return []
-    rows = [row for row in gain_rows(gains) if isinstance(row.value, float) and _is_used(controller, config, row)]
-
-    def text(controller: Controller) -> str:
-        """The code without the values of these gains."""
-        graph = controller_graph(controller, config, rows)
-        blank = tuple(row._replace(value=0.0, in_practice="") for row in rows)
-        return controller_code(replace(graph, gains=blank)).source
-
-    def changed(row: GainRow) -> Controller:
-        """A new controller with another gain."""
-        return make(gains.model_copy(update={row.name: 0.999 * row.value or 1e-3}), config)
-
-    same = text(controller)
-    return [row for row in rows if text(changed(row)) == same]
-
-
-def _is_used(controller: Controller, config: TaskConfig, row: GainRow) -> bool:
-    """Whether the voltage depends on a gain, now or later, and the controller does not decide on it."""
-    try:
-        graph = controller_graph(controller, config, [row]).graph
-    except (TraceError, TypeError):
-        return False
-    given = graph.inputs[GAINS + row.name]
-    return any(node.operation == "where" and given in node.operands for node in graph.nodes())
+def variable_gains(controller: Any) -> list[GainRow]:
+    """The gains that can be changed while the exported code runs."""
+    names = VARIABLE_GAINS.get(type(controller), ())
+    return [row for row in gain_rows(controller.gains) if row.name in names] if names else []
 
 
 def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
@@ -165,37 +142,34 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
     """
     signals = MeasuredSignals(config)
     empty = MeasuredController(controller, signals).empty().controller
-    arrays = arrays_of(leaves_of(empty, "memory"))
+    memory = leaves_of(empty, "memory")
 
-    def predict(observation: Any, **values: Any) -> dict[str, Any]:
+    def predict(**values: Any) -> dict[str, Any]:
         outputs: dict[str, Any] = {}
-        for prefix, memory in ((STARTED, None), (CONTINUED, with_leaves(empty, values, "memory"))):
-            command, new = controller.predict(observation, memory)
-            outputs[f"{prefix}command"] = command
-            for name, leaf in leaves_of(new, "memory").items():
-                if name in arrays:
-                    outputs[prefix + name] = leaf
+        observation = np.stack([values[name] for name in signals.layout.names])[None]
+        for prefix, before in ((STARTED, None), (CONTINUED, with_leaves(empty, values, "memory"))):
+            outputs[f"{prefix}command"], new = controller.predict(observation, before)
+            outputs |= {prefix + name: leaf for name, leaf in leaves_of(new, "memory").items() if name in memory}
         return outputs
 
-    observation = np.zeros((1, len(signals.layout.names)), dtype=np.float32)
-    graph = trace(predict, {"observation": observation, **arrays})
-    wanted, needed = {"command"}, set[str]()
-    while wanted != needed:
-        needed = wanted
-        used = graph.used([graph.outputs[prefix + name] for prefix in (STARTED, CONTINUED) for name in needed])
-        wanted = needed | {name for name in arrays if used[name].any()}
-    return {name for name, read in zip(signals.layout.names, used["observation"], strict=True) if read}
+    graph = trace(predict, {**dict.fromkeys(signals.layout.names, np.array(0.0, np.float32)), **memory})
+    wanted, before = {"command"}, set[str]()
+    while wanted != before:
+        before = wanted
+        used = needed([graph.outputs[prefix + name] for prefix in (STARTED, CONTINUED) for name in wanted])
+        wanted = wanted | {name for name in memory if graph.inputs[name] in used}
+    return {name for name in signals.layout.names if graph.inputs[name] in used}
 
 
 def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
-    """The arrays and whole numbers of a memory by name; it consists of named tuples, tuples, lists and dictionaries.
+    """The arrays of a memory by name; it consists of named tuples, tuples, lists and dictionaries.
 
     Raises:
         TraceError: the memory contains other objects.
     """
     if memory is None:
         return {}
-    if hasattr(memory, "dtype") or isinstance(memory, int):
+    if hasattr(memory, "dtype"):
         return {name: memory}
     leaves: dict[str, Any] = {}
     for place, value in _entries(memory, name).items():
@@ -203,15 +177,10 @@ def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
     return leaves
 
 
-def arrays_of(leaves: Mapping[str, Any]) -> dict[str, Any]:
-    """The arrays among the leaves of a memory."""
-    return {name: leaf for name, leaf in leaves.items() if hasattr(leaf, "dtype")}
-
-
-def with_leaves(memory: Any, leaves: dict[str, Any], name: str = "") -> Any:
+def with_leaves(memory: Any, leaves: Mapping[str, Any], name: str = "") -> Any:
     """The memory with other arrays; the inverse of :func:`leaves_of`."""
-    if memory is None or isinstance(memory, int):
-        return memory
+    if memory is None:
+        return None
     if hasattr(memory, "dtype"):
         return leaves[name].reshape(memory.shape)
     values = [with_leaves(value, leaves, place) for place, value in _entries(memory, name).items()]
@@ -244,8 +213,9 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
     fields = field_names(controller)
     names = inputs_of(controller, INPUTS, f"{name}_gains.")
     variables = {part: f"memory->{field}" for part, field in fields.items()}
-    writer = CWriter(names | variables, places=element_names(controller, f"{name.upper()}_"))
-    writer.reserve("voltage", "memory", *INPUTS, f"{name}_step", f"{name}_gains")
+    taken = ("voltage", "memory", *INPUTS, f"{name}_step", f"{name}_gains")
+    elements = element_names(controller, f"{name.upper()}_")
+    writer = Writer(controller.graph, names | variables, places=elements, taken=taken)
     values = written_step(controller, writer, variables)
     values["kept"] += f"\n    memory->lost_signals = (int){values['lost']};"
     parts = [{"type": C_TYPES[part.kind], "field": fields[part.name], "size": part.size} for part in controller.memory]
@@ -255,7 +225,6 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
         "gains_type": memory_type(name).removesuffix("Memory") + "Gains",
         "gains": controller.gains,
         "parts": parts,
-        "helpers": writer.helpers,
     }
     return c_code(name, values, "controller")
 
@@ -280,7 +249,7 @@ def field_names(controller: ControllerGraph) -> dict[str, str]:
     return names
 
 
-def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[str, str]) -> dict[str, Any]:
+def written_step(controller: ControllerGraph, writer: Writer, fields: Mapping[str, str]) -> dict[str, Any]:
     """What the templates of C and Structured Text write: contract, tables, and the statements of a step.
 
     These are ``common``, then those of a start or of a continuation, then ``kept``; ``lost`` counts the lost signals.
@@ -291,7 +260,6 @@ def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[s
         fields: variable of each part of the memory, by the name of the part.
     """
     shared = controller.common
-    writer.plan(controller.graph)
     started, continued = controller.case(STARTED), controller.case(CONTINUED)
     later = set(in_order([*continued.values()]))
     both = [node for node in in_order([*started.values()]) if node in later]
@@ -303,14 +271,15 @@ def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[s
         for part in controller.memory:
             node = outputs.get(part.name, part)
             if node is not part:
-                stored.append(writer.stored(fields[part.name], f"new_{_field(part.name)}", node, lines, indent))
+                variable = writer.kept(f"new_{_field(part.name)}", node, lines, indent)
+                stored.append(indent + writer.stored(fields[part.name], variable, part.size))
         return stored
 
     def case(outputs: dict[str, Node]) -> str:
         """The statements of a case; all values are read before the memory changes."""
         indent = " " * 8
         lines = writer.statements([node for node in in_order([*outputs.values()]) if node not in before], indent)
-        lines.append(indent + writer.assign("voltage", writer.element(outputs["voltage"], 0)))
+        lines.append(indent + writer.stored("voltage", writer.element(outputs["voltage"], 0), 1))
         stored = stores(outputs, lines, indent)
         return "\n".join([*lines, *stored])
 

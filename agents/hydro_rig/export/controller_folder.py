@@ -115,7 +115,7 @@ def exported_files(
     """
     graph = controller_graph(controller, config)
     model = controller_model(graph).SerializeToString()
-    varied = controller_graph(controller, config, variable_gains(controller, config))
+    varied = controller_graph(controller, config, variable_gains(controller))
     vectors, gains = make_vectors(graph.measured), getattr(controller, "gains", None)
     values = {
         "title": graph.title,

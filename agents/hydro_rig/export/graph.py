@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,17 +23,12 @@ from numpy.typing import NDArray
 
 _UFUNCS = (
     np.add, np.subtract, np.multiply, np.divide, np.negative, np.absolute, np.sqrt, np.exp, np.log, np.power, np.tanh,
-    np.arcsinh, np.sign, np.copysign, np.maximum, np.minimum, np.equal, np.not_equal, np.greater, np.greater_equal,
-    np.less, np.less_equal,
+    np.arcsinh, np.equal, np.greater, np.greater_equal, np.less, np.less_equal,
 )  # fmt: skip
-ELEMENTWISE = {function: function.__name__ for function in _UFUNCS} | {
-    np.logical_and: "and",
-    np.logical_or: "or",
-    np.logical_not: "not",
-    np.bitwise_and: "and",
-    np.bitwise_or: "or",
-    np.invert: "not",
-}
+ELEMENTWISE: dict[Any, str] = {function: function.__name__ for function in _UFUNCS}
+ELEMENTWISE |= dict.fromkeys((np.logical_and, np.bitwise_and), "and")
+ELEMENTWISE |= dict.fromkeys((np.logical_or, np.bitwise_or), "or")
+ELEMENTWISE |= dict.fromkeys((np.logical_not, np.invert), "not")
 """Name of the operation of each NumPy function that works element by element."""
 
 SCALED = "_scaled"
@@ -64,42 +60,30 @@ class Node:
             offset -= source.size
         raise AssertionError("a place beyond the operands")
 
+    @cached_property
+    def runs(self) -> list[EvenRun]:
+        """A ``collect`` as stretches with equal steps."""
+        runs: list[EvenRun] = []
+        for element in range(self.size):
+            source, place = self.piece(element)
+            if runs:
+                run = runs[-1]
+                step = place - run.start if run.length == 1 else run.step
+                if run.source is source and place == run.start + run.length * step:
+                    runs[-1] = run._replace(length=run.length + 1, step=step)
+                    continue
+            runs.append(EvenRun(element, 1, source, place, 0))
+        return runs
 
-@dataclass(frozen=True)
-class Graph:
-    """Named inputs and outputs; everything between follows from the outputs."""
+    @property
+    def is_part(self) -> bool:
+        """Whether it is a ``collect`` of a single stretch, which needs no array of its own."""
+        return self.operation == "collect" and len(self.runs) == 1
 
-    inputs: dict[str, Node]
-    outputs: dict[str, Node]
-
-    def nodes(self) -> list[Node]:
-        """All operations, operands first; no inputs, no constants."""
-        return in_order([*self.outputs.values()])
-
-    def used(self, outputs: Sequence[Node]) -> dict[str, NDArray[np.bool_]]:
-        """Whether some outputs depend on each element of each input, (size,) each."""
-        wanted = {node: np.zeros(node.size, dtype=np.bool_) for node in self.inputs.values()}
-        wanted |= {node: np.ones(node.size, dtype=np.bool_) for node in outputs}
-
-        def want(node: Node, elements: NDArray[np.bool_]) -> None:
-            before = wanted.setdefault(node, np.zeros(node.size, dtype=np.bool_))
-            before |= elements if node.size == elements.size else elements.any()
-
-        for node in reversed(in_order(outputs)):
-            elements = wanted[node]
-            if node.operation == "collect":
-                joined = np.zeros(sum(operand.size for operand in node.operands), dtype=np.bool_)
-                joined[node.table[elements]] = True  # type: ignore[index]
-                ends = np.cumsum([operand.size for operand in node.operands])[:-1]
-                for operand, part in zip(node.operands, np.split(joined, ends), strict=True):
-                    want(operand, part)
-            elif node.operation == "sum":
-                outer, length, inner = node.sizes
-                want(node.operands[0], elements.reshape(outer, 1, inner).repeat(length, axis=1).reshape(-1))
-            else:
-                for operand in node.operands:
-                    want(operand, np.array([elements.any()]) if node.operation == "matmul" else elements)
-        return {name: wanted[node] for name, node in self.inputs.items()}
+    @property
+    def whole(self) -> Node:
+        """The node of which it is a part, or itself."""
+        return self.runs[0].source if self.is_part else self
 
 
 class EvenRun(NamedTuple):
@@ -112,31 +96,16 @@ class EvenRun(NamedTuple):
     step: int
 
 
-def runs_of_places(node: Node) -> list[EvenRun]:
-    """A ``collect`` as stretches with equal steps."""
-    runs: list[EvenRun] = []
-    for element in range(node.size):
-        source, place = node.piece(element)
-        if runs:
-            run = runs[-1]
-            step = place - run.start if run.length == 1 else run.step
-            if run.source is source and place == run.start + run.length * step:
-                runs[-1] = run._replace(length=run.length + 1, step=step)
-                continue
-        runs.append(EvenRun(element, 1, source, place, 0))
-    return runs
+@dataclass(frozen=True)
+class Graph:
+    """Named inputs and outputs; everything between follows from the outputs."""
 
+    inputs: dict[str, Node]
+    outputs: dict[str, Node]
 
-def regular(node: Node) -> EvenRun | None:
-    """A ``collect`` that is a single stretch, which needs no separate array."""
-    runs = runs_of_places(node) if node.operation == "collect" and node.size < 4096 else []
-    return runs[0] if len(runs) == 1 else None
-
-
-def source_of(node: Node) -> Node:
-    """The node of which a node is a regular part, or itself."""
-    run = regular(node)
-    return node if run is None else source_of(run.source)
+    def nodes(self) -> list[Node]:
+        """All operations, operands first; no inputs, no constants."""
+        return in_order([*self.outputs.values()])
 
 
 def in_order(outputs: Sequence[Node]) -> list[Node]:
@@ -150,6 +119,11 @@ def in_order(outputs: Sequence[Node]) -> list[Node]:
         else:
             waiting += reversed(missing)
     return [node for node in done if node.operation not in ("input", "constant")]
+
+
+def needed(outputs: Sequence[Node]) -> set[Node]:
+    """Every node on which some nodes depend, and themselves."""
+    return {*outputs, *(operand for node in in_order(outputs) for operand in node.operands)}
 
 
 @dataclass

@@ -21,7 +21,7 @@ from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.task.signals import observation_layout
 from hydro_env.types import Floats
 from hydro_rig.export.c_files import CCode, c_code, csv_text, tested
-from hydro_rig.export.c_writer import CWriter
+from hydro_rig.export.c_writer import Writer
 from hydro_rig.export.expressions import DOUBLE, array
 from hydro_rig.export.measured import SENSOR_MEANINGS
 from hydro_rig.export.tracing import trace
@@ -76,8 +76,7 @@ def head_code(head: LeakageHead) -> CCode:
 
     features = np.zeros((1, len(FEATURES)), dtype=np.float32)
     graph = trace(lambda features: {"answer": head.judge(features)}, {"features": features})
-    writer = CWriter({"features": "features"}, prefix="network_")
-    writer.reserve("features", "answer")
+    writer = Writer(graph, {"features": "features"}, taken=("features", "answer"), prefix="network_")
     network = writer.statements(graph.nodes())
     answer = writer.kept("answers", graph.outputs["answer"], network)
     network.append(f"    for (int i = 0; i < {len(FIELDS)}; ++i) answer[i] = {answer}[i];")
@@ -94,7 +93,6 @@ def head_code(head: LeakageHead) -> CCode:
         "beside_stuck_sensor": BESIDE_STUCK_SENSOR,
         "bounds": bounds.ravel().tolist(),
         "fitted": [(name, np.size(part)) for name, part in fitted.items()],
-        "helpers": writer.helpers,
         "tables": writer.tables,
         "network": "\n".join(network),
         "forget": FORGET,

@@ -207,36 +207,8 @@ class MeasuredController:
             sample = np.where(present[place], signals[place], memory.last[place])
             value[name] = named(f"{name}_sample", sample)
         held = np.stack(list(value.values()))
-
-        computed: dict[str, Any] = {}
-        if memory.computed:
-            goes_on = np.logical_or(np.logical_not(begins), np.logical_and(start, memory.computed["standby"]))
-            computed["standby"] = np.logical_and(start, lost < 0.5)
-        if "velocity_estimate" in s.used:
-            rate = (value["position"] - memory.last[s.places["position"]]) / self._period
-            speed = memory.computed["velocity_estimate"]
-            smoothed = np.where(goes_on, speed + self._blend * (rate - speed), 0.0)
-            computed["velocity_estimate"] = named("velocity_estimate_sample", smoothed)
-        if "tracking_error" in s.used or "error_integral" in s.used:
-            error = value["reference"] - value["position"]
-            value["tracking_error"] = named("tracking_error_sample", error)
-        if "error_integral" in s.used:
-            integral = memory.computed["error_integral"]
-            integral = integral + self._period * (error - integral / self._integral_time)
-            integral = np.clip(integral, -self._integral_limit, self._integral_limit)
-            computed["error_integral"] = named("error_integral_sample", np.where(goes_on, integral, 0.0))
-        value["previous_command"] = named("previous_command_sample", value["previous_voltage"] / FULL_VOLTAGE)
-        for name in s.previews:
-            preview = value[ahead_name(name, self._period)] - value["reference"]
-            value[name] = named(f"{name}_sample", preview)
-        value |= computed
-
-        entries = [np.float32(0.0)] * len(s.layout.names)
-        for place, name in enumerate(s.layout.names):
-            if name in s.used:
-                scaled = np.clip(value[name] / s.scale[place], -s.limits[place], s.limits[place]).astype(np.float32)
-                entries[place] = named(name + SCALED, scaled)
-        observation = np.stack(entries)[None]
+        computed = self._computed(value, memory, start, begins, lost)
+        observation = self._observation(value)
         kept = np.clip(value["previous_voltage"], -FULL_VOLTAGE, FULL_VOLTAGE)
         complete = np.less(lost, 0.5)
         still = np.logical_and(memory.holding, np.logical_not(np.logical_and(start, complete)))
@@ -264,6 +236,45 @@ class MeasuredController:
 
         common = {"last": held, "computed": computed, "holding_voltage": rest}
         return BothWays(begins, lost, common, way(None, complete), way(memory.controller))
+
+    def _computed(
+        self, value: dict[str, Any], memory: MeasuredMemory, start: Any, begins: Any, lost: Any
+    ) -> dict[str, Any]:
+        """The memory of what follows from the signals; the values that follow are added to those of the signals."""
+        s = self.signals
+        computed: dict[str, Any] = {}
+        if memory.computed:
+            goes_on = np.logical_or(np.logical_not(begins), np.logical_and(start, memory.computed["standby"]))
+            computed["standby"] = np.logical_and(start, lost < 0.5)
+        if "velocity_estimate" in s.used:
+            rate = (value["position"] - memory.last[s.places["position"]]) / self._period
+            speed = memory.computed["velocity_estimate"]
+            smoothed = np.where(goes_on, speed + self._blend * (rate - speed), 0.0)
+            computed["velocity_estimate"] = named("velocity_estimate_sample", smoothed)
+        if "tracking_error" in s.used or "error_integral" in s.used:
+            error = value["reference"] - value["position"]
+            value["tracking_error"] = named("tracking_error_sample", error)
+        if "error_integral" in s.used:
+            integral = memory.computed["error_integral"]
+            integral = integral + self._period * (error - integral / self._integral_time)
+            integral = np.clip(integral, -self._integral_limit, self._integral_limit)
+            computed["error_integral"] = named("error_integral_sample", np.where(goes_on, integral, 0.0))
+        value["previous_command"] = named("previous_command_sample", value["previous_voltage"] / FULL_VOLTAGE)
+        for name in s.previews:
+            preview = value[ahead_name(name, self._period)] - value["reference"]
+            value[name] = named(f"{name}_sample", preview)
+        value.update(computed)
+        return computed
+
+    def _observation(self, value: Mapping[str, Any]) -> Any:
+        """The observation of the environment, (1, entries)."""
+        s = self.signals
+        entries = [np.float32(0.0)] * len(s.layout.names)
+        for place, name in enumerate(s.layout.names):
+            if name in s.used:
+                scaled = np.clip(value[name] / s.scale[place], -s.limits[place], s.limits[place]).astype(np.float32)
+                entries[place] = named(name + SCALED, scaled)
+        return np.stack(entries)[None]
 
     def _voltage_at_rest(self, value: Mapping[str, Any]) -> Any:
         """Voltage (V) at which no oil moves the piston, at the measured pressures; else at those of the rig's own load.

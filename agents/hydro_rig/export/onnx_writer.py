@@ -19,9 +19,9 @@ OUTPUTS = ("voltage", "next_state", "lost_signals", "holding")
 DOUBLE = np.dtype(np.float64)
 _OPERATORS = {
     "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negative": "Neg", "absolute": "Abs",
-    "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "power": "Pow", "tanh": "Tanh", "arcsinh": "Asinh", "sign": "Sign",
-    "maximum": "Max", "minimum": "Min", "equal": "Equal", "greater": "Greater", "greater_equal": "GreaterOrEqual",
-    "less": "Less", "less_equal": "LessOrEqual", "and": "And", "or": "Or", "not": "Not", "where": "Where",
+    "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "power": "Pow", "tanh": "Tanh", "arcsinh": "Asinh", "equal": "Equal",
+    "greater": "Greater", "greater_equal": "GreaterOrEqual", "less": "Less", "less_equal": "LessOrEqual",
+    "and": "And", "or": "Or", "not": "Not", "where": "Where",
 }  # fmt: skip
 
 
@@ -143,10 +143,6 @@ class OnnxWriter:
             return joined if np.array_equal(node.table, np.arange(whole)) else self.gathered(joined, node.table, name)
         if node.operation == "cast":
             return self.add("Cast", tensors, name, origin, to=self._type(node.kind))
-        if node.operation == "not_equal":
-            return self.add("Not", [self.add("Equal", tensors, name)], name, origin)
-        if node.operation == "copysign":
-            return self._copysign(node, tensors)
         if node.operation == "where" and node.kind == np.bool_:  # onnxruntime has no Where of truth values
             test, yes, no = tensors
             other = self.add("And", [self.add("Not", [test], f"not_{name}"), no], name)
@@ -164,15 +160,6 @@ class OnnxWriter:
             product = self.add("MatMul", [left, self._shaped(tensors[1], (inner, columns), name)], name, origin)
             return product if rows == 1 and columns > 1 else self._shaped(product, (rows * columns,), name)
         return self.add(_OPERATORS[node.operation], tensors, name, origin)
-
-    def _copysign(self, node: Node, tensors: list[str]) -> str:
-        """|a| with the sign of b, including −0, whose reciprocal is negative."""
-        size, sign = self.add("Abs", [tensors[0]], node.name, node.origin), tensors[1]
-        zero, one = (self._constant(np.array([value], node.kind), "constant") for value in (0.0, 1.0))
-        inverse = self.add("Div", [one, sign], f"{node.name}_inverse_sign")
-        below = [self.add("Less", [tensor, zero], f"{node.name}_negative") for tensor in (sign, inverse)]
-        negative = self.add("Or", below, f"{node.name}_negative")
-        return self.add("Where", [negative, self.add("Neg", [size], node.name), size], node.name, node.origin)
 
     def _shaped(self, tensor: str, shape: tuple[int, ...], name: str) -> str:
         return self.add("Reshape", [tensor, self._constant(np.array(shape), f"{name}_shape")], f"{name}_shaped")

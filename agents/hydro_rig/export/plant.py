@@ -11,7 +11,6 @@ import hashlib
 import io
 import math
 import platform
-import re
 import sys
 import uuid
 import zipfile
@@ -57,21 +56,6 @@ BINARIES = {"linux": ("linux64", ".so"), "win32": ("win64", ".dll"), "darwin": (
 """Folder and suffix of the binary in the FMU, by system; FMI 2.0 knows 64-bit x86 alone."""
 
 _ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
-
-_BASE_UNITS: dict[str, dict[str, float]] = {
-    **{name: {name: 1} for name in ("kg", "m", "s", "A", "K", "rad")},
-    "min": {"s": 1, "factor": 60.0},
-    "l": {"m": 3, "factor": 1e-3},
-    "N": {"kg": 1, "m": 1, "s": -2},
-    "Pa": {"kg": 1, "m": -1, "s": -2},
-    "J": {"kg": 1, "m": 2, "s": -2},
-    "W": {"kg": 1, "m": 2, "s": -3},
-    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
-    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
-    "H": {"kg": 1, "m": 2, "s": -2, "A": -2},
-    "1": {},
-}
-"""Exponents of the SI base units, and the factor, of the units in a variable's unit."""
 
 
 def plant_code(parameters: PlantParameters | None = None) -> CCode:
@@ -169,7 +153,7 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
         *parameters,
         *(Variable(name, what, unit, "output") for name, what, unit in outputs),
     ]
-    return [_in_xml(variable) for variable in variables]
+    return [variable._replace(unit=_in_letters(variable.unit)) for variable in variables]
 
 
 def _rig_parameters(config: TaskConfig) -> Iterator[Variable]:
@@ -185,6 +169,11 @@ def _rig_parameters(config: TaskConfig) -> Iterator[Variable]:
         yield Variable(f"rig.{path}", meaning, PARAMETER_UNITS[path], "parameter", value, *limits, whole=bool(codes))
 
 
+def _in_letters(unit: str) -> str:
+    """A unit in letters that every tool reads; empty: none."""
+    return "" if unit == "1" else unit.translate(_ASCII)
+
+
 def with_one_leak(config: TaskConfig) -> PlantParameters:
     """The rig of a task whose piston leaks by the task's law alone."""
     own = LEAK_LAWS[config.leakage.law].parameter
@@ -195,29 +184,6 @@ def with_one_leak(config: TaskConfig) -> PlantParameters:
 def _units_of_derived() -> dict[str, str]:
     hints = get_type_hints(Derived, include_extras=True)
     return {name: str(get_args(hint)[1]) for name, hint in hints.items() if hint is not Annotated}
-
-
-def _in_xml(variable: Variable) -> Variable:
-    """The variable with description and unit in letters that every tool reads."""
-    description = variable.description.replace("&", "and").replace("<", "below").replace('"', "'")
-    return variable._replace(
-        description=description, unit="" if variable.unit == "1" else variable.unit.translate(_ASCII)
-    )
-
-
-def _in_base_units(unit: str) -> dict[str, float] | None:
-    """Exponents of the SI base units and the factor of a unit; ``None`` if an exponent is not whole."""
-    found: dict[str, float] = {}
-    for sign, part in zip((1, -1), unit.split("/", 1), strict=False):
-        for name, power in re.findall(r"([^\d\s()]+|1)(\d*)", part):
-            if name not in _BASE_UNITS:
-                return None
-            for base, exponent in _BASE_UNITS[name].items():
-                if base == "factor":
-                    found[base] = found.get(base, 1.0) * exponent**sign
-                else:
-                    found[base] = found.get(base, 0) + sign * int(power or 1) * exponent
-    return {base: number for base, number in found.items() if number != 0}
 
 
 def make_fmu(config: TaskConfig) -> bytes:
@@ -232,7 +198,7 @@ def make_fmu(config: TaskConfig) -> bytes:
         "version": __version__,
         "model": MODEL,
         "variables": variables,
-        "units": {unit: _in_base_units(unit) for unit in sorted({variable.unit for variable in variables} - {""})},
+        "units": sorted({variable.unit for variable in variables} - {""}),
         "infinite": math.inf,
         "states": STATE_NAMES,
         "derived": list(_units_of_derived()),

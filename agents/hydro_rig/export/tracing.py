@@ -25,10 +25,7 @@ from hydro_rig.export.graph import ELEMENTWISE, KINDS, Builder, Graph, Node
 
 _MOVES = (np.reshape, np.transpose, np.tile, np.repeat, np.roll, np.broadcast_to, np.expand_dims, np.squeeze, np.ravel)
 _JOINS = (np.concatenate, np.stack, np.column_stack, np.hstack, np.vstack)
-_ENTRY = re.compile(r"\s*\w+\[[\"'](\w+)[\"']\] = ")
 _ASSIGNED = re.compile(r"\s*(?:self\.)?([A-Za-z_]\w*)(?:\[[^\]=]*\])?(?:: [^=]+)? [-+*/@]?= ")
-_SEVERAL = re.compile(r"\s*(\w+(?:, \w+)+) = ")
-_KEYWORD = re.compile(r"\s*(\w+)=[^=]")
 _SAY_LITTLE = ("values", "result", "entries")
 _OWN = (__file__, str(Path(np.__file__).parent))
 
@@ -122,7 +119,9 @@ class Traced(NDArrayOperatorsMixin):
         """The values in another type."""
         del copy
         value = self._value.astype(kind)
-        return self.copy() if value.dtype == self.dtype else self._result("cast", [self], value)
+        if value.dtype == self.dtype:
+            return self.copy()
+        return self != 0 if value.dtype == np.bool_ else self._result("cast", [self], value)
 
     def sum(self, axis: int | None = None) -> Traced:
         """Sum of all elements or along an axis."""
@@ -144,13 +143,12 @@ class Traced(NDArrayOperatorsMixin):
     nonzero = argmax = argmin = __contains__ = _refused
 
     def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, out: Any = None, **options: Any) -> Any:
-        if ufunc is np.logaddexp and method == "__call__" and not options:
-            return np.maximum(*operands) + np.log(1.0 + np.exp(-np.absolute(operands[0] - operands[1])))
-        if ufunc is np.square or (ufunc is np.power and isinstance(operands[1], int) and operands[1] == 2):
-            ufunc, operands = np.multiply, (operands[0], operands[0])
-        if method != "__call__" or options or not (ufunc in ELEMENTWISE or ufunc is np.matmul):
+        if method == "__call__" and not options and ufunc in _COMPOSED:
+            result = _COMPOSED[ufunc](*operands)
+        elif method == "__call__" and not options and (ufunc in ELEMENTWISE or ufunc is np.matmul):
+            result = self._product(*operands) if ufunc is np.matmul else self._elementwise(ufunc, *operands)
+        else:
             raise _refusal(f"np.{ufunc.__name__}" + (f".{method}" if method != "__call__" else ""))
-        result = self._product(*operands) if ufunc is np.matmul else self._elementwise(ufunc, *operands)
         if out is None:
             return result
         target = out[0]
@@ -163,10 +161,13 @@ class Traced(NDArrayOperatorsMixin):
         operands = tuple(np.asarray(operand) if isinstance(operand, list | tuple) else operand for operand in operands)
         kinds = [getattr(operand, "dtype", type(operand)) for operand in operands]
         wanted = ufunc.resolve_dtypes((*kinds, None))
-        logical = ELEMENTWISE[ufunc] in ("and", "or", "not")
-        arrays = [
-            self._of(operand, np.bool_ if logical else kind) for operand, kind in zip(operands, wanted, strict=False)
-        ]
+        arrays = []
+        for operand, kind in zip(operands, wanted, strict=False):
+            if ELEMENTWISE[ufunc] in ("and", "or", "not"):
+                kind = np.dtype(np.bool_)
+            elif kind.kind == "i" and ufunc in _ORDERS:
+                kind = np.dtype(np.float64)
+            arrays.append(self._of(operand, kind))
         return self._result(ELEMENTWISE[ufunc], arrays, ufunc(*(array._value for array in arrays)))
 
     def _product(self, left: Any, right: Any) -> Traced:
@@ -275,6 +276,13 @@ def _einsum(self: Traced, subscripts: str, *operands: Any) -> Any:
     return product
 
 
+def _power(base: Any, exponent: Any) -> Any:
+    if isinstance(exponent, int) and exponent == 2:
+        return base * base
+    traced = base if isinstance(base, Traced) else exponent
+    return traced._elementwise(np.power, base, exponent)
+
+
 def _diff(self: Traced, array: Any, n: int = 1, axis: int = -1) -> Any:
     if n != 1:
         raise _refusal(f"np.diff with n = {n}")
@@ -289,6 +297,19 @@ def _filled(number: float) -> Callable[..., Traced]:
 
     return filled
 
+
+_ORDERS = (np.greater, np.greater_equal, np.less, np.less_equal)
+_COMPOSED: dict[Any, Callable[..., Any]] = {
+    np.square: lambda x: x * x,
+    np.power: _power,
+    np.not_equal: lambda a, b: np.logical_not(np.equal(a, b)),
+    np.maximum: lambda a, b: np.where(np.less(a, b), b, a),  # NaN stays NaN
+    np.minimum: lambda a, b: np.where(np.greater(a, b), b, a),
+    np.sign: lambda x: np.where(x > 0.0, 1.0, np.where(x < 0.0, -1.0, x)),
+    np.copysign: lambda size, sign: np.where(sign < 0.0, -np.absolute(size), np.absolute(size)),
+    np.logaddexp: lambda a, b: np.maximum(a, b) + np.log(1.0 + np.exp(-np.absolute(a - b))),
+}
+"""Functions that are written by others."""
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.where: _where_function,
@@ -334,9 +355,7 @@ def _told(file: str, function: str, line: str) -> dict[str, str]:
 
 
 def _assigned(line: str, function: str) -> str:
-    if several := _SEVERAL.match(line):
-        return several.group(1).replace(", ", "_")
-    match = _ENTRY.match(line) or _ASSIGNED.match(line) or _KEYWORD.match(line)
+    match = _ASSIGNED.match(line)
     name = match.group(1) if match else function
     return "" if match and name in _SAY_LITTLE else re.sub(r"\W", "", name).strip("_") or "value"
 

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from hydro_rig.export.c_writer import bare
 from hydro_rig.export.expressions import BOOL, DOUBLE, INT, Expressions, TranslationError, Type, Typed, array
 
 
@@ -113,7 +112,9 @@ class _Body(Expressions):
             case ast.AugAssign():
                 self._assign(statement.target, ast.BinOp(statement.target, statement.op, statement.value), indent)
             case ast.If():
-                self._line(indent, f"if ({bare(self.value(statement.test)[0])}) {{")
+                test, _ = self.value(statement.test)
+                compound = test.startswith("(") and test.endswith(")")  # has brackets around all of it
+                self._line(indent, f"if {test if compound else f'({test})'} {{")
                 self._block(statement.body, indent + "    ")
                 if statement.orelse:
                     self._line(indent, "} else {")

@@ -7,7 +7,7 @@ import numpy as np
 import onnx
 import pytest
 from command_line import assert_one_clear_line, hydro
-from exported_code import InC, InOnnx, InPython, library, sources_in
+from exported_code import InC, InOnnx, InPython, library
 from refusal import refused
 
 from hydro_agents.controllers import PID, PIDGains
@@ -29,27 +29,22 @@ TASK = TaskConfig(episode_duration=0.6)
 SEED = VALIDATION_SEEDS.start + 710_000
 
 
-@pytest.mark.parametrize("language", ["python", "onnx", "c"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_language_gives_the_voltages_of_the_vectors_sample_by_sample(kind, language, exported, tmp_path):
-    made = exported(kind)
+def test_the_vectors_of_each_kind_are_those_of_python_onnx_and_c(kind, exported):
+    made = exported(kind)  # fails if ONNX or C differs from the vectors
     rows = np.genfromtxt(made.folder / "vectors.csv", delimiter=",", skip_header=1)
     starts, signals, expected = rows[:, 0] > 0.0, rows[:, 1:-1], rows[:, -1]
     assert starts.sum() == 9  # of three episodes, and after each loss
     assert (np.abs(expected) == 10.0).any()
     assert np.isnan(signals).any()
-    if language == "c":
-        run = InC(library(tmp_path, sources_in(made.folder)))
-    elif language == "onnx":
-        run = InOnnx(made.folder / "controller.onnx")
-    else:
-        run, signals = InPython(made.graph.measured), signals[:180]  # one of the episodes: it takes its time
-    starts, expected = starts[: len(signals)], expected[: len(signals)]
-    voltage = np.array([run(row, bool(start)) for row, start in zip(signals, starts, strict=True)])
-    assert np.abs(voltage - expected).max() <= 1e-5
+    run, first = InPython(made.graph.measured), slice(180)  # one of the episodes: it takes its time
+    voltage = [run(row, bool(start)) for row, start in zip(signals[first], starts[first], strict=True)]
+    assert np.abs(voltage - expected[first]).max() <= 1e-5
+    assert made.report[0].startswith("controller.onnx: 540 samples in onnxruntime")
+    assert made.report[1].startswith(("controller.c: 540 samples", "controller.c: not compiled"))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["pid", "ppo"])
 def test_the_model_has_plain_operators_fixed_shapes_and_names(kind, exported):
     model = onnx.load(exported(kind).folder / "controller.onnx")
     onnx.checker.check_model(model, full_check=True)
@@ -61,8 +56,6 @@ def test_the_model_has_plain_operators_fixed_shapes_and_names(kind, exported):
     assert len(set(names)) == len(names)
     assert {"previous_voltage_sample", "position_scaled"} <= set(names)
     assert [value.name for value in model.graph.input] == ["signals", "state", "valid", "start", "lost_limit"]
-    assert exported(kind).report[0].startswith("controller.onnx: 540 samples in onnxruntime")
-    assert exported(kind).report[1].startswith(("controller.c: 540 samples", "controller.c: not compiled"))
 
 
 def test_the_compensation_of_an_overlapped_valve_is_exported():
@@ -85,7 +78,7 @@ def test_the_compensation_of_an_overlapped_valve_is_exported():
 
 
 def test_several_controllers_fit_into_one_program(exported, tmp_path):
-    graphs = {kind: exported(kind).graph for kind in KINDS[:4]}
+    graphs = {kind: exported(kind).graph for kind in KINDS[:2]}
     loaded = library(tmp_path, *(controller_code(graph, kind).files for kind, graph in graphs.items()))
     env = ServoHydraulicVectorEnv(1, TASK)
     env.reset(seed=[SEED + 30])
@@ -141,7 +134,7 @@ def test_a_lost_sample_is_replaced_by_the_last_one(exported):
     assert results[:, 1].tolist() == [0] * 10 + [1] * 3 + [0] * 17
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["flow_linearising", "lqg", "ppo"])
 def test_no_input_makes_the_voltage_anything_but_a_voltage(kind, exported):
     _, rows = samples(exported(kind).graph, 120)
     generator = np.random.default_rng(5)
@@ -230,7 +223,7 @@ class Remembering:
     ("controller", "what"),
     [
         (Deciding(), "depends on the data"),
-        (Counting(), "'controller.calls' is a number that changes"),
+        (Counting(), "calls: int holds no arrays"),
         (Remembering(), "Remembering: keeps its memory outside its state"),
     ],
 )

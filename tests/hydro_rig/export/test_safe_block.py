@@ -65,12 +65,11 @@ def block(made, tmp_path_factory):
 # Zeros ---------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("language", ["c", "python"])
 @pytest.mark.parametrize(("kind", "rig"), KINDS)
-def test_a_memory_of_zeros_begins_where_the_axis_rests(kind, rig, language, made, block):
+def test_a_memory_of_zeros_begins_where_the_axis_rests(kind, rig, made, block):
     graph, task = made(kind, rig)
     for position in np.linspace(-0.1, 0.05, 5) * task.plant.cylinder.stroke:
-        voltage = block(language, kind, rig)(at_rest(graph, position), False)
+        voltage = block("c", kind, rig)(at_rest(graph, position), False)
         _, holding = equilibrium(task.plant, position)
         assert voltage == pytest.approx(holding, abs=0.2), f"{1e3 * position:.0f} mm"
 
@@ -142,7 +141,7 @@ int controller_raises(ControllerMemory *memory, const double *signals, const int
 @pytest.mark.parametrize(("kind", "rig"), KINDS[:3])
 def test_no_signal_and_no_gain_raises_a_floating_point_exception_in_c(kind, rig, made, tmp_path):
     graph, task = made(kind, rig)
-    graph = controller_graph(graph.measured.controller, task, variable_gains(graph.measured.controller, task))
+    graph = controller_graph(graph.measured.controller, task, variable_gains(graph.measured.controller))
     loaded = library(tmp_path, controller_code(graph).files, {"flags.c": FLAGS})
     step, memory, voltage = loaded.controller_raises, ctypes.create_string_buffer(100_000), ctypes.c_double()
     gains = (ctypes.c_double * len(graph.gains)).in_dll(loaded, "controller_gains") if graph.gains else []

@@ -17,7 +17,7 @@ def varied(request, exported):
     """Kind, controller and its graph with variable gains."""
     made = exported(request.param)
     config = made.graph.signals.config
-    gains = variable_gains(made.controller, config)
+    gains = variable_gains(made.controller)
     return request.param, made.controller, controller_graph(made.controller, config, gains)
 
 
