@@ -15,7 +15,7 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising
 from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import GainRow, gain_rows
-from hydro_env import ConfigurationError, TaskConfig, __version__
+from hydro_env import TaskConfig, __version__
 from hydro_rig.export.c_files import CCode, c_code
 from hydro_rig.export.c_writer import C_TYPES, Writer
 from hydro_rig.export.graph import Graph, Node, in_order, needed
@@ -34,8 +34,6 @@ VARIABLE_GAINS = {
 }
 """Gains that may change while the exported code runs: it has the effect of a new controller with this gain. The others
 are part of numbers that a controller computes when it is made, or decisions."""
-
-_C_NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,9 @@ def _with_gains(controller: Any, gains: Mapping[str, Any]) -> Controller:
 
 def variable_gains(controller: Any) -> list[GainRow]:
     """The gains that can be changed while the exported code runs."""
-    names = VARIABLE_GAINS.get(type(controller), ())
+    names = set(VARIABLE_GAINS.get(type(controller), ()))
+    if isinstance(controller, PID) and controller.gains.overlap_compensation * controller.config.plant.valve.overlap:
+        names.discard("proportional")  # the compensation of the overlap is as wide as the noise that it makes
     return [row for row in gain_rows(controller.gains) if row.name in names] if names else []
 
 
@@ -203,13 +203,7 @@ def _entries(memory: Any, name: str) -> dict[str, Any]:
 
 
 def controller_code(controller: ControllerGraph, name: str = "controller") -> CCode:
-    """C sources of a controller; ``name`` begins every symbol, so that one program can hold several.
-
-    Raises:
-        ConfigurationError: the name is not a valid name in C.
-    """
-    if not _C_NAME.fullmatch(name):
-        raise ConfigurationError(f"name '{name}': must be a valid name in C, such as controller_1")
+    """C sources of a controller; ``name`` begins every symbol, so that one program can hold several."""
     fields = field_names(controller)
     names = inputs_of(controller, INPUTS, f"{name}_gains.")
     variables = {part: f"memory->{field}" for part, field in fields.items()}

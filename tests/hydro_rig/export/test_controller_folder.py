@@ -19,7 +19,7 @@ from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_rig.export.controller import controller_code, controller_graph
+from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
 from hydro_rig.export.controller_folder import exported_files
 from hydro_rig.export.measured import MeasuredSignals
 from hydro_rig.export.tracing import TraceError
@@ -62,6 +62,8 @@ def test_the_compensation_of_an_overlapped_valve_is_exported():
     task = task_config(TASK, plant={"valve": {"overlap": 0.1, "underlap": 0.002}})
     plain, compensating = (PID(PIDGains(overlap_compensation=share), task) for share in (0.0, 1.0))
     exported_files(compensating, task, "hydro export")  # fails if C or ONNX differs from Python
+    proportional = ["proportional" in [gain.name for gain in variable_gains(one)] for one in (compensating, plain)]
+    assert proportional == [False, True]  # the compensation is as wide as the noise that this gain makes
     measured = controller_graph(compensating, task).measured
     env = ServoHydraulicVectorEnv(1, task)
     observation, _ = env.reset(seed=[SEED])
@@ -85,11 +87,6 @@ def test_several_controllers_fit_into_one_program(exported, tmp_path):
     for kind, graph in graphs.items():
         signals = graph.signals.of_axes(env.axes)[0]
         assert InC(loaded, kind)(signals, True) == pytest.approx(graph.measured(signals, None)[0], abs=1e-5)
-
-
-def test_a_name_that_is_none_in_c_is_refused(exported):
-    with refused("must be a valid name in C"):
-        controller_code(exported("pid").graph, "my pid")
 
 
 # Lost samples and values out of range --------------------------------------------------------------------------------

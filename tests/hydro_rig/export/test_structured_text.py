@@ -78,13 +78,3 @@ def test_a_gain_that_is_changed_acts_as_in_a_new_controller(varied, block):
     rows = list(zip(vectors.signals, vectors.start, strict=True))
     new, old = (np.abs([run(*row) for row in rows] - vectors.voltage).max() for run in (changed, plain))
     assert new <= 1e-6 < 1e-3 < old
-
-
-def test_c_has_the_same_gains_in_one_structure(varied, block):
-    kind, _, graph = varied
-    code, gains = controller_code(graph), block(kind).gains
-    assert "extern ControllerGains controller_gains;" in code.header
-    for gain in graph.gains:
-        assert f"controller_gains.{gain.name}" in code.source
-        assert f"    double {gain.name};" in code.header
-        assert gains[gain.name] == gain.value
