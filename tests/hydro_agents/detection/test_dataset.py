@@ -43,9 +43,14 @@ def made():
 
 def test_chunks_do_not_depend_on_others_nor_on_controllers_that_are_not_theirs(windows, monkeypatch):
     monkeypatch.setattr(dataset, "OPERATIONS", dataset.OPERATIONS[::4])
-    early = TrainingPlan(CONFIG, [None], PLAN.settings).jobs(120, TRAINING_SEEDS.start + 920_000)
-    assert 0 < len(early) < len(windows)
-    number, job = early.popitem()
+    others = PLAN.jobs(120, TRAINING_SEEDS.start + 920_000)
+    own = {number for number, job in others.items() if job.participant is None}
+    early = TrainingPlan(CONFIG, [PID(PIDGains(proportional=30.0), CONFIG)], PLAN.settings).jobs(
+        120, TRAINING_SEEDS.start + 920_000
+    )
+    number = max(own, key=int)
+    job = early[number]
+    assert len(own) < len(early)
     for name, values in job.run().metrics.items():
         np.testing.assert_array_equal(values, getattr(windows[int(number)], name))
 
