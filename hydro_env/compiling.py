@@ -57,6 +57,10 @@ class Inline:
         """Call it from Python."""
         return self._alone(*arguments)
 
+    def __reduce__(self) -> Any:
+        """Its name alone: numba's cache hashes what a kernel's closure holds, and the digest there covers the source."""
+        return str, (self.__name__,)
+
     @cached_property
     def merged(self) -> Any:
         """The form that numba merges into callers."""
@@ -184,6 +188,11 @@ def _generated(name: str, parameters: str, lines: Sequence[str], **names: Any) -
     return inline(names[name])
 
 
+def merged(name: str, parameters: str, result: str, **names: Any) -> Any:
+    """A function of ``parameters`` that returns the expression ``result``, in which ``names`` stand."""
+    return _generated(name, parameters, [f"return {result}"], **names)
+
+
 def named_tuple(name: str, fields: Iterable[str], module: str) -> Any:
     """A named tuple with computed fields, which a class statement cannot express."""
     return namedtuple(name, list(fields), module=module)
@@ -219,6 +228,18 @@ def lane_function(array: str, rows: int, lanes: int, *statements: str) -> Any:
         *(f"        {statement}" for statement in statements),
     ]
     return _generated("combine", array, lines)
+
+
+def lane_loader(columns: Sequence[int], first: int, lanes: int) -> Any:
+    """``load(work, lane, array, row)``: columns of a row of an array into one lane, from row ``first`` on."""
+    lines = [f"work[{(first + n) * lanes} + lane] = array[row, {column}]" for n, column in enumerate(columns)]
+    return _generated("load", "work, lane, array, row", lines)
+
+
+def lane_storer(columns: Sequence[int], first: int, lanes: int) -> Any:
+    """``store(work, lane, array, row)``: the inverse of :func:`lane_loader`."""
+    lines = [f"array[row, {column}] = work[{(first + n) * lanes} + lane]" for n, column in enumerate(columns)]
+    return _generated("store", "work, lane, array, row", lines)
 
 
 def function_of_number(functions: Sequence[Callable[..., Any]], parameters: str, number: str) -> Any:

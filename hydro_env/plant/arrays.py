@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,17 +17,18 @@ from hydro_env.plant.equations import (
     derivatives,
     derived_quantities,
     hold_limits,
+    parts_of,
 )
-from hydro_env.plant.equilibrium import equilibrium_state
+from hydro_env.plant.equilibrium import complete_at_rest, equilibrium_state
 from hydro_env.plant.parameters import Physical, PlantParameters, to_vector
-from hydro_env.plant.states import N_STATES, STATE_NAMES, State
+from hydro_env.plant.states import ALL_STATES, N_ALL_STATES, RIGID, State, Structure, state_kind
 from hydro_env.types import Floats
 
 read_physical = tuple_reader(Physical)
 read_coefficients = tuple_reader(Coefficients)
 write_coefficients = tuple_writer(Coefficients)
 read_state = tuple_reader(State)
-write_state = tuple_writer(State)
+write_complete_state = tuple_writer(state_kind(Structure(lines=True, tip=True)))
 _write_derived = tuple_writer(Derived)
 
 N_COEFFICIENTS = len(Coefficients._fields)
@@ -64,7 +66,8 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
             f"position = {position:g} m cannot be held: spring, leakage or external force need more than "
             f"the supply of {parameters.supply.pressure / 1e5:g} bar can give"
         )
-    return dict(zip(STATE_NAMES, state.tolist(), strict=True)), voltage
+    everything = dict(zip(ALL_STATES, state.tolist(), strict=True))
+    return {name: everything[name] for name in state_kind(parameters.structure)._fields}, voltage
 
 
 def _build(sources: int) -> tuple[Any, ...]:
@@ -77,27 +80,53 @@ def _build(sources: int) -> tuple[Any, ...]:
     def equilibrium_of(position: float, vector: Floats) -> Any:
         assert sources >= 0
         p = read_physical(vector)
-        state, voltage, found = equilibrium_state(position, p, coefficients(p))
-        out = np.empty(N_STATES)
-        write_state(out, state)
+        c = coefficients(p)
+        state, voltage, found = equilibrium_state(position, p, c)
+        out = np.empty(N_ALL_STATES)
+        write_complete_state(out, complete_at_rest(state, c))
         return out, voltage, found
+
+    return compiled(coefficients_of), compiled(equilibrium_of)
+
+
+_coefficients_of, _equilibrium_of = _build(SOURCES)
+
+
+class AxisFunctions(NamedTuple):
+    """Functions of the states of one axis, in the order of its structure."""
+
+    derivative: Any  # (state, coefficients, voltage) → derivative
+    command_changed: Any  # (state, coefficients, voltage) → state
+    hold_limits: Any  # (state, coefficients) → state
+    derived: Any  # (states (n, states), coefficients (n or 1, …)) → (n, N_DERIVED)
+
+
+@cache
+def functions_of(structure: Structure) -> AxisFunctions:
+    """The functions of axes with a structure; each is compiled when it is first called."""
+    return _build_functions(SOURCES + structure.number, structure)
+
+
+def _build_functions(sources: int, structure: Structure) -> AxisFunctions:
+    parts, kind = parts_of(structure), state_kind(structure)
+    read, write, size = tuple_reader(kind), tuple_writer(kind), len(kind._fields)
 
     def derivative_array(state: Floats, coefficients: Floats, voltage: float) -> Floats:
         assert sources >= 0
-        out = np.empty(N_STATES)
-        write_state(out, derivatives(read_state(state), read_coefficients(coefficients), voltage))
+        out = np.empty(size)
+        write(out, derivatives(read(state), read_coefficients(coefficients), voltage, parts))
         return out
 
     def command_changed_array(state: Floats, coefficients: Floats, voltage: float) -> Floats:
         assert sources >= 0
-        out = np.empty(N_STATES)
-        write_state(out, command_changed(read_state(state), read_coefficients(coefficients), voltage))
+        out = np.empty(size)
+        write(out, command_changed(read(state), read_coefficients(coefficients), voltage, parts))
         return out
 
     def hold_limits_array(state: Floats, coefficients: Floats) -> Floats:
         assert sources >= 0
-        out = np.empty(N_STATES)
-        write_state(out, hold_limits(read_state(state), read_coefficients(coefficients)))
+        out = np.empty(size)
+        write(out, hold_limits(read(state), read_coefficients(coefficients), parts))
         return out
 
     def derived_array(states: Floats, coefficients: Floats) -> Floats:
@@ -105,20 +134,10 @@ def _build(sources: int) -> tuple[Any, ...]:
         out = np.empty((states.shape[0], N_DERIVED))
         for sample in range(states.shape[0]):
             c = read_coefficients(coefficients[sample if coefficients.shape[0] > 1 else 0])
-            _write_derived(out[sample], derived_quantities(read_state(states[sample]), c))
+            _write_derived(out[sample], derived_quantities(read(states[sample]), c, parts))
         return out
 
-    kernels = (
-        coefficients_of,
-        equilibrium_of,
-        derivative_array,
-        command_changed_array,
-        hold_limits_array,
-        derived_array,
-    )
-    return tuple(compiled(kernel) for kernel in kernels)
+    return AxisFunctions(*map(compiled, (derivative_array, command_changed_array, hold_limits_array, derived_array)))
 
 
-_coefficients_of, _equilibrium_of, derivative_array, command_changed_array, hold_limits_array, derived_array = _build(
-    SOURCES
-)
+derivative_array, command_changed_array, hold_limits_array, derived_array = functions_of(RIGID)

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from hydro_env.compiling import inline, tuple_replacer
+from hydro_env.compiling import inline, tuple_joiner, tuple_replacer
 from hydro_env.plant.equations import Coefficients, chamber_net_flows
+from hydro_env.plant.parts.leakage import external_leakage, internal_leakage
+from hydro_env.plant.parts.lines import lines_at_rest, ports_at_rest
 from hydro_env.plant.parts.load import balancing_pressure_b, holding_force
 from hydro_env.plant.parts.supply import gas_volume_at, regulated_pressure
 from hydro_env.plant.parts.valve import edge_flows, holding_command
-from hydro_env.plant.states import State
+from hydro_env.plant.states import LineState, State, Structure, TipState, state_kind
 
 _SMALLEST_UNDERLAP_SQUARED = 1e-12
 """Assumed opening of a zero-lapped valve at rest; without any flow the pressures would be undetermined."""
@@ -23,6 +25,7 @@ _SUPPLY_ITERATIONS = 8
 _ITERATIONS = 100
 
 _with_underlap = tuple_replacer(Coefficients, "underlap_squared")
+_join_all = tuple_joiner(state_kind(Structure(lines=True, tip=True)), (State, LineState, TipState))
 
 
 def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., Any]:
@@ -77,11 +80,38 @@ def _at_rest(position, pressure_a, spool_position, supply_pressure, c):
 
 
 @inline
+def _flows_into_chambers(s, c):
+    """Flows in m³/s that keep the pressures of both chambers at rest: what leaks out of them."""
+    leakage = internal_leakage(s.pressure_a, s.pressure_b, c)
+    return leakage, external_leakage(s.pressure_b, c) - leakage
+
+
+@inline
+def _edges_at_rest(s, c):
+    """Flows of the edges; the pressures at the valve differ from those of the chambers by the friction of the lines."""
+    flow_a, flow_b = _flows_into_chambers(s, c)
+    return edge_flows(ports_at_rest(s, flow_a, flow_b, c), c)
+
+
+@inline
+def _net_flows(s, c):
+    """Net flow into each chamber."""
+    edges = _edges_at_rest(s, c)
+    return chamber_net_flows(s, edges.supply_to_a - edges.a_to_tank, edges.b_to_tank - edges.supply_to_b, c)
+
+
+@inline
+def complete_at_rest(s, c):
+    """All states (``ALL_STATES``) of an axis with lines and second mass whose other states ``s`` are at rest."""
+    flow_a, flow_b = _flows_into_chambers(s, c)
+    return _join_all(s, lines_at_rest(s, flow_a, flow_b, c), TipState(s.position, 0.0))
+
+
+@inline
 def _net_flow_a(spool_position, arguments):
     """Net flow into chamber a; it rises with the spool position."""
     position, pressure_a, supply_pressure, c = arguments
-    s = _at_rest(position, pressure_a, spool_position, supply_pressure, c)
-    return chamber_net_flows(s, edge_flows(s, c), c)[0]
+    return _net_flows(_at_rest(position, pressure_a, spool_position, supply_pressure, c), c)[0]
 
 
 _balanced_spool = _root_of(_net_flow_a, tolerance=1e-15)
@@ -96,8 +126,7 @@ def _net_flow(pressure_a, arguments):
     """
     position, supply_pressure, c = arguments
     spool = _balanced_spool(-1.0, 1.0, (position, pressure_a, supply_pressure, c))
-    s = _at_rest(position, pressure_a, spool, supply_pressure, c)
-    net_a, net_b = chamber_net_flows(s, edge_flows(s, c), c)
+    net_a, net_b = _net_flows(_at_rest(position, pressure_a, spool, supply_pressure, c), c)
     return net_a + net_b
 
 
@@ -140,7 +169,7 @@ def equilibrium_state(position, p, c):
     for _ in range(_SUPPLY_ITERATIONS):
         # The null flow of the valve hardly depends on the supply pressure: a few iterations suffice.
         pressure_a, spool, balanced = _balance(position, supply_pressure, resting)
-        edges = edge_flows(_at_rest(position, pressure_a, spool, supply_pressure, resting), resting)
+        edges = _edges_at_rest(_at_rest(position, pressure_a, spool, supply_pressure, resting), resting)
         before = supply_pressure
         supply_pressure = regulated_pressure(edges.supply_to_a + edges.supply_to_b, c)
         if not balanced or supply_pressure < c.relief_pressure or abs(supply_pressure - before) < 1e-6:

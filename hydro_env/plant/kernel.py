@@ -12,22 +12,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hydro_env.compiling import (
     SOURCES,
+    Kernel,
     compiled,
     inline,
     lane_function,
+    lane_loader,
+    lane_storer,
     tuple_map,
     tuple_maximum,
     tuple_reader,
     tuple_writer,
 )
-from hydro_env.plant.equations import Coefficients, command_changed, derivatives, hold_limits, time_to_kink
-from hydro_env.plant.states import N_STATES, State
+from hydro_env.plant.equations import (
+    Coefficients,
+    Parts,
+    command_changed,
+    derivatives,
+    hold_limits,
+    parts_of,
+    time_to_kink,
+    weights,
+)
+from hydro_env.plant.states import ALL_STATES, RIGID, Structure, state_kind
 from hydro_env.types import Floats
 
 LANES = 8
@@ -84,7 +97,7 @@ PEAK_PRESSURE, IMPACT_SPEED, STEPS = range(N_PEAKS)
 class Plants(NamedTuple):
     """Arrays of the plants that :func:`integrate` advances, one row each."""
 
-    state: Floats  # (plants, N_STATES), changed in place
+    state: Floats  # (plants, states in the order of ALL_STATES), those of the structure changed in place
     coefficients: Floats  # (plants, N_COEFFICIENTS)
     voltage: Floats  # (plants, intervals), V, held in each interval
     durations: Floats  # (plants, intervals), s
@@ -99,64 +112,89 @@ class Accuracy(NamedTuple):
     most_steps: float = MOST_STEPS_PER_PERIOD  # budget of inner steps per call
 
 
-# Working memory of a group of lanes: rows of LANES numbers.
+# Working memory of a group of lanes: rows of LANES numbers. The rows of states come last: their number depends on the
+# structure.
 _STAGE_NAMES = [f"stage_{number}" for number in range(1, len(STAGES) + 1)]
 _SIZES = {
-    "state": N_STATES,
+    **dict.fromkeys(("voltage", "remaining", "proposed", "step", "repeated", "plant", "interval"), 1),
     "coefficients": N_COEFFICIENTS,
     "peaks": N_PEAKS,
-    "trial": N_STATES,
-    "derivative": N_STATES,
-    **dict.fromkeys(_STAGE_NAMES, N_STATES),
-    "error": N_STATES,
-    **dict.fromkeys(("voltage", "remaining", "proposed", "step", "repeated", "plant", "interval"), 1),
 }
-_ROW = dict(zip(_SIZES, np.cumsum([0, *_SIZES.values()]).tolist(), strict=False))
-_ROWS = sum(_SIZES.values())
+_ROW = dict(zip([*_SIZES, "states"], np.cumsum([0, *_SIZES.values()]).tolist(), strict=True))
 _COEFFICIENTS, _PEAKS = (LANES * _ROW[name] for name in ("coefficients", "peaks"))
 _VOLTAGE, _REMAINING, _PROPOSED, _STEP, _REPEATED, _PLANT, _INTERVAL = (
     LANES * _ROW[name] for name in ("voltage", "remaining", "proposed", "step", "repeated", "plant", "interval")
 )
 _PRESSURE_PEAK, _SPEED_PEAK, _STEP_COUNT = (_PEAKS + LANES * row for row in range(N_PEAKS))
 
-_read_state, _read_trial, _read_derivative, _read_error = (
-    tuple_reader(State, _ROW[name], LANES) for name in ("state", "trial", "derivative", "error")
-)
 _read_coefficients = tuple_reader(Coefficients, _ROW["coefficients"], LANES)
-_write_state, _write_trial, _write_derivative = (
-    tuple_writer(State, _ROW[name], LANES) for name in ("state", "trial", "derivative")
-)
-_read_weights = tuple_reader(State, _ROW["coefficients"] + Coefficients._fields.index("position_weight"), LANES)
-_difference = tuple_map(State, "a.{name} - b.{name}", "a, b")
-_choice = tuple_map(State, "a.{name} if condition else b.{name}", "condition, a, b")
-_weighted_maximum = tuple_maximum(State, "abs(error.{name} * weight.{name})", "error, weight")
 
 
-def _row(name: str) -> str:
-    return f"work[{LANES * _ROW[name]} + place]"
+class Lanes(NamedTuple):
+    """Memory of the lanes for one structure: what reads, writes and combines the states of its axes."""
+
+    parts: Parts
+    rows: int
+    load: Any  # (work, lane, state, plant) and store: between an array and a lane
+    store: Any
+    read_state: Any  # (work, lane) → state; likewise the trial state, its derivative and the error
+    read_trial: Any
+    read_derivative: Any
+    read_error: Any
+    write_state: Any  # (work, lane, state)
+    write_trial: Any
+    write_derivative: Any
+    stage_2: Any  # (work): set every lane's trial state from the derivatives so far, and keep the newest one
+    stage_3: Any
+    stage_4: Any
+    stage_5: Any
+    stage_6: Any
+    stage_7: Any
+    estimate_error: Any  # (work)
+    difference: Any  # (a, b) → state
+    choice: Any  # (condition, a, b) → state
+    largest: Any  # (error, weights) → largest weighted error
 
 
-def _sum(weights: Sequence[float], names: Sequence[str]) -> str:
-    """Step times a weighted sum of rows, as text; numba compiles loops over a changing number of terms more slowly."""
-    terms = [f"{weight!r} * {_row(name)}" for weight, name in zip(weights, names, strict=True)]
-    return f"work[{_STEP} + lane] * ({' + '.join(terms)})"
+@cache
+def lanes_of(structure: Structure) -> Lanes:
+    """The memory of lanes whose axes have this structure."""
+    kind = state_kind(structure)
+    size = len(kind._fields)
+    names = ["state", "trial", "derivative", *_STAGE_NAMES, "error"]
+    row = {name: _ROW["states"] + size * number for number, name in enumerate(names)}
+    place = {name: f"work[{LANES * row[name]} + place]" for name in names}
 
+    def total(factors: Sequence[float], terms: Sequence[str]) -> str:
+        """Step times a weighted sum of rows, as text; numba compiles loops over a varying number of terms slowly."""
+        sums = " + ".join(f"{factor!r} * {place[term]}" for factor, term in zip(factors, terms, strict=True))
+        return f"work[{_STEP} + lane] * ({sums})"
 
-def _stage(number: int) -> Any:
-    """``stage(work)``: set every lane's trial state from the derivatives so far (STAGES), and keep the newest one."""
-    known = [*_STAGE_NAMES[: number - 1], "derivative"]
-    trial = f"{_row('trial')} = {_row('state')} + {_sum(STAGES[number - 1], known)}"
-    return lane_function("work", N_STATES, LANES, trial, f"{_row(_STAGE_NAMES[number - 1])} = {_row('derivative')}")
+    def stage(number: int) -> Any:
+        known = [*_STAGE_NAMES[: number - 1], "derivative"]
+        trial = f"{place['trial']} = {place['state']} + {total(STAGES[number - 1], known)}"
+        kept = f"{place[_STAGE_NAMES[number - 1]]} = {place['derivative']}"
+        return lane_function("work", size, LANES, trial, kept)
 
-
-_stage_2, _stage_3, _stage_4, _stage_5, _stage_6, _stage_7 = (_stage(number) for number in range(1, 7))
-_estimate_error = lane_function(
-    "work", N_STATES, LANES, f"{_row('error')} = {_sum(ERROR, [*_STAGE_NAMES, 'derivative'])}"
-)
+    columns = [list(ALL_STATES).index(name) for name in kind._fields]
+    error = f"{place['error']} = {total(ERROR, [*_STAGE_NAMES, 'derivative'])}"
+    return Lanes(
+        parts_of(structure),
+        _ROW["states"] + size * len(names),
+        lane_loader(columns, row["state"], LANES),
+        lane_storer(columns, row["state"], LANES),
+        *(tuple_reader(kind, row[name], LANES) for name in ("state", "trial", "derivative", "error")),
+        *(tuple_writer(kind, row[name], LANES) for name in ("state", "trial", "derivative")),
+        *(stage(number) for number in range(1, len(STAGES) + 1)),
+        lane_function("work", size, LANES, error),
+        tuple_map(kind, "a.{name} - b.{name}", "a, b"),
+        tuple_map(kind, "a.{name} if condition else b.{name}", "condition, a, b"),
+        tuple_maximum(kind, "abs(error.{name} * weight.{name})", "error, weight"),
+    )
 
 
 @inline
-def _choose_step(work):
+def _choose_step(work, lanes):
     """Set each lane's next step: as proposed, but no further than the end of the interval or the next kink."""
     for lane in range(LANES):
         remaining = work[_REMAINING + lane]
@@ -164,24 +202,24 @@ def _choose_step(work):
         # Two equal last steps instead of a long and a very short one.
         halved = 0.5 * remaining if 2.0 * proposed > remaining and proposed < remaining else proposed
         c = _read_coefficients(work, lane)
-        kink = time_to_kink(_read_state(work, lane), _read_derivative(work, lane), c)
+        kink = time_to_kink(lanes.read_state(work, lane), lanes.read_derivative(work, lane), c, lanes.parts)
         work[_STEP + lane] = kink if kink < halved else halved  # also taken when the state is NaN
 
 
 @inline
-def _accept_or_repeat(work, strictness, accuracy):
+def _accept_or_repeat(work, strictness, accuracy, lanes):
     """Accept or repeat each lane's step by its estimated error, and propose the next one."""
-    _estimate_error(work)
+    lanes.estimate_error(work)
     for lane in range(LANES):
         remaining = work[_REMAINING + lane]
         proposed = work[_PROPOSED + lane]
         step = work[_STEP + lane]
         c = _read_coefficients(work, lane)
-        old = _read_state(work, lane)
-        trial = _read_trial(work, lane)
-        new = hold_limits(trial, c)
-        other = hold_limits(_difference(trial, _read_error(work, lane)), c)
-        error = strictness * _weighted_maximum(_difference(new, other), _read_weights(work, lane))
+        old = lanes.read_state(work, lane)
+        trial = lanes.read_trial(work, lane)
+        new = hold_limits(trial, c, lanes.parts)
+        other = hold_limits(lanes.difference(trial, lanes.read_error(work, lane)), c, lanes.parts)
+        error = strictness * lanes.largest(lanes.difference(new, other), weights(c, lanes.parts))
         within_tolerance = error <= 1.0
         moving = remaining > 0.0
         accepted = moving and (within_tolerance or step <= SHORTEST_STEP)
@@ -203,20 +241,20 @@ def _accept_or_repeat(work, strictness, accuracy):
         outwards = max(old.velocity, 0.0) if new.position > 0.0 else max(-old.velocity, 0.0)
         work[_SPEED_PEAK + lane] = max(work[_SPEED_PEAK + lane], outwards if beyond else 0.0)
         work[_STEP_COUNT + lane] += 1.0 if moving else 0.0
-        _write_state(work, lane, _choice(accepted, new, old))
+        lanes.write_state(work, lane, lanes.choice(accepted, new, old))
 
 
 @inline
-def _begin_interval(work, lane, voltage, duration, first_step):
+def _begin_interval(work, lane, voltage, duration, first_step, lanes):
     """Let a new command act in one lane."""
-    s = command_changed(_read_state(work, lane), _read_coefficients(work, lane), voltage)
-    _write_state(work, lane, s)
+    c = _read_coefficients(work, lane)
+    lanes.write_state(work, lane, command_changed(lanes.read_state(work, lane), c, voltage, lanes.parts))
     work[_VOLTAGE + lane] = voltage
     work[_REMAINING + lane] = duration
     work[_PROPOSED + lane] = first_step
 
 
-def _build(sources: int) -> Callable[..., None]:
+def _build(sources: int, lanes: Lanes) -> Callable[..., None]:
     def integrate(plants, accuracy, first, last):
         """Advance plants in place through consecutive hold intervals.
 
@@ -230,12 +268,12 @@ def _build(sources: int) -> Callable[..., None]:
         state, coefficients, voltage, durations, peaks = plants
         groups = min(GROUPS, -(-(last - first) // LANES))
         # Aligned to cache lines: a vector across two lines costs twice.
-        room = np.empty(groups * _ROWS * LANES + LANES)
+        room = np.empty(groups * lanes.rows * LANES + LANES)
         room = room[(-(room.ctypes.data // 8)) % LANES :]
         room[:] = 0.0
         for group in range(groups):
             for lane in range(LANES):
-                room[group * _ROWS * LANES + _PLANT + lane] = -1.0
+                room[group * lanes.rows * LANES + _PLANT + lane] = -1.0
         strictness = 1.0 / accuracy.tolerance
         first_step = min(FIRST_STEP, accuracy.maximum_step)
         intervals = durations.shape[1]
@@ -247,15 +285,14 @@ def _build(sources: int) -> Callable[..., None]:
             begun = False
             again = False
             for group in range(groups):
-                work = room[group * _ROWS * LANES :]
+                work = room[group * lanes.rows * LANES :]
                 for lane in range(LANES):
                     again = again or work[_REPEATED + lane] > 0.0
                     while work[_REMAINING + lane] == 0.0:
                         plant = int(work[_PLANT + lane])
                         interval = int(work[_INTERVAL + lane]) + 1
                         if plant >= 0 and interval == intervals:
-                            for row in range(N_STATES):
-                                state[plant, row] = work[row * LANES + lane]
+                            lanes.store(work, lane, state, plant)
                             for row in range(N_PEAKS):
                                 peaks[plant, row] = work[_PEAKS + row * LANES + lane]
                             active -= 1
@@ -268,8 +305,7 @@ def _build(sources: int) -> Callable[..., None]:
                             interval = 0
                             following += 1
                             active += 1
-                            for row in range(N_STATES):
-                                work[row * LANES + lane] = state[plant, row]
+                            lanes.load(work, lane, state, plant)
                             for row in range(N_COEFFICIENTS):
                                 work[_COEFFICIENTS + row * LANES + lane] = coefficients[plant, row]
                             work[_PRESSURE_PEAK + lane] = -1e300
@@ -278,41 +314,46 @@ def _build(sources: int) -> Callable[..., None]:
                         work[_INTERVAL + lane] = interval
                         duration = durations[plant, interval]
                         if duration > 0.0:
-                            _begin_interval(work, lane, voltage[plant, interval], duration, first_step)
+                            _begin_interval(work, lane, voltage[plant, interval], duration, first_step, lanes)
                             again = True
             # The first stage equals the last stage of the previous step, unless a lane begins or repeats a step.
             for stage in range(0 if again else 1, 7):
                 for group in range(groups):
-                    work = room[group * _ROWS * LANES :]
+                    work = room[group * lanes.rows * LANES :]
                     if stage == 0:
                         for lane in range(LANES):
-                            _write_trial(work, lane, _read_state(work, lane))
+                            lanes.write_trial(work, lane, lanes.read_state(work, lane))
                     elif stage == 1:
-                        _choose_step(work)
-                        _stage_2(work)
+                        _choose_step(work, lanes)
+                        lanes.stage_2(work)
                     elif stage == 2:
-                        _stage_3(work)
+                        lanes.stage_3(work)
                     elif stage == 3:
-                        _stage_4(work)
+                        lanes.stage_4(work)
                     elif stage == 4:
-                        _stage_5(work)
+                        lanes.stage_5(work)
                     elif stage == 5:
-                        _stage_6(work)
+                        lanes.stage_6(work)
                     else:
-                        _stage_7(work)
+                        lanes.stage_7(work)
                 for group in range(groups):
-                    work = room[group * _ROWS * LANES :]
+                    work = room[group * lanes.rows * LANES :]
                     for lane in range(LANES):
                         c = _read_coefficients(work, lane)
-                        s = hold_limits(_read_trial(work, lane), c)
-                        _write_derivative(work, lane, derivatives(s, c, work[_VOLTAGE + lane]))
+                        s = hold_limits(lanes.read_trial(work, lane), c, lanes.parts)
+                        rate = derivatives(s, c, work[_VOLTAGE + lane], lanes.parts)
+                        lanes.write_derivative(work, lane, rate)
             for group in range(groups):
-                _accept_or_repeat(room[group * _ROWS * LANES :], strictness, accuracy)
+                _accept_or_repeat(room[group * lanes.rows * LANES :], strictness, accuracy, lanes)
 
     return integrate
 
 
-_integrate = _build(SOURCES)
-integrate = compiled(_integrate)
-integrate_part = inline(_integrate)
-"""The same function, to be merged into another kernel."""
+@cache
+def integrators(structure: Structure) -> tuple[Kernel, Any]:
+    """The compiled integrator of axes with a structure, and the same to be merged into another kernel."""
+    function = _build(SOURCES + structure.number, lanes_of(structure))
+    return compiled(function), inline(function)
+
+
+integrate, integrate_part = integrators(RIGID)

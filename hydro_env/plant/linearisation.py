@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydro_env.errors import HydroError
-from hydro_env.plant.arrays import coefficient_array, command_changed_array, derivative_array, equilibrium
+from hydro_env.plant.arrays import coefficient_array, equilibrium, functions_of
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.plant.states import N_STATES, STATE_NAMES, STATES, TYPICAL_SIZE, State
+from hydro_env.plant.states import ALL_STATES, STATE_NAMES, State, state_kind, typical_sizes
 from hydro_env.types import Floats
 
-AXIS_STATES = ("position", "velocity", "pressure_a", "pressure_b", "supply_pressure")
-"""The states of the axis without its valve."""
+VALVE_STATES = ("spool_position", "spool_velocity", "coil_current")
+"""The states of the valve, on which the others do not act back."""
 
 IDEAL_RATE = 1e5
 """1/s; an ideal part of the valve follows its command at this rate in a linearisation."""
@@ -31,6 +31,7 @@ class Mode(NamedTuple):
     natural_frequency: float  # rad/s
     damping_ratio: float
     eigenvalue: complex
+    state: str = "velocity"  # that takes part most
 
 
 class StateSpace(NamedTuple):
@@ -70,11 +71,12 @@ class Linearisation:
         ((8, 8), ['voltage'], ['position', 'velocity'])
     """
 
-    a: Floats  # (N_STATES, N_STATES), states in the order of STATE_NAMES
-    b: Floats  # (N_STATES,), per V
-    force: Floats  # E, (N_STATES,), per N
-    state: Floats  # (N_STATES,)
+    a: Floats  # (N, N), states in the order of ``names``
+    b: Floats  # (N,), per V
+    force: Floats  # E, (N,), per N
+    state: Floats  # (N,)
     voltage: float
+    names: tuple[str, ...] = STATE_NAMES  # of the N states
 
     @property
     def active_states(self) -> tuple[str, ...]:
@@ -83,11 +85,12 @@ class Linearisation:
         At rest the gas volume acts on nothing. A constant supply pressure does not move, nor does the bristle
         deflection without LuGre friction.
         """
-        rates = np.abs(self.a) * TYPICAL_SIZE / TYPICAL_SIZE[:, None]
-        moves = rates.max(axis=1) + np.abs(self.b) / TYPICAL_SIZE > NO_RATE
+        size = typical_sizes(self.names)
+        rates = np.abs(self.a) * size / size[:, None]
+        moves = rates.max(axis=1) + np.abs(self.b) / size > NO_RATE
         acts = rates.max(axis=0) > NO_RATE
-        acts[STATE_NAMES.index("position")] = True
-        return tuple(name for name, active in zip(STATE_NAMES, moves & acts, strict=True) if active)
+        acts[self.names.index("position")] = True
+        return tuple(name for name, active in zip(self.names, moves & acts, strict=True) if active)
 
     def state_space(self, outputs: Sequence[str] = ("position",)) -> StateSpace:
         """State space of the active states, from the voltage to chosen outputs (names of states).
@@ -98,29 +101,44 @@ class Linearisation:
         active = self.active_states
         if isinstance(outputs, str) or not set(outputs) <= set(active):
             raise HydroError(f"state_space: outputs = {outputs!r}: must be names of {', '.join(active)}")
-        rows = [STATE_NAMES.index(name) for name in active]
+        rows = [self.names.index(name) for name in active]
         c = np.array([[float(name == state) for state in active] for name in outputs])
-        units = {name: STATES[name].unit for name in active} | {"voltage": "V"}
+        units = {name: ALL_STATES[name].unit for name in active} | {"voltage": "V"}
         d = np.zeros((len(outputs), 1))
         return StateSpace(self.a[np.ix_(rows, rows)], self.b[rows][:, None], c, d, active, tuple(outputs), units)
 
     @property
-    def hydraulic_mode(self) -> Mode:
-        """Oscillation of the mass on the oil columns: the fastest complex pair of position, velocity and pressures.
+    def modes(self) -> list[Mode]:
+        """Oscillations of mass, oil columns, lines and second mass, the slowest first.
 
-        The axis does not act back on the valve; these states therefore have their own eigenvalues. A linearisation
-        at standstill includes dry friction; use ``friction.model: none`` for the damping of a moving axis.
+        The axis does not act back on the valve; these states therefore have their own eigenvalues. Each mode names the
+        state with the largest participation factor (Perez-Arriaga, Verghese & Schweppe 1982).
+        """
+        names = [name for name in self.names if name not in VALVE_STATES]
+        rows = [self.names.index(name) for name in names]
+        values, right = np.linalg.eig(self.a[np.ix_(rows, rows)])
+        left = np.linalg.pinv(right)
+        found = []
+        for number in np.flatnonzero(values.imag > 1e-3 * np.abs(values).max()):
+            value = complex(values[number])
+            share = np.abs(right[:, number] * left[number])
+            found.append(Mode(abs(value), -value.real / abs(value), value, names[int(np.argmax(share))]))
+        return sorted(found)
+
+    @property
+    def hydraulic_mode(self) -> Mode:
+        """Oscillation of the mass on the oil columns: the fastest one in which the lines take less part than the mass.
+
+        A linearisation at standstill includes dry friction; use ``friction.model: none`` for the damping of a moving
+        axis.
 
         Raises:
             ArithmeticError: no oscillation.
         """
-        rows = [STATE_NAMES.index(name) for name in AXIS_STATES]
-        values = np.linalg.eigvals(self.a[np.ix_(rows, rows)])
-        pairs = [complex(value) for value in values if value.imag > 1e-3 * np.abs(values).max()]
-        if not pairs:
+        own = [mode for mode in self.modes if not mode.state.startswith(("line_", "tip_"))]
+        if not own:
             raise ArithmeticError("the linearised axis has no oscillation: it is overdamped here")
-        best = max(pairs, key=abs)
-        return Mode(abs(best), -best.real / abs(best), best)
+        return own[-1]
 
 
 def linearise(
@@ -151,35 +169,32 @@ def linearise(
     holding = 0.0
     if state is None:
         state, holding = equilibrium(parameters, position)
-    values = [state.get(name) for name in STATE_NAMES] if isinstance(state, Mapping) else state
+    names: tuple[str, ...] = state_kind(parameters.structure)._fields
+    derivative_array, command_changed_array, *_ = functions_of(parameters.structure)
+    values = [state.get(name) for name in names] if isinstance(state, Mapping) else state
     try:
-        at = np.array(values, dtype=np.float64).reshape(N_STATES)
+        at = np.array(values, dtype=np.float64).reshape(len(names))
     except (TypeError, ValueError):
-        raise HydroError(f"state: must be numbers for {', '.join(STATE_NAMES)}") from None
+        raise HydroError(f"state: must be numbers for {', '.join(names)}") from None
     voltage = holding if voltage is None else float(voltage)
     c = coefficient_array(parameters)
+    typical, unit = typical_sizes(names), np.eye(len(names))
     columns = [
-        _difference(lambda step, column=column: derivative_array(at + _unit(column) * step, c, voltage), 1e-6 * size)
-        for column, size in enumerate(TYPICAL_SIZE)
+        _difference(lambda step, row=row: derivative_array(at + unit[row] * step, c, voltage), 1e-6 * size)
+        for row, size in enumerate(typical)
     ]
     a = np.column_stack(columns)
     b = _difference(lambda step: derivative_array(at, c, voltage + step), 1e-3)
     acting = np.eye(len(c))[Coefficients._fields.index("external_force")]
     force = _difference(lambda step: derivative_array(at, c + acting * step, voltage), 1.0)
     # The states that a new command sets at once (ideal parts of the valve) get a lag of 10 µs.
-    elsewhere = at + 1e-3 * TYPICAL_SIZE
+    elsewhere = at + 1e-3 * typical
     gains = _difference(lambda step: command_changed_array(at, c, voltage + step), 1e-3)
     for row in np.flatnonzero(command_changed_array(elsewhere, c, voltage) != elsewhere):
         a[row] = 0.0
         a[row, row] = -IDEAL_RATE
         b[row] = IDEAL_RATE * gains[row]
-    return Linearisation(a, b, force, at, voltage)
-
-
-def _unit(column: int) -> Floats:
-    unit = np.zeros(N_STATES)
-    unit[column] = 1.0
-    return unit
+    return Linearisation(a, b, force, at, voltage, names)
 
 
 def _difference(function: Any, step: float) -> Floats:
@@ -192,8 +207,10 @@ def fastest_motion(parameters: PlantParameters, state: State | Floats, voltage: 
 
     Ideal parts of the valve do not count.
     """
-    values, vectors = np.linalg.eig(linearise(parameters, state, voltage).a)
+    model = linearise(parameters, state, voltage)
+    values, vectors = np.linalg.eig(model.a)
     rates = np.abs(values)
     rates[np.abs(rates - IDEAL_RATE) < 1e-6 * IDEAL_RATE] = 0.0
     fastest = int(np.argmax(rates))
-    return float(rates[fastest]), STATE_NAMES[int(np.argmax(np.abs(vectors[:, fastest]) / TYPICAL_SIZE))]
+    moved = np.abs(vectors[:, fastest]) / typical_sizes(model.names)
+    return float(rates[fastest]), model.names[int(np.argmax(moved))]

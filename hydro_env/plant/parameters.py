@@ -19,12 +19,14 @@ from hydro_env.compiling import named_tuple
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.mistakes import unknown
-from hydro_env.plant.parts.chambers import Cylinder, Fluid, Lines
+from hydro_env.plant.parts.chambers import Cylinder, Fluid
 from hydro_env.plant.parts.friction import Friction
 from hydro_env.plant.parts.leakage import Leakage
+from hydro_env.plant.parts.lines import Lines
 from hydro_env.plant.parts.load import Load
 from hydro_env.plant.parts.supply import Supply
-from hydro_env.plant.parts.valve import Valve
+from hydro_env.plant.parts.valve import SHARP, Valve
+from hydro_env.plant.states import Structure
 from hydro_env.types import Floats
 
 OF_THE_TASK = ("randomisation", "sensors")
@@ -56,6 +58,11 @@ class PlantParameters(Group):
     friction: Friction = Field(default_factory=Friction)
     supply: Supply = Field(default_factory=Supply)
     leakage: Leakage = Field(default_factory=Leakage)
+
+    @property
+    def structure(self) -> Structure:
+        """Which parts that an axis may lack this one has."""
+        return Structure(self.lines.have_waves, self.load.tip_share > 0.0, self.valve.underlap < SHARP)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], source: str = "plant parameters") -> PlantParameters:

@@ -14,17 +14,13 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from hydro_env.errors import InvalidStateError
-from hydro_env.plant.arrays import command_changed_array, derivative_array, hold_limits_array
+from hydro_env.plant.arrays import functions_of
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parts.valve import spool_pull
-from hydro_env.plant.states import STATE_NAMES, TYPICAL_SIZE, VAPOUR_PRESSURE, State
+from hydro_env.plant.states import RIGID, STATE_NAMES, VAPOUR_PRESSURE, Structure, state_kind, typical_sizes
 from hydro_env.types import Floats
 
-_PRESSURE_A, _PRESSURE_B, _SPOOL, _SPOOL_VELOCITY = (
-    STATE_NAMES.index(name) for name in ("pressure_a", "pressure_b", "spool_position", "spool_velocity")
-)
-_ROWS = (_SPOOL_VELOCITY, _SPOOL, _PRESSURE_A, _PRESSURE_B)
-"""The state of each limit, in the order of :class:`Held`."""
+_SPOOL, _SPOOL_VELOCITY = (STATE_NAMES.index(name) for name in ("spool_position", "spool_velocity"))
 
 _NEAR = 1e-12
 """Relative distance from a limit within which a state counts as on it."""
@@ -36,34 +32,45 @@ _MOST_EVENTS = 100
 
 
 class Held(NamedTuple):
-    """Which limits hold: −1, 0 (free) or 1 by side for the spool, 0 or 1 for a cavitating chamber."""
+    """Which limits hold: −1, 0 (free) or 1 by side for the spool, 0 or 1 for each pressure that cavitates."""
 
     slew: int
     stroke: int
-    vapour_a: int
-    vapour_b: int
+    vapour: tuple[int, ...]
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """Of all limits."""
+        return self.slew, self.stroke, *self.vapour
 
 
 def reference_states(
-    start: Floats, coefficients: Floats, inputs: Floats, sample_time: float, tolerance: float = 1e-10
+    start: Floats,
+    coefficients: Floats,
+    inputs: Floats,
+    sample_time: float,
+    tolerance: float = 1e-10,
+    structure: Structure = RIGID,
 ) -> Floats:
-    """States after every sample of held voltages, shape (n + 1, N_STATES).
+    """States after every sample of held voltages, shape (n + 1, states).
 
     Args:
-        start: state, shape (N_STATES,).
+        start: state, shape (states,).
         coefficients: shape (N_COEFFICIENTS,).
         inputs: voltages, shape (n,), V.
         sample_time: s.
         tolerance: relative; the absolute tolerance is this fraction of the states' typical size.
+        structure: which optional parts the axis has.
 
     Raises:
         InvalidStateError: the solver failed.
     """
-    plant = _Plant(coefficients)
+    plant = _Plant(coefficients, structure)
+    of_axis = functions_of(structure)
     states = np.empty((len(inputs) + 1, len(start)))
     states[0] = start
     for sample, voltage in enumerate(inputs):
-        state, time = command_changed_array(states[sample], coefficients, voltage), 0.0
+        state, time = of_axis.command_changed(states[sample], coefficients, voltage), 0.0
         for _ in range(_MOST_EVENTS):
             held = plant.held(state, voltage)
             solution: Any = solve_ivp(
@@ -72,14 +79,14 @@ def reference_states(
                 state,
                 method="Radau",
                 rtol=tolerance,
-                atol=tolerance * TYPICAL_SIZE,
+                atol=tolerance * plant.typical,
                 events=plant.events(voltage, held),
             )
             if not solution.success:
                 raise InvalidStateError(
                     f"the reference solver failed at t = {sample * sample_time + time:g} s: {solution.message}"
                 )
-            state, time = hold_limits_array(solution.y[:, -1], coefficients), float(solution.t[-1])
+            state, time = of_axis.hold_limits(solution.y[:, -1], coefficients), float(solution.t[-1])
             if time >= sample_time:
                 break
             met = np.flatnonzero([len(times) > 0 for times in solution.t_events])
@@ -93,44 +100,52 @@ def reference_states(
 class _Plant:
     """Plant whose limits the integrator switches on and off."""
 
-    def __init__(self, coefficients: Floats) -> None:
+    def __init__(self, coefficients: Floats, structure: Structure) -> None:
+        names = state_kind(structure)._fields
+        self.kind, self.derivative = state_kind(structure), functions_of(structure).derivative
+        self.typical = typical_sizes(names)
+        self.pressures = [row for row, name in enumerate(names) if "pressure" in name and name != "supply_pressure"]
         self.limits = Coefficients(*coefficients)
         self.free = np.array(self.limits._replace(slew_limit=1e30))
 
+    @property
+    def rows(self) -> list[int]:
+        """The state of each limit, in the order of :attr:`Held.sides`."""
+        return [_SPOOL_VELOCITY, _SPOOL, *self.pressures]
+
     def free_rate(self, y: Floats, voltage: float) -> Floats:
         """The derivative without limits."""
-        rate: Floats = derivative_array(y, self.free, voltage)
+        rate: Floats = self.derivative(y, self.free, voltage)
         if abs(y[_SPOOL]) >= 1.0:
             rate[_SPOOL] = y[_SPOOL_VELOCITY]
-            rate[_SPOOL_VELOCITY] = spool_pull(State(*y), self.limits)
-        for row in (_PRESSURE_A, _PRESSURE_B):
+            rate[_SPOOL_VELOCITY] = spool_pull(self.kind(*y), self.limits)
+        for row in self.pressures:
             if y[row] <= VAPOUR_PRESSURE:  # the rate without cavitation
                 above = y.copy()
                 above[row] = VAPOUR_PRESSURE + 1.0
-                rate[row] = derivative_array(above, self.free, voltage)[row]
+                rate[row] = self.derivative(above, self.free, voltage)[row]
         return rate
 
     def held(self, y: Floats, voltage: float) -> Held:
         """The limits that hold a state: it has reached them and its rate points beyond them."""
         rate = self.free_rate(y, voltage)
-        vapour = [
-            int(y[row] <= VAPOUR_PRESSURE * (1.0 - _NEAR) and rate[row] < 0.0) for row in (_PRESSURE_A, _PRESSURE_B)
-        ]
+        at_vapour = [y[row] <= VAPOUR_PRESSURE * (1.0 - _NEAR) and rate[row] < 0.0 for row in self.pressures]
+        vapour = tuple(map(int, at_vapour))
         slew = stroke = 0
         if self.limits.ideal_spool:  # it always equals the command
-            return Held(slew, stroke, *vapour)
+            return Held(slew, stroke, vapour)
         if abs(y[_SPOOL_VELOCITY]) >= self.limits.slew_limit * (1.0 - _NEAR):
             side = int(np.sign(y[_SPOOL_VELOCITY]))
             slew = side if side * rate[_SPOOL_VELOCITY] > 0.0 else 0
         if abs(y[_SPOOL]) >= 1.0 - _NEAR:
             side = int(np.sign(y[_SPOOL]))
             stroke = side if side * y[_SPOOL_VELOCITY] > 0.0 else 0
-        return Held(slew, stroke, *vapour)
+        return Held(slew, stroke, vapour)
 
     def rate(self, y: Floats, voltage: float, held: Held) -> Floats:
         """The derivative with the active limits."""
         rate = self.free_rate(y, voltage)
-        for row, holds in zip(_ROWS, held, strict=True):
+        for row, holds in zip(self.rows, held.sides, strict=True):
             if holds or (self.limits.ideal_spool and row in (_SPOOL, _SPOOL_VELOCITY)):
                 rate[row] = 0.0
         return rate
@@ -157,7 +172,7 @@ class _Plant:
 
             return distance
 
-        functions = [slew, stroke, vapour(_PRESSURE_A, held.vapour_a), vapour(_PRESSURE_B, held.vapour_b)]
+        functions = [slew, stroke, *map(vapour, self.pressures, held.vapour)]
         for function in functions:
             function.terminal, function.direction = True, -1.0
         return functions
@@ -165,8 +180,8 @@ class _Plant:
     def put_on_limit(self, y: Floats, met: NDArray[np.intp], held: Held) -> Floats:
         """The state moved exactly onto the limits that it has just met, and slightly off those that it has left."""
         y = y.copy()
-        limits = (self.limits.slew_limit, 1.0, abs(VAPOUR_PRESSURE), abs(VAPOUR_PRESSURE))
+        limits = [self.limits.slew_limit, 1.0, *[abs(VAPOUR_PRESSURE)] * len(self.pressures)]
         for event in met:
-            row = _ROWS[event]
-            y[row] = np.sign(y[row]) * limits[event] * (1.0 - _OFF if held[event] else 1.0)
+            row = self.rows[event]
+            y[row] = np.sign(y[row]) * limits[event] * (1.0 - _OFF if held.sides[event] else 1.0)
         return y

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from hydro_env.errors import HydroError, InvalidStateError
 from hydro_env.mistakes import unknown
-from hydro_env.plant.arrays import coefficient_array, derived_array, equilibrium, plant_coefficients
+from hydro_env.plant.arrays import coefficient_array, equilibrium, functions_of, plant_coefficients
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.kernel import (
     MAXIMUM_STEP,
@@ -22,10 +22,10 @@ from hydro_env.plant.kernel import (
     TOLERANCE,
     Accuracy,
     Plants,
-    integrate,
+    integrators,
 )
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, valid_range
+from hydro_env.plant.states import ALL_STATES, N_ALL_STATES, STATE_NAMES, STATE_UNITS, Structure, state_kind, valid_range
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 
@@ -33,6 +33,7 @@ DERIVED_NAMES = Derived._fields
 DERIVED_UNITS = tuple(hint.__metadata__[0] for hint in get_type_hints(Derived, include_extras=True).values())
 TRAJECTORY_NAMES = ("time", "voltage", *STATE_NAMES, *DERIVED_NAMES)
 TRAJECTORY_UNITS = dict(zip(TRAJECTORY_NAMES, ("s", "V", *STATE_UNITS, *DERIVED_UNITS), strict=True))
+"""Of an axis without optional parts; those have further states (:data:`~hydro_env.plant.states.ALL_STATES`)."""
 
 LONGEST_PERIOD = 0.02
 """s; a longer sample may take more inner steps."""
@@ -61,19 +62,30 @@ class Trajectory:
     parameters: PlantParameters
     time: Floats
     voltage: Floats
-    states: Floats  # (n + 1, N_STATES), columns as in STATE_NAMES
+    states: Floats  # (n + 1, states), columns as in state_names
     derived: Floats  # (n + 1, len(DERIVED_NAMES))
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The states of this axis; lines with waves and a second mass have their own."""
+        names: tuple[str, ...] = state_kind(self.parameters.structure)._fields
+        return names
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every quantity."""
+        return ("time", "voltage", *self.state_names, *DERIVED_NAMES)
+
     def __getattr__(self, name: str) -> Floats:
-        if name in STATE_NAMES:
-            return self.states[:, STATE_NAMES.index(name)]
+        if name in ALL_STATES and name in self.state_names:
+            return self.states[:, self.state_names.index(name)]
         if name in DERIVED_NAMES:
             return self.derived[:, DERIVED_NAMES.index(name)]
         raise AttributeError(f"a trajectory has no '{name}'; it has: {', '.join(TRAJECTORY_NAMES)}")
 
     def __getitem__(self, name: str) -> Floats:
-        if name not in TRAJECTORY_NAMES:
-            raise KeyError(f"no quantity '{name}'; there are: {', '.join(TRAJECTORY_NAMES)}")
+        if name not in self.names:
+            raise KeyError(f"no quantity '{name}'; there are: {', '.join(self.names)}")
         values: Floats = getattr(self, name)
         return values
 
@@ -87,9 +99,9 @@ class Trajectory:
         """All quantities as a pandas DataFrame (n + 1 rows) over time; ``frame.attrs["units"]`` has the units."""
         from pandas import DataFrame, Index  # imported at first use
 
-        names = TRAJECTORY_NAMES[1:]
-        frame = DataFrame({name: self[name] for name in names}, index=Index(self.time, name="time"))
-        frame.attrs["units"] = dict(TRAJECTORY_UNITS)
+        frame = DataFrame({name: self[name] for name in self.names[1:]}, index=Index(self.time, name="time"))
+        units = {name: info.unit for name, info in ALL_STATES.items() if name in self.state_names}
+        frame.attrs["units"] = dict(TRAJECTORY_UNITS) | units
         return frame
 
 
@@ -143,22 +155,22 @@ def simulate(
         tolerance=float(_positive("tolerance", tolerance, math.inf)),
         most_steps=MOST_STEPS_PER_PERIOD * max(sample_time / LONGEST_PERIOD, 1.0),
     )
-    start = _checked_start(parameters, initial_state)
+    start, structure = _checked_start(parameters, initial_state), parameters.structure
     coefficients = coefficient_array(parameters)
     if method == "fast":
-        states = _run(start, coefficients, inputs, sample_time, accuracy)
+        states = _run(start, coefficients, inputs, sample_time, accuracy, structure)
     elif method == "radau":
         from hydro_env.plant.reference import reference_states  # SciPy's solvers are imported at first use
 
-        states = reference_states(
-            start, coefficients, inputs, sample_time, _positive("relative_tolerance", relative_tolerance, 1.0)
-        )
+        relative_tolerance = _positive("relative_tolerance", relative_tolerance, 1.0)
+        states = reference_states(start, coefficients, inputs, sample_time, relative_tolerance, structure)
     else:
         raise HydroError(f"method = {method!r}: must be 'fast' or 'radau'")
     time = sample_time * np.arange(len(inputs) + 1, dtype=np.float64)
     _check_range(parameters, time, states)
     acting = np.append(inputs, inputs[-1:])
-    return Trajectory(parameters, time, acting, states, derived_array(states, coefficients[None]))
+    derived = functions_of(structure).derived(states, coefficients[None])
+    return Trajectory(parameters, time, acting, states, derived)
 
 
 def valid_ranges(parameters: PlantParameters) -> tuple[Floats, Floats]:
@@ -169,7 +181,8 @@ def valid_ranges(parameters: PlantParameters) -> tuple[Floats, Floats]:
 
 def _check_range(parameters: PlantParameters, time: Floats, states: Floats) -> None:
     low, high = valid_ranges(parameters)
-    bad = ~((states >= low) & (states <= high))
+    own = states[:, : len(low)]
+    bad = ~((own >= low) & (own <= high))
     if bad.any():
         sample, row = np.argwhere(bad)[0]
         raise InvalidStateError(
@@ -198,22 +211,29 @@ def _positive(name: str, value: float, most: float) -> float:
 
 def _checked_start(parameters: PlantParameters, initial_state: Mapping[str, float] | None) -> Floats:
     given = dict(initial_state or {})
+    names = state_kind(parameters.structure)._fields
     for name, value in given.items():
-        if name not in STATE_NAMES:
-            raise HydroError(f"initial_state: {unknown(name, STATE_NAMES, 'state')}")
+        if name not in names:
+            raise HydroError(f"initial_state: {unknown(name, names, 'state')}")
         if not math.isfinite(value):
             raise HydroError(f"initial_state: {name} = {value}: must be a finite number")
-    if len(given) < len(STATE_NAMES):
+    if len(given) < len(names):
         rest, _ = equilibrium(parameters, given.get("position", 0.0))
         given = rest | given
-    start = np.array([given[name] for name in STATE_NAMES])
+    start = np.array([given[name] for name in names])
     _check_range(parameters, np.zeros(1), start[None])
     return start
 
 
-def _run(start: Floats, coefficients: Floats, inputs: Floats, sample_time: float, accuracy: Accuracy) -> Floats:
+def _run(
+    start: Floats, coefficients: Floats, inputs: Floats, sample_time: float, accuracy: Accuracy, structure: Structure
+) -> Floats:
+    integrate, _ = integrators(structure)
+    columns = [list(ALL_STATES).index(name) for name in state_kind(structure)._fields]
+    everything = np.zeros((1, N_ALL_STATES))
+    everything[0, columns] = start
     plants = Plants(
-        start[None].copy(), coefficients[None], np.empty((1, 1)), np.full((1, 1), sample_time), np.empty((1, N_PEAKS))
+        everything, coefficients[None], np.empty((1, 1)), np.full((1, 1), sample_time), np.empty((1, N_PEAKS))
     )
     states = np.empty((len(inputs) + 1, len(start)))
     states[0] = start
@@ -225,5 +245,5 @@ def _run(start: Floats, coefficients: Floats, inputs: Floats, sample_time: float
                 f"more than {accuracy.most_steps:,.0f} inner steps in the sample at t = {sample * sample_time:g} s: "
                 f"the parameters make the axis too stiff, or the tolerance is too small"
             )
-        states[sample + 1] = plants.state[0]
+        states[sample + 1] = everything[0, columns]
     return states

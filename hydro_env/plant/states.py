@@ -7,11 +7,13 @@ SI units, gauge pressures.
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple, get_type_hints
+from collections.abc import Iterable
+from functools import cache
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
-from hydro_env.compiling import inline, tuple_first
+from hydro_env.compiling import inline, named_tuple, tuple_first
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 
@@ -50,13 +52,74 @@ class State(NamedTuple):
     bristle_deflection: Annotated[float, StateInfo("m", 1e-5)]
 
 
-STATES: dict[str, StateInfo] = {
-    name: hint.__metadata__[0] for name, hint in get_type_hints(State, include_extras=True).items()
-}
+class LineState(NamedTuple):
+    """States of lines with waves: pressure of each cell, and flow from it towards the cylinder; cell 1 is at the valve."""
+
+    line_a_pressure_1: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
+    line_a_pressure_2: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
+    line_a_pressure_3: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
+    line_b_pressure_1: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
+    line_b_pressure_2: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
+    line_b_pressure_3: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
+    line_a_flow_1: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
+    line_a_flow_2: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
+    line_a_flow_3: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
+    line_b_flow_1: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
+    line_b_flow_2: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
+    line_b_flow_3: Annotated[float, StateInfo("m³/s", 1e-4, emphasis=3.0)]
+
+
+class TipState(NamedTuple):
+    """States of a second mass behind a spring, relative to where it rests on a piston at mid-stroke."""
+
+    tip_position: Annotated[float, StateInfo("m", 0.1)]
+    tip_velocity: Annotated[float, StateInfo("m/s", 0.1, emphasis=3.0)]
+
+
+class Structure(NamedTuple):
+    """Which parts that an axis may lack it has; compiled code is built for them, so that no axis pays for others."""
+
+    lines: bool = False  # lines with waves, not volumes alone
+    tip: bool = False  # a second mass behind a spring
+    sharp_edges: bool = False  # edges of the valve with corners, which a step must not cross
+
+    @property
+    def number(self) -> int:
+        """One number per structure, for the cache of compiled code."""
+        return sum(2**place for place, present in enumerate(self) if present)
+
+
+RIGID = Structure()
+
+
+@cache
+def state_kind(structure: Structure) -> Any:
+    """The named tuple of an axis's states: :class:`State`, and then those of the parts that it has."""
+    extra = [*LineState._fields] * structure.lines + [*TipState._fields] * structure.tip
+    return named_tuple("State", [*State._fields, *extra], __name__) if extra else State
+
+
+def _infos(*kinds: Any) -> dict[str, StateInfo]:
+    hints = [get_type_hints(kind, include_extras=True) for kind in kinds]
+    return {name: hint.__metadata__[0] for found in hints for name, hint in found.items()}
+
+
+STATES: dict[str, StateInfo] = _infos(State)
+ALL_STATES: dict[str, StateInfo] = _infos(State, LineState, TipState)
+"""The states of an axis that has every part, in the order of :func:`state_kind`."""
+
+N_ALL_STATES = len(ALL_STATES)
 STATE_NAMES = State._fields
 STATE_UNITS = tuple(info.unit for info in STATES.values())
 N_STATES = len(STATES)
 TYPICAL_SIZE: Floats = np.array([info.typical for info in STATES.values()])
+
+
+def typical_sizes(names: Iterable[str]) -> Floats:
+    """Typical size of each of these states, (n,)."""
+    return np.array([ALL_STATES[name].typical for name in names])
+
+
 EMPHASIS: Floats = np.array([info.emphasis for info in STATES.values()])
 
 

@@ -8,14 +8,14 @@ import numpy as np
 
 from hydro_env.errors import ConfigurationError, HydroError
 from hydro_env.plant.analysis import force_limits, full_pressure_forces, reachable_range, speed_limits
-from hydro_env.plant.arrays import coefficient_array, derived_array, equilibrium
+from hydro_env.plant.arrays import coefficient_array, equilibrium, functions_of
 from hydro_env.plant.kernel import STABLE_PRODUCT
 from hydro_env.plant.linearisation import fastest_motion
 from hydro_env.plant.parameters import PARAMETER_UNITS, PlantParameters
 from hydro_env.plant.parts.friction import FrictionModel
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL
 from hydro_env.plant.simulate import DERIVED_NAMES, valid_ranges
-from hydro_env.plant.states import STATE_NAMES, State
+from hydro_env.plant.states import STATE_NAMES, state_kind
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
 LEAST_TRAVEL = 1e-3
@@ -40,8 +40,12 @@ CAUSES = {
     "spool_velocity": "valve.natural_frequency",
     "coil_current": "valve.coil_inductance",
     "supply_pressure": "supply.line_volume",
+    "tip_position": "load.tip_frequency",
+    "tip_velocity": "load.tip_frequency",
 }
 """Figures that make a state move too fast."""
+
+LINES = "lines.length_a, length_b or their volumes"
 
 PLACES = 5
 """Number of positions over the reachable range; the axis must be able to hold one of them."""
@@ -55,7 +59,8 @@ def fastest_rate(parameters: PlantParameters) -> tuple[float, str]:
     """
     supply, stop = parameters.supply, 0.5 * parameters.cylinder.stroke + 1e-4
     lugre = parameters.friction.model == FrictionModel.LUGRE
-    open_valve = State(**dict.fromkeys(STATE_NAMES, 0.0))._replace(
+    kind = state_kind(parameters.structure)
+    open_valve = kind(**dict.fromkeys(kind._fields, 0.0))._replace(
         velocity=max(speed_limits(parameters)) if lugre else 0.0,
         pressure_a=supply.pressure,
         pressure_b=supply.tank_pressure,
@@ -63,6 +68,9 @@ def fastest_rate(parameters: PlantParameters) -> tuple[float, str]:
         supply_pressure=supply.pressure,
         gas_volume=supply.accumulator_volume,
     )
+    for number in (1, 2, 3) if parameters.structure.lines else ():
+        pressures = {f"line_a_pressure_{number}": supply.pressure, f"line_b_pressure_{number}": supply.tank_pressure}
+        open_valve = open_valve._replace(**pressures)
     places = (open_valve, open_valve._replace(position=stop), open_valve._replace(position=-stop))
     return max(fastest_motion(parameters, state) for state in places)
 
@@ -110,7 +118,7 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
     steps = math.ceil(min(STEPS_PERIOD * rate / STABLE_PRODUCT, 1e15))
     if steps > MOST_STEPS:
         raise ConfigurationError(
-            f"{source}: {CAUSES[state]}: {state} moves at {rate:.3g} 1/s, which requires {steps:,} inner steps in "
+            f"{source}: {CAUSES.get(state, LINES)}: {state} moves at {rate:.3g} 1/s, which requires {steps:,} inner steps in "
             f"{1e3 * STEPS_PERIOD:g} ms; the limit is {MOST_STEPS:,} "
             f"({MOST_STEPS * STABLE_PRODUCT / STEPS_PERIOD:.3g} 1/s)"
         )
@@ -163,10 +171,10 @@ def _why_no_rest(parameters: PlantParameters) -> str:
     supply, leakage = parameters.supply, parameters.leakage
     fed = _rest(parameters.replace(supply={"model": "constant"}))
     if fed is not None:
-        state = np.array([[fed[name] for name in STATE_NAMES]])
-        flows = dict(
-            zip(DERIVED_NAMES, derived_array(state, coefficient_array(parameters)[None])[0].tolist(), strict=True)
+        derived = functions_of(parameters.structure).derived(
+            np.array([list(fed.values())]), coefficient_array(parameters)[None]
         )
+        flows = dict(zip(DERIVED_NAMES, derived[0].tolist(), strict=True))
         pump, drawn = supply.pump_flow / LITRE_PER_MINUTE, flows["supply_flow"] / LITRE_PER_MINUTE
         return (
             f"supply.pump_flow = {supply.pump_flow:.3g} m³/s ({pump:.3g} l/min): at rest valve and leaks draw "

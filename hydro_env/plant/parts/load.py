@@ -6,16 +6,20 @@ from typing import NamedTuple
 
 from hydro_env.compiling import inline
 from hydro_env.files import Group
+from hydro_env.plant.states import TipState
 from hydro_env.units import Number, quantity
 
 
 class Load(Group):
-    """Mass, spring and damper that the rod moves."""
+    """Mass, spring and damper that the rod moves; a share of the mass may hang behind a spring (boom, frame, rope)."""
 
     mass: Number = quantity(60.0, "kg", "paper, Table 1", 0.01, 1e6)
     spring_stiffness: Number = quantity(89e3, "N/m", "paper, Table 1 (89 N/mm)", 0.0, 1e9)
     viscous_damping: Number = quantity(300.0, "N s/m", "assumed; load and seals", 0.0, 1e7)
     external_force: Number = quantity(0.0, "N", "assumed; positive against extension", -1e7, 1e7)
+    tip_share: Number = quantity(0.0, "1", "assumed; share of the mass behind a spring, 0: a rigid load", 0.0, 0.99)
+    tip_frequency: Number = quantity(60.0, "rad/s", "assumed; of that share while the piston stands", 1.0, 1e4)
+    tip_damping_ratio: Number = quantity(0.02, "1", "assumed; of that oscillation", 0.0, 1.0)
 
 
 class LoadCoefficients(NamedTuple):
@@ -28,19 +32,25 @@ class LoadCoefficients(NamedTuple):
     end_stop_position: float  # L / 2, m
     end_stop_stiffness: float  # N/m
     end_stop_damping: float  # N s/m
+    tip_mass: float  # kg, behind the spring
+    tip_stiffness: float  # ω², 1/s², of that spring, per mass
+    tip_damping: float  # 2 ζ ω, 1/s
 
 
 @inline
 def load_coefficients(p):
     """:class:`LoadCoefficients` of the physical parameters ``p``."""
     return LoadCoefficients(
-        inverse_mass=1.0 / (p.load_mass + p.cylinder_piston_mass),
+        inverse_mass=1.0 / (p.load_mass * (1.0 - p.load_tip_share) + p.cylinder_piston_mass),
         spring_stiffness=p.load_spring_stiffness,
         viscous_damping=p.load_viscous_damping,
         external_force=p.load_external_force,
         end_stop_position=0.5 * p.cylinder_stroke,
         end_stop_stiffness=p.cylinder_end_stop_stiffness,
         end_stop_damping=p.cylinder_end_stop_damping,
+        tip_mass=p.load_mass * p.load_tip_share,
+        tip_stiffness=p.load_tip_frequency**2,
+        tip_damping=2.0 * p.load_tip_damping_ratio * p.load_tip_frequency,
     )
 
 
@@ -74,7 +84,7 @@ def end_stop_force(position, velocity, c):
 
 @inline
 def acceleration(s, friction_force, c):
-    """dv_d/dt in m/s²: (14), (17) with the friction that (18) drops."""
+    """dv_d/dt in m/s²: (14), (17) with the friction that (18) drops, and with the pull of a second mass added to it."""
     resisting = (
         c.spring_stiffness * s.position
         + c.viscous_damping * s.velocity
@@ -83,3 +93,53 @@ def acceleration(s, friction_force, c):
         + c.external_force
     )
     return (piston_force(s.pressure_a, s.pressure_b, c) - resisting) * c.inverse_mass
+
+
+class TipLaws(NamedTuple):
+    """What the right-hand side asks of the load; a rigid load and one with a second mass answer."""
+
+    resistance: object  # (friction_force, s, c) → friction plus the pull of the second mass, N
+    rates: object  # (s, c) → derivative of the TipState
+    weights: object  # (c) → error weight of each of these states
+
+
+@inline
+def _friction_alone(friction_force, s, c):
+    return friction_force
+
+
+@inline
+def _no_rates(s, c):
+    return ()
+
+
+@inline
+def _no_weights(c):
+    return ()
+
+
+RIGID_LOAD = TipLaws(_friction_alone, _no_rates, _no_weights)
+
+
+@inline
+def _tip_acceleration(s, c):
+    return c.tip_stiffness * (s.position - s.tip_position) + c.tip_damping * (s.velocity - s.tip_velocity)
+
+
+@inline
+def _friction_and_pull(friction_force, s, c):
+    return friction_force + c.tip_mass * _tip_acceleration(s, c)
+
+
+@inline
+def _tip_rates(s, c):
+    return TipState(s.tip_velocity, _tip_acceleration(s, c))
+
+
+@inline
+def _tip_weights(c):
+    return TipState(c.position_weight, c.velocity_weight)
+
+
+SECOND_MASS = TipLaws(_friction_and_pull, _tip_rates, _tip_weights)
+"""A part of the load hangs on the rest by spring and damper; the position sensor is at the piston."""

@@ -36,11 +36,19 @@ class Valve(Group):
     natural_frequency: Number = quantity(500.0, "rad/s", "assumed (80 Hz)", 1.0, 1e4)
     damping_ratio: Number = quantity(0.8, "1", "assumed", 0.05, 5.0)
     slew_limit: Number = quantity(100.0, "1/s", "assumed; full stroke in 10 ms", 0.1, 1e5)
-    underlap: Number = quantity(0.015, "1", "assumed; of full spool stroke, 0 = zero-lapped", 0.0, 0.5)
+    underlap: Number = quantity(
+        0.015, "1", "assumed; rounding of the edges: opening at the null, of full spool stroke; 0 = sharp", 0.0, 0.5
+    )
     null_shift: Number = quantity(
         0.0, "1", "none in a new valve; spool position at which the edges are centred, of full stroke", -0.5, 0.5
     )
-    overlap: Number = quantity(0.0, "1", "assumed; dead band to each side of the null, of full spool stroke", 0.0, 0.5)
+    overlap: Number = quantity(
+        0.0,
+        "1",
+        "assumed; lap to each side of the null, of full spool stroke: a dead band; negative: all edges open there",
+        -0.3,
+        0.5,
+    )
     knee_position: Number = quantity(
         0.5, "1", "assumed; stroke beyond the dead band where the flow curve bends", 0.01, 0.99
     )
@@ -249,3 +257,27 @@ def time_to_spool_kink(s, rate, c):
         0.0 if ended else direction * rate.spool_velocity,
     )
     return min(slew, stroke)
+
+
+SHARP = 1e-3
+"""Of full stroke; edges with less rounding have corners that a step must not cross."""
+
+
+@inline
+def nearest_edge_kink(nearest, s, rate, c):
+    """Time in s until an edge opens, closes or reaches its knee, extrapolated, if that is before ``nearest``."""
+    stroke = s.spool_position - c.null_shift
+    direction = 1.0 if s.spool_velocity >= 0.0 else -1.0
+    knee = c.overlap + c.knee_position / c.stroke_factor
+    for corner in (-knee, -c.overlap, c.overlap, knee):
+        ahead = direction * (corner - stroke)
+        if ahead > 0.0:
+            time = time_to_cover(ahead, direction * s.spool_velocity, direction * rate.spool_velocity)
+            nearest = min(nearest, time)
+    return nearest
+
+
+@inline
+def no_edge_kink(nearest, s, rate, c):
+    """``nearest``: rounded edges have no kinks."""
+    return nearest
