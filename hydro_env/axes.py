@@ -22,6 +22,7 @@ from hydro_env.errors import ConfigurationError
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_vector, to_vector
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL
+from hydro_env.plant.states import ALL_STATES, N_STATES
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import TaskConfig
@@ -47,6 +48,8 @@ from hydro_env.types import Floats
 
 AXES_PER_THREAD = 256
 """Smallest number of axes per thread; with fewer, starting the thread takes longer than its work."""
+
+_TIP = list(ALL_STATES).index("tip_position")
 
 Indices = NDArray[np.int64]
 
@@ -95,6 +98,12 @@ class Axes:
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
 
         self.tasks = rig_tasks(config)
+        structures = [task.plant.structure for task in self.tasks]
+        self._has_tip = np.array([structure.tip for structure in structures])
+        self._has_waves = any(structure.lines for structure in structures)
+        kinds = sorted(set(structures))
+        self._kernels = [task_kernel.step_of(kind) for kind in kinds]
+        self._kernel_of_rig = np.array([kinds.index(structure) for structure in structures])
         self._task = np.concatenate([settings_of(task) for task in self.tasks])
         self._layout = np.stack([layout_of(task, config.law) for task in self.tasks])
         samples = int(self._task["samples"].max())
@@ -135,7 +144,8 @@ class Axes:
         """
         self._fixed_arguments = (self._task, self._layout, *self.arrays)
         self.record, plant, self.reference, self.observation = self.arrays
-        self.state = plant[:, :FIRST_COEFFICIENT]
+        self.state = plant[:, :N_STATES]
+        self.complete_state = plant[:, :FIRST_COEFFICIENT]
         self.coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
         self.peaks = plant[:, FIRST_PEAK:]
         rows = self.record.view(np.ndarray).view(np.float64).reshape(self.count, -1)
@@ -155,7 +165,10 @@ class Axes:
         self._chances.seeds["episode"][axes] += 1
         self.record[axes] = np.zeros((), RECORD)
         rare = self._rare(axes)
-        for begin, chosen in ((task_kernel.begin_usual, axes[~rare]), (task_kernel.begin_any, axes[rare])):
+        begins = [(task_kernel.begin_usual, axes[~rare]), (task_kernel.begin_any, axes[rare])]
+        if self._has_waves:
+            begins = [(task_kernel.begin_with_lines, axes)]
+        for begin, chosen in begins:
             if len(chosen) > 0:
                 begin(chosen, self._task, self._layout, self._chances, self.options.fixed, self.physical, *self.arrays)
         self._check_begun(axes)
@@ -193,13 +206,31 @@ class Axes:
         """Advance every axis by one control period with the commands ``actions``, (N,), within −1 to 1."""
         if self._scheduled:
             task_kernel.follow(self._task, self.record, self.arrays.plant, 0, self.count)
-        if self._threads == 1:
-            task_kernel.step_axes.loaded(*self._fixed_arguments, actions, 0, self.count)
+        if len(self._kernels) == 1:
+            self._advance(self._kernels[0], self._fixed_arguments, actions)
+            return
+        for kernel, axes in self._groups():
+            part = AxisArrays(*(array[axes] for array in self.arrays))
+            self._advance(kernel, (self._task, self._layout, *part), actions[axes])
+            for own, moved in zip(self.arrays, part, strict=True):
+                own[axes] = moved
+
+    def _groups(self) -> list[tuple[Any, Indices]]:
+        """Each kernel, and the axes that have its structure now."""
+        numbers = self._kernel_of_rig[self.rigs()]
+        return [(self._kernels[number], np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
+
+    def _advance(self, kernel: Any, arguments: tuple[Any, ...], actions: NDArray[Any]) -> None:
+        """Advance axes that have one structure, in several threads if they are many."""
+        count = len(actions)
+        threads = max(1, min(self._threads, count // AXES_PER_THREAD))
+        if threads == 1:
+            kernel.loaded(*arguments, actions, 0, count)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="hydro_env")
-        bounds = [self.count * part // self._threads for part in range(self._threads + 1)]
-        advance = partial(task_kernel.step_axes.loaded, *self._fixed_arguments, actions)
+        bounds = [count * part // threads for part in range(threads + 1)]
+        advance = partial(kernel.loaded, *arguments, actions)
         waiting = [self._pool.submit(advance, first, last) for first, last in pairwise(bounds[1:])]
         advance(bounds[0], bounds[1])
         for future in waiting:
@@ -210,6 +241,16 @@ class Axes:
         ended: NDArray[np.bool_] = (self.column("failure") != NO_FAILURE) | (self.column("step") >= self.steps())
         return ended
 
+    def tip_position(self) -> Floats:
+        """Position of the second mass, m, (N,); of a rigid load that of the piston."""
+        tips: Floats = np.where(self._has_tip[self.rigs()], self.complete_state[:, _TIP], self.column("position"))
+        return tips
+
+    @property
+    def has_tip(self) -> bool:
+        """Whether any rig of the task has a second mass."""
+        return bool(self._has_tip.any())
+
     def rigs(self) -> Indices:
         """Number of each axis's rig among :attr:`tasks`, (N,)."""
         return self.column("rig").astype(np.int64)
@@ -219,8 +260,12 @@ class Axes:
         return self._task["steps"][self.rigs()] if len(self.tasks) > 1 else float(self.tasks[0].steps)
 
     def __getstate__(self) -> dict[str, Any]:
-        views = ("record", "state", "coefficient", "peaks", "reference", "observation", "numbers", "_fixed_arguments")
-        return {**self.__dict__, **dict.fromkeys(views), "_pool": None}  # threads start again when needed
+        views = ("record", "state", "complete_state", "coefficient", "peaks", "reference", "observation", "numbers")
+        return {
+            **self.__dict__,
+            **dict.fromkeys((*views, "_fixed_arguments")),
+            "_pool": None,
+        }  # threads start again when needed
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

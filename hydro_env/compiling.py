@@ -58,7 +58,7 @@ class Inline:
         return self._alone(*arguments)
 
     def __reduce__(self) -> Any:
-        """Its name alone: numba's cache hashes what a kernel's closure holds, and the digest there covers the source."""
+        """Its name alone, for numba's cache: the digest of all sources stands beside it in a kernel's closure."""
         return str, (self.__name__,)
 
     @cached_property

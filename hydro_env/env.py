@@ -257,6 +257,8 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
         }
         if self.config.law is not None:
             info["rig"] = int(row[_RIG])
+        if self._axes.has_tip:
+            info["tip_position"] = float(self._axes.tip_position()[0])
         if self._info_kind == "flat":
             info |= {"reference_family": int(row[_FAMILY]), "failure": int(row[_FAILURE])}
             del info["reward_terms"], info["faults"]

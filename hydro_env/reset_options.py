@@ -196,9 +196,14 @@ class ResetOptions:
                     values.append(draw["otherwise"])
                 vector[index] = min(values) if PARAMETER_PATHS[index] in MUST_EXCEED_ANOTHER else max(values)
             try:
-                from_vector(vector)
+                drawn, own = from_vector(vector).structure, from_vector(base).structure
             except ConfigurationError as error:
                 raise ConfigurationError(f"{where}: {error}") from None
+            if (drawn.lines, drawn.tip) != (own.lines, own.tip):
+                raise ConfigurationError(
+                    f"{where}: lines.length_a, load.tip_share: no episode adds or removes lines with waves or a second "
+                    "mass; give them in the rig"
+                )
 
     def _reference(self, given: Any, axes: Indices, half: float) -> dict[str, NDArray[Any]]:
         """Family of each axis, and the rows of references that the user gives as numbers."""

@@ -265,6 +265,8 @@ class ServoHydraulicVectorEnv(AxisEnvironment, VectorEnv[Observations, NDArray[n
         }
         if self.config.law is not None:
             values["rig"] = column("rig").astype(np.int64)
+        if self._axes.has_tip:
+            values["tip_position"] = np.where(present, self._axes.tip_position(), 0.0)
         if self._info_kind == "flat":
             values |= {f"reward_{name}": costs for name, costs in terms.items()}
             faults = self._axes.drawn_faults()

@@ -21,14 +21,16 @@ from hydro_env.plant.equations import (
 )
 from hydro_env.plant.equilibrium import complete_at_rest, equilibrium_state
 from hydro_env.plant.parameters import Physical, PlantParameters, to_vector
-from hydro_env.plant.states import ALL_STATES, N_ALL_STATES, RIGID, State, Structure, state_kind
+from hydro_env.plant.parts.lines import VOLUMES, WAVES, LineLaws
+from hydro_env.plant.states import ALL_STATES, COMPLETE, N_ALL_STATES, RIGID, State, Structure, state_kind
 from hydro_env.types import Floats
 
 read_physical = tuple_reader(Physical)
 read_coefficients = tuple_reader(Coefficients)
 write_coefficients = tuple_writer(Coefficients)
 read_state = tuple_reader(State)
-write_complete_state = tuple_writer(state_kind(Structure(lines=True, tip=True)))
+read_complete_state = tuple_reader(COMPLETE)
+write_complete_state = tuple_writer(COMPLETE)
 _write_derived = tuple_writer(Derived)
 
 N_COEFFICIENTS = len(Coefficients._fields)
@@ -60,7 +62,8 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
         >>> f"{state['pressure_a'] / 1e5:.1f} bar, {1e3 * voltage:.0f} mV"
         '35.2 bar, -8 mV'
     """
-    state, voltage, found = _equilibrium_of(float(position), to_vector(parameters))
+    equilibrium_of = _equilibrium_of_lines if parameters.lines.have_waves else _equilibrium_of
+    state, voltage, found = equilibrium_of(float(position), to_vector(parameters))
     if not found:
         raise HydroError(
             f"position = {position:g} m cannot be held: spring, leakage or external force need more than "
@@ -70,7 +73,7 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
     return {name: everything[name] for name in state_kind(parameters.structure)._fields}, voltage
 
 
-def _build(sources: int) -> tuple[Any, ...]:
+def _build(sources: int, lines: LineLaws) -> tuple[Any, ...]:
     def coefficients_of(vector: Floats) -> Floats:
         assert sources >= 0  # keys numba's cache
         out = np.empty(N_COEFFICIENTS)
@@ -81,7 +84,7 @@ def _build(sources: int) -> tuple[Any, ...]:
         assert sources >= 0
         p = read_physical(vector)
         c = coefficients(p)
-        state, voltage, found = equilibrium_state(position, p, c)
+        state, voltage, found = equilibrium_state(position, p, c, lines)
         out = np.empty(N_ALL_STATES)
         write_complete_state(out, complete_at_rest(state, c))
         return out, voltage, found
@@ -89,7 +92,8 @@ def _build(sources: int) -> tuple[Any, ...]:
     return compiled(coefficients_of), compiled(equilibrium_of)
 
 
-_coefficients_of, _equilibrium_of = _build(SOURCES)
+_coefficients_of, _equilibrium_of = _build(SOURCES, VOLUMES)
+_, _equilibrium_of_lines = _build(SOURCES + 1, WAVES)
 
 
 class AxisFunctions(NamedTuple):

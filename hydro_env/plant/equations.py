@@ -97,7 +97,7 @@ class Parts(NamedTuple):
     lines: LineLaws
     tip: TipLaws
     edge_kink: Any  # (nearest, s, rate, c) → time in s to the next kink of the edges, if it is nearer
-    join: Any  # (State, LineState or (), TipState or ()) → all states of the axis
+    join: Any  # (State, LineState or 0, TipState or 0) → all states of the axis
     with_valve: Any  # (s, spool_position, spool_velocity, coil_current) → the state with a new valve
     with_limits: Any  # (s, pressure_a, pressure_b, spool_position, spool_velocity) → the state with these
 
@@ -126,12 +126,10 @@ RIGID_PARTS = parts_of(RIGID)
 
 
 @inline
-def chamber_net_flows(s, flow_a, flow_b, c):
-    """Net oil flow in m³/s that raises the pressure of each chamber; the right-hand sides of (12), (13).
-
-    ``flow_a`` runs into chamber a and ``flow_b`` out of chamber b.
-    """
+def chamber_net_flows(s, edges, c, lines):
+    """Net oil flow in m³/s that raises the pressure of each chamber; the right-hand sides of (12), (13)."""
     leakage = internal_leakage(s.pressure_a, s.pressure_b, c)  # (10)
+    flow_a, flow_b = lines.into_chambers(s, edges)
     net_a = flow_a - c.area_a * s.velocity - leakage
     net_b = -flow_b + c.area_b * s.velocity + leakage - external_leakage(s.pressure_b, c)  # (11)
     return net_a, net_b
@@ -152,8 +150,7 @@ def derivatives(s, c, voltage, parts):
     """
     spool_rate, spool_acceleration = spool_rates(s, c)  # (18) rows 5, 6
     edges = edge_flows(parts.lines.ports(s), c)  # (2), (3)
-    flow_a, flow_b = parts.lines.into_chambers(s, edges)
-    net_a, net_b = chamber_net_flows(s, flow_a, flow_b, c)
+    net_a, net_b = chamber_net_flows(s, edges, c, parts.lines)
     volume_a, volume_b, wall_a, wall_b = parts.lines.chambers(s.position, c)  # (8), (9)
     friction_force, bristle_rate = friction(s.velocity, s.bristle_deflection, c)
     resistance = parts.tip.resistance(friction_force, s, c)

@@ -11,12 +11,11 @@ from typing import Any
 
 from hydro_env.compiling import inline, tuple_joiner, tuple_replacer
 from hydro_env.plant.equations import Coefficients, chamber_net_flows
-from hydro_env.plant.parts.leakage import external_leakage, internal_leakage
-from hydro_env.plant.parts.lines import lines_at_rest, ports_at_rest
+from hydro_env.plant.parts.lines import VOLUMES, lines_at_rest
 from hydro_env.plant.parts.load import balancing_pressure_b, holding_force
 from hydro_env.plant.parts.supply import gas_volume_at, regulated_pressure
 from hydro_env.plant.parts.valve import edge_flows, holding_command
-from hydro_env.plant.states import LineState, State, Structure, TipState, state_kind
+from hydro_env.plant.states import COMPLETE, LineState, State, TipState
 
 _SMALLEST_UNDERLAP_SQUARED = 1e-12
 """Assumed opening of a zero-lapped valve at rest; without any flow the pressures would be undetermined."""
@@ -25,7 +24,7 @@ _SUPPLY_ITERATIONS = 8
 _ITERATIONS = 100
 
 _with_underlap = tuple_replacer(Coefficients, "underlap_squared")
-_join_all = tuple_joiner(state_kind(Structure(lines=True, tip=True)), (State, LineState, TipState))
+_join_all = tuple_joiner(COMPLETE, (State, LineState, TipState))
 
 
 def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., Any]:
@@ -80,38 +79,22 @@ def _at_rest(position, pressure_a, spool_position, supply_pressure, c):
 
 
 @inline
-def _flows_into_chambers(s, c):
-    """Flows in m³/s that keep the pressures of both chambers at rest: what leaks out of them."""
-    leakage = internal_leakage(s.pressure_a, s.pressure_b, c)
-    return leakage, external_leakage(s.pressure_b, c) - leakage
-
-
-@inline
-def _edges_at_rest(s, c):
-    """Flows of the edges; the pressures at the valve differ from those of the chambers by the friction of the lines."""
-    flow_a, flow_b = _flows_into_chambers(s, c)
-    return edge_flows(ports_at_rest(s, flow_a, flow_b, c), c)
-
-
-@inline
-def _net_flows(s, c):
+def _net_flows(s, c, lines):
     """Net flow into each chamber."""
-    edges = _edges_at_rest(s, c)
-    return chamber_net_flows(s, edges.supply_to_a - edges.a_to_tank, edges.b_to_tank - edges.supply_to_b, c)
+    return chamber_net_flows(s, edge_flows(lines.ports_at_rest(s, c), c), c, VOLUMES)
 
 
 @inline
 def complete_at_rest(s, c):
     """All states (``ALL_STATES``) of an axis with lines and second mass whose other states ``s`` are at rest."""
-    flow_a, flow_b = _flows_into_chambers(s, c)
-    return _join_all(s, lines_at_rest(s, flow_a, flow_b, c), TipState(s.position, 0.0))
+    return _join_all(s, lines_at_rest(s, c), TipState(s.position, 0.0))
 
 
 @inline
 def _net_flow_a(spool_position, arguments):
     """Net flow into chamber a; it rises with the spool position."""
-    position, pressure_a, supply_pressure, c = arguments
-    return _net_flows(_at_rest(position, pressure_a, spool_position, supply_pressure, c), c)[0]
+    position, pressure_a, supply_pressure, c, lines = arguments
+    return _net_flows(_at_rest(position, pressure_a, spool_position, supply_pressure, c), c, lines)[0]
 
 
 _balanced_spool = _root_of(_net_flow_a, tolerance=1e-15)
@@ -124,9 +107,9 @@ def _net_flow(pressure_a, arguments):
     If the valve can balance chamber a, it is the net flow into chamber b. The leak between the chambers cancels out;
     the sign is therefore correct even if the fully open valve is too small for the leak.
     """
-    position, supply_pressure, c = arguments
-    spool = _balanced_spool(-1.0, 1.0, (position, pressure_a, supply_pressure, c))
-    net_a, net_b = _net_flows(_at_rest(position, pressure_a, spool, supply_pressure, c), c)
+    position, supply_pressure, c, lines = arguments
+    spool = _balanced_spool(-1.0, 1.0, (position, pressure_a, supply_pressure, c, lines))
+    net_a, net_b = _net_flows(_at_rest(position, pressure_a, spool, supply_pressure, c), c, lines)
     return net_a + net_b
 
 
@@ -134,7 +117,7 @@ _balanced_pressure = _root_of(_net_flow, tolerance=1e-5)
 
 
 @inline
-def _balance(position, supply_pressure, c):
+def _balance(position, supply_pressure, c, lines):
     """Pressure of chamber a and spool position at which both net flows vanish, and whether such values exist."""
     force, tank = holding_force(position, c), c.tank_pressure
     # Both pressures stay between tank and supply.
@@ -143,13 +126,13 @@ def _balance(position, supply_pressure, c):
     high = min(supply_pressure, (force + c.area_b * supply_pressure) / c.area_a) - edge
     if not high > low:
         return 0.0, 0.0, False
-    pressure = _balanced_pressure(low, high, (position, supply_pressure, c))
-    spool = _balanced_spool(-1.0, 1.0, (position, pressure, supply_pressure, c))
+    pressure = _balanced_pressure(low, high, (position, supply_pressure, c, lines))
+    spool = _balanced_spool(-1.0, 1.0, (position, pressure, supply_pressure, c, lines))
     return pressure, spool, low < pressure < high and -1.0 < spool < 1.0
 
 
 @inline
-def equilibrium_state(position, p, c):
+def equilibrium_state(position, p, c, lines):
     """State at rest at ``position`` (m), the voltage (V) that holds it, and whether the position can be held.
 
     Without pump or relief valve nothing holds the supply pressure: it starts at its setting; all other states are at
@@ -159,6 +142,7 @@ def equilibrium_state(position, p, c):
         position: m from mid-stroke.
         p: physical parameters (:data:`~hydro_env.plant.parameters.Physical`).
         c: coefficients of the same plant.
+        lines: laws of its lines (:class:`~hydro_env.plant.parts.lines.LineLaws`).
 
     Returns:
         (:class:`~hydro_env.plant.states.State`, voltage in V, whether the position can be held).
@@ -168,8 +152,9 @@ def equilibrium_state(position, p, c):
     pressure_a, spool, balanced = 0.0, 0.0, False
     for _ in range(_SUPPLY_ITERATIONS):
         # The null flow of the valve hardly depends on the supply pressure: a few iterations suffice.
-        pressure_a, spool, balanced = _balance(position, supply_pressure, resting)
-        edges = _edges_at_rest(_at_rest(position, pressure_a, spool, supply_pressure, resting), resting)
+        pressure_a, spool, balanced = _balance(position, supply_pressure, resting, lines)
+        s = _at_rest(position, pressure_a, spool, supply_pressure, resting)
+        edges = edge_flows(lines.ports_at_rest(s, resting), resting)
         before = supply_pressure
         supply_pressure = regulated_pressure(edges.supply_to_a + edges.supply_to_b, c)
         if not balanced or supply_pressure < c.relief_pressure or abs(supply_pressure - before) < 1e-6:

@@ -25,7 +25,15 @@ from hydro_env.plant.kernel import (
     integrators,
 )
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.plant.states import ALL_STATES, N_ALL_STATES, STATE_NAMES, STATE_UNITS, Structure, state_kind, valid_range
+from hydro_env.plant.states import (
+    ALL_STATES,
+    N_ALL_STATES,
+    STATE_NAMES,
+    STATE_UNITS,
+    Structure,
+    state_kind,
+    valid_range,
+)
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 

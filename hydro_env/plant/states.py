@@ -53,7 +53,7 @@ class State(NamedTuple):
 
 
 class LineState(NamedTuple):
-    """States of lines with waves: pressure of each cell, and flow from it towards the cylinder; cell 1 is at the valve."""
+    """States of lines with waves: pressure of each cell, and flow from it to the cylinder; cell 1 is at the valve."""
 
     line_a_pressure_1: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
     line_a_pressure_2: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
@@ -96,7 +96,11 @@ RIGID = Structure()
 def state_kind(structure: Structure) -> Any:
     """The named tuple of an axis's states: :class:`State`, and then those of the parts that it has."""
     extra = [*LineState._fields] * structure.lines + [*TipState._fields] * structure.tip
-    return named_tuple("State", [*State._fields, *extra], __name__) if extra else State
+    return named_tuple("AxisState", [*State._fields, *extra], __name__) if extra else State
+
+
+COMPLETE = state_kind(Structure(lines=True, tip=True))
+"""The states of an axis that has every part."""
 
 
 def _infos(*kinds: Any) -> dict[str, StateInfo]:

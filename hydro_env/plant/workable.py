@@ -118,8 +118,8 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
     steps = math.ceil(min(STEPS_PERIOD * rate / STABLE_PRODUCT, 1e15))
     if steps > MOST_STEPS:
         raise ConfigurationError(
-            f"{source}: {CAUSES.get(state, LINES)}: {state} moves at {rate:.3g} 1/s, which requires {steps:,} inner steps in "
-            f"{1e3 * STEPS_PERIOD:g} ms; the limit is {MOST_STEPS:,} "
+            f"{source}: {CAUSES.get(state, LINES)}: {state} moves at {rate:.3g} 1/s, which requires {steps:,} inner "
+            f"steps in {1e3 * STEPS_PERIOD:g} ms; the limit is {MOST_STEPS:,} "
             f"({MOST_STEPS * STABLE_PRODUCT / STEPS_PERIOD:.3g} 1/s)"
         )
     if not _can_rest(parameters):

@@ -6,13 +6,22 @@ All draws come from counter-based random numbers: an axis's episode depends only
 from __future__ import annotations
 
 import math
+from functools import cache
+from typing import Any
 
 import numpy as np
 
 from hydro_env.compiling import SOURCES, compiled, inline
-from hydro_env.plant.arrays import read_coefficients, read_physical, read_state, write_coefficients, write_state
+from hydro_env.plant.arrays import (
+    read_coefficients,
+    read_complete_state,
+    read_physical,
+    read_state,
+    write_coefficients,
+    write_complete_state,
+)
 from hydro_env.plant.equations import coefficients
-from hydro_env.plant.equilibrium import equilibrium_state
+from hydro_env.plant.equilibrium import complete_at_rest, equilibrium_state
 from hydro_env.plant.kernel import (
     IMPACT_SPEED,
     MOST_STEPS_PER_PERIOD,
@@ -20,9 +29,10 @@ from hydro_env.plant.kernel import (
     STEPS,
     Accuracy,
     Plants,
-    integrate_part,
+    integrators,
 )
-from hydro_env.plant.states import first_outside, valid_range
+from hydro_env.plant.parts.lines import VOLUMES, WAVES
+from hydro_env.plant.states import RIGID, Structure, first_outside, valid_range
 from hydro_env.task.fault_effects import draw_faults, driven, read_truly
 from hydro_env.task.paces import periods_late
 from hydro_env.task.random_numbers import (
@@ -64,6 +74,8 @@ from hydro_env.task.schedules import (
     follow_schedules,
     set_leak,
 )
+from hydro_env.task.sensors import Sensors
+from hydro_env.task.settings import choice
 from hydro_env.task.signals import POSITION, draw_biases, lagged, sample, write_observation
 from hydro_env.units import FULL_VOLTAGE
 
@@ -73,6 +85,8 @@ MOST_DRAWS = 200
 PREVIOUS, NEW = range(COMMANDS)
 """Columns of the voltage: the previous command acts during the latency, the new one during the rest of the period; of a
 latency above a period its part within a period counts, and both commands are older by the whole periods."""
+
+_VALVE = choice(Sensors, "pressures_at", "valve")
 
 _FAMILY_NUMBER = 1_000_000
 """Index of the reference key's number for the family, beyond the numbers that shape a reference."""
@@ -154,7 +168,22 @@ def _late(row, before, now):
     return before, now
 
 
-def _begin(sources, everything):
+@inline
+def _at_the_valve(state, s, settings):
+    """Pressures where their sensors sit, at the cylinder or at the valve, Pa; without waves in the lines both agree."""
+    everything = read_complete_state(state)
+    if settings.sensors.pressures_at == _VALVE:
+        return everything.line_a_pressure_1, everything.line_b_pressure_1
+    return s.pressure_a, s.pressure_b
+
+
+@inline
+def _at_the_cylinder(state, s, settings):
+    """Pressures of the chambers, Pa."""
+    return s.pressure_a, s.pressure_b
+
+
+def _begin(sources, everything, lines):
     def begin_episodes(chosen, task, layout, chances, fixed, physical, record, plant, references, observation):
         assert sources >= 0  # keys numba's cache
         states = plant[:, :FIRST_COEFFICIENT]
@@ -227,8 +256,8 @@ def _begin(sources, everything):
                 held = start
                 if settings.start_bias_share > 0.0:
                     held = read_truly(start - row.bias[POSITION], POSITION, row, settings.channels[POSITION])
-                s, voltage, found = equilibrium_state(held, p, c)
-                write_state(states[axis], s)
+                s, voltage, found = equilibrium_state(held, p, c, lines)
+                write_complete_state(states[axis], complete_at_rest(s, c))
                 if not found or abs(held) > c.end_stop_position:
                     row.failure = CANNOT_BE_HELD
                 row.command = row.drive = (1.0 / FULL_VOLTAGE) * voltage
@@ -243,8 +272,9 @@ def _begin(sources, everything):
             plant[axis, FIRST_DURATION + PREVIOUS] = within
             plant[axis, FIRST_DURATION + NEW] = settings.control_period - within
             s = read_state(states[axis])
-            row.true_a = row.sensed_a = s.pressure_a
-            row.true_b = row.sensed_b = s.pressure_b
+            pressure_a, pressure_b = _at_the_valve(states[axis], s, settings)
+            row.true_a = row.sensed_a = pressure_a
+            row.true_b = row.sensed_b = pressure_b
             row.position = s.position
             row.reference = reference[0]
             sample(row, s, settings)
@@ -253,13 +283,17 @@ def _begin(sources, everything):
     return compiled(begin_episodes)
 
 
-def _step(sources):
+def _follow(sources):
     def follow(task, record, plant, first, last):
         assert sources >= 0
         for axis in range(first, last):
             row = record[axis]
             follow_schedules(row, plant[axis, FIRST_COEFFICIENT:FIRST_VOLTAGE], task[np.int64(row.rig)])
 
+    return compiled(follow)
+
+
+def _step(sources, integrate_part, pressures):
     def step_axes(task, layout, record, plant, reference, observation, actions, first, last):
         assert sources >= 0
         states = plant[:, :FIRST_COEFFICIENT]
@@ -297,10 +331,11 @@ def _step(sources):
             row.velocity = s.velocity
             row.reference = reference[axis, np.int64(row.step)]
 
-            row.sensed_a = lagged(row.sensed_a, row.true_a, s.pressure_a, settings)
-            row.sensed_b = lagged(row.sensed_b, row.true_b, s.pressure_b, settings)
-            row.true_a = s.pressure_a
-            row.true_b = s.pressure_b
+            pressure_a, pressure_b = pressures(states[axis], s, settings)
+            row.sensed_a = lagged(row.sensed_a, row.true_a, pressure_a, settings)
+            row.sensed_b = lagged(row.sensed_b, row.true_b, pressure_b, settings)
+            row.true_a = pressure_a
+            row.true_b = pressure_b
             before = row.measured[POSITION]
             sample(row, s, settings)
             rate = (row.measured[POSITION] - before) / period
@@ -324,11 +359,19 @@ def _step(sources):
                 total += row.costs[index]
             row.reward = -total
 
-    return compiled(follow), compiled(step_axes)
+    return compiled(step_axes)
 
 
-begin_usual, begin_any = _begin(SOURCES, False), _begin(SOURCES, True)
-follow, step_axes = _step(SOURCES)
+@cache
+def step_of(structure: Structure) -> Any:
+    """:data:`step_axes` for axes with a structure."""
+    _, integrate_part = integrators(structure)
+    return _step(SOURCES + structure.number, integrate_part, _at_the_valve if structure.lines else _at_the_cylinder)
+
+
+begin_usual, begin_any = _begin(SOURCES, False, VOLUMES), _begin(SOURCES, True, VOLUMES)
+begin_with_lines = _begin(SOURCES + 1, True, WAVES)
+follow, step_axes = _follow(SOURCES), step_of(RIGID)
 begin_usual.__doc__ = """Begin as :data:`begin_any` does, but without faults, without a changing force, and without the
 families of references at which an axis hardly moves: few tasks have them, and they take long to compile.
 """
@@ -350,6 +393,7 @@ follow.__doc__ = """Set leak, faults and external force of the axes from ``first
 
 Only axes with a leak that changes, a fault or a changing force need it, before :data:`step_axes`.
 """
+begin_with_lines.__doc__ = """Begin as :data:`begin_any` does, on rigs of which some have lines with waves."""
 step_axes.__doc__ = """Advance the axes from ``first`` up to ``last`` by one control period with ``actions``, (N,).
 
 The other arguments are those of :data:`begin_any`.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hydro_env.compiling import numba
 from hydro_env.plant.kernel import N_COEFFICIENTS, N_PEAKS
-from hydro_env.plant.states import N_STATES, STATE_NAMES
+from hydro_env.plant.states import N_ALL_STATES, STATE_NAMES
 from hydro_env.task.faults import FAULT_KINDS, FAULTS
 from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.task.sensors import CHANNELS
@@ -73,12 +73,14 @@ SEEDS = np.dtype([("root", "u8"), ("episode", "i8")])
 COMMANDS = 2
 """Commands in a control period: the previous one acts during the latency, the new one during the rest."""
 
-FIRST_COEFFICIENT = N_STATES
+FIRST_COEFFICIENT = N_ALL_STATES
 FIRST_VOLTAGE = FIRST_COEFFICIENT + N_COEFFICIENTS
 FIRST_DURATION = FIRST_VOLTAGE + COMMANDS
 FIRST_PEAK = FIRST_DURATION + COMMANDS
 PLANT_COLUMNS = FIRST_PEAK + N_PEAKS
-"""Columns of the integrator's array: state, coefficients, voltages, durations and peaks of an axis, in one row.
+"""Columns of the integrator's array: states, coefficients, voltages, durations and peaks of an axis, in one row.
+
+There is a place for the states of every part (``ALL_STATES``); those of absent parts stay as they began.
 
 It is one array instead of four, because passing an array to compiled code takes a tenth of a microsecond.
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -70,6 +70,9 @@ class Sensors(Group):
     pressure_b: Sensor = Sensor(noise=0.2e5, bias=1.0e5, resolution=_current_loop(400e5), low=0.0, high=400e5)
     spool_position: Sensor = Sensor(noise=1e-3, bias=2e-3, resolution=2.0 / 65536, low=-1.0, high=1.0)
     pressure_rise_time: Number = quantity(1.5e-3, "s", "10–90 % rise of the transducers", 0.0, 0.1)
+    pressures_at: Literal["cylinder", "valve"] = Field(
+        "cylinder", description="where the pressure transducers sit; differs with waves in the lines"
+    )
     differential_pressure: bool = Field(
         False,
         description="true: the transducer of pressure a reads pressure a minus b, and there is none for b; for "

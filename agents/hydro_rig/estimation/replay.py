@@ -12,7 +12,7 @@ import numpy as np
 from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled, inline
 from hydro_env.plant.arrays import N_COEFFICIENTS, read_physical, read_state, write_coefficients
-from hydro_env.plant.equations import Coefficients, coefficients, derivatives
+from hydro_env.plant.equations import RIGID_PARTS, Coefficients, coefficients, derivatives
 from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.plant.states import State
@@ -150,7 +150,7 @@ def begin(own: Floats, coefficient: Floats, physical: Floats, volts: float, supp
         own[_CURRENT] = c.drive_rate * volts / c.coil_rate
     if math.isnan(own[_GAS_VOLUME]):
         own[_GAS_VOLUME] = gas_volume_at(own[_SUPPLY_PRESSURE], p)
-    return derivatives(read_state(own), c, volts)
+    return derivatives(read_state(own), c, volts, RIGID_PARTS)
 
 
 @inline

@@ -15,17 +15,15 @@ from pydantic import model_validator
 from hydro_env.compiling import inline, merged, tuple_replacer
 from hydro_env.files import Group
 from hydro_env.plant.parts.chambers import chamber_volumes, pressure_rate, pressure_within_limits, time_to_fall
+from hydro_env.plant.parts.leakage import external_leakage, internal_leakage
 from hydro_env.plant.states import LineState, Structure, state_kind
 from hydro_env.units import Number, quantity
 
 CELLS = 3
 
-COLUMNS = CELLS - 0.5
-"""Columns of oil from the first cell to the chamber."""
-
 
 class Lines(Group):
-    """Pipes or hoses between valve and cylinder: additional compressible oil, elastic walls, and with a length waves."""
+    """Pipes or hoses between valve and cylinder: more compressible oil, elastic walls, and with a length waves."""
 
     volume_a: Number = quantity(0.0, "m³", "assumed; oil between valve and chamber a", 0.0, 0.1)
     volume_b: Number = quantity(0.0, "m³", "assumed; oil between valve and chamber b", 0.0, 0.1)
@@ -110,19 +108,16 @@ class Ports(NamedTuple):
 
 
 @inline
-def ports_at_rest(s, flow_a, flow_b, c):
-    """:class:`Ports` while steady flows (m³/s) run through the lines into the chambers; those of the chambers without."""
-    return Ports(
-        s.spool_position,
-        s.supply_pressure,
-        s.pressure_a + COLUMNS * c.column_resistance_a * flow_a,
-        s.pressure_b + COLUMNS * c.column_resistance_b * flow_b,
-    )
+def leaking_flows(s, c):
+    """Flows in m³/s into both chambers that keep their pressures at rest: what leaks out of them."""
+    leakage = internal_leakage(s.pressure_a, s.pressure_b, c)
+    return leakage, external_leakage(s.pressure_b, c) - leakage
 
 
 @inline
-def lines_at_rest(s, flow_a, flow_b, c):
-    """:class:`~hydro_env.plant.states.LineState` while steady flows (m³/s) run through the lines into the chambers."""
+def lines_at_rest(s, c):
+    """:class:`~hydro_env.plant.states.LineState` while the lines carry what leaks out of the chambers."""
+    flow_a, flow_b = leaking_flows(s, c)
     drop_a, drop_b = c.column_resistance_a * flow_a, c.column_resistance_b * flow_b
     return LineState(
         line_a_pressure_1=s.pressure_a + 2.5 * drop_a,
@@ -144,6 +139,7 @@ class LineLaws(NamedTuple):
     """What the right-hand side asks of the lines; both kinds of lines answer."""
 
     ports: object  # (s) → what the valve's edges see
+    ports_at_rest: object  # (s, c) → the same while the lines carry what leaks out of the chambers
     into_chambers: object  # (s, edges) → flow into chamber a and out of chamber b, m³/s
     chambers: object  # (position, c) → volumes (m³) and wall compliances (m³/Pa) of both chambers
     rates: object  # (s, edges, c) → derivative of the LineState
@@ -154,6 +150,11 @@ class LineLaws(NamedTuple):
 
 @inline
 def _chambers_as_ports(s):
+    return s
+
+
+@inline
+def _chambers_at_rest(s, c):
     return s
 
 
@@ -170,12 +171,12 @@ def _chambers_and_lines(position, c):
 
 @inline
 def _no_rates(s, edges, c):
-    return ()
+    return 0.0
 
 
 @inline
 def _no_weights(c):
-    return ()
+    return 0.0
 
 
 @inline
@@ -189,7 +190,14 @@ def _nearest(nearest, s, rate):
 
 
 VOLUMES = LineLaws(
-    _chambers_as_ports, _from_the_edges, _chambers_and_lines, _no_rates, _no_weights, _unchanged, _nearest
+    _chambers_as_ports,
+    _chambers_at_rest,
+    _from_the_edges,
+    _chambers_and_lines,
+    _no_rates,
+    _no_weights,
+    _unchanged,
+    _nearest,
 )
 """Lines as volumes: their oil belongs to the chambers."""
 
@@ -197,6 +205,12 @@ VOLUMES = LineLaws(
 @inline
 def _valve_cells(s):
     return Ports(s.spool_position, s.supply_pressure, s.line_a_pressure_1, s.line_b_pressure_1)
+
+
+@inline
+def _valve_cells_at_rest(s, c):
+    rest = lines_at_rest(s, c)
+    return Ports(s.spool_position, s.supply_pressure, rest.line_a_pressure_1, rest.line_b_pressure_1)
 
 
 @inline
@@ -239,9 +253,7 @@ def _line_rates(s, edges, c):
 def _line_weights(c):
     """Those of chamber pressures and of the speed, as a flow of the larger chamber."""
     pressure, flow = c.pressure_a_weight, c.velocity_weight / c.area_a
-    return LineState(
-        pressure, pressure, pressure, pressure, pressure, pressure, flow, flow, flow, flow, flow, flow
-    )
+    return LineState(pressure, pressure, pressure, pressure, pressure, pressure, flow, flow, flow, flow, flow, flow)
 
 
 @inline
@@ -267,5 +279,18 @@ def waves(structure: Structure) -> LineLaws:
     pressures = LineState._fields[: 2 * CELLS]
     limited = ", ".join(f"pressure_within_limits(s.{name})" for name in pressures)
     replace = tuple_replacer(state_kind(structure), *pressures)
-    within = merged("within", "s", f"replace(s, {limited})", replace=replace, pressure_within_limits=pressure_within_limits)
-    return LineLaws(_valve_cells, _from_the_lines, _chambers_alone, _line_rates, _line_weights, within, _lines_nearest)
+    names = {"replace": replace, "pressure_within_limits": pressure_within_limits}
+    within = merged("within", "s", f"replace(s, {limited})", **names)
+    return LineLaws(
+        _valve_cells,
+        _valve_cells_at_rest,
+        _from_the_lines,
+        _chambers_alone,
+        _line_rates,
+        _line_weights,
+        within,
+        _lines_nearest,
+    )
+
+
+WAVES = waves(Structure(lines=True))

@@ -110,12 +110,12 @@ def _friction_alone(friction_force, s, c):
 
 @inline
 def _no_rates(s, c):
-    return ()
+    return 0.0
 
 
 @inline
 def _no_weights(c):
-    return ()
+    return 0.0
 
 
 RIGID_LOAD = TipLaws(_friction_alone, _no_rates, _no_weights)
