@@ -14,12 +14,12 @@ import numpy as np
 from hydro_env.errors import ConfigurationError
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.configuration import TaskConfig
-from hydro_env.task.law import FIRST_SEEDS, RigLaw
+from hydro_env.task.law import FIRST_SEEDS, RigLaw, StructureLaw
 from hydro_env.task.nameplates import rig_of
 from hydro_env.task.paces import pace
 from hydro_env.task.rig import Rig, moved
 from hydro_env.task.sensors import Sensors
-from hydro_env.units import from_unit
+from hydro_env.units import from_unit, rounded
 
 BULK_MODULUS = 1.2e9  # Pa, as nameplates assumes
 DEAD = 0.1  # dead volume, of the swept volume, as nameplates assumes
@@ -96,11 +96,36 @@ def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, A
     if often(law.no_spool_sensor_share):
         figures["absent"] = "spool_position"
 
+    if law.structure.any:
+        figures |= _structure(law.structure, figures, np.random.default_rng([seed, attempt, 1]))
     shares = np.array(list(law.periods.values()))
     period = float(draw.choice(list(law.periods), p=shares / shares.sum()))
     low, high = law.latency
     latency = between(low, min(high, period))
     return figures, {"control_period": 1e-3 * period, "command_latency": 1e-3 * round(latency, 2)}
+
+
+def _structure(law: StructureLaw, figures: dict[str, Any], draw: np.random.Generator) -> dict[str, Any]:
+    """The figures of the parts that no nameplate tells; draws of their own, so that the rest of the rig stays."""
+
+    def between(low: float, high: float) -> float:
+        return float(math.exp(draw.uniform(math.log(low), math.log(high))))
+
+    found: dict[str, Any] = {}
+    bends, has_waves, is_sharp, at_valve, has_hose = draw.random(5)
+    frequency, share, damping = between(*law.tip_frequency), between(*law.tip_mass), between(*law.tip_damping)
+    length = between(*law.line_length)
+    if bends < law.tip_share:
+        found["structure_frequency"] = from_unit(frequency, "Hz", 3)
+        found["structure_share"], found["structure_damping"] = rounded(share), rounded(damping)
+    if has_waves < law.wave_share:
+        found |= {"line_waves": "yes", "line_length": from_unit(length, "m", 2)}
+        found["line_diameter"] = from_unit(8 + round(1e3 * figures["bore"]) // 10, "mm")
+        found["line_kind"] = "hose" if has_hose < 0.5 else "pipe"
+        found["pressure_sensors"] = "valve" if at_valve < law.valve_sensor_share else "cylinder"
+    if is_sharp < law.sharp_share and "overlap" not in figures:
+        found["edges"] = "sharp"
+    return found
 
 
 def with_steps_of_the_supply(rig: Rig) -> Rig:

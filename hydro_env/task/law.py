@@ -33,6 +33,24 @@ def _share(default: float, description: str) -> float:
     return share
 
 
+class StructureLaw(TaskGroup):
+    """Which rigs of a law have parts that a nameplate does not tell: bending loads, waves in lines, sharp edges."""
+
+    tip_share: Number = _share(0.0, "a load that bends: a second mass behind a spring")
+    tip_mass: Range = interval((0.2, 0.8), "1", "of the load, behind the spring", 0.01, 0.99)
+    tip_frequency: Range = interval((2.0, 30.0), "Hz", "of the second mass while the piston stands", 0.2, 1e3)
+    tip_damping: Range = interval((0.005, 0.05), "1", "damping ratio of that oscillation", 1e-4, 1.0)
+    wave_share: Number = _share(0.0, "waves in lines of 1 to 6 m")
+    line_length: Range = interval((1.0, 6.0), "m", "of each line with waves", 0.1, 100.0)
+    valve_sensor_share: Number = _share(0.5, "pressure sensors at the valve, among those with waves")
+    sharp_share: Number = _share(0.0, "sharp edges, with the lap that the null flow needs")
+
+    @property
+    def any(self) -> bool:
+        """Whether any rig has such a part."""
+        return max(self.tip_share, self.wave_share, self.sharp_share) > 0.0
+
+
 class RigLaw(TaskGroup):
     """From which rigs each episode of a task takes its own; intervals are log-uniform."""
 
@@ -69,6 +87,7 @@ class RigLaw(TaskGroup):
     weight_share: Number = _share(0.2, "a load that hangs on the rod")
     line_share: Number = _share(0.3, "lines between valve and cylinder, half of them hoses")
     line_length: Range = interval((0.5, 3.0), "m", "of each", 0.01, 100.0)
+    structure: StructureLaw = Field(default_factory=StructureLaw)
     no_spool_sensor_share: Number = _share(0.3, "no spool sensor")
     periods: dict[float, Number] = Field(
         {1.0: 0.1, 2.0: 0.2, 4.0: 0.2, 5.0: 0.2, 8.0: 0.15, 10.0: 0.15},

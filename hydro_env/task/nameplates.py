@@ -15,6 +15,7 @@ from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE, rounded
 
 BAR = 1e5
 STEEL = 7850.0  # kg/m³
+STRUCTURE_SHARE, STRUCTURE_DAMPING = 0.5, 0.02  # share of the mass behind a structure that bends; welded steel
 ASSUMED_ACCURACY = 2e-4  # of the stroke: largest constant error of the position sensor that follows from a rig
 COIL_RESISTANCE = 2.5  # Ω; only its ratio to the amplifier's gain counts
 BANDWIDTH = 502.654824574367  # rad/s; 80 Hz
@@ -39,6 +40,9 @@ FIELDS = {
     "mass": "load.mass",
     "external_force": "load.external_force",
     "spring": "load.spring_stiffness",
+    "structure_frequency": "load.tip_frequency",
+    "structure_share": "load.tip_share",
+    "structure_damping": "load.tip_damping_ratio",
 }
 """Figures that are values of the rig themselves."""
 
@@ -47,6 +51,9 @@ NEEDS = {
     "line_length": "line_diameter",
     "line_diameter": "line_length",
     "pressure_accuracy": "pressure_range",
+    "line_waves": "line_length",
+    "structure_share": "structure_frequency",
+    "structure_damping": "structure_frequency",
 }
 """Figures that need another one."""
 
@@ -63,6 +70,9 @@ RANGES: dict[str, dict[str, Any]] = {
     "fluid.bulk_modulus": {"uniform": (0.8e9, 1.6e9)},
     "fluid.air_fraction": {"log_uniform": (0.001, 0.015)},
     "load.mass": {},  # by the mass of the piston
+    "load.tip_frequency": {"log_factor": (0.7, 1.4)},
+    "load.tip_share": {"factor": (0.6, 1.4)},
+    "load.tip_damping_ratio": {"log_factor": (0.5, 2.0)},
     "load.spring_stiffness": {"factor": (0.9, 1.1)},
     "load.viscous_damping": {"log_factor": (0.25, 5.0)},
     "friction.coulomb_force": {"log_factor": (0.25, 2.5)},
@@ -87,7 +97,8 @@ def rig_values(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
     Args:
         figures: numbers in SI by the keys of ``QUESTIONS`` in :mod:`hydro_agents.rigs.rig_file`; texts for
-            ``line_kind`` (pipe or hose) and ``absent`` (sensors that the rig lacks, with commas).
+            ``line_kind`` (pipe or hose), ``line_waves`` (yes or no), ``edges`` (rounded or sharp),
+            ``pressure_sensors`` (cylinder or valve) and ``absent`` (sensors that the rig lacks, with commas).
 
     Raises:
         ConfigurationError: a figure lacks another one.
@@ -122,6 +133,8 @@ def rig_values(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         "supply": _supply(figures),
         "leakage": {"internal_resistance": 2e13},
     }
+    if "structure_frequency" in figures:
+        values["load"] |= {"tip_share": STRUCTURE_SHARE, "tip_damping_ratio": STRUCTURE_DAMPING}
     for key, path in FIELDS.items():
         if key in figures:
             group, field = path.split(".")
@@ -146,6 +159,11 @@ def _valve(figures: Mapping[str, Any]) -> dict[str, Any]:
         if overlap:  # rounder edges let this flow pass over their overlap
             share = math.sqrt(share * (share + 2.0 * overlap / (1.0 - overlap)))
         underlap = rounded(share, "%")
+    if figures.get("edges") == "sharp":  # all four are open by the lap at the null
+        lap = 0.0 if overlap else -0.5 * underlap / (1.0 - 0.5 * underlap)
+        overlap, underlap = rounded(lap, "%"), 0.0
+    else:
+        overlap = 0.0
     slew_limit = rounded(0.2 * figures.get("bandwidth", BANDWIDTH))
     if "step_time" in figures:
         slew_limit = rounded(1 / figures["step_time"], digits=4)
@@ -161,7 +179,7 @@ def _valve(figures: Mapping[str, Any]) -> dict[str, Any]:
         "damping_ratio": 0.8,
         "slew_limit": slew_limit,
         "underlap": underlap,
-        "overlap": 0.0,
+        "overlap": overlap,
         "null_shift": 0.0,
         "edge_ratio": 1.0,
         "coil_resistance": COIL_RESISTANCE,
@@ -177,6 +195,8 @@ def _lines(figures: Mapping[str, Any]) -> dict[str, float]:
     lines = {"volume_a": volume, "volume_b": volume}
     if _has_hose(figures):
         lines["wall_bulk_modulus"] = 0.3e9
+    if figures.get("line_waves") == "yes":
+        lines |= {"length_a": figures["line_length"], "length_b": figures["line_length"]}
     return lines
 
 
@@ -212,11 +232,14 @@ def _ranges(figures: Mapping[str, Any], values: Mapping[str, Mapping[str, Any]])
     if "piston_mass" not in figures:
         unsure += 0.3 * _piston_mass(figures) / figures["mass"]
     ranges["load.mass"] = {"factor": (rounded(max(1 - unsure, 0.5)), rounded(1 + unsure))}
-    overlapped, model = figures.get("overlap", 0.0) > 0.0, values["supply"]["model"]
+    overlapped, model = values["valve"]["overlap"] != 0.0, values["supply"]["model"]
     known = {
         "valve.slew_limit": "step_time" in figures,
         "valve.overlap": not overlapped,
-        "valve.underlap": overlapped and "null_flow" not in figures,
+        "valve.underlap": values["valve"]["underlap"] == 0.0 or (overlapped and "null_flow" not in figures),
+        "load.tip_frequency": "structure_frequency" not in figures,
+        "load.tip_share": "structure_frequency" not in figures,
+        "load.tip_damping_ratio": "structure_frequency" not in figures,
         "lines.wall_bulk_modulus": not _has_hose(figures),
         "load.spring_stiffness": "spring" not in figures,
         "supply.tank_pressure": "tank_pressure" in figures,
@@ -232,9 +255,11 @@ def position_error(figures: Mapping[str, Any]) -> float:
     return float(figures.get("position_accuracy", ASSUMED_ACCURACY) * figures["stroke"])
 
 
-def _sensors(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def _sensors(figures: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of the sensors that were given; what is not given follows from the rig."""
-    sensors: dict[str, dict[str, Any]] = {}
+    sensors: dict[str, Any] = {}
+    if "pressure_sensors" in figures:
+        sensors["pressures_at"] = figures["pressure_sensors"]
     for kind, names in {"position": ("position",), "pressure": ("pressure_a", "pressure_b")}.items():
         fields = {}
         for field, key in {"noise": "noise", "resolution": "resolution", "high": "range"}.items():

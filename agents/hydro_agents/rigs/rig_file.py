@@ -14,7 +14,14 @@ from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.units import FACTORS, UNITS, in_si, split_quantity
 
 SIGNAL = "V or A"  # unit of the question whose answer is a voltage or a current
-LINE_KINDS = ("pipe", "hose")
+WORDS = {
+    "line_kind": ("pipe", "hose"),
+    "line_waves": ("yes", "no"),
+    "edges": ("rounded", "sharp"),
+    "pressure_sensors": ("cylinder", "valve"),
+    "absent": SENSORS[1:],
+}
+"""Answers that are words."""
 DIVISORS = ("rated_drop", "step_time", "full_signal")  # optional answers that must be above zero
 
 
@@ -48,6 +55,7 @@ QUESTIONS = (
     Question("full-signal", "valve", SIGNAL, "10 V", "Input for full opening: a voltage, or a current of the coil."),
     Question("null-flow", "valve", "m³/s", "0.5 l/min", "Leakage flow of the valve at null, at the supply pressure."),
     Question("overlap", "valve", "1", "10 %", "Dead band to each side of null, of full stroke; 0 % if compensated."),
+    Question("edges", "valve", "", "sharp", "Metering edges: rounded (worn), or sharp as in the textbook."),
     Question("spool-ratio", "valve", "1", "0.5", "Edges of chamber b over those of chamber a; 0.5 for a 2:1 spool."),
     Question("supply-pressure", "supply", "Pa", "160 bar", "Supply pressure at the valve.", required=True),
     Question("tank-pressure", "supply", "Pa", "2 bar", "Pressure in the return line at the valve."),
@@ -57,9 +65,17 @@ QUESTIONS = (
     Question("mass", "load", "kg", "200 kg", "Moved mass without piston and rod.", required=True),
     Question("external-force", "load", "N", "2 kN", "Constant force on the rod, positive against extension (weight)."),
     Question("spring", "load", "N/m", "50 N/mm", "Stiffness of a spring with its rest at mid-stroke."),
+    Question(
+        "structure-frequency", "load", "rad/s", "6 Hz", "Lowest natural frequency of boom or frame, if you know it."
+    ),
+    Question("structure-share", "load", "1", "50 %", "Share of the mass that swings with it."),
+    Question("structure-damping", "load", "1", "0.02", "Damping ratio of this swing."),
     Question("line-length", "lines", "m", "1.5 m", "Length of each line between valve and cylinder."),
     Question("line-diameter", "lines", "m", "12 mm", "Inner diameter of these lines."),
-    Question("line-kind", "lines", "", "hose", f"Kind of these lines: {' or '.join(LINE_KINDS)}."),
+    Question("line-kind", "lines", "", "hose", "Kind of these lines: pipe or hose."),
+    Question(
+        "line-waves", "lines", "", "yes", "Simulate waves in them: yes from some 2 m on, or with sensors at the valve."
+    ),
     Question("position-noise", "sensors", "m", "0.02 mm", "Noise of the position sensor (standard deviation)."),
     Question("position-accuracy", "sensors", "1", "0.02 %", "Accuracy of the position sensor, of the stroke."),
     Question("position-resolution", "sensors", "m", "5 um", "Smallest step of the position reading."),
@@ -67,6 +83,7 @@ QUESTIONS = (
     Question("pressure-noise", "sensors", "Pa", "0.2 bar", "Noise of the pressure sensors (standard deviation)."),
     Question("pressure-accuracy", "sensors", "1", "0.5 %", "Accuracy class of the pressure sensors, of their range."),
     Question("pressure-resolution", "sensors", "Pa", "0.01 bar", "Smallest step of the pressure readings."),
+    Question("pressure-sensors", "sensors", "", "valve", "Where the pressure sensors sit: cylinder or valve."),
     Question("absent", "sensors", "", "spool_position", f"Sensors that the rig lacks: {', '.join(SENSORS[1:])}."),
 )
 
@@ -78,7 +95,7 @@ def parsed(question: Question, text: str) -> float | str:
         ConfigurationError: number or unit is missing, the unit belongs to another quantity, or a word is unknown.
     """
     place = f"{question.name} '{text.strip()[:40]}'"
-    known = {"line_kind": LINE_KINDS, "absent": SENSORS[1:]}.get(question.key)
+    known = WORDS.get(question.key)
     if known:
         words = [word.strip() for word in text.split(",")]
         for word in words:
@@ -164,6 +181,8 @@ ORIGINS = {
     "valve.coil_resistance": "assumed; only its ratio to the gain counts",
     "valve.amplifier_gain": "assumed: full opening at 10 V",
     "valve.spool_gain": "full opening per ampere",
+    "load.tip_share": "assumed: half of the mass swings",
+    "load.tip_damping_ratio": "assumed: welded steel",
     "lines.volume_a": "not given: the dead volume's range covers short lines",
     "lines.wall_bulk_modulus": "assumed: hose; V dp/dV of its wall",
     "fluid.density": "assumed: mineral oil ISO VG 46",
@@ -196,6 +215,9 @@ SPREADS = {
     "fluid.air_fraction": "well to badly bled",
     "load.mass": "weighed or from a drawing; piston and rod included",
     "load.spring_stiffness": "tolerance of springs",
+    "load.tip_frequency": "position of the boom, load",
+    "load.tip_share": "position of the boom, load",
+    "load.tip_damping_ratio": "welded to bolted structures",
     "load.viscous_damping": "published cylinders: 1 to 20 bar",
     "friction.coulomb_force": "low-friction to standard seals: 0.5 to 5 bar",
     "friction.breakaway_force": "of the Coulomb force",
@@ -263,6 +285,9 @@ def new_rig(figures: Mapping[str, Any], source: str) -> tuple[str, Rig]:
     if sensors:
         text += "sensors:  # as given; check-rig shows the rest\n"
         for name, fields in sensors.items():
+            if not isinstance(fields, dict):
+                text += f"  {name}: {fields}\n"
+                continue
             unit = next(iter(UNITS[CHANNEL_UNITS[name]]))
             parts = [f"{field}: {_shown(value, unit)}" for field, value in fields.items()]
             text += f"  {name}: {{{', '.join(parts)}}}\n"
@@ -287,6 +312,11 @@ def _origins(texts: Mapping[str, str]) -> dict[str, str]:
     if "full_current" in texts:
         sent = f"{texts['full_current']}, which the amplifier sends at a command of 10 V"
         origins["valve.amplifier_gain"] = f"computed: full opening at {sent}"
+    if texts.get("edges") == "sharp":
+        origins["valve.underlap"] = "given: sharp edges"
+        origins["valve.overlap"] = "computed from the null flow: all four edges are open at the null"
+    if texts.get("line_waves") == "yes":
+        origins |= {"lines.length_a": "given", "lines.length_b": "given"}
     if "line_length" in texts:
         origins["lines.volume_a"] = f"computed: {texts['line_length']} of {texts['line_diameter']}"
     if "pump_flow" not in texts:
