@@ -101,9 +101,8 @@ class Axes:
         structures = [task.plant.structure for task in self.tasks]
         self._has_tip = np.array([structure.tip for structure in structures])
         self._has_waves = any(structure.lines for structure in structures)
-        kinds = sorted(set(structures))
-        self._kernels = [task_kernel.step_of(kind) for kind in kinds]
-        self._kernel_of_rig = np.array([kinds.index(structure) for structure in structures])
+        self._kinds = sorted(set(structures))
+        self._kind_of_rig = np.array([self._kinds.index(structure) for structure in structures])
         self._task = np.concatenate([settings_of(task) for task in self.tasks])
         self._layout = np.stack([layout_of(task, config.law) for task in self.tasks])
         samples = int(self._task["samples"].max())
@@ -142,6 +141,7 @@ class Axes:
         ``numbers`` holds the records as rows of plain numbers (:data:`COLUMN`), which Python reads faster than fields;
         it ends before the fields that are not needed in a step of an environment.
         """
+        self._kernels = [task_kernel.step_of(kind) for kind in self._kinds]
         self._fixed_arguments = (self._task, self._layout, *self.arrays)
         self.record, plant, self.reference, self.observation = self.arrays
         self.state = plant[:, :N_STATES]
@@ -217,7 +217,7 @@ class Axes:
 
     def _groups(self) -> list[tuple[Any, Indices]]:
         """Each kernel, and the axes that have its structure now."""
-        numbers = self._kernel_of_rig[self.rigs()]
+        numbers = self._kind_of_rig[self.rigs()]
         return [(self._kernels[number], np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
 
     def _advance(self, kernel: Any, arguments: tuple[Any, ...], actions: NDArray[Any]) -> None:
@@ -263,7 +263,7 @@ class Axes:
         views = ("record", "state", "complete_state", "coefficient", "peaks", "reference", "observation", "numbers")
         return {
             **self.__dict__,
-            **dict.fromkeys((*views, "_fixed_arguments")),
+            **dict.fromkeys((*views, "_fixed_arguments", "_kernels")),
             "_pool": None,
         }  # threads start again when needed
 

@@ -7,15 +7,16 @@ flows come from the right-hand side (``equations``): another valve or leak needs
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
-from hydro_env.compiling import inline, tuple_joiner, tuple_replacer
-from hydro_env.plant.equations import Coefficients, chamber_net_flows
+from hydro_env.compiling import inline, merged, tuple_replacer
+from hydro_env.plant.equations import Coefficients, chamber_net_flows, parts_of
 from hydro_env.plant.parts.lines import VOLUMES, lines_at_rest
 from hydro_env.plant.parts.load import balancing_pressure_b, holding_force
 from hydro_env.plant.parts.supply import gas_volume_at, regulated_pressure
 from hydro_env.plant.parts.valve import edge_flows, holding_command
-from hydro_env.plant.states import COMPLETE, LineState, State, TipState
+from hydro_env.plant.states import State, Structure, TipState
 
 _SMALLEST_UNDERLAP_SQUARED = 1e-12
 """Assumed opening of a zero-lapped valve at rest; without any flow the pressures would be undetermined."""
@@ -24,19 +25,18 @@ _SUPPLY_ITERATIONS = 8
 _ITERATIONS = 100
 
 _with_underlap = tuple_replacer(Coefficients, "underlap_squared")
-_join_all = tuple_joiner(COMPLETE, (State, LineState, TipState))
 
 
 def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., Any]:
-    """``find_root(low, high, arguments)`` of a monotone function: regula falsi (Illinois) with safeguarding bisection.
+    """``find_root(low, high, arguments, lines)`` of a monotone function: regula falsi (Illinois) and bisection.
 
     If the function does not change its sign, the result is the end with the value closer to zero. The search stops when
     it moves by no more than ``tolerance``; the flow law has errors of 4e-14, so a smaller change is noise.
     """
 
     @inline
-    def find_root(low, high, arguments):
-        at_low, at_high = function(low, arguments), function(high, arguments)
+    def find_root(low, high, arguments, lines):
+        at_low, at_high = function(low, arguments, lines), function(high, arguments, lines)
         if (at_low > 0.0) == (at_high > 0.0):
             return low if abs(at_low) < abs(at_high) else high
         root, side = low, 0
@@ -45,7 +45,7 @@ def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., An
             secant = (low * at_high - high * at_low) / (at_high - at_low)
             bisect = iteration % 16 == 15 or not min(low, high) < secant < max(low, high)
             root = 0.5 * (low + high) if bisect else secant
-            value = function(root, arguments)
+            value = function(root, arguments, lines)
             if value == 0.0 or abs(root - before) <= tolerance:
                 break
             if (value > 0.0) == (at_low > 0.0):
@@ -84,16 +84,23 @@ def _net_flows(s, c, lines):
     return chamber_net_flows(s, edge_flows(lines.ports_at_rest(s, c), c), c, VOLUMES)
 
 
-@inline
-def complete_at_rest(s, c):
-    """All states (``ALL_STATES``) of an axis with lines and second mass whose other states ``s`` are at rest."""
-    return _join_all(s, lines_at_rest(s, c), TipState(s.position, 0.0))
+@cache
+def rest_of(structure: Structure) -> Any:
+    """``rest(s, c)``: all states of an axis with this structure whose first states ``s`` are at rest."""
+    lines = "lines_at_rest(s, c)" if structure.lines else "0.0"
+    tip = "TipState(s.position, 0.0)" if structure.tip else "0.0"
+    names = {"join": parts_of(structure).join, "lines_at_rest": lines_at_rest, "TipState": TipState}
+    return merged("rest", "s, c", f"join(s, {lines}, {tip})", **names)
+
+
+complete_at_rest = rest_of(Structure(lines=True, tip=True))
+"""``complete_at_rest(s, c)``: the states of an axis that has every part."""
 
 
 @inline
-def _net_flow_a(spool_position, arguments):
+def _net_flow_a(spool_position, arguments, lines):
     """Net flow into chamber a; it rises with the spool position."""
-    position, pressure_a, supply_pressure, c, lines = arguments
+    position, pressure_a, supply_pressure, c = arguments
     return _net_flows(_at_rest(position, pressure_a, spool_position, supply_pressure, c), c, lines)[0]
 
 
@@ -101,14 +108,14 @@ _balanced_spool = _root_of(_net_flow_a, tolerance=1e-15)
 
 
 @inline
-def _net_flow(pressure_a, arguments):
+def _net_flow(pressure_a, arguments, lines):
     """Net flow into both chambers while the valve balances chamber a as far as possible; it falls as pressure a rises.
 
     If the valve can balance chamber a, it is the net flow into chamber b. The leak between the chambers cancels out;
     the sign is therefore correct even if the fully open valve is too small for the leak.
     """
-    position, supply_pressure, c, lines = arguments
-    spool = _balanced_spool(-1.0, 1.0, (position, pressure_a, supply_pressure, c, lines))
+    position, supply_pressure, c = arguments
+    spool = _balanced_spool(-1.0, 1.0, (position, pressure_a, supply_pressure, c), lines)
     net_a, net_b = _net_flows(_at_rest(position, pressure_a, spool, supply_pressure, c), c, lines)
     return net_a + net_b
 
@@ -126,8 +133,8 @@ def _balance(position, supply_pressure, c, lines):
     high = min(supply_pressure, (force + c.area_b * supply_pressure) / c.area_a) - edge
     if not high > low:
         return 0.0, 0.0, False
-    pressure = _balanced_pressure(low, high, (position, supply_pressure, c, lines))
-    spool = _balanced_spool(-1.0, 1.0, (position, pressure, supply_pressure, c, lines))
+    pressure = _balanced_pressure(low, high, (position, supply_pressure, c), lines)
+    spool = _balanced_spool(-1.0, 1.0, (position, pressure, supply_pressure, c), lines)
     return pressure, spool, low < pressure < high and -1.0 < spool < 1.0
 
 

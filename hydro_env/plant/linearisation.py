@@ -202,7 +202,9 @@ def _difference(function: Any, step: float) -> Floats:
     return difference
 
 
-def fastest_motion(parameters: PlantParameters, state: State | Floats, voltage: float = 0.0) -> tuple[float, str]:
+def fastest_motion(
+    parameters: PlantParameters, state: State | Mapping[str, float] | Floats, voltage: float = 0.0
+) -> tuple[float, str]:
     """|λ| in 1/s of the fastest eigenvalue at a state, and the state that moves most in it, relative to its size.
 
     Ideal parts of the valve do not count.

@@ -64,6 +64,13 @@ class PlantParameters(Group):
         """Which parts that an axis may lack this one has."""
         return Structure(self.lines.have_waves, self.load.tip_share > 0.0, self.valve.underlap < SHARP)
 
+    @property
+    def rigid(self) -> PlantParameters:
+        """The same axis as nameplates tell it: all of its mass at the rod, its lines as volumes."""
+        if not (self.lines.have_waves or self.load.tip_share):
+            return self
+        return self.replace(lines={"length_a": 0.0, "length_b": 0.0}, load={"tip_share": 0.0})
+
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], source: str = "plant parameters") -> PlantParameters:
         """Build from nested groups; absent fields keep their default.

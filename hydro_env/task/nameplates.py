@@ -69,6 +69,7 @@ RANGES: dict[str, dict[str, Any]] = {
     "lines.wall_bulk_modulus": {"log_uniform": (0.1e9, 1e9)},
     "fluid.bulk_modulus": {"uniform": (0.8e9, 1.6e9)},
     "fluid.air_fraction": {"log_uniform": (0.001, 0.015)},
+    "fluid.kinematic_viscosity": {"log_factor": (0.3, 3.0)},
     "load.mass": {},  # by the mass of the piston
     "load.tip_frequency": {"log_factor": (0.7, 1.4)},
     "load.tip_share": {"factor": (0.6, 1.4)},
@@ -241,6 +242,7 @@ def _ranges(figures: Mapping[str, Any], values: Mapping[str, Mapping[str, Any]])
         "load.tip_share": "structure_frequency" not in figures,
         "load.tip_damping_ratio": "structure_frequency" not in figures,
         "lines.wall_bulk_modulus": not _has_hose(figures),
+        "fluid.kinematic_viscosity": figures.get("line_waves") != "yes",
         "load.spring_stiffness": "spring" not in figures,
         "supply.tank_pressure": "tank_pressure" in figures,
         "supply.pump_flow": model == "constant",

@@ -118,7 +118,7 @@ class ObserverFeedback(ClassicalController):
         plant, period, c = config.plant, config.control_period, plant_coefficients(config.plant)
         self.flow = FlowModel(plant)
         # Dry friction blocks a resting axis and hardly damps a moving one.
-        rig = linearise(plant.replace(friction={"model": "none"}), position=0.5 * sum(reachable_range(plant)))
+        rig = linearise(plant.rigid.replace(friction={"model": "none"}), position=0.5 * sum(reachable_range(plant)))
         velocity, pressure_a, pressure_b, *valve = (STATE_NAMES.index(name) for name in _LINEARISED)
         stiffness = c.area_b * rig.a[pressure_b, velocity] - c.area_a * rig.a[pressure_a, velocity]
         self.frequency = float(np.sqrt(stiffness * c.inverse_mass))  # of mass and oil, rad/s

@@ -13,7 +13,7 @@ from hydro_env.errors import HydroError
 from hydro_env.plant.analysis import reachable_range
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.plant.states import STATE_NAMES, TYPICAL_SIZE
+from hydro_env.plant.states import typical_sizes
 from hydro_env.task.paces import periods_late
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
@@ -143,8 +143,8 @@ def sampled_loop(
         raise HydroError(f"latency = {latency} s: must not be negative")
     moving = parameters.replace(friction={"model": "none"})
     plant = linearise(moving, position=position)
-    rows = [STATE_NAMES.index(name) for name in plant.active_states]  # any other state would add a pole at z = 1
-    size = TYPICAL_SIZE[rows]
+    active = plant.active_states  # any other state would add a pole at z = 1
+    rows, size = [plant.names.index(name) for name in active], typical_sizes(active)
     a = plant.a[np.ix_(rows, rows)] * size / size[:, None]
     b = FULL_VOLTAGE * plant.b[rows] / size
     force = plant.force[rows] / size

@@ -33,7 +33,6 @@ from hydro_env.plant.analysis import (
 )
 from hydro_env.plant.arrays import equilibrium, plant_coefficients
 from hydro_env.plant.linearisation import fastest_motion, linearise
-from hydro_env.plant.states import State
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.randomisation import default_randomisation
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
@@ -291,7 +290,7 @@ def _static_stiffness(parameters: PlantParameters, place: float, gain: float) ->
 
 def _fastest(parameters: PlantParameters, place: float) -> float:
     state, voltage = equilibrium(parameters, place)
-    return fastest_motion(parameters, State(**state), voltage)[0]
+    return fastest_motion(parameters, state, voltage)[0]
 
 
 def _position(position: float) -> str:

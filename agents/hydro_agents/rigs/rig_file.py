@@ -213,6 +213,7 @@ SPREADS = {
     "lines.wall_bulk_modulus": "textile to wire braid",
     "fluid.bulk_modulus": "oils in service",
     "fluid.air_fraction": "well to badly bled",
+    "fluid.kinematic_viscosity": "temperature and grade of the oil",
     "load.mass": "weighed or from a drawing; piston and rod included",
     "load.spring_stiffness": "tolerance of springs",
     "load.tip_frequency": "position of the boom, load",

@@ -196,18 +196,26 @@ class Expressions:
 
     def _callee(self, node: ast.expr) -> Any:
         match node:
-            case ast.Attribute(value=ast.Name(id=name)):
-                return getattr(self.module.get(name), node.attr, None)
-            case ast.Name(id=name):
+            case ast.Attribute():
+                return getattr(self._callee(node.value), node.attr, None)
+            case ast.Name(id=name) if name not in self.names:
                 return self.module.get(name, _BUILT_IN.get(name))
         return None
 
+    def _laws(self, node: ast.expr) -> Any:
+        """A tuple of functions, which is known at translation; ``None`` for any other argument."""
+        value = self._callee(node)
+        return value if isinstance(value, tuple) and isinstance(value[0], Inline | tuple) else None
+
     def _call(self, node: ast.Call) -> Typed | None:
         callee = self._callee(node.func)
-        parts = [self.value(argument) for argument in node.args]
+        given = [self._laws(argument) or self.value(argument) for argument in node.args]
+        parts = [part for part in given if isinstance(part[1], Type)]
         texts, kinds = [text for text, _ in parts], [kind for _, kind in parts]
         if isinstance(callee, Inline):
-            name, result = self.translator.function(callee, kinds)
+            name, result = self.translator.function(
+                callee, [part[1] if isinstance(part[1], Type) else part for part in given]
+            )
             return f"{name}({', '.join(texts)})", result
         if isinstance(callee, type) and hasattr(callee, "_fields"):
             values = dict(zip(callee._fields, texts, strict=False))

@@ -28,9 +28,11 @@ from hydro_env.plant.equations import (
     derivatives,
     derived_quantities,
     hold_limits,
+    parts_of,
     time_to_kink,
+    weights,
 )
-from hydro_env.plant.equilibrium import equilibrium_state
+from hydro_env.plant.equilibrium import equilibrium_state, rest_of
 from hydro_env.plant.parameters import (
     MODEL_CODES,
     PARAMETER_LIMITS,
@@ -41,7 +43,8 @@ from hydro_env.plant.parameters import (
     to_vector,
 )
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, leak_past_piston
-from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, State
+from hydro_env.plant.parts.lines import VOLUMES, WAVES
+from hydro_env.plant.states import ALL_STATES, State, state_kind
 from hydro_env.task.faults import fault_limits
 from hydro_env.task.settings import settings_of
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
@@ -64,23 +67,28 @@ def plant_code(parameters: PlantParameters | None = None) -> CCode:
     Raises:
         TranslationError: the plant uses a construct without translation.
     """
+    parameters = parameters or PlantParameters()
+    structure = parameters.structure
+    kind, parts = state_kind(structure), parts_of(structure)
     translator = Translator()
-    state, constants, physical = (translator.struct(kind) for kind in (State, Coefficients, Physical))
+    base, state, constants, physical = (translator.struct(each) for each in (State, kind, Coefficients, Physical))
     translator.function(coefficients, [physical], "coefficients_of")
-    translator.function(derivatives, [state, constants, DOUBLE])
-    translator.function(command_changed, [state, constants, DOUBLE])
-    translator.function(hold_limits, [state, constants])
-    translator.function(time_to_kink, [state, state, constants])
-    translator.function(derived_quantities, [state, constants])
-    translator.function(equilibrium_state, [DOUBLE, physical, constants])
-    shared = [text for text in translator.structs if text.endswith((" State;\n", " Derived;\n"))]
+    translator.function(derivatives, [state, constants, DOUBLE, parts])
+    translator.function(command_changed, [state, constants, DOUBLE, parts])
+    translator.function(hold_limits, [state, constants, parts])
+    translator.function(time_to_kink, [state, state, constants, parts])
+    translator.function(derived_quantities, [state, constants, parts])
+    translator.function(weights, [constants, parts])
+    translator.function(equilibrium_state, [DOUBLE, physical, constants, WAVES if structure.lines else VOLUMES])
+    translator.function(rest_of(structure), [base, constants], "complete_at_rest")
+    shared = [text for text in translator.structs if text.endswith((f" {state.element};\n", " Derived;\n"))]
     values = {
         "version": __version__,
-        "states": list(zip(State._fields, STATE_UNITS, strict=True)),
-        "parameters": list(zip(PARAMETER_PATHS, to_vector(parameters or PlantParameters()).tolist(), strict=True)),
+        "axis": state.element,
+        "states": [(name, ALL_STATES[name].unit) for name in kind._fields],
+        "parameters": list(zip(PARAMETER_PATHS, to_vector(parameters).tolist(), strict=True)),
         "coefficients": len(Coefficients._fields),
         "coefficient_names": Coefficients._fields,
-        "first_weight": Coefficients._fields.index("position_weight"),
         "shared": shared,
         "structs": [text for text in translator.structs if text not in shared],
         "functions": translator.functions,
@@ -140,7 +148,7 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
         *_rig_parameters(config),
     ]
     outputs = [
-        *((name, "state", unit) for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True)),
+        *((name, "state", ALL_STATES[name].unit) for name in state_kind(config.plant.structure)._fields),
         *((name, "follows from the state", unit) for name, unit in _units_of_derived().items()),
         ("measured_position", "ideal sensor", "m"),
         ("measured_pressure_a", "behind the transducer's lag", "Pa"),
@@ -200,7 +208,8 @@ def make_fmu(config: TaskConfig) -> bytes:
         "variables": variables,
         "units": sorted({variable.unit for variable in variables} - {""}),
         "infinite": math.inf,
-        "states": STATE_NAMES,
+        "axis": state_kind(config.plant.structure).__name__,
+        "states": state_kind(config.plant.structure)._fields,
         "derived": list(_units_of_derived()),
         "leak": LEAK_LAWS[config.leakage.law],
         "flow_to_leak": LITRE_PER_MINUTE / LEAK_LAWS[config.leakage.law].at_test,

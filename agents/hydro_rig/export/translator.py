@@ -28,7 +28,7 @@ class Translator:
     functions: list[str] = field(default_factory=list)
     _fields: dict[str, tuple[tuple[Type, str], ...]] = field(default_factory=dict)  # struct → type, name of each field
     _results: dict[str, Type] = field(default_factory=dict)  # function → its result
-    _names: dict[tuple[Any, tuple[Type, ...]], str] = field(default_factory=dict)  # function and arguments → C name
+    _names: dict[tuple[Any, tuple[Any, ...]], str] = field(default_factory=dict)  # function and arguments → C name
 
     def struct(self, kind: Any) -> Type:
         """C type of a named tuple of doubles."""
@@ -44,8 +44,11 @@ class Translator:
             raise TranslationError(f"two named tuples with the name {name}")
         return Type(name)
 
-    def function(self, function: Any, types: Sequence[Type], name: str | None = None) -> tuple[str, Type]:
-        """Translate a function for arguments of these C types; returns its name in C and the type of its result."""
+    def function(self, function: Any, types: Sequence[Any], name: str | None = None) -> tuple[str, Type]:
+        """Translate a function for arguments of these C types; returns its name in C and the type of its result.
+
+        An argument that is a tuple of functions stands in place of its type, and is none in C.
+        """
         key = (function, tuple(types))
         if key not in self._names:
             wanted = name or function.__name__.lstrip("_")
@@ -65,21 +68,24 @@ class Translator:
 class _Body(Expressions):
     """One function: its statements."""
 
-    def __init__(self, translator: Translator, function: Any, types: Sequence[Type], name: str) -> None:
+    def __init__(self, translator: Translator, function: Any, types: Sequence[Any], name: str) -> None:
         module = {**function.py_func.__globals__, **inspect.getclosurevars(function.py_func).nonlocals}
         source = getattr(function.py_func, "source", None) or textwrap.dedent(inspect.getsource(function.py_func))
         node = ast.parse(source).body[0]
         if not isinstance(node, ast.FunctionDef):
             raise TranslationError(f"{name}: is no function")
         arguments = [argument.arg for argument in node.args.args]
-        super().__init__(translator, name, module)
-        self.names = dict(zip(arguments, types, strict=True))
+        given = dict(zip(arguments, types, strict=True))
+        laws = {argument: value for argument, value in given.items() if not isinstance(value, Type)}
+        super().__init__(translator, name, module | laws)
+        self.names = {argument: kind for argument, kind in given.items() if argument not in laws}
         self._locals: list[str] = []
         self._lines: list[str] = []
         self._temporaries = 0
         self.result = Type("void")
         self._block(node.body, "    ")
-        head = ", ".join(kind.declared(argument) for argument, kind in zip(arguments, types, strict=True))
+        arguments = list(dict.fromkeys(argument for argument in given if argument not in laws))
+        head = ", ".join(given[argument].declared(argument) for argument in arguments)
         used = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
         unused = [f"    (void){argument};\n" for argument in arguments if argument not in used]
         comment = (ast.get_docstring(node) or name).splitlines()[0].replace("*/", "* /")

@@ -180,12 +180,12 @@ def _no_weights(c):
 
 
 @inline
-def _unchanged(s):
+def _as_it_is(s):
     return s
 
 
 @inline
-def _nearest(nearest, s, rate):
+def _no_kink(nearest, s, rate):
     return nearest
 
 
@@ -196,8 +196,8 @@ VOLUMES = LineLaws(
     _chambers_and_lines,
     _no_rates,
     _no_weights,
-    _unchanged,
-    _nearest,
+    _as_it_is,
+    _no_kink,
 )
 """Lines as volumes: their oil belongs to the chambers."""
 
@@ -257,7 +257,7 @@ def _line_weights(c):
 
 
 @inline
-def _lines_nearest(nearest, s, rate):
+def _cavitation(nearest, s, rate):
     """A cell begins to cavitate."""
     time_a = min(
         time_to_fall(s.line_a_pressure_1, rate.line_a_pressure_1),
@@ -289,7 +289,7 @@ def waves(structure: Structure) -> LineLaws:
         _line_rates,
         _line_weights,
         within,
-        _lines_nearest,
+        _cavitation,
     )
 
 

@@ -264,17 +264,26 @@ SHARP = 1e-3
 
 
 @inline
+def _time_to_corner(ahead, speed, change):
+    return time_to_cover(ahead, speed, change) if ahead > 0.0 else FAR
+
+
+@inline
 def nearest_edge_kink(nearest, s, rate, c):
     """Time in s until an edge opens, closes or reaches its knee, extrapolated, if that is before ``nearest``."""
     stroke = s.spool_position - c.null_shift
     direction = 1.0 if s.spool_velocity >= 0.0 else -1.0
     knee = c.overlap + c.knee_position / c.stroke_factor
-    for corner in (-knee, -c.overlap, c.overlap, knee):
-        ahead = direction * (corner - stroke)
-        if ahead > 0.0:
-            time = time_to_cover(ahead, direction * s.spool_velocity, direction * rate.spool_velocity)
-            nearest = min(nearest, time)
-    return nearest
+    speed, change = direction * s.spool_velocity, direction * rate.spool_velocity
+    lap = min(
+        _time_to_corner(direction * (-c.overlap - stroke), speed, change),
+        _time_to_corner(direction * (c.overlap - stroke), speed, change),
+    )
+    bend = min(
+        _time_to_corner(direction * (-knee - stroke), speed, change),
+        _time_to_corner(direction * (knee - stroke), speed, change),
+    )
+    return min(nearest, min(lap, bend))
 
 
 @inline

@@ -63,6 +63,8 @@ SURE = {"friction", "lines", "fluid.density", "valve.transition_pressure"}
 WITHOUT_EFFECT = {
     "leakage.external_resistance",
     "leakage.orifice_gain",  # of the task
+    *("fluid.kinematic_viscosity", "lines.length_a", "lines.length_b"),  # lines without waves
+    *("load.tip_share", "load.tip_frequency", "load.tip_damping_ratio"),  # a rigid load
     "valve.coil_inductance",  # the current follows at once
     "valve.knee_position",
     "valve.knee_opening",  # straight: both one half
@@ -84,12 +86,13 @@ def test_all_that_is_not_given_has_a_range():
         assert path in rig.randomisation
 
 
-@pytest.mark.parametrize("overlap", [{}, {"overlap": "10 %"}])
+@pytest.mark.parametrize("overlap", [{}, {"overlap": "10 %"}, {"edges": "sharp"}])
 def test_the_null_flow_gives_the_underlap(overlap):
     """The valve then passes this flow at rest: both edges of each chamber in series, two chambers side by side."""
     text, rig = made(null_flow="1 l/min", **overlap)
-    assert "computed from a null flow of 1 l/min" in text
-    assert rig.randomisation["valve.underlap"].factor == (0.3, 1.2)
+    if "edges" not in overlap:
+        assert "computed from a null flow of 1 l/min" in text
+        assert rig.randomisation["valve.underlap"].factor == (0.3, 1.2)
     plant = rig.plant.replace(leakage={"internal_resistance": np.inf}, valve={"transition_pressure": 1.0})
     balanced = plant.replace(
         cylinder={"rod_diameter_a": plant.cylinder.rod_diameter}, supply={"tank_pressure": 0.0}

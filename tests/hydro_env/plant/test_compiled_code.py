@@ -16,6 +16,7 @@ import hydro_env
 from hydro_env import ServoHydraulicVectorEnv, compiling
 from hydro_env.axes import Axes
 from hydro_env.plant import kernel
+from hydro_env.plant.states import N_STATES
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import task_config
 
@@ -69,7 +70,7 @@ def test_a_broken_state_ends_and_harms_no_neighbour(value):
     voltage = np.full((count, 2), 3.0)
     clean, peaks = axes.state.copy(), np.empty((count, kernel.N_PEAKS))
     advance(clean, axes.coefficient, voltage, DURATIONS, peaks, 0, count)
-    for row in range(kernel.N_STATES):
+    for row in range(N_STATES):
         state = axes.state.copy()
         state[7, row] = value
         advance(state, axes.coefficient, voltage, DURATIONS, peaks, 0, count)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from exported_code import library
 
-from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
 from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.kernel import (
     MAXIMUM_STEP,
@@ -25,26 +25,33 @@ NUMBER = ctypes.c_double
 PERIOD = 5e-3
 
 
-class StateInC(ctypes.Structure):
-    _fields_ = [(name, NUMBER) for name in STATE_NAMES]
-
+def state_in_c(names):
     def array(self):
-        return np.array([getattr(self, name) for name in STATE_NAMES])
+        return np.array([getattr(self, name) for name in names])
+
+    return type("StateInC", (ctypes.Structure,), {"_fields_": [(name, NUMBER) for name in names], "array": array})
+
+
+StateInC = state_in_c(STATE_NAMES)
 
 
 class AccuracyInC(ctypes.Structure):
     _fields_ = [("maximum_step", NUMBER), ("tolerance", NUMBER), ("most_steps", NUMBER)]
 
 
-@pytest.fixture(scope="module")
-def plant(tmp_path_factory):
-    in_c = library(tmp_path_factory.mktemp("plant"), plant_code().files)
+def loaded(folder, parameters, state):
+    in_c = library(folder, plant_code(parameters).files)
     array = np.ctypeslib.ndpointer(np.float64, flags="C")
     in_c.plant_coefficients.argtypes, in_c.plant_coefficients.restype = [array, array], None
-    in_c.plant_equilibrium.argtypes = [NUMBER, array, ctypes.POINTER(StateInC), ctypes.POINTER(NUMBER)]
-    in_c.plant_advance.argtypes = [ctypes.POINTER(StateInC), array, NUMBER, NUMBER, ctypes.POINTER(AccuracyInC)]
+    in_c.plant_equilibrium.argtypes = [NUMBER, array, ctypes.POINTER(state), ctypes.POINTER(NUMBER)]
+    in_c.plant_advance.argtypes = [ctypes.POINTER(state), array, NUMBER, NUMBER, ctypes.POINTER(AccuracyInC)]
     in_c.plant_advance.restype = NUMBER
     return in_c
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    return loaded(tmp_path_factory.mktemp("plant"), None, StateInC)
 
 
 def drawn_rigs(count):
@@ -93,3 +100,25 @@ def test_the_same_source_gives_the_same_code():
     assert first == second
     assert "plant_default_parameters" in first.header
     assert plant_code(PlantParameters().replace(load={"mass": 77.0})).source != first.source
+
+
+def test_an_axis_with_waves_second_mass_and_sharp_edges_follows_the_kernel(tmp_path):
+    parameters = PlantParameters().replace(
+        lines={"volume_a": 1e-4, "volume_b": 1e-4, "length_a": 2.0, "length_b": 2.0},
+        load={"tip_share": 0.6, "tip_frequency": 40.0},
+        valve={"underlap": 0.0, "overlap": -0.0075},
+        leakage={"internal_resistance": 5e11},
+    )
+    rest, _ = equilibrium(parameters, 0.02)
+    kind = state_in_c(tuple(rest))
+    in_c, vector, constants = loaded(tmp_path, parameters, kind), to_vector(parameters), np.zeros(N_COEFFICIENTS)
+    in_c.plant_coefficients(vector, constants)
+    state, voltage = kind(), NUMBER()
+    assert in_c.plant_equilibrium(0.02, vector, ctypes.byref(state), ctypes.byref(voltage))
+    np.testing.assert_allclose(state.array(), list(rest.values()), rtol=1e-9, atol=1e-12)
+    commands = np.repeat([3.0, -5.0, 0.2], 4)
+    run = simulate(parameters, commands, PERIOD, rest)
+    accuracy = AccuracyInC(MAXIMUM_STEP, 1e-6, MOST_STEPS_PER_PERIOD)
+    for volts, expected in zip(commands, run.states[1:], strict=True):
+        in_c.plant_advance(ctypes.byref(state), constants, volts, PERIOD, ctypes.byref(accuracy))
+        np.testing.assert_allclose(state.array(), expected, rtol=1e-6, atol=1e-6 * np.abs(run.states).max(axis=0))
