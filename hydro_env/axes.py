@@ -19,10 +19,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hydro_env.errors import ConfigurationError
+from hydro_env.plant.arrays import N_DERIVED, functions_of
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_vector, to_vector
 from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL
-from hydro_env.plant.states import ALL_STATES, N_STATES
+from hydro_env.plant.states import ALL_STATES, N_STATES, columns_of
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import TaskConfig
@@ -210,7 +211,8 @@ class Axes:
             self._advance(self._kernels[0], self._fixed_arguments, actions)
             return
         for kernel, axes in self._groups():
-            part = AxisArrays(*(array[axes] for array in self.arrays))
+            record, plant, reference, observation = self.arrays
+            part = AxisArrays(record[axes], plant[axes], reference[axes], observation[axes])
             self._advance(kernel, (self._task, self._layout, *part), actions[axes])
             for own, moved in zip(self.arrays, part, strict=True):
                 own[axes] = moved
@@ -270,6 +272,15 @@ class Axes:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._name_parts()
+
+    def derived(self) -> Floats:
+        """Quantities that follow from the states, (N, N_DERIVED), in the order of ``Derived``."""
+        found, numbers = np.empty((self.count, N_DERIVED)), self._kind_of_rig[self.rigs()]
+        for number in np.unique(numbers):
+            axes, columns = np.flatnonzero(numbers == number), columns_of(self._kinds[number])
+            states, coefficients = self.complete_state[axes][:, columns], self.coefficient[axes]
+            found[axes] = functions_of(self._kinds[number]).derived(states, coefficients)
+        return found
 
     def close(self) -> None:
         """Stop the worker threads; may be called more than once."""

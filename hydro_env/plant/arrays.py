@@ -141,7 +141,12 @@ def _build_functions(sources: int, structure: Structure) -> AxisFunctions:
             _write_derived(out[sample], derived_quantities(read(states[sample]), c, parts))
         return out
 
-    return AxisFunctions(*map(compiled, (derivative_array, command_changed_array, hold_limits_array, derived_array)))
+    return AxisFunctions(
+        compiled(derivative_array),
+        compiled(command_changed_array),
+        compiled(hold_limits_array),
+        compiled(derived_array),
+    )
 
 
 derivative_array, command_changed_array, hold_limits_array, derived_array = functions_of(RIGID)

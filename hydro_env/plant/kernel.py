@@ -40,7 +40,7 @@ from hydro_env.plant.equations import (
     time_to_kink,
     weights,
 )
-from hydro_env.plant.states import ALL_STATES, RIGID, Structure, state_kind
+from hydro_env.plant.states import RIGID, Structure, columns_of, state_kind
 from hydro_env.types import Floats
 
 LANES = 8
@@ -176,20 +176,23 @@ def lanes_of(structure: Structure) -> Lanes:
         kept = f"{place[_STAGE_NAMES[number - 1]]} = {place['derivative']}"
         return lane_function("work", size, LANES, trial, kept)
 
-    columns = [list(ALL_STATES).index(name) for name in kind._fields]
+    columns = columns_of(structure)
     error = f"{place['error']} = {total(ERROR, [*_STAGE_NAMES, 'derivative'])}"
+    reads = {f"read_{name}": tuple_reader(kind, row[name], LANES) for name in ("state", "trial", "derivative", "error")}
+    writes = {f"write_{name}": tuple_writer(kind, row[name], LANES) for name in ("state", "trial", "derivative")}
+    stages = {f"stage_{number + 1}": stage(number) for number in range(1, len(STAGES) + 1)}
     return Lanes(
-        parts_of(structure),
-        _ROW["states"] + size * len(names),
-        lane_loader(columns, row["state"], LANES),
-        lane_storer(columns, row["state"], LANES),
-        *(tuple_reader(kind, row[name], LANES) for name in ("state", "trial", "derivative", "error")),
-        *(tuple_writer(kind, row[name], LANES) for name in ("state", "trial", "derivative")),
-        *(stage(number) for number in range(1, len(STAGES) + 1)),
-        lane_function("work", size, LANES, error),
-        tuple_map(kind, "a.{name} - b.{name}", "a, b"),
-        tuple_map(kind, "a.{name} if condition else b.{name}", "condition, a, b"),
-        tuple_maximum(kind, "abs(error.{name} * weight.{name})", "error, weight"),
+        parts=parts_of(structure),
+        rows=_ROW["states"] + size * len(names),
+        load=lane_loader(columns, row["state"], LANES),
+        store=lane_storer(columns, row["state"], LANES),
+        estimate_error=lane_function("work", size, LANES, error),
+        difference=tuple_map(kind, "a.{name} - b.{name}", "a, b"),
+        choice=tuple_map(kind, "a.{name} if condition else b.{name}", "condition, a, b"),
+        largest=tuple_maximum(kind, "abs(error.{name} * weight.{name})", "error, weight"),
+        **reads,
+        **writes,
+        **stages,
     )
 
 

@@ -31,6 +31,7 @@ from hydro_env.plant.states import (
     STATE_NAMES,
     STATE_UNITS,
     Structure,
+    columns_of,
     state_kind,
     valid_range,
 )
@@ -237,7 +238,7 @@ def _run(
     start: Floats, coefficients: Floats, inputs: Floats, sample_time: float, accuracy: Accuracy, structure: Structure
 ) -> Floats:
     integrate, _ = integrators(structure)
-    columns = [list(ALL_STATES).index(name) for name in state_kind(structure)._fields]
+    columns = columns_of(structure)
     everything = np.zeros((1, N_ALL_STATES))
     everything[0, columns] = start
     plants = Plants(

@@ -113,6 +113,13 @@ ALL_STATES: dict[str, StateInfo] = _infos(State, LineState, TipState)
 """The states of an axis that has every part, in the order of :func:`state_kind`."""
 
 N_ALL_STATES = len(ALL_STATES)
+
+
+def columns_of(structure: Structure) -> list[int]:
+    """Place of each state of an axis with this structure among :data:`ALL_STATES`."""
+    return [list(ALL_STATES).index(name) for name in state_kind(structure)._fields]
+
+
 STATE_NAMES = State._fields
 STATE_UNITS = tuple(info.unit for info in STATES.values())
 N_STATES = len(STATES)

@@ -39,10 +39,10 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 56_700,
-    "hydro_agents": 117_300,
-    "hydro_rig": 106_600,
-    "tests": 205_700,
+    "hydro_env": 62_900,
+    "hydro_agents": 111_400,
+    "hydro_rig": 102_000,
+    "tests": 191_500,
 }
 """Tokens. Who adds code takes code out elsewhere, or changes the number in a commit that says why."""
 

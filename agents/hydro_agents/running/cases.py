@@ -15,7 +15,6 @@ from hydro_agents.running.seeds import LEARNING_CURVE, SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.errors import reason
-from hydro_env.plant.arrays import derived_array
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import State
 from hydro_env.task.sensors import CHANNELS
@@ -202,8 +201,7 @@ def _run(config: TaskConfig, controller: Controller, cases: Cases, columns: Any,
 
 def _traced(axes: Axes) -> dict[str, Any]:
     """What a rollout keeps of the axes in each period."""
-    state = np.ascontiguousarray(axes.state)
-    flow = derived_array(state, np.ascontiguousarray(axes.coefficient))[:, _SUPPLY_FLOW]
+    state, flow = axes.state, axes.derived()[:, _SUPPLY_FLOW]
     return {
         "position": axes.column("position"),
         "command": axes.column("command"),

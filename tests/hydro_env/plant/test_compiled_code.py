@@ -1,5 +1,6 @@
 """Compiled code: neighbours, threads and compilation leave a plant's numbers alone; the cache notices changes."""
 
+import itertools
 import json
 import os
 import shutil
@@ -11,12 +12,13 @@ from unittest import mock
 import numba
 import numpy as np
 import pytest
+from numba.core import serialize
 
 import hydro_env
 from hydro_env import ServoHydraulicVectorEnv, compiling
 from hydro_env.axes import Axes
 from hydro_env.plant import kernel
-from hydro_env.plant.states import N_STATES
+from hydro_env.plant.states import N_STATES, RIGID, Structure
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import task_config
 
@@ -122,12 +124,15 @@ def test_one_digest_covers_every_source_file(tmp_path, monkeypatch):
 KERNELS = (task_kernel.begin_usual, task_kernel.begin_any, task_kernel.follow, task_kernel.step_axes, kernel.integrate)
 
 
-def test_the_cache_is_keyed_by_the_digest_alone():
-    """A compiled function as closure variable would be another key in every process: compiled anew each time."""
+def test_the_cache_is_keyed_by_the_digest_and_the_structure():
+    """What else a kernel's closure holds must be the same in every process: else it is compiled anew each time."""
     for function in KERNELS:
         cells = dict(zip(function.py_func.__code__.co_freevars, function.py_func.__closure__, strict=True))
         assert cells.pop("sources").cell_contents == compiling.SOURCES
-        assert all(isinstance(cell.cell_contents, bool) for cell in cells.values())
+    before = serialize.dumps(kernel.lanes_of(RIGID))
+    kernel.lanes_of.cache_clear()
+    assert serialize.dumps(kernel.lanes_of(RIGID)) == before
+    assert len({Structure(*parts).number for parts in itertools.product((False, True), repeat=3)}) == 8
 
 
 def build(sources):
