@@ -1,11 +1,12 @@
 """Error of the integrator against the reference solver, its order, and its time.
 
-Run: python -m benchmarks.accuracy [RIGS]      (ten minutes with 240 rigs)
+Run: python -m benchmarks.accuracy [RIGS] [structure]      (ten minutes with 240 rigs, an hour with structure)
 
 A run is a rig drawn over the whole randomised range with a leak of 0.001 to 4 l/min, an initial state in motion and
 under pressure at a position that it can hold, and 0.2 s of one of three inputs: held voltages of any size, a new
 voltage in every control period, or a sine with noise. The reference is Radau IIA at a relative tolerance of 1e-10,
-which locates limits by root finding (:mod:`hydro_env.plant.reference`).
+which locates limits by root finding (:mod:`hydro_env.plant.reference`). With ``structure`` two of three rigs have lines
+with waves, two of three a second mass, and every second one sharp edges.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ from hydro_agents.running.seeds import ACCURACY
 from hydro_agents.running.text import markdown
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
 from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.equations import parts_of, weights
 from hydro_env.plant.kernel import TOLERANCE
-from hydro_env.plant.states import EMPHASIS, STATE_NAMES
+from hydro_env.plant.states import ALL_STATES, state_kind
 from hydro_env.types import Floats
 
 SAMPLE_TIME = 5e-3
@@ -61,7 +63,7 @@ class Run:
         return simulate(self.parameters, self.voltage, SAMPLE_TIME, self.start, **options).states
 
 
-def random_runs(count: int, seed: int = ACCURACY.first) -> list[Run]:
+def random_runs(count: int, structure: bool = False, seed: int = ACCURACY.first) -> list[Run]:
     """Random runs of a seed."""
     env = ServoHydraulicVectorEnv(count)
     env.reset(seed=seed)
@@ -76,9 +78,27 @@ def random_runs(count: int, seed: int = ACCURACY.first) -> list[Run]:
             "pressure_b": float(generator.uniform(2e5, 60e5)),
             "spool_position": float(generator.uniform(-0.5, 0.5)),
         }
-        runs.append(Run(env.axes.parameters(number), _voltage(signal, generator), start, signal))
+        parameters = env.axes.parameters(number)
+        if structure:
+            parameters = _with_parts(parameters, number)
+        runs.append(Run(parameters, _voltage(signal, generator), start, signal))
     env.close()
     return runs
+
+
+def _with_parts(parameters: PlantParameters, number: int) -> PlantParameters:
+    """The same rig with parts that it lacked."""
+    draw = np.random.default_rng([ACCURACY.first, number, 1])
+    length, area = float(draw.uniform(0.5, 6.0)), float(draw.uniform(3e-5, 2e-4))
+    share, frequency = float(draw.uniform(0.2, 0.8)), float(2.0 * math.pi * draw.uniform(2.0, 30.0))
+    if number % 3 != 1:
+        lines = {"length_a": length, "length_b": length, "volume_a": area * length, "volume_b": area * length}
+        parameters = parameters.replace(lines=lines)
+    if number % 3 != 2:
+        parameters = parameters.replace(load={"tip_share": share, "tip_frequency": frequency})
+    if number % 2 == 1:
+        parameters = parameters.replace(valve={"underlap": 0.0, "overlap": float(draw.uniform(-0.02, 0.05))})
+    return parameters
 
 
 def _voltage(signal: str, generator: np.random.Generator) -> Floats:
@@ -98,8 +118,9 @@ def reference(run: Run) -> Floats:
 
 def state_ranges(parameters: PlantParameters, states: Floats) -> Floats:
     """Range of each state along a run, states (samples, N_STATES), at least 1 % of its full scale."""
-    c = plant_coefficients(parameters)
-    full_scale = EMPHASIS / np.array([getattr(c, f"{name}_weight") for name in STATE_NAMES])
+    c, structure = plant_coefficients(parameters), parameters.structure
+    emphasis = [ALL_STATES[name].emphasis for name in state_kind(structure)._fields]
+    full_scale = np.array(emphasis) / np.array(weights(c, parts_of(structure)))
     ranges: Floats = np.maximum(np.ptp(states, axis=0), 0.01 * full_scale)
     return ranges
 
@@ -129,9 +150,9 @@ def convergence_orders(steps: Sequence[float] = FIXED_STEPS) -> list[float]:
     ]
 
 
-def main(rigs: int = 240) -> None:
+def main(rigs: int = 240, structure: bool = False) -> None:
     """Print the table: worst error and time of every setting over random runs, and the order of fixed steps."""
-    runs = random_runs(rigs)
+    runs = random_runs(rigs, structure)
     with ProcessPoolExecutor() as pool:
         exact = list(pool.map(reference, runs))
     rows = []
@@ -149,4 +170,4 @@ def main(rigs: int = 240) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main(*map(int, sys.argv[1:2]), structure="structure" in sys.argv[2:])

@@ -127,6 +127,7 @@ class ServoHydraulicEnv(AxisEnvironment, gym.Env[Observation, NDArray[np.float32
     | ``leakage_flow_lpm``, ``leakage_resistance`` | the leak now, l/min at 100 bar and Pa s/m³ |
     | ``leakage_class`` | 0 healthy, 1 incipient, 2 moderate, 3 severe |
     | ``position``, ``velocity``, ``reference``, ``tracking_error`` | true values, SI |
+    | ``tip_position`` | of the second mass, if a rig of the task has one |
     | ``reference_family`` | name of the kind of reference |
     | ``failure`` | why the episode was terminated; ``"none"`` until then |
     | ``reward_terms`` | the three terms of the reward |
