@@ -76,7 +76,7 @@ from hydro_env.task.schedules import (
 )
 from hydro_env.task.sensors import Sensors
 from hydro_env.task.settings import choice
-from hydro_env.task.signals import POSITION, draw_biases, lagged, sample, write_observation
+from hydro_env.task.signals import POSITION, draw_biases, follow_motion, lagged, sample, write_observation
 from hydro_env.units import FULL_VOLTAGE
 
 MOST_DRAWS = 200
@@ -324,7 +324,6 @@ def _step(sources, integrate_part, pressures):
             row = record[axis]
             rig = np.int64(row.rig)
             settings = task[rig]
-            period = settings.control_period
             s = read_state(states[axis])
             row.step = min(row.step + 1.0, settings.steps)
             row.position = s.position
@@ -338,11 +337,7 @@ def _step(sources, integrate_part, pressures):
             row.true_b = pressure_b
             before = row.measured[POSITION]
             sample(row, s, settings)
-            rate = (row.measured[POSITION] - before) / period
-            row.velocity_estimate += settings.velocity_blend * (rate - row.velocity_estimate)
-            error = row.reference - row.measured[POSITION]
-            integral = row.error_integral + period * (error - row.error_integral / settings.integral_time)
-            row.error_integral = min(max(integral, -settings.integral_limit), settings.integral_limit)
+            follow_motion(row, before, settings)
 
             c = read_coefficients(coefficient[axis])
             failure = _failure(s, peaks[axis], c, settings)
@@ -362,6 +357,18 @@ def _step(sources, integrate_part, pressures):
     return compiled(step_axes)
 
 
+def _observe(sources):
+    def observe(task, layout, record, reference, observation, before):
+        assert sources >= 0
+        row = record[0]
+        row.reference = reference[0]
+        if not math.isnan(before):
+            follow_motion(row, before, task[0])
+        write_observation(observation[0], row, reference, layout)
+
+    return compiled(observe)
+
+
 @cache
 def step_of(structure: Structure) -> Any:
     """:data:`step_axes` for axes with a structure."""
@@ -371,7 +378,7 @@ def step_of(structure: Structure) -> Any:
 
 begin_usual, begin_any = _begin(SOURCES, False, VOLUMES), _begin(SOURCES, True, VOLUMES)
 begin_with_lines = _begin(SOURCES + 1, True, WAVES)
-follow, step_axes = _follow(SOURCES), step_of(RIGID)
+follow, step_axes, observe = _follow(SOURCES), step_of(RIGID), _observe(SOURCES)
 begin_usual.__doc__ = """Begin as :data:`begin_any` does, but without faults, without a changing force, and without the
 families of references at which an axis hardly moves: few tasks have them, and they take long to compile.
 """
@@ -394,6 +401,14 @@ follow.__doc__ = """Set leak, faults and external force of the axes from ``first
 Only axes with a leak that changes, a fault or a changing force need it, before :data:`step_axes`.
 """
 begin_with_lines.__doc__ = """Begin as :data:`begin_any` does, on rigs of which some have lines with waves."""
+observe.__doc__ = """Write the observation of one axis whose plant is elsewhere; its record holds signals and command.
+
+Args:
+    task, record, observation: as in :data:`begin_any`, one row.
+    layout: (observations,), :data:`~hydro_env.task.signals.LAYOUT`.
+    reference: (samples,), m, from now on.
+    before: position measured one control period ago, m; NaN: the episode begins.
+"""
 step_axes.__doc__ = """Advance the axes from ``first`` up to ``last`` by one control period with ``actions``, (N,).
 
 The other arguments are those of :data:`begin_any`.

@@ -235,6 +235,17 @@ def sample(row, s, settings):
 
 
 @inline
+def follow_motion(row, before, settings):
+    """Velocity estimate and error integral one control period later; ``before`` is the position measured then, m."""
+    period = settings.control_period
+    rate = (row.measured[POSITION] - before) / period
+    row.velocity_estimate += settings.velocity_blend * (rate - row.velocity_estimate)
+    error = row.reference - row.measured[POSITION]
+    integral = row.error_integral + period * (error - row.error_integral / settings.integral_time)
+    row.error_integral = min(max(integral, -settings.integral_limit), settings.integral_limit)
+
+
+@inline
 def write_observation(observation, row, reference, layout):
     """One row of the observation: physical values over their fixed scale, inside the bounds of the Box."""
     step = np.int64(row.step)

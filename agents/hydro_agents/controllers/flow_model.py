@@ -14,8 +14,10 @@ import numpy as np
 
 from hydro_env import PlantParameters
 from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.parts.load import holding_force
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 from hydro_env.types import Floats
+from hydro_env.units import FULL_VOLTAGE
 
 _LOWEST_DROP = 0.02
 """Lower limit of the pressure drop over an edge, as a fraction of the supply; below it the opening would saturate."""
@@ -105,6 +107,23 @@ class FlowModel:
             opening = _stroke_of(opening, self._c)
         spool: Floats = opening + self._c.null_shift
         return spool
+
+    def voltage_at_rest(self, position: Floats, pressure_a: Any = None, pressure_b: Any = None) -> Any:
+        """Voltage (V) at which no oil moves the piston, (), at the measured pressures (Pa); else at the rig's own load.
+
+        The valve holds both chambers with equal openings: the pressures add up to those of supply and tank.
+        """
+        c = self._c
+        if pressure_a is None or pressure_b is None:
+            total = c.relief_pressure + c.tank_pressure
+            force = holding_force.py_func(position, c)  # type: ignore[attr-defined]
+            force = np.clip(force, -c.area_b * total, c.area_a * total)
+            pressure_a = (force + c.area_b * total) / (c.area_a + c.area_b)
+            pressure_b = total - pressure_a
+        pressures, speed = np.stack([pressure_a, pressure_b])[:, None], np.zeros(1)
+        flow = self.at(position, pressures, self.supply(pressures, speed))
+        voltage_at_rest = FULL_VOLTAGE * self.opening(speed, flow)[0]
+        return voltage_at_rest
 
     def full_speeds(self, force: Floats, supply: Floats) -> tuple[Floats, Floats]:
         """Steady speeds (m/s) at full opening against a force of the load (N), extending and retracting, each (N,)."""

@@ -10,15 +10,17 @@ import yaml
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.own_loop import LOST_TIME, OUT_OF_RANGE, STOPPING_TIME, OwnLoop
 from hydro_agents.controllers.registry import gain_rows
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.files import Group
+from hydro_env.task.sensors import CHANNELS
 from hydro_env.types import Floats
 from hydro_env.units import FULL_VOLTAGE
 from hydro_rig.export.c_files import csv_text, tested
 from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
-from hydro_rig.export.measured import LOST_RULE, LOST_TIME, OUT_OF_RANGE, STOPPING_TIME, MeasuredController
+from hydro_rig.export.measured import LOST_RULE, MeasuredController
 from hydro_rig.export.onnx_writer import controller_model, onnx_session
 from hydro_rig.export.structured_text import structured_text
 
@@ -44,8 +46,8 @@ class Vectors(NamedTuple):
 def make_vectors(measured: MeasuredController) -> Vectors:
     """Closed-loop episodes under the controller, and one with lost samples, values out of range, and stops.
 
-    The voltages of the closed-loop episodes come from ``predict`` with the observations of the environment: they also
-    check that the signals in SI units give the same observations.
+    The voltages of the closed-loop episodes come from :class:`~hydro_agents.controllers.own_loop.OwnLoop`, with the
+    observations of the environment: they also check that the signals in SI units give the same observations.
     """
     signals = measured.signals
     weights = signals.config.references.weights
@@ -72,13 +74,16 @@ def _closed_loop(measured: MeasuredController, seed: int, family: str | None) ->
     """Signals (samples, signals) and voltages (samples,) of an episode."""
     config = measured.signals.config
     env = ServoHydraulicVectorEnv(1, config, info=False)
-    observation, _ = env.reset(seed=[seed], options={"reference": [family]} if family is not None else None)
-    samples, voltages, memory = [], [], None
-    for _ in range(min(LONGEST, config.steps)):
+    env.reset(seed=[seed], options={"reference": [family]} if family is not None else None)
+    loop = OwnLoop(measured.controller, config, si=True)
+    loop.reset(FULL_VOLTAGE * env.axes.column("command")[0])
+    places = np.array([0, *config.preview_samples])
+    samples, voltages = [], []
+    for step in range(min(LONGEST, config.steps)):
         samples.append(measured.signals.of_axes(env.axes)[0])
-        action, memory = measured.controller.predict(observation, memory)
-        voltages.append(FULL_VOLTAGE * float(np.clip(np.float64(action[0, 0]), -1.0, 1.0)))
-        observation, _, terminated, truncated, _ = env.step(action)
+        sensed = dict(zip(CHANNELS, env.axes.column("measured")[0], strict=True))
+        voltages.append(loop.step(env.axes.reference[0, step + places], **sensed))
+        _, _, terminated, truncated, _ = env.step(np.array([[voltages[-1] / FULL_VOLTAGE]]))
         if terminated[0] or truncated[0]:
             break
     env.close()

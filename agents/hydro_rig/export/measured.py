@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, ObservationLayout, shown_time
 from hydro_agents.controllers.flow_model import FlowModel
+from hydro_agents.controllers.own_loop import LOST_TIME, LOST_TRAVEL, OUT_OF_RANGE, STOPPING_TIME
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.analysis import speed_limits
-from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.plant.parts.load import holding_force
 from hydro_env.task.sensors import CHANNEL_UNITS, CHANNELS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import observation_layout
@@ -31,20 +30,11 @@ from hydro_rig.export.tracing import named
 COMPUTED = ("velocity_estimate", "tracking_error", "error_integral")
 """Entries of the observation that follow from measured signals."""
 
-OUT_OF_RANGE = 0.025
-"""Share of its range by which a signal may lie outside of it; beyond, it is lost. A current loop of 4 to 20 mA below
-3.6 mA (NAMUR NE 43), or with a broken wire, lies beyond."""
-
-LOST_TRAVEL = 1e-3
-"""m that the axis may travel at the present command after the first lost sample, which is always allowed."""
-
-LOST_TIME = 0.1  # s during which samples may be lost, even if the axis stands still
 LOST_RULE = (
     f"those in which the axis travels {1e3 * LOST_TRAVEL:g} mm at the present command, at least one, "
     f"and not more than {1e3 * LOST_TIME:g} ms"
 )
 
-STOPPING_TIME = 0.01  # s in which the voltage goes from full command to the one that holds the axis
 _PREVIEW = "reference_preview_"
 SENSOR_MEANINGS = {
     "position": "measured, from the middle of the stroke; positive: extended",
@@ -171,7 +161,7 @@ class MeasuredController:
         self._integral_time = float(settings["integral_time"])
         self._integral_limit = float(settings["integral_limit"])
         plant = signals.config.plant
-        self._model, self._plant = FlowModel(plant), plant_coefficients(plant)
+        self._model = FlowModel(plant)
         self._speed_per_volt = max(speed_limits(plant)) / FULL_VOLTAGE
 
     def step(
@@ -213,7 +203,10 @@ class MeasuredController:
         complete = np.less(lost, 0.5)
         still = np.logical_and(memory.holding, np.logical_not(np.logical_and(start, complete)))
         one_more = np.where(still, 0, 1)
-        rest = np.where(complete, self._voltage_at_rest(value), memory.holding_voltage)
+        at_rest = self._model.voltage_at_rest(
+            value.get("position", np.zeros(())), value.get("pressure_a"), value.get("pressure_b")
+        )
+        rest = np.where(complete, at_rest, memory.holding_voltage)
 
         def way(before: Any, *ready: Any) -> dict[str, Any]:
             command, new = self.controller.predict(observation, before)
@@ -275,25 +268,6 @@ class MeasuredController:
                 scaled = np.clip(value[name] / s.scale[place], -s.limits[place], s.limits[place]).astype(np.float32)
                 entries[place] = named(name + SCALED, scaled)
         return np.stack(entries)[None]
-
-    def _voltage_at_rest(self, value: Mapping[str, Any]) -> Any:
-        """Voltage (V) at which no oil moves the piston, at the measured pressures; else at those of the rig's own load.
-
-        The valve holds both chambers with equal openings: the pressures add up to those of supply and tank.
-        """
-        c, position = self._plant, value.get("position", np.zeros(()))
-        if {"pressure_a", "pressure_b"} <= self.signals.places.keys():
-            pressure_a, pressure_b = value["pressure_a"], value["pressure_b"]
-        else:
-            total = c.relief_pressure + c.tank_pressure
-            force = holding_force.py_func(position, c)  # type: ignore[attr-defined]
-            force = np.clip(force, -c.area_b * total, c.area_a * total)
-            pressure_a = (force + c.area_b * total) / (c.area_a + c.area_b)
-            pressure_b = total - pressure_a
-        pressures, speed = np.stack([pressure_a, pressure_b])[:, None], np.zeros(1)
-        flow = self._model.at(position, pressures, self._model.supply(pressures, speed))
-        voltage_at_rest = FULL_VOLTAGE * self._model.opening(speed, flow)[0]
-        return voltage_at_rest
 
     def empty(self) -> MeasuredMemory:
         """Memory before the first call: the right shapes, no content."""

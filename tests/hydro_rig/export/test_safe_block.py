@@ -8,13 +8,13 @@ import pytest
 from exported_code import InC, InPython, assert_it_holds_until_start, at_rest, library
 
 from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
+from hydro_agents.controllers.own_loop import LOST_TIME
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.loading import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig, equilibrium
 from hydro_env.task.configuration import task_config
 from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
-from hydro_rig.export.measured import LOST_TIME
 
 SEED = VALIDATION_SEEDS.start + 710_900
 EXACT = {"sensors": {"enabled": False}, "randomisation": {}, "leakage": {"healthy_range": [1e-3, 2e-3]}}

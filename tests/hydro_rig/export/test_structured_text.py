@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from exported_code import InC, assert_it_holds_until_start, at_rest, library
 
+from hydro_agents.controllers.own_loop import LOST_TIME
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, equilibrium
 from hydro_rig.export.controller import controller_code, controller_graph, variable_gains
 from hydro_rig.export.controller_folder import make_vectors
-from hydro_rig.export.measured import LOST_TIME
 
 
 @pytest.fixture(scope="module", params=["pid", "flow_linearising"])
