@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.by_name import imported
 from hydro_agents.controllers.flow_model import FlowModel
 from hydro_env import ConfigurationError, TaskConfig
@@ -20,13 +18,11 @@ from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import POSITION, PRESSURE_A, PRESSURE_B, layout_of, observation_layout
 from hydro_env.units import FULL_VOLTAGE
 
-OUT_OF_RANGE = 0.025
-"""Share of its range by which a signal may lie outside; beyond (below 3.6 of 4 to 20 mA, NAMUR NE 43), it is lost."""
+OUT_OF_RANGE = 0.025  # share of its range by which a signal may lie outside; beyond (of 4–20 mA below 3.6), it is lost
 LOST_TRAVEL = 1e-3  # m that the axis may travel at the present command after the first lost sample, which is allowed
 LOST_TIME = 0.1  # s during which samples may be lost, even if the axis stands still
 STOPPING_TIME = 0.01  # s in which the voltage goes from full command to the one that holds the axis
 ENGINEERING = {"m": 1e-3, "Pa": 1e5, "1": 1e-2}  # SI units per mm, bar and %
-_LOAD = "hydro_agents.learning.loading:load_controller"  # of a room above this one
 
 
 class OwnLoop:
@@ -44,7 +40,8 @@ class OwnLoop:
     """
 
     def __init__(self, controller: Any, task: TaskConfig, head: Any = None, si: bool = False) -> None:
-        self.controller: Controller = imported(_LOAD)(controller, task, "own loop")
+        load = imported("hydro_agents.learning.loading:load_controller")  # of a room above this one
+        self.controller = load(controller, task, "own loop")
         self.ahead = tuple(count * task.control_period for count in task.preview_samples)
         self._places, self._head, self._period = [0, *task.preview_samples], head, task.control_period
         self._settings, self._layout, names = settings_of(task), layout_of(task), observation_layout(task)[0]
@@ -62,11 +59,10 @@ class OwnLoop:
         """Begin anew at the next complete sample; ``volts`` is what the valve receives until then."""
         self._record, self._reference = table(1, RECORD), np.zeros(max(self._places) + 1)
         self._record["command"] = volts / FULL_VOLTAGE
-        self._before, self._at_rest = np.nan, 0.0
+        self._before, self._at_rest, self.lost, self.holding = np.nan, 0.0, 0, False
         self._memory = self._watching = self.leak = None
-        self.lost, self.holding = 0, False
 
-    def step(self, reference: float | Sequence[float] | None, **measured: float | None) -> float:
+    def step(self, reference: ArrayLike | None, **measured: float | None) -> float:
         """Voltage of the valve, V, for the sample of one control period.
 
         A lost signal (``None``, NaN, absent or out of range) keeps its last value. ``lost`` counts such samples in
