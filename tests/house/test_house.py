@@ -39,8 +39,8 @@ ROOMS = (
 """From the bottom to the top: a room imports from itself and from rooms before it."""
 
 BUDGET = {
-    "hydro_env": 62_900,
-    "hydro_agents": 111_500,
+    "hydro_env": 63_100,
+    "hydro_agents": 113_700,
     "hydro_rig": 102_100,
     "tests": 191_500,
 }
