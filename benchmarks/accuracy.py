@@ -170,4 +170,4 @@ def main(rigs: int = 240, structure: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:2]), structure="structure" in sys.argv[2:])
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 240, "structure" in sys.argv[2:])
