@@ -37,6 +37,13 @@ class OwnLoop:
 
     Raises:
         ConfigurationError: the controller does not exist or does not fit the rig.
+
+    Example:
+        >>> from hydro_agents.controllers.own_loop import OwnLoop
+        >>> from hydro_env import TaskConfig
+        >>> loop = OwnLoop("pid", TaskConfig())
+        >>> f"{loop.step(11.0, position=10.0, pressure_a=35.0, pressure_b=65.0, spool_position=0.0):.1f} V"
+        '4.4 V'
     """
 
     def __init__(self, controller: Any, task: TaskConfig, head: Any = None, si: bool = False) -> None:
