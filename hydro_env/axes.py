@@ -214,6 +214,7 @@ class Axes:
             record, plant, reference, observation = self.arrays
             part = AxisArrays(record[axes], plant[axes], reference[axes], observation[axes])
             self._advance(kernel, (self._task, self._layout, *part), actions[axes])
+            own: Any
             for own, moved in zip(self.arrays, part, strict=True):
                 own[axes] = moved
 
