@@ -100,7 +100,8 @@ class Axes:
 
         self.tasks = rig_tasks(config)
         structures = [task.plant.structure for task in self.tasks]
-        self._has_tip = np.array([structure.tip for structure in structures])
+        self._tips = np.array([structure.tip for structure in structures])
+        self.has_tip = bool(self._tips.any())  # whether any rig of the task has a second mass
         self._has_waves = any(structure.lines for structure in structures)
         self._kinds = sorted(set(structures))
         self._kind_of_rig = np.array([self._kinds.index(structure) for structure in structures])
@@ -131,8 +132,7 @@ class Axes:
         drawn = any(getattr(config.faults, kind).probability > 0.0 for kind in FAULT_KINDS)
         self._is_rare = drawn or weights[RESTING_FROM:USER_FAMILY].any() or config.disturbance.kind != "none"
 
-        wanted = threads if threads is not None else (os.cpu_count() or 1)
-        self._threads = max(1, min(wanted, count // AXES_PER_THREAD))
+        self._threads = threads if threads is not None else (os.cpu_count() or 1)
         self._pool: ThreadPoolExecutor | None = None
         self._scheduled = False
 
@@ -210,24 +210,24 @@ class Axes:
         if len(self._kernels) == 1:
             self._advance(self._kernels[0], self._fixed_arguments, actions)
             return
-        for kernel, axes in self._groups():
+        for kind, axes in self._groups():
             record, plant, reference, observation = self.arrays
             part = AxisArrays(record[axes], plant[axes], reference[axes], observation[axes])
-            self._advance(kernel, (self._task, self._layout, *part), actions[axes])
+            self._advance(self._kernels[kind], (self._task, self._layout, *part), actions[axes])
             own: Any
             for own, moved in zip(self.arrays, part, strict=True):
                 own[axes] = moved
 
-    def _groups(self) -> list[tuple[Any, Indices]]:
-        """Each kernel, and the axes that have its structure now."""
+    def _groups(self) -> list[tuple[int, Indices]]:
+        """Number of each structure among the task's, and the axes that have it now."""
         numbers = self._kind_of_rig[self.rigs()]
-        return [(self._kernels[number], np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
+        return [(int(number), np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
 
     def _advance(self, kernel: Any, arguments: tuple[Any, ...], actions: NDArray[Any]) -> None:
         """Advance axes that have one structure, in several threads if they are many."""
         count = len(actions)
-        threads = max(1, min(self._threads, count // AXES_PER_THREAD))
-        if threads == 1:
+        threads = min(self._threads, count // AXES_PER_THREAD)
+        if threads <= 1:
             kernel.loaded(*arguments, actions, 0, count)
             return
         if self._pool is None:
@@ -246,13 +246,8 @@ class Axes:
 
     def tip_position(self) -> Floats:
         """Position of the second mass, m, (N,); of a rigid load that of the piston."""
-        tips: Floats = np.where(self._has_tip[self.rigs()], self.complete_state[:, _TIP], self.column("position"))
+        tips: Floats = np.where(self._tips[self.rigs()], self.complete_state[:, _TIP], self.column("position"))
         return tips
-
-    @property
-    def has_tip(self) -> bool:
-        """Whether any rig of the task has a second mass."""
-        return bool(self._has_tip.any())
 
     def rigs(self) -> Indices:
         """Number of each axis's rig among :attr:`tasks`, (N,)."""
@@ -276,11 +271,11 @@ class Axes:
 
     def derived(self) -> Floats:
         """Quantities that follow from the states, (N, N_DERIVED), in the order of ``Derived``."""
-        found, numbers = np.empty((self.count, N_DERIVED)), self._kind_of_rig[self.rigs()]
-        for number in np.unique(numbers):
-            axes, columns = np.flatnonzero(numbers == number), columns_of(self._kinds[number])
-            states, coefficients = self.complete_state[axes][:, columns], self.coefficient[axes]
-            found[axes] = functions_of(self._kinds[number]).derived(states, coefficients)
+        found = np.empty((self.count, N_DERIVED))
+        for number, axes in self._groups():
+            kind = self._kinds[number]
+            states, coefficients = self.complete_state[axes][:, columns_of(kind)], self.coefficient[axes]
+            found[axes] = functions_of(kind).derived(states, coefficients)
         return found
 
     def close(self) -> None:

@@ -65,7 +65,7 @@ class ResetOptions:
 
     def __init__(self, tasks: Sequence[TaskConfig], count: int, samples: int) -> None:
         self.count = count
-        self._rigs = [(to_vector(task.plant), draws_of(task)) for task in tasks]
+        self._rigs = [(to_vector(task.plant), draws_of(task), task.plant.structure) for task in tasks]
         self._half_strokes = 0.5 * np.array([task.plant.cylinder.stroke for task in tasks])
         self.fixed = Fixed(
             parameters=np.full((count, len(PARAMETER_PATHS)), np.nan),
@@ -184,7 +184,7 @@ class ResetOptions:
 
     def _check_parameters(self, row: Floats, where: str) -> None:
         """Check that the plant is valid for the least favourable draws with these parameters fixed (if not NaN)."""
-        for base, draws in self._rigs:
+        for base, draws, own in self._rigs:
             vector = np.where(np.isnan(row), base, row)
             for draw in draws:
                 index, times = int(draw["parameter"]), int(draw["times"])
@@ -196,7 +196,7 @@ class ResetOptions:
                     values.append(draw["otherwise"])
                 vector[index] = min(values) if PARAMETER_PATHS[index] in MUST_EXCEED_ANOTHER else max(values)
             try:
-                drawn, own = from_vector(vector).structure, from_vector(base).structure
+                drawn = from_vector(vector).structure
             except ConfigurationError as error:
                 raise ConfigurationError(f"{where}: {error}") from None
             if (drawn.lines, drawn.tip) != (own.lines, own.tip):

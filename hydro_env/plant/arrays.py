@@ -149,4 +149,5 @@ def _build_functions(sources: int, structure: Structure) -> AxisFunctions:
     )
 
 
-derivative_array, command_changed_array, hold_limits_array, derived_array = functions_of(RIGID)
+derivative_array = functions_of(RIGID).derivative
+"""``derivative_array(state, coefficients, voltage)`` of an axis without optional parts."""

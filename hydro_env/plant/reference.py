@@ -105,13 +105,9 @@ class _Plant:
         self.kind, self.derivative = state_kind(structure), functions_of(structure).derivative
         self.typical = typical_sizes(names)
         self.pressures = [row for row, name in enumerate(names) if "pressure" in name and name != "supply_pressure"]
+        self.rows = [_SPOOL_VELOCITY, _SPOOL, *self.pressures]  # the state of each limit, as in Held.sides
         self.limits = Coefficients(*coefficients)
         self.free = np.array(self.limits._replace(slew_limit=1e30))
-
-    @property
-    def rows(self) -> list[int]:
-        """The state of each limit, in the order of :attr:`Held.sides`."""
-        return [_SPOOL_VELOCITY, _SPOOL, *self.pressures]
 
     def free_rate(self, y: Floats, voltage: float) -> Floats:
         """The derivative without limits."""

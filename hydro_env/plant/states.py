@@ -115,6 +115,7 @@ ALL_STATES: dict[str, StateInfo] = _infos(State, LineState, TipState)
 N_ALL_STATES = len(ALL_STATES)
 
 
+@cache
 def columns_of(structure: Structure) -> list[int]:
     """Place of each state of an axis with this structure among :data:`ALL_STATES`."""
     return [list(ALL_STATES).index(name) for name in state_kind(structure)._fields]
@@ -123,7 +124,6 @@ def columns_of(structure: Structure) -> list[int]:
 STATE_NAMES = State._fields
 STATE_UNITS = tuple(info.unit for info in STATES.values())
 N_STATES = len(STATES)
-TYPICAL_SIZE: Floats = np.array([info.typical for info in STATES.values()])
 
 
 def typical_sizes(names: Iterable[str]) -> Floats:
@@ -131,7 +131,7 @@ def typical_sizes(names: Iterable[str]) -> Floats:
     return np.array([ALL_STATES[name].typical for name in names])
 
 
-EMPHASIS: Floats = np.array([info.emphasis for info in STATES.values()])
+TYPICAL_SIZE = typical_sizes(STATE_NAMES)
 
 
 first_outside = tuple_first(State, "not (lowest.{name} <= s.{name} <= highest.{name})", "s, lowest, highest")

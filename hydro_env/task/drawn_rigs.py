@@ -7,6 +7,7 @@ of the valve from a drawn full speed; what the questions leave open gets that co
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,15 +30,17 @@ HASTE = 2.0
 TRIES = 100
 
 
+def _log_uniform(draw: np.random.Generator, low: float, high: float) -> float:
+    return float(math.exp(draw.uniform(math.log(low), math.log(high))))
+
+
 def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, Any], dict[str, float]]:
     """The figures of the nameplates of one rig (:func:`~hydro_env.task.nameplates.rig_values`), and its timing in s.
 
     They have the digits with which nameplates are written.
     """
     draw = np.random.default_rng([seed, attempt])
-
-    def between(low: float, high: float) -> float:
-        return float(math.exp(draw.uniform(math.log(low), math.log(high))))
+    between = partial(_log_uniform, draw)
 
     def often(share: float) -> bool:
         return bool(draw.random() < share)
@@ -108,9 +111,7 @@ def drawn_figures(law: RigLaw, seed: int, attempt: int = 0) -> tuple[dict[str, A
 def _structure(law: StructureLaw, figures: dict[str, Any], draw: np.random.Generator) -> dict[str, Any]:
     """The figures of the parts that no nameplate tells; draws of their own, so that the rest of the rig stays."""
 
-    def between(low: float, high: float) -> float:
-        return float(math.exp(draw.uniform(math.log(low), math.log(high))))
-
+    between = partial(_log_uniform, draw)
     found: dict[str, Any] = {}
     bends, has_waves, is_sharp, at_valve, has_hose = draw.random(5)
     frequency, share, damping = between(*law.tip_frequency), between(*law.tip_mass), between(*law.tip_damping)

@@ -108,16 +108,10 @@ class Ports(NamedTuple):
 
 
 @inline
-def leaking_flows(s, c):
-    """Flows in m³/s into both chambers that keep their pressures at rest: what leaks out of them."""
-    leakage = internal_leakage(s.pressure_a, s.pressure_b, c)
-    return leakage, external_leakage(s.pressure_b, c) - leakage
-
-
-@inline
 def lines_at_rest(s, c):
     """:class:`~hydro_env.plant.states.LineState` while the lines carry what leaks out of the chambers."""
-    flow_a, flow_b = leaking_flows(s, c)
+    flow_a = internal_leakage(s.pressure_a, s.pressure_b, c)
+    flow_b = external_leakage(s.pressure_b, c) - flow_a
     drop_a, drop_b = c.column_resistance_a * flow_a, c.column_resistance_b * flow_b
     return LineState(
         line_a_pressure_1=s.pressure_a + 2.5 * drop_a,
