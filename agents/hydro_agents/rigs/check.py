@@ -41,6 +41,8 @@ EXAMINED_LEAKS = (HEALTHY_LEAK, 0.3, 1.0, 4.0)  # l/min at 100 bar: a healthy se
 
 OVERDAMPED, HELD_NOWHERE = "overdamped", "cannot be held"  # instead of a figure
 
+RESONATES = {"tip": "second mass", "line": "lines"}  # by the first word of the state that takes the largest part
+
 BAR, MILLIMETRE, CUBIC_CENTIMETRE, SQUARE_CENTIMETRE = 1e5, 1e-3, 1e-6, 1e-4
 
 
@@ -79,13 +81,16 @@ def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig
     """
     refuse_unworkable(parameters, source)
     place = resting_place(parameters)
+    task = task or TaskConfig(plant=parameters, randomisation=default_randomisation(parameters))
+    loop = _loop(task, place)
     return [
         *_geometry(parameters),
         *_valve(parameters),
         *_speeds(parameters),
         *_forces(parameters),
         *_oscillation(parameters, place),
-        *_loop(task or TaskConfig(plant=parameters, randomisation=default_randomisation(parameters)), place),
+        *loop,
+        *_resonances(task, place, [row.value for row in loop if row.key == "recommended gain"]),
         RigFigure(
             "integration", "fastest rate |λ|, at rest", _position(place), _figure(_fastest, parameters, place), "1/s"
         ),
@@ -248,6 +253,35 @@ def _loop(task: TaskConfig, place: float) -> list[RigFigure]:
     for here, plant in plants.items():
         stiffness = _figure(_static_stiffness, plant, place, recommended)
         rows.append(RigFigure(group, "static stiffness", f"recommended gain, {here}", stiffness, "kN/mm"))
+    return rows
+
+
+def _resonances(task: TaskConfig, place: float, gain: list[Any]) -> list[RigFigure]:
+    """Oscillations of an axis with a second mass or with waves in its lines, alone and with the recommended gain.
+
+    With the gain, each is followed from its eigenvalue exp(λ T) of the sampled loop without feedback. A damping below
+    zero grows: the gain excites it, as far as dry friction does not stop it.
+    """
+    plant, rows = beyond_dead_band(leaking(task.plant, HEALTHY_LEAK)), []
+    if not (plant.structure.tip or plant.structure.lines):
+        return rows
+    modes = linearise(plant.replace(friction={"model": "none"}), position=place).modes
+    loop = sampled_loop(plant, place, task.control_period, task.command_latency)
+    for number, mode in enumerate(modes, 1):
+        what = f"oscillation {number}, {RESONATES.get(mode.state.split('_')[0], 'mass on its oil')}"
+        frequency = mode.natural_frequency / (2.0 * math.pi)
+        rows.append(RigFigure("resonances", what, _position(place), frequency, "Hz", f"resonance {number}"))
+        rows.append(
+            RigFigure("resonances", "its damping ratio", what, mode.damping_ratio, "1", f"resonance {number} alone")
+        )
+        for recommended in gain:
+            value = complex(np.exp(mode.eigenvalue * task.control_period))
+            for part in np.linspace(0.0, recommended, 41):
+                values = np.linalg.eigvals(loop.closed(part))
+                value = complex(values[np.argmin(np.abs(values - value))])
+            damping = -math.log(abs(value)) / (task.control_period * mode.natural_frequency)
+            at, key = f"{what}, recommended gain", f"resonance {number} with gain"
+            rows.append(RigFigure("resonances", "its damping ratio", at, damping, "1", key))
     return rows
 
 

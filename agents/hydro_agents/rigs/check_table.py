@@ -63,8 +63,28 @@ def brief(rows: Sequence[RigFigure], parameters: PlantParameters) -> list[tuple[
             f"{text['recommended gain']}: a simulation with friction comes to rest with {gain} dB more; phase margin "
             f"without friction {phase}° (own values and worst)"
         )
+    resonances = _resonances(figures)
+    if resonances:
+        facts["resonances"] = ", ".join(
+            f"{frequency:.3g} Hz ({what}, damping {alone:.2g})" for frequency, what, alone, _ in resonances
+        )
     watch = _watched(figures, figures[healthy].value)
+    for frequency, what, _, with_gain in resonances:
+        if with_gain < 0.0:
+            watch.append(f"the recommended gain excites the resonance at {frequency:.3g} Hz ({what}): take less")
     return [*facts.items(), ("verdict", "; ".join(["it works", *watch]))]
+
+
+def _resonances(figures: Mapping[str, RigFigure]) -> list[tuple[float, str, float, float]]:
+    """Frequency in Hz, what swings, damping alone and with the recommended gain, of each resonance of a structure."""
+    found, number = [], 1
+    while f"resonance {number}" in figures:
+        row: Any = figures[f"resonance {number}"]
+        alone: Any = figures[f"resonance {number} alone"].value
+        with_gain: Any = figures.get(f"resonance {number} with gain", figures[f"resonance {number} alone"]).value
+        found.append((row.value, row.quantity.split(", ")[1], alone, with_gain))
+        number += 1
+    return found
 
 
 def _watched(figures: Mapping[str, RigFigure], damping: float | str) -> list[str]:

@@ -28,6 +28,7 @@ from hydro_agents.study.settings import default_study
 from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parts.valve import edge_openings
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
@@ -303,3 +304,36 @@ def test_a_pid_begins_with_compensation_on_a_rig_with_an_overlapped_valve():
     assert stable_start(task, PIDGains(proportional=2000.0)).overlap_compensation == 1.0
     own = PIDGains(proportional=10.0, overlap_compensation=0.7)
     assert stable_start(task, own) is own
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"load": {"tip_share": 0.7, "tip_frequency": 2.0 * math.pi * 6.0, "mass": 1700.0}}, "second mass"),
+        ({"lines": {"length_a": 6.0, "length_b": 6.0}}, "lines"),
+    ],
+    ids=["boom", "waves"],
+)
+def test_a_rig_with_structure_tells_its_resonances(changes, what):
+    """Those of the linearisation; the gain follows a pole of the sampled loop, whose worst cannot be stabler."""
+    rig = PlantParameters().replace(**changes)
+    task = TaskConfig(plant=rig, randomisation={})
+    rows = check_rig(rig, task=task)
+    figures = {row.key: row for row in rows if row.key}
+    moving = rig.replace(friction={"model": "none"})
+    modes = linearise(stable_gain.leaking(moving, stable_gain.HEALTHY_LEAK)).modes
+    found = [figures[f"resonance {number}"].value for number in range(1, len(modes) + 1)]
+    assert found == pytest.approx([mode.natural_frequency / (2.0 * math.pi) for mode in modes])
+    assert any(what in row.quantity for row in rows if row.group == "resonances")
+    watched = dict(brief(rows, rig))
+    assert f"{found[0]:.3g} Hz" in watched["resonances"]
+    with_gain = [figures[f"resonance {number} with gain"].value for number in range(1, len(modes) + 1)]
+    assert ("excites the resonance" in watched["verdict"]) == (min(with_gain) < 0.0)
+    recommended = figures["recommended gain"].value
+    if min(with_gain) < 0.0:
+        plant = stable_gain.beyond_dead_band(stable_gain.leaking(rig, stable_gain.HEALTHY_LEAK))
+        assert not sampled_loop(plant, 0.0, task.control_period, task.command_latency).is_stable(recommended)
+
+
+def test_a_rig_without_structure_tells_no_resonances():
+    assert not [row for row in ROWS if row.group == "resonances"]
