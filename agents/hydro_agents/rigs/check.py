@@ -262,11 +262,15 @@ def _resonances(task: TaskConfig, place: float, gain: list[Any]) -> list[RigFigu
     With the gain, each is followed from its eigenvalue exp(λ T) of the sampled loop without feedback. A damping below
     zero grows: the gain excites it, as far as dry friction does not stop it.
     """
-    plant, rows = beyond_dead_band(leaking(task.plant, HEALTHY_LEAK)), []
+    plant = beyond_dead_band(leaking(task.plant, HEALTHY_LEAK))
+    rows: list[RigFigure] = []
     if not (plant.structure.tip or plant.structure.lines):
         return rows
-    modes = linearise(plant.replace(friction={"model": "none"}), position=place).modes
-    loop = sampled_loop(plant, place, task.control_period, task.command_latency)
+    try:
+        modes = linearise(plant.replace(friction={"model": "none"}), position=place).modes
+        loop = sampled_loop(plant, place, task.control_period, task.command_latency)
+    except HydroError:
+        return [RigFigure("resonances", "oscillations", _position(place), HELD_NOWHERE, "Hz")]
     for number, mode in enumerate(modes, 1):
         what = f"oscillation {number}, {RESONATES.get(mode.state.split('_')[0], 'mass on its oil')}"
         frequency = mode.natural_frequency / (2.0 * math.pi)
