@@ -310,7 +310,7 @@ def test_a_pid_begins_with_compensation_on_a_rig_with_an_overlapped_valve():
     ("changes", "what"),
     [
         ({"load": {"tip_share": 0.7, "tip_frequency": 2.0 * math.pi * 6.0, "mass": 1700.0}}, "second mass"),
-        ({"lines": {"length_a": 6.0, "length_b": 6.0}}, "lines"),
+        ({"lines": {"length_a": 6.0, "length_b": 6.0, "volume_a": 5e-4, "volume_b": 5e-4}}, "lines"),
     ],
     ids=["boom", "waves"],
 )
