@@ -23,7 +23,7 @@ COMMENT = re.compile(r"\(\*.*?\*\)", re.DOTALL)
 DECLARED = re.compile(r"^ +([\w, ]+) : (?:ARRAY\[0\.\.(\d+)\] OF )?(\w+)(?: := ([^;]*))?;", re.MULTILINE)
 STATEMENT = re.compile(
     r"\s*(?:FOR (?P<counter>\w+) := (?P<first>\d+) TO (?P<last>\d+) DO\b"
-    r"|IF (?P<condition>[^;]+?) THEN\b|(?P<otherwise>ELSE)\b|(?P<end>END_FOR|END_IF;?)"
+    r"|IF (?P<condition>[^;]+?) THEN\b|(?P<otherwise>ELSE)\b|(?P<end>END_FOR;|END_IF;)"
     r"|(?P<target>[^;:]+) := (?P<value>[^;]+);)"
 )
 

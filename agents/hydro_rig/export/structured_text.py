@@ -33,19 +33,26 @@ _RESERVED = frozenset((
     "time", "to", "transition", "true", "type", "udint", "uint", "until", "usint", "value", "var", "word", "write",
     "xor", "abstract", "extends", "final", "implements", "interface", "internal", "method", "persistent", "pointer",
     "private", "property", "protected", "public", "reference", "super", "this", "union",
+    # Function blocks of the standard and functions: some compilers take no variable of their names.
+    "integral", "derivative", "pid", "ramp", "hysteresis", "delay", "average", "stack_int", "rtc", "sema", "sr", "rs",
+    "r_trig", "f_trig", "ctu", "ctd", "ctud", "tp", "ton", "tof", "trunc", "move", "concat", "insert", "delete",
+    "replace", "find", "left", "right", "len", "mid", "gt", "ge", "eq", "lt", "not", "and", "or", "sign", "en", "eno",
 ))  # fmt: skip
 """Words of the language that a variable of Python may have as its name, and the indices of loops."""
 
 
 def literal(value: Any) -> str:
-    """A number in Structured Text: the shortest one that reads back exactly; infinity is the largest LREAL."""
+    """A number in Structured Text: the shortest one that reads back exactly; infinity is the largest REAL.
+
+    Some compilers read no larger literal, of whichever type.
+    """
     if isinstance(value, np.bool_ | bool):
         return "TRUE" if value else "FALSE"
     if isinstance(value, np.integer):
         return str(int(value))
     if np.isnan(value):
         raise TraceError("Structured Text has no constant that is not a number: cannot be exported")
-    largest = np.finfo(np.float64).max
+    largest = float(np.finfo(np.float32).max)
     plain = str(np.clip(value, -largest, largest) if np.isinf(value) else value)
     mantissa, mark, exponent = plain.partition("e")
     text = mantissa if "." in mantissa else f"{mantissa}.0"
@@ -59,7 +66,7 @@ LANGUAGE = Language(
     operations=OPERATIONS,
     number=literal,
     assign="{} := {};",
-    loop="FOR {0} := 0 TO {3} DO {2} END_FOR",
+    loop="FOR {0} := 0 TO {3} DO {2} END_FOR;",
     variable="{1} : {0};",
     array="{1} : ARRAY[0..{3}] OF {0};",
     table="{1} : ARRAY[0..{3}] OF {0} := [\n        {4}];",
