@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from unittest import mock
 
+import numpy as np
 import pytest
 from command_line import ROOT, assert_one_clear_line, hydro
 
@@ -13,6 +14,7 @@ from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
 from hydro_agents.learning import stable_gain
 from hydro_agents.learning.stable_gain import (
+    QuietGains,
     beyond_dead_band,
     leaking,
     loops_within_ranges,
@@ -314,25 +316,27 @@ def test_a_pid_begins_with_compensation_on_a_rig_with_an_overlapped_valve():
     ],
     ids=["boom", "waves"],
 )
-def test_a_rig_with_structure_tells_its_resonances(changes, what):
-    """Those of the linearisation; the gain follows a pole of the sampled loop, whose worst cannot be stabler."""
+def test_a_rig_with_structure_tells_its_resonances(changes, what, few, monkeypatch):
+    """Those of the linearisation; the warning begins where the sampled loop without friction becomes unstable."""
     rig = PlantParameters().replace(**changes)
     task = TaskConfig(plant=rig, randomisation={})
-    rows = check_rig(rig, task=task)
-    figures = {row.key: row for row in rows if row.key}
-    moving = rig.replace(friction={"model": "none"})
-    modes = linearise(stable_gain.leaking(moving, stable_gain.HEALTHY_LEAK)).modes
-    found = [figures[f"resonance {number}"].value for number in range(1, len(modes) + 1)]
-    assert found == pytest.approx([mode.natural_frequency / (2.0 * math.pi) for mode in modes])
-    assert any(what in row.quantity for row in rows if row.group == "resonances")
-    watched = dict(brief(rows, rig))
-    assert f"{found[0]:.3g} Hz" in watched["resonances"]
-    with_gain = [figures[f"resonance {number} with gain"].value for number in range(1, len(modes) + 1)]
-    assert ("excites the resonance" in watched["verdict"]) == (min(with_gain) < 0.0)
-    recommended = figures["recommended gain"].value
-    if min(with_gain) < 0.0:
-        plant = stable_gain.beyond_dead_band(stable_gain.leaking(rig, stable_gain.HEALTHY_LEAK))
-        assert not sampled_loop(plant, 0.0, task.control_period, task.command_latency).is_stable(recommended)
+    healthy = stable_gain.leaking(rig, stable_gain.HEALTHY_LEAK)
+    modes = linearise(healthy.replace(friction={"model": "none"})).modes
+    loop = sampled_loop(stable_gain.beyond_dead_band(healthy), 0.0, task.control_period, task.command_latency)
+    for share, excited in ((0.95, False), (1.05, True)):
+        gain = share * loop.largest_stable_gain() / stable_gain.SHARE_OF_STABLE
+        monkeypatch.setattr("hydro_agents.rigs.check.quiet_gains", lambda _, gain=gain: QuietGains(gain, gain))
+        rows = check_rig(rig, task=task)
+        figures = {row.key: row for row in rows if row.key}
+        found = [figures[f"resonance {number}"].value for number in range(1, len(modes) + 1)]
+        assert found == pytest.approx([mode.natural_frequency / (2.0 * math.pi) for mode in modes])
+        assert any(what in row.quantity for row in rows if row.group == "resonances")
+        lines = dict(brief(rows, rig))
+        assert f"{found[0]:.3g} Hz" in lines["resonances"]
+        damping = [figures[f"resonance {number} with gain"].value for number in range(1, len(modes) + 1)]
+        assert (min(damping) < 0.0) == excited
+        worst = found[int(np.argmin(damping))]
+        assert (f"the recommended gain excites the resonance at {worst:.3g} Hz" in lines["verdict"]) == excited
 
 
 def test_a_rig_without_structure_tells_no_resonances():
