@@ -1,13 +1,13 @@
-"""The project's controllers, leakage head and diagnosis on axes of Exudyn, a simulator that nobody here wrote.
+"""Controllers, leakage head and diagnosis on axes of Exudyn, a simulator that nobody here wrote.
 
     pip install "hydro_env[foreign]"
     python -m benchmarks.foreign_plants [--plants slide rigid_crane flexible_crane flexible_crane_told]
         [--controllers flow_linearising searched pid policy leak] [--leaks 0.01 1] [--output results/foreign_plants]
 
 Rigs come from nameplates alone, as ``hydro new-rig`` makes them; what Exudyn simulates differs from them as usual
-machines do. ``flexible_crane_told`` is the flexible crane whose nameplates name the frequency of its structure. The
-rows are kept in the folder; a later call computes what is missing. ``leak``: the leakage head and ``hydro diagnose``
-on a recording of flow linearisation.
+machines do. ``flexible_crane_told`` is the flexible crane whose nameplates name the frequency of its structure.
+``leak``: the leakage head and ``hydro diagnose`` on a recording of flow linearisation. The folder keeps the rows; a
+later call computes what is missing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import argparse
 import importlib
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,6 @@ import pandas as pd
 from scipy.linalg import expm
 
 from benchmarks.kept_rows import kept_rows
-from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.own_loop import OwnLoop
 from hydro_agents.controllers.registry import make_controller
@@ -44,15 +43,45 @@ from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.recordings.simulated import recording_csv
 
-STEP = 2e-4  # s, of Exudyn's implicit integrator; it divides every period and latency here
-SECONDS, SETTLING = 3.0, 0.5  # of each motion; before it the axis holds
-RECORDED = 8.0  # s
-SEED = 11
-GRAVITY = 9.81
-PIVOT_TO_ROD, PIVOT_TO_BASE = 0.5, 1.0  # m, from the boom's pivot along the boom, and straight down
-BOOM, BOOM_MASS, PAYLOAD = 1.6, 40.0, 120.0  # m, kg, kg
-HINGE = 0.8  # m, of the flexible boom; its outer part alone swings on it with the frequency and damping ratio below
-HINGE_FREQUENCY, HINGE_DAMPING = 6.0, 0.01
+STEP = 1e-4  # s, of Exudyn's implicit integrator; it divides every period and latency
+SECONDS, SETTLING, RECORDED, RESTING = 3.0, 0.5, 8.0, 10.0  # of a motion, before it, of a recording, after a step
+SLOW = {"speed_share": 0.35, "acceleration_limit": 1.0, "step_range": [0.002, 0.005]}  # Exudyn's oil never cavitates
+SEED, GRAVITY = 11, 9.81
+UNTUNED, LEAK = "flow_linearising", "leak"
+CONTROLLERS, LEAKS = (UNTUNED, "searched", "pid", "policy", LEAK), (0.01, 1.0)  # l/min at 100 bar: healthy, worn
+
+ROD, BASE = 0.5, 1.0  # m, mounts of the cylinder: along the boom, and straight below its pivot
+BOOM, BOOM_MASS, PAYLOAD = 1.6, 40.0, 120.0  # m, kg, and kg at its end
+HINGE, HINGE_RATE, HINGE_DAMPING = 0.8, 2 * math.pi * 6.0, 0.01  # m, rad/s and damping ratio of the outer part alone
+BRISTLE_STIFFNESS, BRISTLE_DAMPING, STRIBECK_VELOCITY = 2e7, 2e4, 0.01  # N/m, N s/m, m/s
+SPRING = 89e3  # N/m, of the slide
+
+
+class Machine(NamedTuple):
+    """An axis of Exudyn, and the nameplates of its rig; pressures are gauge pressures."""
+
+    kind: str  # of load
+    period: float  # s
+    latency: float  # s
+    dead_volume: float  # m³, each side
+    flow: float  # m³/s at 35 bar over one edge
+    frequency: float  # Hz, of the spool
+    supply: float  # Pa
+    viscous: float  # N s/m
+    coulomb: float  # N
+    breakaway: float  # N, beyond the Coulomb force
+    nameplates: Mapping[str, str]
+    told: Mapping[str, str] = {}  # beyond those from which references follow
+    tank: float = 2e5  # Pa
+    stroke: float = 0.4  # m
+    bulk_modulus: float = 1.1e9  # Pa
+    damping_ratio: float = 0.7  # of the spool
+
+    def areas(self) -> tuple[float, float]:
+        """Areas of the piston, m²."""
+        bore, rod = (answers_from(self.nameplates)[name] for name in ("bore", "rod"))
+        return math.pi / 4 * bore**2, math.pi / 4 * (bore**2 - rod**2)
+
 
 A1 = {
     **{"bore": "40 mm", "rod": "28 mm", "stroke": "400 mm", "dead_volume": "30 cm3", "rated_flow": "10 l/min"},
@@ -62,274 +91,212 @@ A2 = {
     **{"bore": "63 mm", "rod": "36 mm", "stroke": "400 mm", "rated_flow": "40 l/min", "bandwidth": "50 Hz"},
     **{"supply_pressure": "160 bar", "mass": "1700 kg", "external_force": "4.9 kN"},
 }
-
-
-class Machine(NamedTuple):
-    """What Exudyn simulates; pressures are gauge pressures."""
-
-    bore: float  # m
-    rod: float  # m
-    dead_volume: float  # m³, each side
-    flow: float  # m³/s at 35 bar over one edge
-    frequency: float  # Hz, of the spool
-    damping_ratio: float  # of the spool
-    supply: float  # Pa
-    tank: float  # Pa
-    viscous: float  # N s/m
-    coulomb: float  # N
-    breakaway: float  # N, beyond the Coulomb force
-    stroke: float = 0.4  # m
-    bulk_modulus: float = 1.1e9  # Pa
-
-
-SLIDE = Machine(0.040, 0.028, 30e-6, 9.5 * LITRE_PER_MINUTE, 70.0, 0.7, 69e5, 2e5, 400.0, 200.0, 100.0)
 CRANE = Machine(
-    0.063, 0.036, 110e-6, 38.0 * LITRE_PER_MINUTE, 43.5, 0.7, 158e5, 2e5, 500.0, 160.0, 80.0
-)  # low-friction seals
-
-
-class Case(NamedTuple):
-    """An axis of Exudyn, and what its rig's file is made from."""
-
-    machine: Machine
-    nameplates: Mapping[str, str]
-    period: float  # s
-    latency: float  # s
-    kind: str  # of load
-    told: Mapping[str, str] = {}  # nameplates beyond those of the other axes
-
-
+    *("rigid", 0.002, 0.0006, 110e-6, 38 * LITRE_PER_MINUTE, 43.5, 158e5),
+    *(500.0, 160.0, 80.0, A2),  # low-friction seals
+)
 PLANTS = {
-    "slide": Case(SLIDE, A1, 0.005, 0.001, "slide"),
-    "rigid_crane": Case(CRANE, A2, 0.002, 0.0006, "rigid"),
-    "flexible_crane": Case(CRANE, A2, 0.002, 0.0006, "flexible"),
-    "flexible_crane_told": Case(CRANE, A2, 0.002, 0.0006, "flexible", {"structure_frequency": "6 Hz"}),
+    "slide": Machine(
+        *("slide", 0.005, 0.001, 30e-6, 9.5 * LITRE_PER_MINUTE, 70.0, 69e5, 400.0, 200.0, 100.0, A1),
+    ),
+    "rigid_crane": CRANE,
+    "flexible_crane": CRANE._replace(kind="flexible"),
+    "flexible_crane_told": CRANE._replace(kind="flexible", told={"structure_frequency": "6 Hz"}),
 }
 
 
-LEAK = "leak"
-CONTROLLERS = ("flow_linearising", "searched", "pid", "policy", LEAK)
-LEAKS = (0.01, 1.0)  # l/min at 100 bar: a healthy seal, and a worn one
-
-
 class Axis:
-    """One axis in Exudyn, driven by :meth:`run`; positions from the middle of the stroke."""
+    """A machine in Exudyn that begins at rest at a position, m from mid-stroke, with a leak, l/min at 100 bar."""
 
-    def __init__(self, case: Case, position: float, leak: float) -> None:
-        self.exu = importlib.import_module("exudyn")
-        self.items = importlib.import_module("exudyn.itemInterface")
-        self.machine, self.mbs = case.machine, self.exu.SystemContainer().AddSystem()
-        self.ground = self.mbs.AddObject(self.items.ObjectGround())
-        point = self.mbs.AddNode(self.items.NodePointGround())
-        self.still = self.mbs.AddMarker(self.items.MarkerNodeCoordinate(nodeNumber=point, coordinate=0))
-        m = case.machine
-        self.area_a, self.area_b = math.pi / 4 * m.bore**2, math.pi / 4 * (m.bore**2 - m.rod**2)
-        self.shortest = math.hypot(PIVOT_TO_ROD, PIVOT_TO_BASE) - m.stroke / 2  # the boom is level at mid-stroke
-        base, rod, force = self._slide(position) if case.kind == "slide" else self._boom(position, case.kind)
-        low = 0.5 * (m.supply + m.tank) * self.area_a / (self.area_a + self.area_b)
-        pressures = [(force + low * self.area_b) / self.area_a, low]
-        self.oil = self.mbs.AddNode(
-            self.items.NodeGenericODE1(
-                referenceCoordinates=[0.0, 0.0], initialCoordinates=pressures, numberOfODE1Coordinates=2
-            )
+    def __init__(self, machine: Machine, position: float, leak: float) -> None:
+        self.exudyn, self.items = (importlib.import_module(name) for name in ("exudyn", "exudyn.itemInterface"))
+        self.system = self.exudyn.SystemContainer().AddSystem()
+        self.machine, m, (area_a, area_b) = machine, machine, machine.areas()
+        self.shortest = math.hypot(ROD, BASE) - m.stroke / 2  # m; the boom is level at mid-stroke
+        self.ground = self.new("ObjectGround")
+        base, rod, force = self.slide(position) if m.kind == "slide" else self.boom(position)
+        low = 0.5 * (m.supply + m.tank) * area_a / (area_a + area_b)
+        start = [(force + low * area_b) / area_a, low]
+        self.oil = self.new(
+            "NodeGenericODE1", referenceCoordinates=[0, 0], initialCoordinates=start, numberOfODE1Coordinates=2
         )
-        self.actuator = self.mbs.AddObject(
-            self.items.HydraulicActuatorSimple(
-                **{"markerNumbers": [base, rod], "nodeNumbers": [self.oil], "useChamberVolumeChange": True},
-                **{"offsetLength": self.shortest, "strokeLength": m.stroke, "actuatorDamping": m.viscous},
-                **{"chamberCrossSection0": self.area_a, "chamberCrossSection1": self.area_b},
-                **{"hoseVolume0": m.dead_volume, "hoseVolume1": m.dead_volume, "oilBulkModulus": m.bulk_modulus},
-                **{"nominalFlow": m.flow / math.sqrt(35e5), "systemPressure": m.supply, "tankPressure": m.tank},
-            )
+        self.actuator = self.new(
+            "HydraulicActuatorSimple",
+            **{"markerNumbers": [base, rod], "nodeNumbers": [self.oil], "useChamberVolumeChange": True},
+            **{"offsetLength": self.shortest, "strokeLength": m.stroke, "actuatorDamping": m.viscous},
+            **{"chamberCrossSection0": area_a, "chamberCrossSection1": area_b, "oilBulkModulus": m.bulk_modulus},
+            **{"hoseVolume0": m.dead_volume, "hoseVolume1": m.dead_volume, "nominalFlow": m.flow / math.sqrt(35e5)},
+            **{"systemPressure": m.supply, "tankPressure": m.tank},
         )
         self.conductance = leak * LITRE_PER_MINUTE / 100e5
-        self.leak = self.mbs.AddObject(
-            self.items.ObjectGenericODE1(nodeNumbers=[self.oil], systemMatrix=np.zeros((2, 2)), rhsVector=[0.0, 0.0])
-        )
-        self.mbs.Assemble()
+        self.seal = self.new("ObjectGenericODE1", nodeNumbers=[self.oil], systemMatrix=np.zeros((2, 2)))
+        self.system.Assemble()
 
-    def _slide(self, position: float) -> tuple[int, int, float]:
-        """Markers of base and rod of a mass on a slide with a spring, and the force that holds it, N."""
-        i, length, stiffness = self.items, self.shortest + self.machine.stroke / 2, 89e3
-        node = self.mbs.AddNode(i.Node1D(referenceCoordinates=[0.0], initialCoordinates=[position]))
-        body = self.mbs.AddObject(i.Mass1D(mass=63.0, nodeNumber=node, referencePosition=[length, 0.0, 0.0]))
-        base = self.mbs.AddMarker(i.MarkerBodyPosition(bodyNumber=self.ground))
-        rod = self.mbs.AddMarker(i.MarkerBodyPosition(bodyNumber=body))
-        self._friction(node, 0, 1.0, position, stiffness)
-        return base, rod, stiffness * position
+    def new(self, kind: str, **fields: Any) -> int:
+        """Add an item of Exudyn to the system."""
+        add = {"Node": "AddNode", "Mark": "AddMarker", "Load": "AddLoad"}.get(kind[:4], "AddObject")
+        number: int = getattr(self.system, add)(getattr(self.items, kind)(**fields))
+        return number
 
-    def _friction(self, node: int, coordinate: int, arm: float, start: float, stiffness: float = 0.0) -> None:
-        """Bristles that hold one coordinate as the seal holds the rod at an arm, and a spring beside them."""
-        i, m = self.items, self.machine
-        moving = self.mbs.AddMarker(i.MarkerNodeCoordinate(nodeNumber=node, coordinate=coordinate))
-        data = self.mbs.AddNode(i.NodeGenericData(initialCoordinates=[0.0, start, 0.0], numberOfDataCoordinates=3))
-        self.mbs.AddObject(
-            i.CoordinateSpringDamperExt(
-                **{"markerNumbers": [self.still, moving], "nodeNumber": data, "frictionProportionalZone": 0.0},
-                **{"stiffness": stiffness, "exponentialDecayStatic": 0.01 / arm},
-                **{"dynamicFrictionForce": m.coulomb * arm, "staticFrictionOffsetForce": m.breakaway * arm},
-                **{"stickingStiffness": 2e7 * arm**2, "stickingDamping": 2e4 * arm**2},
-            )
-        )
+    def slide(self, position: float) -> tuple[int, int, float]:
+        """A mass on a slide with a spring: markers of base and rod, and the force that holds it, N."""
+        node = self.new("Node1D", referenceCoordinates=[0], initialCoordinates=[position])
+        place = [self.shortest + self.machine.stroke / 2, 0, 0]
+        body = self.new("Mass1D", mass=63.0, nodeNumber=node, referencePosition=place)
+        self.seal_friction(node, 0, 1.0, position, SPRING)
+        base, rod = (self.new("MarkerBodyPosition", bodyNumber=number) for number in (self.ground, body))
+        return base, rod, SPRING * position
 
-    def _boom(self, position: float, kind: str) -> tuple[int, int, float]:
+    def boom(self, position: float) -> tuple[int, int, float]:
         """The same of a boom that the cylinder lifts, rigid or with an elastic hinge."""
-        i, length = self.items, self.shortest + self.machine.stroke / 2 + position
-        cosine = (PIVOT_TO_ROD**2 + PIVOT_TO_BASE**2 - length**2) / (2 * PIVOT_TO_ROD * PIVOT_TO_BASE)
-        angle = math.acos(cosine) - math.pi / 2
-        arm = PIVOT_TO_ROD * PIVOT_TO_BASE * math.sqrt(1.0 - cosine**2) / length
-        pivot = self.mbs.AddMarker(i.MarkerBodyPosition(bodyNumber=self.ground))
-        place = [0.0, -PIVOT_TO_BASE, 0.0]
-        base = self.mbs.AddMarker(i.MarkerBodyPosition(bodyNumber=self.ground, localPosition=place))
-        node, boom, moment, _ = self._part(0.0, BOOM if kind == "rigid" else HINGE, kind == "rigid", angle, pivot)
-        if kind == "flexible":
-            end = self.mbs.AddMarker(i.MarkerBodyPosition(bodyNumber=boom, localPosition=[HINGE, 0.0, 0.0]))
-            outer, _, outer_moment, inertia = self._part(HINGE, BOOM, True, angle, end)
-            moment += outer_moment + (BOOM_MASS * (1.0 - HINGE / BOOM) + PAYLOAD) * GRAVITY * math.cos(angle) * HINGE
-            rate = 2 * math.pi * HINGE_FREQUENCY
-            turns = [i.MarkerNodeCoordinate(nodeNumber=number, coordinate=2) for number in (node, outer)]
-            self.mbs.AddObject(  # it is straight where a run begins
-                i.CoordinateSpringDamper(
-                    markerNumbers=[self.mbs.AddMarker(turn) for turn in turns],
-                    stiffness=inertia * rate**2,
-                    damping=2 * HINGE_DAMPING * inertia * rate,
-                    offset=outer_moment / (inertia * rate**2),
-                )
+        length = self.shortest + self.machine.stroke / 2 + position
+        cosine = (ROD**2 + BASE**2 - length**2) / (2 * ROD * BASE)
+        angle, arm = math.acos(cosine) - math.pi / 2, ROD * BASE * math.sqrt(1 - cosine**2) / length
+        pivot = self.new("MarkerBodyPosition", bodyNumber=self.ground)
+        base = self.new("MarkerBodyPosition", bodyNumber=self.ground, localPosition=[0, -BASE, 0])
+        if self.machine.kind == "rigid":
+            node, body, _, _ = self.part(0.0, BOOM, PAYLOAD, angle, pivot)
+        else:
+            node, body, _, _ = self.part(0.0, HINGE, 0.0, angle, pivot)
+            end = self.new("MarkerBodyPosition", bodyNumber=body, localPosition=[HINGE, 0, 0])
+            outer, _, moment, inertia = self.part(HINGE, BOOM, PAYLOAD, angle, end)
+            turns = [self.new("MarkerNodeCoordinate", nodeNumber=number, coordinate=2) for number in (node, outer)]
+            stiffness, damping = inertia * HINGE_RATE**2, 2 * HINGE_DAMPING * inertia * HINGE_RATE
+            self.new(  # straight where a run begins
+                "CoordinateSpringDamper",
+                **{"markerNumbers": turns, "stiffness": stiffness, "damping": damping, "offset": moment / stiffness},
             )
-        self._friction(node, 2, arm, 0.0)
-        rod = self.mbs.AddMarker(i.MarkerBodyPosition(bodyNumber=boom, localPosition=[PIVOT_TO_ROD, 0.0, 0.0]))
-        return base, rod, moment / arm
+        self.seal_friction(node, 2, arm, 0.0)
+        rod = self.new("MarkerBodyPosition", bodyNumber=body, localPosition=[ROD, 0, 0])
+        return base, rod, (BOOM_MASS / 2 + PAYLOAD) * BOOM * GRAVITY * math.cos(angle) / arm
 
-    def _part(self, start: float, end: float, tip: bool, angle: float, joint: int) -> tuple[int, int, float, float]:
-        """A part of the boom, hinged where it starts: node, body, its weight's moment (N m) and its inertia there."""
-        i, length = self.items, end - start
-        mass, load = BOOM_MASS * length / BOOM, PAYLOAD if tip else 0.0
-        first = mass * length / 2 + load * length
-        inertia = mass * length**2 / 3 + load * length**2
+    def part(self, start: float, end: float, load: float, angle: float, joint: int) -> tuple[int, int, float, float]:
+        """A part of the boom, hinged where it starts: node, body, moment of its weight, N m, and inertia there."""
+        length, mass = end - start, BOOM_MASS * (end - start) / BOOM
+        first, inertia = (mass / 2 + load) * length, (mass / 3 + load) * length**2
         place = [start * math.cos(angle), start * math.sin(angle), angle]
-        node = self.mbs.AddNode(i.NodeRigidBody2D(referenceCoordinates=place))
-        body = self.mbs.AddObject(
-            i.RigidBody2D(mass=mass + load, inertia=inertia, centerOfMass=[first / (mass + load), 0.0], nodeNumber=node)
-        )
-        own = self.mbs.AddMarker(i.MarkerBodyPosition(bodyNumber=body))
-        self.mbs.AddObject(i.RevoluteJoint2D(markerNumbers=[joint, own]))
-        weight = self.mbs.AddMarker(i.MarkerBodyMass(bodyNumber=body))
-        self.mbs.AddLoad(i.LoadMassProportional(markerNumber=weight, loadVector=[0.0, -GRAVITY, 0.0]))
+        node = self.new("NodeRigidBody2D", referenceCoordinates=place)
+        centre = [first / (mass + load), 0]
+        body = self.new("RigidBody2D", mass=mass + load, inertia=inertia, centerOfMass=centre, nodeNumber=node)
+        own = self.new("MarkerBodyPosition", bodyNumber=body)
+        self.new("RevoluteJoint2D", markerNumbers=[joint, own])
+        weight = self.new("MarkerBodyMass", bodyNumber=body)
+        self.new("LoadMassProportional", markerNumber=weight, loadVector=[0, -GRAVITY, 0])
         return node, body, first * GRAVITY * math.cos(angle), inertia
 
-    def run(self, seconds: float, at_sample: Callable[[Floats], float], period: float, latency: float) -> None:
-        """Simulate; ``at_sample`` gets position, pressures and spool, and answers with the command, -1 to 1.
+    def seal_friction(self, node: int, coordinate: int, arm: float, start: float, stiffness: float = 0.0) -> None:
+        """Bristles that act on a coordinate as the seal does on the rod at an arm, and a spring beside them."""
+        point, m = self.new("NodePointGround"), self.machine
+        ends = [
+            self.new("MarkerNodeCoordinate", nodeNumber=point, coordinate=0),
+            self.new("MarkerNodeCoordinate", nodeNumber=node, coordinate=coordinate),
+        ]
+        data = self.new("NodeGenericData", initialCoordinates=[0, start, 0], numberOfDataCoordinates=3)
+        self.new(
+            "CoordinateSpringDamperExt",
+            **{"markerNumbers": ends, "nodeNumber": data, "stiffness": stiffness, "frictionProportionalZone": 0.0},
+            **{"dynamicFrictionForce": m.coulomb * arm, "staticFrictionOffsetForce": m.breakaway * arm},
+            **{"stickingStiffness": BRISTLE_STIFFNESS * arm**2, "stickingDamping": BRISTLE_DAMPING * arm**2},
+            **{"exponentialDecayStatic": STRIBECK_VELOCITY / arm},
+        )
 
-        Everything between two steps of the solver follows its state at their boundary: spool, valve and leak.
+    def run(self, seconds: float, at_sample: Callable[[Floats], float], step: float = STEP) -> None:
+        """Simulate; ``at_sample`` answers to the true values, in the order of CHANNELS, with a command, -1 to 1.
+
+        Spool and leak follow at the borders of the solver's steps.
         """
-        m, out = self.machine, self.exu.OutputVariableType
-        every, late, rate = round(period / STEP), round(latency / STEP), 2 * math.pi * m.frequency
-        free = np.array([[0.0, 1.0], [-(rate**2), -2 * m.damping_ratio * rate]])
-        decay = expm(free * STEP).tolist()
-        spool, speed, waiting, acting, count = 0.0, 0.0, 0.0, 0.0, 0
+        m, output = self.machine, self.exudyn.OutputVariableType
+        every, late, rate = round(m.period / step), round(m.latency / step), 2 * math.pi * m.frequency
+        decay = expm(np.array([[0.0, 1.0], [-(rate**2), -2 * m.damping_ratio * rate]]) * step).tolist()
+        spool, speed, sent, acting, count, (area_a, area_b) = 0.0, 0.0, 0.0, 0.0, 0, m.areas()
 
-        def before_step(mbs: Any, _: float) -> bool:
-            nonlocal spool, speed, waiting, acting, count
-            position = mbs.GetObjectOutput(self.actuator, out.Distance) - self.shortest - m.stroke / 2
+        def before_step(system: Any, _: float) -> bool:
+            nonlocal spool, speed, sent, acting, count
+            position = system.GetObjectOutput(self.actuator, output.Distance) - self.shortest - m.stroke / 2
             if count % every == 0:
-                waiting = at_sample(np.array([position, *mbs.GetNodeOutput(self.oil, out.Coordinates), spool]))
+                sent = at_sample(np.array([position, *system.GetNodeOutput(self.oil, output.Coordinates), spool]))
             if count % every == late:
-                acting = waiting
-            away = spool - acting
+                acting = sent
+            away, count = spool - acting, count + 1
             spool = acting + decay[0][0] * away + decay[0][1] * speed
             speed = decay[1][0] * away + decay[1][1] * speed
-            mbs.SetObjectParameter(self.actuator, "valveOpening0", spool)
-            mbs.SetObjectParameter(self.actuator, "valveOpening1", -spool)
-            leak = self.conductance * m.bulk_modulus
-            a = leak / (m.dead_volume + self.area_a * (m.stroke / 2 + position))
-            b = leak / (m.dead_volume + self.area_b * (m.stroke / 2 - position))
-            mbs.SetObjectParameter(self.leak, "systemMatrix", [[-a, a], [b, -b]])
-            count += 1
+            system.SetObjectParameter(self.actuator, "valveOpening0", spool)
+            system.SetObjectParameter(self.actuator, "valveOpening1", -spool)
+            a = self.conductance * m.bulk_modulus / (m.dead_volume + area_a * (m.stroke / 2 + position))
+            b = self.conductance * m.bulk_modulus / (m.dead_volume + area_b * (m.stroke / 2 - position))
+            system.SetObjectParameter(self.seal, "systemMatrix", [[-a, a], [b, -b]])
             return True
 
-        self.mbs.SetPreStepUserFunction(before_step)
-        settings = self.exu.SimulationSettings()
-        integration = settings.timeIntegration
-        integration.endTime, integration.numberOfSteps, integration.verboseMode = seconds, round(seconds / STEP), 0
-        integration.newton.numericalDifferentiation.minimumCoordinateSize = 1.0  # pressures are large
-        integration.newton.useModifiedNewton = True
-        integration.generalizedAlpha.spectralRadius = 0.95
-        settings.solution.file.write = False
-        self.mbs.SolveDynamic(settings)
+        self.system.SetPreStepUserFunction(before_step)
+        settings = self.exudyn.SimulationSettings()
+        settings.solution.file.write, integration = False, settings.timeIntegration
+        integration.endTime, integration.numberOfSteps = seconds, round(seconds / step)
+        integration.adaptiveStep, newton = False, integration.newton  # a repeated step would call twice
+        newton.numericalDifferentiation.minimumCoordinateSize = 1.0  # of pressures
+        newton.relativeTolerance, newton.absoluteTolerance, newton.maxIterations = 1e-5, 1e-3, 50
+        newton.useModifiedNewton, integration.generalizedAlpha.spectralRadius = True, 0.95
+        self.system.SolveDynamic(settings, showHints=False)
 
 
-def task_of(case: Case, folder: Path, name: str) -> TaskConfig:
-    """The task with the rig of the nameplates, as a file."""
+class Run(NamedTuple):
+    """One motion, a row per control period; signals in the order of CHANNELS, SI."""
+
+    true: Floats  # (n, 4)
+    measured: Floats  # (n, 4)
+    command: Floats  # (n,), -1 to 1
+    error: float  # m, mean in the sensor's frame
+
+
+def task_of(machine: Machine, folder: Path, name: str) -> TaskConfig:
+    """The task with the rig of the nameplates, whose file the folder keeps."""
     file = folder / f"{name}.yaml"
-    write_text(file, new_rig(answers_from({**case.nameplates, **case.told}), file.name)[0])
-    return task_config(None, rig=file, control_period=case.period, command_latency=case.latency)
+    write_text(file, new_rig(answers_from({**machine.nameplates, **machine.told}), file.name)[0])
+    return task_config(None, rig=file, control_period=machine.period, command_latency=machine.latency)
 
 
 def controller_of(name: str, task: TaskConfig) -> Any:
     """A controller of the table."""
-    if name == "flow_linearising":
+    if name == UNTUNED:
         return FlowLinearising(FlowLinearisingGains(), task)
     if name == "searched":
-        return make_controller("flow_linearising", task, searched_gains("flow_linearising", task).model_dump())
+        return make_controller(UNTUNED, task, searched_gains(UNTUNED, task).model_dump())
     if name == "pid":
         return make_controller("pid", task, gain_sets("pid", task)[0].model_dump())
     return load_controller("ppo", task, name)
 
 
-class Run(NamedTuple):
-    """One motion, a row per control period."""
-
-    signals: Floats  # (n, 4), true values in the order of CHANNELS, SI
-    measured: Floats  # (n, 4)
-    command: Floats  # (n,), V
-    reference: Floats  # (n,), m
-    bias: float  # m, of the position's sensor
-
-    def error(self) -> float:
-        """Mean error in the sensor's frame, m."""
-        return float(np.abs(self.signals[:, 0] + self.bias - self.reference).mean())
-
-
-def sensed(task: TaskConfig, signals: Floats, late: Floats, noise: np.random.Generator, bias: Floats) -> Floats:
-    """What the sensors of a rig read; ``late``: the pressures after their transducers' lag."""
+def driven(machine: Machine, task: TaskConfig, controller: Any, leak: float, wanted: Floats, seed: int) -> Run:
+    """Follow a reference (m, one per period) after the axis has settled where it begins."""
+    loop, draws = OwnLoop(controller, task, si=True), np.random.default_rng(seed)
     sensors = [getattr(task.sensors, name) for name in CHANNELS]
-    values = np.array([signals[0], *late, signals[3]])
-    if not task.sensors.enabled:
-        return values
-    read = values + bias + noise.normal(size=4) * [sensor.noise for sensor in sensors]
-    steps = np.array([sensor.resolution or 1e-12 for sensor in sensors])
-    return np.clip(np.round(read / steps) * steps, [one.low for one in sensors], [one.high for one in sensors])
+    noise, bias, steps, low, high = (
+        np.array([getattr(sensor, field) for sensor in sensors])
+        for field in ("noise", "bias", "resolution", "low", "high")
+    )
+    bias = draws.uniform(-1.0, 1.0, 4) * bias * task.sensors.enabled
+    settling, places = round(SETTLING / machine.period), np.array([0, *task.preview_samples])
+    path = np.concatenate([np.full(settling, wanted[0]), wanted, np.full(max(places) + 1, wanted[-1])])
+    lag = math.exp(-machine.period * math.log(9.0) / max(task.sensors.pressure_rise_time, 1e-9))
+    rows: list[tuple[Floats, Floats, float]] = []
+    late = np.zeros(4)
 
-
-def driven(case: Case, task: TaskConfig, controller: Controller, leak: float, wanted: Floats, seed: int) -> Run:
-    """Follow a reference (m, a row per period) after the axis has settled where it begins."""
-    loop, noise = OwnLoop(controller, task, si=True), np.random.default_rng(seed)
-    bias = noise.uniform(-1.0, 1.0, 4) * [getattr(task.sensors, name).bias for name in CHANNELS]
-    bias = bias * task.sensors.enabled
-    settling, places = round(SETTLING / case.period), np.array([0, *task.preview_samples])
-    path = np.concatenate([np.full(settling, wanted[0]), wanted, np.full(max(places), wanted[-1])])
-    lag = math.exp(-case.period / (task.sensors.pressure_rise_time / math.log(9.0)))
-    rows: list[Any] = []
-    late = np.zeros(2)
-
-    def at_sample(signals: Floats) -> float:
-        nonlocal late
-        late = lag * late + (1.0 - lag) * signals[1:3] if rows else signals[1:3]
-        read = sensed(task, signals, late, noise, bias)
+    def at_sample(true: Floats) -> float:
+        late[:] = true + [0.0, lag, lag, 0.0] * (late - true) * bool(rows)
+        read = late.copy()
+        if task.sensors.enabled:
+            read = np.clip(np.round((late + bias + noise * draws.normal(size=4)) / steps) * steps, low, high)
         volts = loop.step(path[len(rows) + places], **dict(zip(CHANNELS, map(float, read), strict=True)))
-        rows.append((signals, read, volts))
+        rows.append((true, read, volts / FULL_VOLTAGE))
         return volts / FULL_VOLTAGE
 
-    Axis(case, float(wanted[0]), leak).run(
-        len(wanted) * case.period + SETTLING - 0.5 * STEP, at_sample, case.period, case.latency
-    )
-    signals, read, volts = (np.array(column)[settling:] for column in zip(*rows, strict=True))
-    return Run(signals, read, volts, wanted[: len(volts)], float(bias[0]))
+    Axis(machine, float(wanted[0]), leak).run((settling + len(wanted)) * machine.period, at_sample)
+    true, read, command = (np.array(column[settling:][: len(wanted)]) for column in zip(*rows, strict=True))
+    return Run(true, read, command, float(np.abs(true[:, 0] + bias[0] - wanted).mean()))
 
 
 def references(task: TaskConfig, seconds: float, families: Sequence[str]) -> Floats:
     """References of the project's families that the rig of the nameplates can follow, a row each, m."""
-    exact = task_config(task, episode_duration=seconds, randomisation={})
+    exact = task_config(task, episode_duration=seconds, randomisation={}, references=SLOW)
     env = ServoHydraulicVectorEnv(len(families), exact, info=False)
     env.reset(seed=[SEED + number for number in range(len(families))], options={"reference": list(families)})
     wanted = np.array(env.axes.reference[:, : exact.steps])
@@ -337,67 +304,54 @@ def references(task: TaskConfig, seconds: float, families: Sequence[str]) -> Flo
     return wanted
 
 
-def control_row(case: Case, task: TaskConfig, controller: Controller, leak: float, plain: TaskConfig) -> dict[str, Any]:
-    """Error, travel of the valve and failures; of a flexible load also its swing after a step."""
-    wanted = references(plain, SECONDS, MOVING_FAMILIES)
-    runs = [driven(case, task, controller, leak, one, SEED + number) for number, one in enumerate(wanted)]
+def control_row(machine: Machine, task: TaskConfig, name: str, leak: float, plain: TaskConfig) -> dict[str, Any]:
+    """Error, travel of the valve and failures; of a flexible load also its swing after a step, without noise."""
+    controller, wanted = controller_of(name, task), references(plain, SECONDS, MOVING_FAMILIES)
+    runs = [driven(machine, task, controller, leak, one, SEED + number) for number, one in enumerate(wanted)]
     row: dict[str, Any] = {
-        "error_um": 1e6 * float(np.exp(np.mean([math.log(run.error()) for run in runs]))),
-        "travel": float(np.mean([np.abs(np.diff(run.command)).mean() for run in runs])) / (FULL_VOLTAGE * case.period),
-        "failures": sum(bool((np.abs(run.signals[:, 0]) > case.machine.stroke / 2).any()) for run in runs),
+        "error_um": 1e6 * math.exp(np.mean([math.log(run.error) for run in runs])),
+        "travel": float(np.mean([np.abs(np.diff(run.command)).mean() for run in runs])) / machine.period,
+        "failures": sum(bool((np.abs(run.true[:, 0]) > machine.stroke / 2).any()) for run in runs),
     }
-    if case.kind == "flexible":
+    if machine.kind == "flexible":
+        step = np.append(-0.002, np.full(round(RESTING / machine.period) - 1, 0.002))
         exact = task_config(task, sensors={"enabled": False})
-        step = np.full(round(10.0 / case.period), 0.002)
-        step[0] = -0.002
-        position = driven(case, exact, controller, leak, step, SEED).signals[:, 0]
-        for second, part in enumerate(np.array_split(position, 10), 1):
-            row[f"swing_{second}_um"] = 1e6 * float(np.ptp(part))
+        position = driven(machine, exact, controller, leak, step, SEED).true[:, 0]
+        for second, part in enumerate(np.array_split(position, round(RESTING)), 1):
+            row[f"swing_{second}_um"] = round(1e6 * float(np.ptp(part)), 1)
     return row
 
 
-def leak_row(case: Case, task: TaskConfig, leak: float, plain: TaskConfig, file: Path) -> dict[str, Any]:
+def leak_row(machine: Machine, task: TaskConfig, leak: float, plain: TaskConfig, file: Path) -> dict[str, Any]:
     """Alarms of the leakage head, and the verdict on a recording of flow linearisation."""
-    controller = controller_of("flow_linearising", task)
-    run = driven(case, task, controller, leak, references(plain, RECORDED, ["multi_sine"])[0], SEED)
-    command = np.append(0.0, run.command[:-1])  # in the row in which it acts
-    signals = np.vstack([run.measured.T, command / FULL_VOLTAGE])
-    write_text(file, recording_csv(np.arange(len(command)) * case.period, signals))
-    head = load_head(None, task)
+    wanted = references(plain, RECORDED, ["multi_sine"])[0]
+    run = driven(machine, task, controller_of(UNTUNED, task), leak, wanted, SEED)
+    acting = np.append(0.0, run.command[:-1])  # in the row in which it acts
+    signals, head = np.vstack([run.measured.T, acting]), load_head(None, task)
+    write_text(file, recording_csv(np.arange(len(acting)) * machine.period, signals))
     length = head.settings.window
-    windows = np.stack([signals[:, at : at + length] for at in range(0, len(command) - length + 1, length)])
-    found = head.estimate_windows(windows)
-    verdict = diagnose(file, task, head).verdict
-    return {
-        "alarms": int((found.probability >= head.settings.threshold).sum()),
-        "windows": len(windows),
-        "verdict": verdict.line(),
-    }
+    starts = range(0, len(acting) - length + 1, length)
+    found = head.estimate_windows(np.stack([signals[:, start : start + length] for start in starts]))
+    alarms = int((found.probability >= head.settings.threshold).sum())
+    return {"alarms": alarms, "windows": len(starts), "verdict": diagnose(file, task, head).verdict.line()}
 
 
-def rows_of(plant: str, name: str, leak: float, folder: Path) -> Iterator[dict[str, Any]]:
+def row_of(plant: str, name: str, leak: float, folder: Path) -> dict[str, Any]:
     """The row of one case."""
-    case = PLANTS[plant]
-    task, plain = task_of(case, folder, plant), task_of(case._replace(told={}), folder, case.kind)
+    machine = PLANTS[plant]
+    task, plain = task_of(machine, folder, plant), task_of(machine._replace(told={}), folder, machine.kind)
     if name == LEAK:
-        found = leak_row(case, task, leak, plain, folder / f"{plant}_{leak:g}.csv")
+        found = leak_row(machine, task, leak, plain, folder / f"{plant}_{leak:g}.csv")
     else:
-        found = control_row(case, task, controller_of(name, task), leak, plain)
-    yield {"plant": plant, "controller": name, "leak": leak, **found}
+        found = control_row(machine, task, name, leak, plain)
+    return {"plant": plant, "controller": name, "leak": leak, **found}
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:
-    """One row per plant and controller: errors at each leak, and relative to those of untuned flow linearisation."""
-    driven_rows = rows[rows["controller"] != LEAK]
-    errors = driven_rows.pivot_table("error_um", ["plant", "controller"], "leak", sort=False)
-    table = errors.rename(columns="error at {:g} l/min, µm".format)
-    for leak in errors:
-        first = errors[leak].unstack("controller").get("flow_linearising")
-        if first is not None:
-            table[f"÷ untuned at {leak:g} l/min"] = errors[leak] / first.reindex(errors.index, level="plant")
-    table["travel, 1/s"] = driven_rows.groupby(["plant", "controller"])["travel"].mean()
-    table["failures"] = driven_rows.groupby(["plant", "controller"])["failures"].sum()
-    return table.round(3).reset_index()
+    """The rows of the controllers, with their errors relative to those of untuned flow linearisation."""
+    first = rows[rows["controller"] == UNTUNED].set_index(["plant", "leak"])["error_um"]
+    places = pd.MultiIndex.from_frame(rows[["plant", "leak"]])
+    return rows.assign(ratio=rows["error_um"] / first.reindex(places).to_numpy())
 
 
 def main() -> None:
@@ -412,15 +366,17 @@ def main() -> None:
     cases = list(itertools.product(PLANTS, CONTROLLERS, LEAKS))
     asked = set(itertools.product(given.plants, given.controllers, given.leaks))
     wanted = [number for number, case in enumerate(cases) if case in asked]
-
-    def numbered(number: int) -> list[dict[str, Any]]:
-        return [{"case": number, **row} for row in rows_of(*cases[number], given.output)]
-
-    rows = kept_rows(given.output / "rows.csv", "case", wanted, numbered, given.jobs).sort_values("case")
-    for table in (summary(rows), rows.filter(regex="plant|controller|leak|swing"), rows[rows["controller"] == LEAK]):
-        table = table.dropna(axis="columns", how="all").dropna()
-        if len(table) and len(table.columns) > 3:
-            print(markdown(tuple(table), table.astype(str).to_numpy().tolist()), end="\n\n")
+    rows = kept_rows(
+        given.output / "rows.csv",
+        "case",
+        wanted,
+        lambda number: [{"case": number, **row_of(*cases[number], given.output)}],
+        given.jobs,
+    ).sort_values("case")
+    for table in (summary(rows[rows["controller"] != LEAK]), rows[rows["controller"] == LEAK]):
+        if len(table):
+            shown = table.drop(columns="case").dropna(axis="columns", how="all").round(3).astype(str)
+            print(markdown(tuple(shown), shown.to_numpy().tolist()), end="\n\n")
 
 
 if __name__ == "__main__":
