@@ -36,7 +36,8 @@ class OwnLoop:
         si: signals in m, Pa and fractions of the stroke of the spool; default: in mm, bar and %.
 
     Raises:
-        ConfigurationError: the controller does not exist or does not fit the rig.
+        ConfigurationError: the controller does not exist or does not fit the rig; in :meth:`step`, a signal is unknown,
+            or the number of references is another.
 
     Example:
         >>> from hydro_agents.controllers.own_loop import OwnLoop
@@ -47,13 +48,12 @@ class OwnLoop:
     """
 
     def __init__(self, controller: Any, task: TaskConfig, head: Any = None, si: bool = False) -> None:
-        load = imported("hydro_agents.learning.loading:load_controller")  # of a room above this one
-        self.controller = load(controller, task, "own loop")
+        self.controller = imported("hydro_agents.learning.loading:load_controller")(controller, task, "own loop")
         self.ahead = tuple(count * task.control_period for count in task.preview_samples)
         self._places, self._head, self._period = [0, *task.preview_samples], head, task.control_period
         self._settings, self._layout, names = settings_of(task), layout_of(task), observation_layout(task)[0]
-        self._model, self._speed_per_volt = FlowModel(task.plant), max(speed_limits(task.plant)) / FULL_VOLTAGE
-        self._unit = {name: 1.0 if si else ENGINEERING[unit] for name, unit in CHANNEL_UNITS.items()}
+        self._model, self._travel = FlowModel(task.plant), max(speed_limits(task.plant)) * task.control_period
+        self._units = np.array([1.0 if si else ENGINEERING[unit] for unit in CHANNEL_UNITS.values()])
         self._fitted = [place for place, name in enumerate(CHANNELS) if name in names]
         self._columns = np.array([names.index(CHANNELS[place]) for place in self._fitted])
         both = {PRESSURE_A, PRESSURE_B} <= set(self._fitted)
@@ -78,9 +78,6 @@ class OwnLoop:
         Args:
             reference: desired position from the middle of the stroke, now, or now and at each of ``ahead``.
             measured: ``position``, ``pressure_a``, ``pressure_b`` (gauge), ``spool_position``: those that the rig has.
-
-        Raises:
-            ConfigurationError: an unknown signal, or another number of references.
         """
         present, measured_si = self._read(reference, measured), self._record["measured"][0]
         command = kept = float(self._record["command"][0])
@@ -92,23 +89,20 @@ class OwnLoop:
             self._before = float(measured_si[POSITION])
         self.lost = 0 if complete and np.isfinite(command) else self.lost + 1
         command = float(np.clip(command, -1.0, 1.0)) if np.isfinite(command) else kept
-        travel = (self.lost - 1) * self._period * self._speed_per_volt * FULL_VOLTAGE * abs(command)
+        travel, largest = (self.lost - 1) * self._travel * abs(command), min(self._period / STOPPING_TIME, 1.0)
         self.holding = self.holding or travel > LOST_TRAVEL or self.lost * self._period > LOST_TIME
         if self.holding:
-            largest = min(self._period / STOPPING_TIME, 1.0)
             command = kept + float(np.clip(self._at_rest - kept, -largest, largest))
         self._record["command"] = command
         return FULL_VOLTAGE * command
 
     def _read(self, reference: Any, measured: dict[str, Any]) -> NDArray[np.bool_]:
         """Write a sample into the record, in SI units; whether each fitted sensor, and the reference, are present."""
-        wanted = np.atleast_1d(np.asarray(np.nan if reference is None else reference, float)) * self._unit["position"]
-        if not measured.keys() <= self._unit.keys() or wanted.shape not in ((1,), (len(self._places),)):
+        wanted = np.atleast_1d(np.asarray(reference, float)) * self._units[POSITION]  # None becomes NaN
+        if not measured.keys() <= CHANNEL_UNITS.keys() or wanted.shape not in ((1,), (len(self._places),)):
             allowed = f"{', '.join(CHANNELS)}; 1 or {len(self._places)} references"
             raise ConfigurationError(f"own loop: {', '.join(measured)}; {wanted.size} references: must be {allowed}")
-        sample = np.full(len(CHANNELS), np.nan)
-        for name, value in measured.items():
-            sample[CHANNELS.index(name)] = np.nan if value is None else value * self._unit[name]
+        sample = np.array([measured.get(name) for name in CHANNELS], float) * self._units
         present = (self._low <= sample) & (sample <= self._high)
         self._record["measured"][0, present] = sample[present]
         if np.isfinite(wanted).all():
@@ -119,9 +113,8 @@ class OwnLoop:
         """The controller's command; the head reads the same observation, except lost signals."""
         observation = np.zeros((1, len(self._layout)), dtype=np.float32)
         observe(self._settings, self._layout, self._record, self._reference, observation, self._before)
-        command, self._memory = self.controller.predict(observation, self._memory)
+        command, self._memory = self.controller.predict(observation.copy(), self._memory)
         if self._head is not None:
-            seen = observation.copy()
-            seen[0, self._columns[~present[:-1]]] = np.nan
-            self.leak, self._watching = self._head.predict(seen, self._watching)
+            observation[0, self._columns[~present[:-1]]] = np.nan
+            self.leak, self._watching = self._head.predict(observation, self._watching)
         return float(command[0, 0])

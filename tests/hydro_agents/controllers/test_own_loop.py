@@ -3,27 +3,32 @@
 import numpy as np
 import pytest
 
+from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.controllers.own_loop import LOST_TIME, OwnLoop
+from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.learning.loading import shipped
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import CHANNELS
 
 TASK = TaskConfig()
 UNITS = np.array([1e-3, 1e5, 1e5, 1e-2])
 
 
-def driven(controller, periods=300, si=True, head=None, family="multi_sine"):
+def driven(controller, periods=300, si=True, head=None, family="multi_sine", task=TASK):
     """Voltages of the environment's own loop, those of :class:`OwnLoop` with the same signals, and this loop."""
-    env = ServoHydraulicVectorEnv(1, TASK, info=False)
+    env = ServoHydraulicVectorEnv(1, task, info=False)
+    fitted = [name for name in CHANNELS if getattr(task.sensors, name).fitted]
     observation, _ = env.reset(seed=[3], options={"reference": [family], "leakage_flow_lpm": [1.0]})
-    loop = OwnLoop(controller, TASK, head=head, si=si)
+    loop = OwnLoop(controller, task, head=head, si=si)
     loop.reset(10.0 * env.axes.column("command")[0])
     theirs, ours, memory, watching, leak = [], [], None, None, None
     for step in range(periods):
         samples = env.axes.column("measured")[0] / (1.0 if si else UNITS)
-        wanted = env.axes.reference[0, step + np.array([0, *TASK.preview_samples])] / (1.0 if si else 1e-3)
-        ours.append(loop.step(wanted, **dict(zip(CHANNELS, map(float, samples), strict=True))))
+        wanted = env.axes.reference[0, step + np.array([0, *task.preview_samples])] / (1.0 if si else 1e-3)
+        read = dict(zip(CHANNELS, map(float, samples), strict=True))
+        ours.append(loop.step(wanted, **{name: read[name] for name in fitted}))
         if head is not None:
             leak, watching = head.predict(observation, watching)
         action, memory = loop.controller.predict(observation, memory)
@@ -39,6 +44,41 @@ def driven(controller, periods=300, si=True, head=None, family="multi_sine"):
 @pytest.mark.parametrize("kind", ["pid", "flow_linearising", "ppo"])
 def test_it_gives_the_commands_of_the_environment_bit_for_bit(kind):
     theirs, ours, loop = driven(kind)
+    np.testing.assert_array_equal(ours, theirs)
+    assert np.ptp(ours) > 0.5
+    assert (loop.lost, loop.holding) == (0, False)
+
+
+def rig(period=0.002, latency=0.0006, absent=(), **more):
+    sensors = {name: {"fitted": False} for name in absent}
+    return task_config(
+        None, rig="symmetric_eha", control_period=period, command_latency=latency, sensors=sensors, **more
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "task"),
+    [
+        ("ppo", rig()),
+        ("ppo", rig(absent=["spool_position"])),
+        ("flow_linearising", rig(0.001, 0.0, absent=["spool_position"])),
+        ("flow_linearising", rig(0.010, 0.012)),
+        ("pid", rig(absent=["pressure_b"])),
+        ("pid", rig(absent=["pressure_a", "pressure_b", "spool_position"])),
+    ],
+    ids=[
+        "any axis",
+        "any axis, no spool",
+        "1 ms, no spool",
+        "10 ms, later than that",
+        "no pressure b",
+        "position alone",
+    ],
+)
+def test_other_rigs_sensors_and_periods_give_the_commands_of_the_environment(kind, task):
+    usual = {"pid": PIDGains(proportional=20.0), "flow_linearising": FlowLinearisingGains()}  # a choice takes a minute
+    controller = shipped(kind, task, lambda name, _: usual[name])
+    theirs, ours, loop = driven(controller, min(300, task.steps), task=task)
     np.testing.assert_array_equal(ours, theirs)
     assert np.ptp(ours) > 0.5
     assert (loop.lost, loop.holding) == (0, False)
