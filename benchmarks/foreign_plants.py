@@ -328,7 +328,7 @@ def leak_row(machine: Machine, task: TaskConfig, leak: float, plain: TaskConfig,
     run = driven(machine, task, controller_of(UNTUNED, task), leak, wanted, SEED)
     acting = np.append(0.0, run.command[:-1])  # in the row in which it acts
     signals, head = np.vstack([run.measured.T, acting]), load_head(None, task)
-    write_text(file, recording_csv(np.arange(len(acting)) * machine.period, signals))
+    write_text(file, recording_csv(np.arange(len(acting), dtype=np.float64) * machine.period, signals))
     length = head.settings.window
     starts = range(0, len(acting) - length + 1, length)
     found = head.estimate_windows(np.stack([signals[:, start : start + length] for start in starts]))
