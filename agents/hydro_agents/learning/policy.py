@@ -222,6 +222,31 @@ class PolicyController:
             )
         return cls(features, layers, training, activation, lstm)
 
+    def into(self, model: Any) -> None:
+        """Copy this actor into a model of stable-baselines3, the reverse of :meth:`from_sb3`.
+
+        Raises:
+            ConfigurationError: the model has other layers.
+        """
+        import torch
+
+        policy = model.policy
+        modules = [module for module in policy.mlp_extractor.policy_net if hasattr(module, "weight")]
+        pairs = []
+        for module, (weight, bias) in zip([*modules, policy.action_net], self.layers, strict=False):
+            pairs += [(module.weight, weight), (module.bias, bias)]
+        if self.lstm is not None and hasattr(policy, "lstm_actor"):
+            layer, own = policy.lstm_actor, self.lstm
+            pairs += [(layer.weight_ih_l0, own.inputs), (layer.weight_hh_l0, own.recurrent)]
+            pairs += [(layer.bias_ih_l0, own.bias), (layer.bias_hh_l0, 0.0 * own.bias)]
+        sizes = [tuple(mine.shape) for mine, _ in pairs]
+        same = len(modules) + 1 == len(self.layers) and (self.lstm is None) != hasattr(policy, "lstm_actor")
+        if not same or sizes != [given.shape for _, given in pairs]:
+            raise ConfigurationError("start: its weights have other inputs or layers than the settings")
+        with torch.no_grad():
+            for mine, given in pairs:
+                mine.copy_(torch.from_numpy(given.copy()))
+
     def moved_to(self, config: TaskConfig, gains: GainsFor = searched_gains) -> PolicyController:
         """A policy for any axis on the rig of another task; ``gains`` finds those of the controller that it corrects.
 

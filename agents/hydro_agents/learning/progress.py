@@ -33,6 +33,7 @@ from hydro_env.task.drawn_rigs import rig_tasks
 PROGRESS_FILE = "progress.csv"
 STEPS = "time/total_timesteps"
 VALIDATION_RIGS, VALIDATION_PLANTS = 8, 8
+ACTOR = ("lstm_actor", "mlp_extractor.policy_net", "action_net")  # of the networks of stable-baselines3
 
 
 class Progress(NamedTuple):
@@ -154,6 +155,9 @@ class TrainingCallback(BaseCallback):
         share = min(self.num_timesteps / self._settings.total_steps, 1.0)
         with torch.no_grad():
             self.model.policy.log_std.fill_(self._settings.log_standard_deviation_at(share))
+        for name, weights in self.model.policy.named_parameters():
+            if name.startswith(ACTOR):
+                weights.requires_grad_(share >= self._settings.critic_first)
         if self._logged >= 0:
             self._log()
         self._checkpoints.keep(self.model, self.model.get_env(), self.seconds)

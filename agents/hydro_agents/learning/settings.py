@@ -48,6 +48,12 @@ class PPOSettings(Group):
     law: RigLaw | None = Field(
         None, description="rigs of the training, for a policy that serves any axis; none: the task's own rig"
     )
+    start: str | None = Field(
+        None, description="weights of a policy of the same inputs and layers to begin with, a path without its ending"
+    )
+    critic_first: float = Field(
+        0.0, ge=0.0, lt=1.0, description="part of the training in which the critic alone learns: needed by a start"
+    )
     reward_scale: float = Field(0.2, gt=0.0, le=1e6)
     total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
     axes: int = Field(256, ge=1, le=65_536)

@@ -150,6 +150,8 @@ def make_model(env: AxisVecEnv | RigsVecEnv, settings: PPOSettings, seed: int) -
     with torch.no_grad():
         model.policy.log_std.requires_grad_(False)  # the exploration follows a schedule
         model.policy.action_net.weight.mul_(0.1 if settings.residual else 1.0)
+    if settings.start:
+        PolicyController.load(settings.start).into(model)
     return model
 
 
