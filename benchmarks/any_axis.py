@@ -1,7 +1,7 @@
 """How hard are drawn rigs: a policy for any axis, and its opponents, on test rigs that nobody used.
 
     python benchmarks/any_axis.py [--weights WEIGHTS] [--rigs 100] [--first 800] [--tuned FOLDER] [--split test]
-                                  [--seconds 2] [--output FILE] [--controller NAME]
+                                  [--seconds 2] [--output FILE] [--controller NAME] [--structure]
     python benchmarks/any_axis.py --rig kovari_2015 --rig my.yaml
 
 Errors are those in the sensor's frame, every family of references weighing the same; a failed axis is wrong by its
@@ -47,6 +47,7 @@ PROPORTIONAL, NOTHING = "P, the recommended gain", "no command"
 LEAKS = (0.05, 2.0)  # l/min at 100 bar
 PLANTS = 8  # of each family and leak
 STANDSTILLS = 16
+STRUCTURE = {"tip_share": 0.6, "wave_share": 0.3, "sharp_share": 0.4}
 RESAMPLES = 2000
 
 
@@ -71,6 +72,7 @@ def measured(controller: Controller, task: TaskConfig, skip: int) -> dict[str, A
         "failures": int((run.failed_at >= 0).sum()) + int(rest["failures"]),
         "travel": float(np.abs(np.diff(run.command, axis=1)).mean() / task.control_period),
         "limit_cycles": int(rest["limit_cycles"]),
+        "ringing": int(rest["ringing"]),
         **errors,
     }
 
@@ -147,6 +149,7 @@ def summary(rows: pd.DataFrame) -> Iterator[list[str]]:
             f"{(travel[name] / travel[UNTUNED]).median():.2f}",
             f"{int(own['failures'].sum())}",
             f"{int(own['limit_cycles'].sum())}",
+            f"{int(own['ringing'].sum())}",
         ]
 
 
@@ -166,13 +169,15 @@ def main() -> None:
     parser.add_argument("--split", default="test", choices=("training", "validation", "test"))
     parser.add_argument("--rig", action="append", help="instead of drawn ones; repeat for several")
     parser.add_argument("--first", type=int, default=0, help="number of the first rig")
+    parser.add_argument("--structure", action="store_true", help="rigs with loads that bend, waves, sharp edges")
     parser.add_argument("--tuned", type=Path, help="folder for gains of each rig: minutes per rig")
     parser.add_argument("--seconds", type=float, default=2.0, help="of each episode")
     parser.add_argument("--output", type=Path, default=Path("results/any_axis.csv"))
     parser.add_argument("--controller", action="append", default=[], help="judge it and the untuned one alone; repeat")
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
-    law = {"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": []}
+    structure = STRUCTURE if given.structure else {}
+    law = {"split": given.split, "count": given.rigs, "first": given.first, "preview_paces": [], "structure": structure}
     tasks = [task_config(rig=rig) for rig in given.rig] if given.rig else rig_tasks(task_config(law=law))
     rows = kept_rows(
         given.output,
@@ -185,7 +190,7 @@ def main() -> None:
     )
     more = ("geometric mean", "better on", "range")
     header = ("controller", "rigs", "error ÷ untuned, median (95 %)", *more)
-    print(markdown((*header, "valve travel, median", "failures", "limit cycles"), list(summary(rows))))
+    print(markdown((*header, "valve travel, median", "failures", "limit cycles", "ringing"), list(summary(rows))))
     print(markdown(("ratio of errors", "rigs", "median (95 %)", *more), list(against(rows))))
 
 

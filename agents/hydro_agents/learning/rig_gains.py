@@ -5,6 +5,7 @@ A simulation of the rig judges them; its plants, leaks and references are those 
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -20,6 +21,7 @@ from hydro_agents.running.limit_cycles import counted_at_rest
 from hydro_agents.running.seeds import STANDSTILLS
 from hydro_env import TaskConfig
 from hydro_env.files import Group, read_yaml, validate
+from hydro_env.task.configuration import task_config
 from hydro_env.types import Floats
 
 GainsFor = Callable[[str, TaskConfig], Group]  # of a kind and a task
@@ -30,11 +32,15 @@ CHOICE_CASES = 14  # of each set in :func:`chosen_gains`, beside the resting one
 NEARBY = 56  # candidates of :func:`searched_gains`
 NEAR = {"pid": 0.05, "flow_linearising": 0.1}  # their first spread in parts of the search ranges
 SEARCH_CASES = 42  # of each of these candidates
-TRIALS = (1, 2, 3, 4)  # seeds of the other cases that decide in the end
+TRIALS = (1, 2, 3, 4)  # seeds of the other cases that decide in the end; the rig and its neighbours take turns
 TRIAL_CASES = 84  # of each seed: many, because few plants swing
 RESTS = 96  # standstills
-PER_LIMIT_CYCLE = {"pid": 15.0, "flow_linearising": 1.5}
-"""What a limit cycle at all of them adds to the logarithm of the error; that of a PID is millimetres large."""
+PER_RINGING = {"pid": 15.0, "flow_linearising": 1.5}
+"""What ringing at all of them adds to the logarithm of the error; the limit cycles of a PID are millimetres large."""
+BETTER = 0.02  # lower logarithm of the error than the first set's, for others to take its place
+
+BENDING = {"tip_share": 0.3, "tip_frequency": 2.0 * math.pi * 10.0, "tip_damping_ratio": 0.01}
+"""A load that bends, as on many machines whose nameplates do not tell it."""
 
 Found = TypeVar("Found")
 _FOUND: dict[tuple[str, str, str], Any] = {}  # by what was sought, kind and task
@@ -89,8 +95,9 @@ def chosen_gains(kind: str, config: TaskConfig) -> Group:
 def searched_gains(kind: str, config: TaskConfig) -> Group:
     """Gains from a short search around :func:`chosen_gains`; it takes about a minute.
 
-    Fresh cases decide between the best candidate of each generation, the choice and the first set: a search favours
-    what some cases happen to like. Limit cycles at rest count against each.
+    Fresh cases on the rig and its :func:`neighbours` decide between the best candidate of each generation, the choice
+    and the first set: a search favours what some cases, and what its own plant, happen to forgive. Ringing and limit
+    cycles after a step count against each.
     """
     print(f"hydro: {kind}: a simulation of the rig searches gains; about a minute", file=sys.stderr)
     chosen = chosen_gains(kind, config)
@@ -99,12 +106,27 @@ def searched_gains(kind: str, config: TaskConfig) -> Group:
     tune(kind, config, search, progress=lambda best: found.append(best.gains))
     leaders = list(dict.fromkeys(found))  # a generation without a better candidate repeats the last one
     errors = np.zeros(len(leaders))
-    for seed in TRIALS:
-        errors += np.log(costs_of_sets(kind, leaders, [config], TRIAL_CASES, seed)) / len(TRIALS)
+    judges = neighbours(config)
+    for place, seed in enumerate(TRIALS):
+        judge = judges[place % len(judges)]
+        errors += np.log(costs_of_sets(kind, leaders, [judge], TRIAL_CASES, seed)) / len(TRIALS)
     for number, gains in enumerate(leaders):
         counts = counted_at_rest(CONTROLLERS[kind][0](gains, config), config, STANDSTILLS, RESTS)
-        errors[number] += PER_LIMIT_CYCLE[kind] * counts["limit_cycles"] / RESTS
-    return leaders[int(np.argmin(errors))]
+        errors[number] += PER_RINGING[kind] * max(counts["limit_cycles"], counts["ringing"]) / RESTS
+    best = int(np.argmin(errors))
+    return leaders[best if errors[best] < errors[0] - BETTER else 0]
+
+
+def neighbours(config: TaskConfig) -> list[TaskConfig]:
+    """The task, and the same with what its nameplates may not tell: a load that bends, the sharp edges of a lap."""
+    plant, valve = config.plant, config.plant.valve
+    found = [config]
+    if not plant.structure.tip:
+        found.append(task_config(config, plant=plant.replace(load=BENDING)))
+    if not plant.structure.sharp_edges and valve.overlap == 0.0:
+        lap = 0.5 * valve.underlap  # of the same flow at the null
+        found.append(task_config(config, plant=plant.replace(valve={"underlap": 0.0, "overlap": -lap / (1.0 - lap)})))
+    return found
 
 
 def costs_on_rig(kind: str, sets: Sequence[Group], config: TaskConfig) -> Floats:

@@ -26,6 +26,8 @@ LASTING = 0.5  # an oscillation whose last third has less than this share of its
 BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 3.0
 """s: rest, step of the reference, time to come to rest after its return, evaluated time."""
 
+NOISES = 2.0  # an amplitude beyond so many standard deviations of the position sensor's noise can be seen
+
 _DRIFT = 2 * LEAST_CYCLES - 1  # degree of the polynomial that follows a drift of fewer cycles
 
 
@@ -112,13 +114,19 @@ def counted_at_rest(
 ) -> dict[str, float]:
     """The same for a controller of a task, on plants that the task draws, with a leak or those that it draws.
 
+    ``ringing`` counts those that still move by more than twice the noise of the position sensor, or by its resolution,
+    a second after the step, sustained or not.
+
     Raises:
         ControllerError: the controller failed.
     """
     task = standstill_task(config)
     leaks = None if leakage_flow_lpm is None else np.full(count, leakage_flow_lpm)
     rollout = run_cases(task, controller, Cases(np.array(seeds.take(count)), leaks))
-    return counted(pd.DataFrame(standstill_metrics(rollout, task)))
+    rows = pd.DataFrame(standstill_metrics(rollout, task))
+    sensor = config.sensors.position
+    loud = 1e6 * max(NOISES * sensor.noise, sensor.resolution)
+    return counted(rows) | {"ringing": int((rows["amplitude_um"] > loud).sum())}
 
 
 def comes_to_rest(counts: Mapping[str, Any]) -> bool:

@@ -136,6 +136,32 @@ def test_a_search_counts_where_its_candidates_are_better_on_other_cases(monkeypa
         assert searched_gains("flow_linearising", task) == good
 
 
+def test_a_search_asks_what_its_nameplates_may_not_tell():
+    """A load that bends, and sharp edges that let the same flow pass at the null; each only where the rig lacks it."""
+    bare = task_config(TASK, plant={"valve": {"underlap": 0.02}})
+    rig, bending, sharp = rig_gains.neighbours(bare)
+    assert rig == bare
+    assert (bending.plant.structure.tip, sharp.plant.structure.sharp_edges) == (True, True)
+    lap = -sharp.plant.valve.overlap
+    assert lap / (1.0 + lap) == pytest.approx(0.5 * 0.02)  # opening of each edge at the null, in parts of full stroke
+    assert len(rig_gains.neighbours(bending)) == len(rig_gains.neighbours(sharp)) == 2
+
+
+def test_a_training_may_begin_with_weights_and_teach_its_critic_first(policy, tmp_path):
+    folder, first = policy
+    more = {"start": str(folder / "policy"), "critic_first": 0.9, "total_steps": 192}
+    waits = train_policy(TASK, SETTINGS.model_copy(update=more), untuned(TASK), seed=2)
+    for mine, his in zip(waits.layers, first.layers, strict=True):
+        assert np.array_equal(mine[0], his[0])
+        assert np.array_equal(mine[1], his[1])
+    learns = train_policy(TASK, SETTINGS.model_copy(update=more | {"critic_first": 0.0}), untuned(TASK), seed=2)
+    moved = np.abs(learns.layers[0][0] - first.layers[0][0]).max()
+    assert 0.0 < moved < 0.5 * np.abs(first.layers[0][0]).max()
+    wider = SETTINGS.model_copy(update=more | {"hidden_sizes": (9,)})
+    with refused("start: its weights have other inputs or layers"):
+        train_policy(TASK, wider, untuned(TASK))
+
+
 def test_a_search_prefers_gains_that_come_to_rest_to_slightly_better_ones(monkeypatch):
     calm, task = FlowLinearisingGains(), RIGS[1]
     wild = calm.model_copy(update={"position_gain": 20.0 * calm.position_gain})
