@@ -43,7 +43,6 @@ from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 from hydro_rig.diagnosis.diagnose import diagnose
 from hydro_rig.recordings.simulated import recording_csv
 
-STEP = 1e-4  # s, of Exudyn's implicit integrator; it divides every period and latency
 SECONDS, SETTLING, RECORDED, RESTING = 2.0, 0.5, 8.0, 10.0  # of a motion, before it, of a recording, after a step
 SLOW = {"speed_share": 0.35, "acceleration_limit": 1.0, "step_range": [0.002, 0.005]}  # Exudyn's oil never cavitates
 SEED, GRAVITY = 11, 9.81
@@ -76,6 +75,7 @@ class Machine(NamedTuple):
     stroke: float = 0.4  # m
     bulk_modulus: float = 1.1e9  # Pa
     damping_ratio: float = 0.7  # of the spool
+    step: float = 2e-4  # s, of Exudyn's implicit integrator; it divides period and latency
 
     def areas(self) -> tuple[float, float]:
         """Areas of the piston, m²."""
@@ -98,6 +98,7 @@ CRANE = Machine(
 PLANTS = {
     "slide": Machine(
         *("slide", 0.005, 0.001, 30e-6, 9.5 * LITRE_PER_MINUTE, 70.0, 69e5, 400.0, 200.0, 100.0, A1),
+        step=1e-4,
     ),
     "rigid_crane": CRANE,
     "flexible_crane": CRANE._replace(kind="flexible"),
@@ -200,14 +201,14 @@ class Axis:
             **{"exponentialDecayStatic": STRIBECK_VELOCITY / arm},
         )
 
-    def run(self, seconds: float, at_sample: Callable[[Floats], float], step: float = STEP) -> None:
+    def run(self, seconds: float, at_sample: Callable[[Floats], float]) -> None:
         """Simulate; ``at_sample`` answers to the true values, in the order of CHANNELS, with a command, -1 to 1.
 
         The spool moves between the solver's steps, and the stiffness of the oil beside the leak between samples.
         """
         m, output = self.machine, self.exudyn.OutputVariableType
-        every, late, rate = round(m.period / step), round(m.latency / step), 2 * math.pi * m.frequency
-        decay = expm(np.array([[0.0, 1.0], [-(rate**2), -2 * m.damping_ratio * rate]]) * step).tolist()
+        every, late, rate = round(m.period / m.step), round(m.latency / m.step), 2 * math.pi * m.frequency
+        decay = expm(np.array([[0.0, 1.0], [-(rate**2), -2 * m.damping_ratio * rate]]) * m.step).tolist()
         spool, speed, sent, acting, count, (area_a, area_b) = 0.0, 0.0, 0.0, 0.0, 0, m.areas()
 
         def before_step(system: Any, _: float) -> bool:
@@ -230,7 +231,7 @@ class Axis:
         self.system.SetPreStepUserFunction(before_step)
         settings = self.exudyn.SimulationSettings()
         settings.solution.file.write, integration = False, settings.timeIntegration
-        integration.endTime, integration.numberOfSteps = seconds, round(seconds / step)
+        integration.endTime, integration.numberOfSteps = seconds, round(seconds / m.step)
         integration.adaptiveStep, newton = False, integration.newton  # a repeated step would call twice
         newton.numericalDifferentiation.minimumCoordinateSize = 1.0  # of pressures
         newton.relativeTolerance, newton.absoluteTolerance, newton.maxIterations = 1e-5, 1e-3, 50
@@ -336,7 +337,7 @@ def leak_row(machine: Machine, task: TaskConfig, leak: float, plain: TaskConfig,
     return {"alarms": alarms, "windows": len(starts), "verdict": diagnose(file, task, head).verdict.line()}
 
 
-def row_of(name: str, plant: str, leak: float, folder: Path) -> dict[str, Any]:
+def row_of(leak: float, name: str, plant: str, folder: Path) -> dict[str, Any]:
     """The row of one case."""
     machine = PLANTS[plant]
     task, plain = task_of(machine, folder, plant), task_of(machine._replace(told={}), folder, machine.kind)
@@ -363,8 +364,8 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("results/foreign_plants"), help="folder")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()
-    cases = list(itertools.product(CONTROLLERS, PLANTS, LEAKS))
-    asked = set(itertools.product(given.controllers, given.plants, given.leaks))
+    cases = sorted(itertools.product(LEAKS, CONTROLLERS, PLANTS), key=lambda case: case[1] == LEAK)  # it takes longest
+    asked = set(itertools.product(given.leaks, given.controllers, given.plants))
     wanted = [number for number, case in enumerate(cases) if case in asked]
     rows = kept_rows(
         given.output / "rows.csv",
@@ -372,7 +373,7 @@ def main() -> None:
         wanted,
         lambda number: [{"case": number, **row_of(*cases[number], given.output)}],
         given.jobs,
-    ).sort_values("case")
+    ).sort_values(["plant", "case"])
     for table in (summary(rows[rows["controller"] != LEAK]), rows[rows["controller"] == LEAK]):
         if len(table):
             shown = table.drop(columns="case").dropna(axis="columns", how="all").round(3).astype(str)

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.foreign_plants import LEAKS, PLANTS, STEP, UNTUNED, Axis, references, summary, task_of
+from benchmarks.foreign_plants import LEAKS, PLANTS, UNTUNED, Axis, references, summary, task_of
 from hydro_env.units import LITRE_PER_MINUTE
 
 needs_exudyn = pytest.mark.skipif(importlib.util.find_spec("exudyn") is None, reason="needs the extra foreign")
@@ -21,7 +21,7 @@ def test_the_rigs_come_from_nameplates_alone(tmp_path):
     assert told.rigid.replace(load={"tip_frequency": plain.load.tip_frequency}) == plain
     for name, machine in PLANTS.items():
         for time in (machine.period, machine.latency):
-            assert round(time / STEP) * STEP == pytest.approx(time, abs=1e-12)
+            assert round(time / machine.step) * machine.step == pytest.approx(time, abs=1e-12)
         areas = tasks[name].plant.cylinder
         assert machine.areas()[0] == pytest.approx(math.pi / 4 * areas.bore_diameter**2)
         wanted = references(tasks[name], 0.2, ["ramp", "sine"])
