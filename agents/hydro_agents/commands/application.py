@@ -58,6 +58,7 @@ GROUPS = {
     "The leak": {
         "diagnose": "hydro_rig.commands.diagnosing:diagnose",
         "leak-test": "hydro_rig.commands.leak_testing:leak_test",
+        "watch": "hydro_rig.commands.diagnosing:watch",
         "trend": "hydro_rig.commands.diagnosing:trend",
     },
 }

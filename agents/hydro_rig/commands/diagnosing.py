@@ -1,4 +1,4 @@
-"""``hydro diagnose`` and ``hydro trend``: verdicts on recordings of a machine, once and over weeks."""
+"""``hydro diagnose``, ``watch`` and ``trend``: verdicts on a machine, once, while it runs, and over weeks."""
 
 from __future__ import annotations
 
@@ -70,6 +70,49 @@ def diagnose(
         lines = [json.dumps(in_json(diagnosis), indent=1, ensure_ascii=False)]
     say(*lines)
     raise typer.Exit(EXIT_CODES[diagnosis.verdict.kind])
+
+
+def watch(
+    columns: Columns = None,
+    task: OwnTask = None,
+    rig: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[AXIS=]NAME|FILE", help="A rig, for all axes or one; repeat it. Default: the paper's."),
+    ] = None,
+    append: Annotated[
+        Path, typer.Option(metavar="FILE", help="The table of readings, as that of `hydro trend`.")
+    ] = Path("results/watch/watch.csv"),
+    tag: Annotated[str, typer.Option(help="Column, or tag of line protocol, that names the axis.")] = "axis",
+    oil: Annotated[
+        str, typer.Option(metavar="GRADE", help="ISO VG grade, or mm²/s at 40 and 100 °C such as 46/8.1.")
+    ] = "46",
+    limit: Annotated[
+        float, typer.Option(min=1e-3, max=100.0, help="Leak in l/min at 100 bar that is out of specification.")
+    ] = 0.3,
+    mqtt: Annotated[
+        str | None, typer.Option(metavar="HOST[:PORT]/TOPIC", help="Read an MQTT topic instead of the standard input.")
+    ] = None,
+    protocol: Annotated[bool, typer.Option("--line-protocol", help="Print line protocol instead of JSON.")] = False,
+) -> None:
+    """Watch running axes: rows come in, one line per axis and look goes out, in the words of NAMUR NE 107.
+
+    Rows are CSV below a heading line or the line protocol of InfluxDB, of one axis or several (`--tag`). A look every
+    four seconds checks the wiring as `hydro diagnose` does, reads the newest window, and adds it to an alarm that gives
+    one false alarm in 100 hours. The table holds a reading per hour and each change of state; beside it lies the memory
+    of the alarms, with which the next call goes on. `docs/watch.md` shows Telegraf and MQTT.
+    """
+    from hydro_rig.recordings.columns import read_map
+    from hydro_rig.watching.oil import Oil
+    from hydro_rig.watching.rows import RowReader
+    from hydro_rig.watching.sources import broker, lines_of, standard_input
+    from hydro_rig.watching.stream import FleetWatch
+    from hydro_rig.watching.watch import task_of
+
+    fleet = FleetWatch(task_of(task, rig or []), limit, append, Oil.of(oil))
+    reader = RowReader(read_map(columns) if columns is not None else None, tag)
+    for look in fleet.looks(lines_of(broker(mqtt) if mqtt else standard_input), reader):
+        say(look.line(protocol))
+        sys.stdout.flush()
 
 
 def trend(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from time import time
 from typing import Any, NamedTuple
@@ -112,11 +112,19 @@ def _row_or_error(file: File, config: TaskConfig, columns: ColumnMap | None, oil
 
 def _configs(task: str | None, rigs: Sequence[str], axes: Collection[str]) -> dict[str, TaskConfig]:
     """The task of each axis, with its own rig."""
+    own = task_of(task, rigs)
+    for text in rigs:
+        axis = text.rpartition("=")[0]
+        if axis and axis not in axes:
+            raise ConfigurationError(f"--rig {text}: axis '{axis}': known: {', '.join(sorted(axes)[:20])}")
+    return {axis: own(axis) for axis in axes}
+
+
+def task_of(task: str | None, rigs: Sequence[str]) -> Callable[[str], TaskConfig]:
+    """The task of an axis by its name, from ``[AXIS=]FILE``."""
     made: dict[str, TaskConfig] = {}
     for text in rigs:
         axis, _, file = text.rpartition("=")
-        if axis and axis not in axes:
-            raise ConfigurationError(f"--rig {text}: axis '{axis}': known: {', '.join(sorted(axes)[:20])}")
         made[axis] = task_config(task, rig=config_file("rigs", Path(file)))
     usual = made.get("") or task_config(task)
-    return {axis: made.get(axis, usual) for axis in axes}
+    return lambda axis: made.get(axis, usual)

@@ -1,0 +1,161 @@
+"""Rows of running axes as text: CSV below a heading line, or the line protocol of InfluxDB; and the way back.
+
+Line protocol: https://docs.influxdata.com/influxdb/v2/reference/syntax/line-protocol/
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hydro_agents.detection.detector import AUXILIARY
+from hydro_env import ConfigurationError
+from hydro_env.types import Floats
+from hydro_rig.recordings.columns import MEASURED, ColumnMap, own_map, place_of, unit_of
+
+SIGNALS = (*MEASURED, *AUXILIARY)
+"""Of a row, in this order."""
+
+NANOSECOND = 1e-9  # s
+TAG = "axis"  # column or tag with the name of the axis
+ALONE = "axis"  # name of an axis whose rows name none
+_PARTS = re.compile(r"(?<!\\) (?=(?:[^\"]*\"[^\"]*\")*[^\"]*$)")  # spaces outside of texts
+_FIELDS = re.compile(r"(?<!\\),(?=(?:[^\"]*\"[^\"]*\")*[^\"]*$)")
+_EQUALS = re.compile(r"(?<!\\)=")
+_ESCAPED = re.compile(r"\\([ ,=\\\"])")
+
+
+class Row(NamedTuple):
+    """The readings of an axis at one time."""
+
+    axis: str
+    time: float  # s; of dates, and in line protocol, since 1970
+    values: Floats  # (signals,), SI, in the order of SIGNALS; NaN: not measured, or lost
+
+
+class RowError(ConfigurationError):
+    """A line that is no row."""
+
+
+class _Columns:
+    """Where the cells of a line hold the signals, and their units."""
+
+    def __init__(self, headings: Sequence[str], columns: ColumnMap | None, source: str) -> None:
+        chosen = (columns or own_map(headings, source)).columns()
+        self.time = place_of(chosen["time"], "time", headings, source)
+        self.time_unit = unit_of(chosen["time"], "time", headings[self.time], source)[1]
+        self.signals = []
+        for row, name in enumerate(SIGNALS):
+            if name in chosen:
+                column, place = chosen[name], place_of(chosen[name], name, headings, source)
+                size = unit_of(column, name, headings[place], source)[1]
+                self.signals.append((row, place, size * column.gain, size * column.offset))
+
+    def values(self, cells: Sequence[str]) -> Floats:
+        values = np.full(len(SIGNALS), np.nan)
+        for row, place, gain, offset in self.signals:
+            if place < len(cells):
+                values[row] = gain * _number(cells[place]) + offset
+        return values
+
+
+class RowReader:
+    """Reads lines; the first line decides whether they are CSV or line protocol.
+
+    Args:
+        columns: the signal of each column or field; default: the names that ``hydro record`` writes.
+        tag: name of the column, or of the tag, that names the axis.
+    """
+
+    def __init__(self, columns: ColumnMap | None = None, tag: str = TAG) -> None:
+        self._map, self._tag = columns, tag
+        self._headings: list[str] | None = None  # of a CSV
+        self._separator = ","
+        self._columns: dict[tuple[str, ...], _Columns] = {}  # by headings
+        self._lines = 0
+
+    def row(self, line: str) -> Row | None:
+        """The row of a line; ``None`` of a comment, an empty line or the heading line.
+
+        Raises:
+            RowError: the line is no row.
+            ConfigurationError: a column or its unit is missing.
+        """
+        self._lines += 1
+        text = line.strip("\ufeff\r\n ")
+        if not text or text.startswith("#"):
+            return None
+        if self._headings is not None:
+            return self._of_cells(text)
+        parts = _PARTS.split(text)
+        if "=" in parts[-1 if len(parts) < 3 else 1]:
+            return self._of_protocol(parts)
+        self._separator = max(";\t,", key=text.count)
+        self._headings = [cell.strip().strip('"') for cell in text.split(self._separator)]
+        self._of_headings(self._headings)  # names what is missing at once
+        return None
+
+    def _of_headings(self, headings: Sequence[str]) -> _Columns:
+        key = tuple(headings)
+        if key not in self._columns:
+            self._columns[key] = _Columns(headings, self._map, "rows")
+        return self._columns[key]
+
+    def _of_cells(self, text: str) -> Row:
+        assert self._headings is not None
+        cells = [cell.strip().strip('"') for cell in text.split(self._separator)]
+        columns, axis = self._of_headings(self._headings), ALONE
+        if self._tag in self._headings:
+            axis = cells[min(self._headings.index(self._tag), len(cells) - 1)]
+        if columns.time >= len(cells):
+            raise RowError(f"line {self._lines}: has {len(cells)} cells, the heading line has {len(self._headings)}")
+        return Row(axis, self._time(cells[columns.time], columns.time_unit), columns.values(cells))
+
+    def _of_protocol(self, parts: Sequence[str]) -> Row:
+        names = dict(_pair(text) for text in _FIELDS.split(parts[0])[1:])
+        fields = dict(_pair(text) for text in _FIELDS.split(parts[1]))
+        if len(parts) < 3:
+            raise RowError(f"line {self._lines}: has no time stamp")
+        headings = ["time", *fields]
+        time = _number(parts[2]) * NANOSECOND
+        cells = ["", *(text.removesuffix("i").strip('"') for text in fields.values())]
+        return Row(names.get(self._tag, ALONE), time, self._of_headings(headings).values(cells))
+
+    def _time(self, cell: str, unit: float) -> float:
+        time = unit * _number(cell)
+        if np.isfinite(time):
+            return time
+        try:
+            return datetime.fromisoformat(cell.replace(",", ".")).timestamp()
+        except ValueError:
+            allowed = "a number or 2026-03-01T08:00:00.005"
+            raise RowError(f"line {self._lines}: time {cell[:30]!r}: must be {allowed}") from None
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, _, value = _EQUALS.sub("\n", text, count=1).partition("\n")
+    return _ESCAPED.sub(r"\1", name), _ESCAPED.sub(r"\1", value)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
+def in_protocol(measurement: str, axis: str, fields: dict[str, Any], time: float) -> str:
+    """A line of line protocol; unknown numbers are left out."""
+    tag = re.sub(r"([ ,=])", r"\\\1", axis)
+    parts = []
+    for name, value in fields.items():
+        if isinstance(value, str):
+            parts.append(f"{name}={json.dumps(value, ensure_ascii=False)}")
+        elif value is not None:
+            parts.append(f"{name}={value:.6g}")
+    return f"{measurement},{TAG}={tag} {','.join(parts)} {round(time / NANOSECOND)}"

@@ -1,0 +1,301 @@
+"""``hydro watch``: rows of running axes → one line per axis and look, in the words of NAMUR NE 107.
+
+A look takes the newest seconds of an axis, checks the wiring as ``hydro diagnose`` does, reads the newest window with
+the leakage head, with the estimator at rest or in doubt, and adds the reading to the shipped alarm.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hydro_agents.detection.activity import activity_of
+from hydro_agents.detection.alarm import AlarmSettings, AlarmState, LeakAlarm
+from hydro_agents.detection.detector import Cause, Reading, Windows
+from hydro_agents.detection.monitor import HeadDetector
+from hydro_agents.detection.sheet import leak_scale
+from hydro_agents.running.text import number
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import read_json, write_text
+from hydro_env.folders import config_folder
+from hydro_rig.diagnosis.verdict import Kind, Leak
+from hydro_rig.estimation.estimator import EstimatorDetector
+from hydro_rig.estimation.two_stage import TwoStageDetector
+from hydro_rig.recordings.columns import MEASURED
+from hydro_rig.recordings.findings import Finding, Weight
+from hydro_rig.recordings.quality import check_recording
+from hydro_rig.recordings.recording import Recording
+from hydro_rig.recordings.sampling import Sampled, bridged, cut, on_grid, sampled
+from hydro_rig.watching.oil import Oil, referred
+from hydro_rig.watching.rows import SIGNALS, Row, RowError, RowReader, in_protocol
+from hydro_rig.watching.table import File, read_table, with_row
+
+KEPT = 10.0  # s of rows per axis, on which the wiring is checked
+WINDOW = 2.0  # s
+SILENT = 3.0  # looks without a row, after which an axis has no data
+AGREE, LATEST = 3, 5  # a cause counts if so many of the last looks name it
+CHECK_EVERY = 3  # looks
+MARGIN = 2.0  # windows that are sampled between two checks, of which the newest is read
+READING_EVERY = 3600.0  # s between two rows of the table per axis
+
+
+class Condition(StrEnum):
+    """The state of an axis, NAMUR NE 107."""
+
+    FAILURE = "failure"  # a sensor that the diagnosis needs is faulty
+    CHECK = "function check"  # the rows do not suit the rig: wiring, units, clock
+    OUT = "out of specification"  # the leak exceeds its limit
+    MAINTENANCE = "maintenance required"  # the axis leaks, or something else is worn
+    GOOD = "good"
+    NO_DATA = "no data"
+
+
+class Look(NamedTuple):
+    """What a look at an axis tells."""
+
+    axis: str
+    time: float  # s
+    condition: Condition
+    since: float  # s
+    cause: str  # in words; empty: none
+    leak: Leak  # l/min at 100 bar; NaN: this look has no answer
+
+    def fields(self) -> dict[str, Any]:
+        """For another program; ``None``: unknown."""
+        sizes: dict[str, float | None] = {}
+        for name, size in self.leak._asdict().items():
+            sizes[name] = float(f"{size:.4g}") if np.isfinite(size) else None
+        return {"state": self.condition.value, "since": self.since, "cause": self.cause, **sizes}
+
+    def line(self, protocol: bool) -> str:
+        """One line, in line protocol or JSON."""
+        if protocol:
+            return in_protocol("hydro_watch", self.axis, self.fields(), self.time)
+        return json.dumps({"axis": self.axis, "time": self.time, **self.fields()}, ensure_ascii=False)
+
+
+NOTHING = Leak(np.nan, np.nan, np.nan)
+
+
+class AxisWatch:
+    """One axis: its newest rows, its detector and its alarm.
+
+    Args:
+        axis: its name.
+        task: on the rig of the axis.
+        limit: leak beyond which the axis is out of specification, l/min at 100 bar.
+    """
+
+    def __init__(self, axis: str, task: TaskConfig, limit: float) -> None:
+        self.axis, self.task, self.limit = axis, task, limit
+        settings = AlarmSettings.load(config_folder() / "agents" / "alarm.yaml")
+        self._alarm, self.interval = LeakAlarm(settings), settings.interval
+        self.memory: AlarmState = self._alarm.begin(1)
+        self.condition, self.since = Condition.NO_DATA, np.nan
+        self._detector = TwoStageDetector(HeadDetector.load(), EstimatorDetector(threads=1))
+        self._scale = leak_scale(task)
+        self._rows: deque[tuple[float, Any]] = deque(maxlen=max(round(KEPT / task.control_period), 100))
+        self._due = np.nan
+        self._causes: deque[str] = deque(maxlen=LATEST)
+        self._looks, self._found = 0, list[Finding]()
+
+    @property
+    def newest(self) -> float:
+        """Time of the newest row, s."""
+        return self._rows[-1][0] if self._rows else np.nan
+
+    def add(self, row: Row) -> Look | None:
+        """Add a row; the look that is then due."""
+        if self._rows and row.time < self.newest - KEPT:  # the clock was set back
+            self._rows.clear()
+            self._due = np.nan
+        self._rows.append((row.time, row.values))
+        if np.isnan(self._due):
+            self._due = row.time + max(WINDOW, self.interval)
+        if row.time < self._due:
+            return None
+        self._due = row.time + self.interval
+        return self.look()
+
+    def silent(self, now: float) -> Look | None:
+        """A look at an axis that has sent no row for some looks; ``None`` if it has, or if that was said."""
+        if self.condition is Condition.NO_DATA or now - self.newest < SILENT * self.interval:
+            return None
+        return self._told(now, Condition.NO_DATA, "no row", NOTHING)
+
+    def look(self) -> Look:
+        """Check the rows, read the newest window, and sum up; the wiring is checked at every third look."""
+        rows, now = self._recording(), self.newest
+        complete = self._looks % CHECK_EVERY == 0
+        self._looks += 1
+        try:
+            if complete:
+                checked = check_recording(rows, self.task)
+                self._found = [one for one in checked.findings if one.weight in (Weight.SEVERE, Weight.FAULT)]
+                samples = checked.samples
+            else:
+                first = int(np.searchsorted(rows.time, rows.time[-1] - MARGIN * WINDOW))
+                samples = sampled(rows.part(first, len(rows.time)), self.task)
+        except ConfigurationError as error:
+            return self._told(now, Condition.CHECK, str(error), NOTHING)
+        severe = [one for one in (*self._found, *samples.findings) if one.weight is Weight.SEVERE]
+        if severe:
+            return self._told(now, Condition.CHECK, severe[0].line(), NOTHING)
+        windows = self._newest_window(bridged(samples)[0], now)
+        if not len(windows):
+            return self._told(now, Condition.CHECK, "fewer rows than one window", NOTHING)
+        reading = self._detector.read(windows, on_grid(self.task, samples.period))
+        condition, cause = self._summed_up(reading, activity_of(windows.signals, samples.period))
+        if self._found:
+            condition, cause = Condition.FAILURE, self._found[0].line()
+        return self._told(now, condition, cause, _leak_of(reading))
+
+    def _recording(self) -> Recording:
+        """The kept rows."""
+        stamps = np.array([time for time, _ in self._rows])
+        values = np.array([row for _, row in self._rows]).T
+        known = np.isfinite(values).any(axis=1)
+        findings, auxiliary = [], {}
+        for name, row, present in zip(SIGNALS, values, known, strict=True):
+            if name in MEASURED and not present:
+                findings.append(Finding(name, "was not recorded", Weight.NOTE, absent=True))
+            elif name not in MEASURED and present:
+                auxiliary[name] = row
+        signals = values[: len(MEASURED)]
+        return Recording(self.axis, stamps - stamps[0], signals, {}, findings, auxiliary, float(stamps[0]))
+
+    @staticmethod
+    def _newest_window(samples: Sampled, now: float) -> Windows:
+        """The window that ends with the newest sample; none of fewer samples."""
+        length = round(WINDOW / samples.period)
+        place = samples.place - samples.place[-1] - 1
+        found = cut(samples._replace(place=place - place[0] // length * length), length)
+        newest = found.part(np.arange(len(found))[-1:])
+        ends = np.full(len(newest), now)
+        return Windows(newest.signals, ends - WINDOW, ends, newest.auxiliary)
+
+    def _summed_up(self, reading: Reading, activity: Any) -> tuple[Condition, str]:
+        """The condition by the alarm and by the causes of the last looks."""
+        size = reading._replace(score=reading.score / self._scale, sigma=reading.sigma / self._scale)
+        alarm, self.memory = self._alarm.update(size, activity, self.memory)
+        named = Cause(int(reading.cause[0]))
+        if reading.answers[0]:
+            self._causes.append("" if named is Cause.NONE else str(reading.fault[0]) or named.in_full)
+        if alarm.alarm[0]:
+            too_much = bool(reading.sized[0]) and reading.low_lpm[0] > self.limit
+            return Condition.OUT if too_much else Condition.MAINTENANCE, Cause.INTERNAL_LEAK.in_full
+        for cause in set(self._causes) - {""}:
+            if self._causes.count(cause) >= AGREE:
+                return Condition.MAINTENANCE, cause
+        return Condition.GOOD, ""
+
+    def _told(self, now: float, condition: Condition, cause: str, leak: Leak) -> Look:
+        if condition is not self.condition:
+            self.condition, self.since = condition, now
+        return Look(self.axis, now, condition, self.since, cause, leak)
+
+    def kept(self) -> dict[str, Any]:
+        """What a restart needs (JSON)."""
+        memory = {name: values.tolist() for name, values in self.memory._asdict().items()}
+        return {"condition": self.condition.value, "since": self.since, "alarm": memory}
+
+    def restore(self, kept: dict[str, Any]) -> None:
+        """Take over what :meth:`kept` gave."""
+        self.condition, self.since = Condition(kept["condition"]), float(kept["since"])
+        self.memory = AlarmState(**{name: np.array(values) for name, values in kept["alarm"].items()})
+
+
+def _leak_of(reading: Reading) -> Leak:
+    if not reading.sized[0]:
+        return NOTHING
+    return Leak(float(reading.flow_lpm[0]), float(reading.low_lpm[0]), float(reading.high_lpm[0]))
+
+
+class FleetWatch:
+    """All axes, the table of their readings, and the file that a restart reads.
+
+    Args:
+        task_of: the task of an axis by its name.
+        limit: of the leak, l/min at 100 bar, on the default rig; it is scaled with the flow of the valve.
+        table_file: as that of ``hydro trend``; the memory of the alarms lies beside it.
+        oil: in the axes.
+    """
+
+    def __init__(self, task_of: Callable[[str], TaskConfig], limit: float, table_file: Path, oil: Oil) -> None:
+        self._task_of, self._limit, self._oil = task_of, limit, oil
+        self._file, self._memory_file = table_file, table_file.with_suffix(".json")
+        self.table = read_table(table_file)
+        self.axes: dict[str, AxisWatch] = {}
+        self._best: dict[str, Look] = {}  # the narrowest answer since the last row of the table
+        self._kept: dict[str, Any] = {}
+        if self._memory_file.exists():
+            self._kept = read_json(self._memory_file)
+
+    def add(self, row: Row) -> Iterator[Look]:
+        """Add a row; the looks that are then due, after what they tell was written."""
+        axis = self.axes.get(row.axis)
+        if axis is None:
+            task = self._task_of(row.axis)
+            axis = AxisWatch(row.axis, task, self._limit * leak_scale(task))
+            if row.axis in self._kept:
+                axis.restore(self._kept[row.axis])
+            self.axes[row.axis] = axis
+        before = axis.condition
+        look = axis.add(row)
+        if look is not None:
+            self._keep(look, look.condition is not before)
+            yield look
+            for other in self.axes.values():
+                silent = other.silent(row.time)
+                if silent is not None:
+                    yield silent
+
+    def looks(self, lines: Iterable[str | None], reader: RowReader) -> Iterator[Look]:
+        """The looks of all lines; a line that is no row costs a line on the error stream, once per kind."""
+        told: set[str] = set()
+        for line in lines:
+            if line is None:  # nothing came for a while
+                continue
+            try:
+                row = reader.row(line)
+            except RowError as error:
+                kind = str(error).partition(": ")[2][:40]
+                if kind not in told:
+                    print(f"hydro: left out: {error}", file=sys.stderr)
+                told.add(kind)
+                continue
+            if row is not None and np.isfinite(row.time):
+                yield from self.add(row)
+
+    def _keep(self, look: Look, changed: bool) -> None:
+        """Write the memory of the alarms, and a row of the table if one is due."""
+        self._kept[look.axis] = self.axes[look.axis].kept()
+        write_text(self._memory_file, json.dumps(self._kept, indent=1))
+        best = self._best.get(look.axis)
+        wide = np.inf if best is None else best.leak.high - best.leak.low
+        if look.leak.high - look.leak.low < wide:  # not of a look without an answer: NaN
+            self._best[look.axis] = best = look
+        rows = self.table["until"][self.table["axis"] == look.axis]
+        last = 0.0 if rows.empty else float(np.datetime64(rows.max(), "s").astype(np.int64))
+        if best is not None and (changed or look.time - last >= READING_EVERY):
+            self._write(look, best)
+            del self._best[look.axis]
+
+    def _write(self, look: Look, best: Look) -> None:
+        leak = referred(best.leak, self._oil, np.nan)
+        kind = {Condition.GOOD: Kind.HEALTHY, Condition.CHECK: Kind.UNKNOWN, Condition.FAILURE: Kind.OTHER}
+        verdict = kind.get(look.condition, Kind.OTHER)
+        if self.axes[look.axis].memory.alarm[0]:
+            verdict = Kind.LEAK
+        sizes = {"size_40": leak.value, "low_40": leak.low, "high_40": leak.high}
+        row = {"time": best.time, "until": look.time, "verdict": verdict.value, "reason": look.cause, **sizes}
+        name = f"{look.axis}/watched {number(best.time, 12)}"
+        self.table = with_row(self.table, File(self._file, look.axis, name, 0), row | {"temperature": np.nan})
+        write_text(self._file, self.table.to_csv(index=False, lineterminator="\n"))
