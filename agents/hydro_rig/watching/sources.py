@@ -58,7 +58,11 @@ def broker(address: str) -> Callable[[Callable[[str], None]], None]:
     # A name of its own, under which the broker keeps rows while this client is away.
     client = Client(CallbackAPIVersion.VERSION2, client_id=f"hydro_watch {topic}", clean_session=False)
     client.reconnect_delay_set(max_delay=30)
-    client.on_connect = lambda *_: client.subscribe(topic, qos=1)
+
+    def on_connect(*_: object) -> None:
+        client.subscribe(topic, qos=1)
+
+    client.on_connect = on_connect
 
     def fill(put: Callable[[str], None]) -> None:
         def on_message(_client: object, _data: object, message: object) -> None:
