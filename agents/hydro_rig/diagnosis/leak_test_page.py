@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -89,8 +90,9 @@ def reading_page(test: LeakTest) -> Page:
         for name, quantity in test.fit.quantities.items():
             if name in WEAR and quantity is not test.fit.seal:
                 wear = WEAR[name]
-                ends = [number(wear.factor * end, digits=3) for end in healthy_range(test.task, name)]
-                rows[f"{wear.what}, {wear.unit}"] = (quantity, wear.factor, " to ".join(ends))
+                low, high = (wear.factor * end for end in healthy_range(test.task, name))
+                healthy = f"from {number(low, digits=3)}" + (f" to {number(high, digits=3)}" if high < math.inf else "")
+                rows[f"{wear.what}, {wear.unit}"] = (quantity, wear.factor, healthy)
         table = {}
         for name, (quantity, factor, healthy) in rows.items():
             value, low, high = (factor * part for part in quantity.leak)

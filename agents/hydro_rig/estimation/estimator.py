@@ -1,13 +1,15 @@
 """The estimator with the simulator as model, as a detector.
 
-Its unknowns are the parameters that the task draws and those that change by wear: the valve's null shift, its edges,
-its flow, the return line, and offsets of the sensors. Without the latter the model would read a leak on an axis with a
-worn valve. Windows without signs of wear are fitted again without it: the simpler model gives the leak more precisely.
-A window at rest shows no signs of wear, whatever the valve is like, so that its leak keeps the uncertainty of the wear.
+Its unknowns are the parameters that the task draws and those that change by wear: the valve's null shift, rounding and
+lap of its edges, its flow, the return line, and offsets of the sensors. Without the latter the model would read a leak
+on an axis with a worn valve. Windows without signs of wear are fitted again without it, but with the lap, which no
+nameplate tells: the simpler model gives the leak more precisely. A window at rest shows no signs of wear, whatever the
+valve is like, so that its leak keeps the uncertainty of the wear.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -41,6 +43,9 @@ WIDEST_READING = 0.05
 """Largest standard deviation of a valid reading, as a share of the leak, or in l/min at 100 bar on the default rig; on
 other rigs it grows with their flow (:func:`~hydro_agents.detection.sheet.leak_scale`)."""
 
+LAP, USUAL_LAP = "valve.overlap", 0.01
+"""The lap of the edges, and its standard deviation where only the rig's own value is known, of full stroke."""
+
 LEAST_TRAVEL = 20.0  # smallest travel of an axis in motion, in standard deviations of the position's noise
 
 LEAST_GAIN = 3.0  # of twice the log-likelihood per step of a moving supply, by which its course is believed
@@ -65,6 +70,7 @@ class Wear(NamedTuple):
 WEAR = {
     "valve.null_shift": Wear(Cause.VALVE, "null shift of the valve", 100.0, "% of full stroke"),
     "valve.underlap": Wear(Cause.VALVE, "worn edges of the valve, underlap", 100.0, "%"),
+    "valve.overlap": Wear(Cause.VALVE, "worn edges of the valve, overlap", 100.0, "%"),
     "valve.rated_flow": Wear(Cause.VALVE, "rated flow of the valve", 1.0 / LITRE_PER_MINUTE, "l/min"),
     "supply.tank_pressure": Wear(Cause.RETURN_LINE, "pressure in the return line", 1e-5, "bar"),
     EXTERNAL_LEAKAGE: Wear(Cause.EXTERNAL_LEAK, Cause.EXTERNAL_LEAK.in_full, 1.0, "l/min at 100 bar"),
@@ -130,7 +136,8 @@ class EstimatorDetector:
         still = travel < LEAST_TRAVEL * task.sensors.position.noise  # it cannot show whether the valve is worn
         simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still & ~moves)
         if len(simple):
-            plain = self._estimate(used.part(simple), expected, names, {}, (worn, simple), horizons=())
+            lap = {name: prior for name, prior in wear.items() if name == LAP}
+            plain = self._estimate(used.part(simple), expected, (*names, LAP), lap, (worn, simple), horizons=())
             better = np.flatnonzero(plain.holds)
             value[simple[better]] = plain.value(LEAKAGE)[better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[better]
@@ -220,6 +227,8 @@ def wear_priors(task: TaskConfig) -> dict[str, Prior]:
         "supply.tank_pressure": Prior(tank, 3e5),
         EXTERNAL_LEAKAGE: Prior(0.0, 1.0),
     }
+    if LAP not in task.randomisation:
+        wide[LAP] = Prior(valve.overlap, USUAL_LAP)
     biases = {
         channel: getattr(task.sensors, channel).bias for channel in ("pressure_a", "pressure_b", "spool_position")
     }
@@ -240,6 +249,8 @@ def healthy_range(task: TaskConfig, name: str) -> tuple[float, float]:
     if name == EXTERNAL_LEAKAGE:
         reach = flow_from_resistance(min(low, high))
         return -reach, reach
+    if name == LAP:  # wear only takes lap away; edges as open at the null as the roundest healthy ones are not worn
+        return min(low, high) - 0.5 * healthy_range(task, "valve.underlap")[1], math.inf
     return low, high
 
 

@@ -7,7 +7,7 @@ from faulty_windows import FAULTS, made
 from hydro_agents.detection.detector import SIGNALS, Cause, Why
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_env import TaskConfig
-from hydro_rig.estimation.estimator import EstimatorDetector
+from hydro_rig.estimation.estimator import EstimatorDetector, healthy_range
 
 CONFIG = TaskConfig()
 CAUSES = {"none": Cause.NONE, "rod seal": Cause.EXTERNAL_LEAK, "sensor": Cause.SENSOR, "return line": Cause.RETURN_LINE}
@@ -52,3 +52,10 @@ def test_changes_of_the_task_reach_the_fit():
     assert found is not None
     assert "command_latency" in found.names
     np.testing.assert_allclose(reading.flow_lpm, 0.5, atol=0.05)
+
+
+def test_edges_are_worn_where_they_are_open_further_than_the_roundest_healthy_ones():
+    rig = {"valve.underlap": {"uniform": [0.0, 0.03]}}
+    for drawn, own in ({}, 0.02), ({"valve.overlap": {"uniform": [0.01, 0.04]}}, 0.01):
+        config = TaskConfig(plant={"valve": {"overlap": 0.02}}, randomisation=rig | drawn)
+        assert healthy_range(config, "valve.overlap") == (pytest.approx(own - 0.015), np.inf)
